@@ -1,0 +1,1 @@
+"""How far can a knee ligament calibration be trusted?"""

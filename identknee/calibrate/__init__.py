@@ -1,0 +1,1 @@
+"""Calibration: an objective, optimizers and the one verb that runs them."""

@@ -1,0 +1,1 @@
+"""Laxity protocols and tables, measured or simulated, and their noise."""

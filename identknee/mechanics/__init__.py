@@ -1,0 +1,1 @@
+"""The kernel: arrays in, arrays out; signed distance, contact, ligaments, equilibrium, sensitivities."""

@@ -1,0 +1,1 @@
+"""The laxity model: a knee under a protocol, its prediction and exact Jacobian."""

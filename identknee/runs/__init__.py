@@ -1,0 +1,1 @@
+"""How a computation is run and remembered: outcomes, records, files, executors, progress."""
