@@ -1,0 +1,796 @@
+"""The compiled kernel: energy of a pose, its derivatives, and the equilibria along a load path.
+
+Every function takes arrays only. Poses are q = (varus, internal [rad], x, y, z [mm]) of the tibia in
+the femur at a fixed flexion, the translation in axes that turn with flexion:
+``x_femur = R x_tibia + Rz(-flexion) (x, y, z)`` with ``R = Rz(-flexion) Rx(varus) Ry(internal)``.
+Forces are in N, moments in N mm, energies in N mm.
+
+Everything that pulls or pushes on the tibia (contact points, ligaments) is an *element*: a point p
+relative to the tibial origin, the gradient f of its energy with respect to the point's position and
+the second derivative D, all in femur axes. An element's energy depends on the position of its point
+alone, so one set of sums over elements gives gradient and Hessian of the whole.
+
+All functions live in this one module so that editing one recompiles every caller. Groups of arrays
+travel as tuples, laid out in `identknee.mechanics.equilibria`:
+
+* ``contact``: points (n, 3), their distance from the tibial origin at most (1,), stiffness (n,);
+* ``field``: coefficients (flat), reach (flat), origin (3,), spacing (1,), shape (3,);
+* ``ligaments``: femoral (m, 3) and tibial (m, 3) insertions, properties (m, 4): stiffness [N],
+  reference strain, reference length [mm], transition strain.
+"""
+
+import math
+
+import numpy as np
+
+from identknee.mechanics.compiled import compiled
+
+# One radian of rotation weighs as much as this many millimetres, wherever the two are compared.
+ROTATION_SCALE = 40.0
+RESIDUAL_TOLERANCE = 1e-10  # N; what a solve aims for
+RESIDUAL_ACCEPTED = 1e-6  # N; what is called an equilibrium when rounding stops it earlier
+SMALLEST_STEP = 1.0 / 1024.0  # of the way from one node of the load path to the next
+LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has left the branch
+BRANCH_ABSOLUTE = 0.15  # mm; disagreement of a step with its end tangents that is always allowed
+BRANCH_RELATIVE = 0.15  # the same, as a share of the step's length
+FLOOR_MARGIN = 1e-3  # N/mm; below this stiffness a pose is not unique
+MOST_ITERATIONS = 200
+HOLDS_CONTACT = 1  # bits of the `reach` of a cell of the distance field
+IS_NEAR = 2
+NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
+
+CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = 0, 1, 2, 3
+
+
+@compiled
+def rotation(flexion, q, R):
+    """Write the rotation of the tibia in the femur into `R` (9)."""
+    ca, sa = math.cos(flexion), math.sin(flexion)
+    cv, sv = math.cos(q[0]), math.sin(q[0])
+    ci, si = math.cos(q[1]), math.sin(q[1])
+    m10, m11, m12 = sv * si, cv, -sv * ci
+    R[0] = ca * ci + sa * m10
+    R[1] = sa * m11
+    R[2] = ca * si + sa * m12
+    R[3] = -sa * ci + ca * m10
+    R[4] = ca * m11
+    R[5] = -sa * si + ca * m12
+    R[6] = -cv * si
+    R[7] = sv
+    R[8] = cv * ci
+
+
+@compiled
+def list_candidates(R, t, contact, field, work):
+    """Note the points that may touch the femur at this pose or within a cell's width of it."""
+    points = contact[0]
+    reach, origin, spacing, shape = field[1], field[2], field[3], field[4]
+    candidates, counts, listed = work[2], work[3], work[4]
+    nx, ny, nz = shape[0], shape[1], shape[2]
+    inverse = 1.0 / spacing[0]
+    n = 0
+    for i in range(points.shape[0]):
+        y0, y1, y2 = points[i, 0], points[i, 1], points[i, 2]
+        ix = int(math.floor((R[0] * y0 + R[1] * y1 + R[2] * y2 + t[0] - origin[0]) * inverse))
+        iy = int(math.floor((R[3] * y0 + R[4] * y1 + R[5] * y2 + t[1] - origin[1]) * inverse))
+        iz = int(math.floor((R[6] * y0 + R[7] * y1 + R[8] * y2 + t[2] - origin[2]) * inverse))
+        if ix >= 0 and iy >= 0 and iz >= 0 and ix < nx and iy < ny and iz < nz:
+            if reach[(ix * ny + iy) * nz + iz] != 0:
+                candidates[n] = i
+                n += 1
+    counts[0] = n
+    for j in range(9):
+        listed[j] = R[j]
+    for j in range(3):
+        listed[9 + j] = t[j]
+
+
+@compiled
+def list_is_valid(R, t, radius, spacing, work):
+    """Whether no point has moved farther than the list of candidates allows for."""
+    counts, listed = work[3], work[4]
+    if counts[0] < 0:
+        return False
+    turn = 0.0
+    for j in range(9):
+        turn += (R[j] - listed[j]) ** 2
+    move = 0.0
+    for j in range(3):
+        move += (t[j] - listed[9 + j]) ** 2
+    return math.sqrt(turn) * radius + math.sqrt(move) < NEAR_CELLS * spacing
+
+
+@compiled
+def contact_elements(R, t, contact, field, work):
+    """Write an element for every point that may touch the femur; return their number and energy."""
+    points, stiffness = contact[0], contact[2]
+    coefficients, reach, origin, spacing, shape = field
+    elements, fractions, candidates, counts, cells = work[0], work[1], work[2], work[3], work[5]
+    ny, nz = shape[1], shape[2]
+    stride_x, stride_y = ny * nz, nz
+    inverse = 1.0 / spacing[0]
+    n = 0
+    for j in range(counts[0]):
+        i = candidates[j]
+        y0, y1, y2 = points[i, 0], points[i, 1], points[i, 2]
+        p0 = R[0] * y0 + R[1] * y1 + R[2] * y2
+        p1 = R[3] * y0 + R[4] * y1 + R[5] * y2
+        p2 = R[6] * y0 + R[7] * y1 + R[8] * y2
+        u0 = (p0 + t[0] - origin[0]) * inverse
+        u1 = (p1 + t[1] - origin[1]) * inverse
+        u2 = (p2 + t[2] - origin[2]) * inverse
+        # Candidates stay inside the grid: cells near its faces hold no contact and are not near.
+        ix, iy, iz = int(u0), int(u1), int(u2)
+        cell = ix * stride_x + iy * stride_y + iz
+        if reach[cell] & HOLDS_CONTACT:
+            cells[n] = cell - stride_x - stride_y - 1
+            fractions[0, n] = u0 - ix
+            fractions[1, n] = u1 - iy
+            fractions[2, n] = u2 - iz
+            fractions[3, n] = stiffness[i]
+            elements[0, n] = p0
+            elements[1, n] = p1
+            elements[2, n] = p2
+            n += 1
+    return n, spline_elements(n, coefficients, stride_x, stride_y, inverse, fractions, cells, elements)
+
+
+@compiled
+def spline_elements(n, coefficients, stride_x, stride_y, inverse, fractions, cells, elements):
+    """Write f and D of n contact points from the distance spline; return their energy.
+
+    One straight-line body over many points, so that the compiler works on several at once.
+    """
+    energy = 0.0
+    for i in range(n):
+        b = fractions[0, i]
+        a = 1.0 - b
+        x0, x3 = a * a * a / 6.0, b * b * b / 6.0
+        x1 = (4.0 - 6.0 * b * b + 3.0 * b * b * b) / 6.0
+        x2 = 1.0 - x0 - x1 - x3
+        dx0, dx3, dx1 = -a * a / 2.0, b * b / 2.0, (3.0 * b * b - 4.0 * b) / 2.0
+        dx2 = -dx0 - dx1 - dx3
+        hx0, hx1, hx2, hx3 = a, 3.0 * b - 2.0, 1.0 - 3.0 * b, b
+        b = fractions[1, i]
+        a = 1.0 - b
+        y0, y3 = a * a * a / 6.0, b * b * b / 6.0
+        y1 = (4.0 - 6.0 * b * b + 3.0 * b * b * b) / 6.0
+        y2 = 1.0 - y0 - y1 - y3
+        dy0, dy3, dy1 = -a * a / 2.0, b * b / 2.0, (3.0 * b * b - 4.0 * b) / 2.0
+        dy2 = -dy0 - dy1 - dy3
+        hy0, hy1, hy2, hy3 = a, 3.0 * b - 2.0, 1.0 - 3.0 * b, b
+        b = fractions[2, i]
+        a = 1.0 - b
+        z0, z3 = a * a * a / 6.0, b * b * b / 6.0
+        z1 = (4.0 - 6.0 * b * b + 3.0 * b * b * b) / 6.0
+        z2 = 1.0 - z0 - z1 - z3
+        dz0, dz3, dz1 = -a * a / 2.0, b * b / 2.0, (3.0 * b * b - 4.0 * b) / 2.0
+        dz2 = -dz0 - dz1 - dz3
+        hz0, hz1, hz2, hz3 = a, 3.0 * b - 2.0, 1.0 - 3.0 * b, b
+        d = 0.0
+        gx, gy, gz = 0.0, 0.0, 0.0
+        hxx, hyy, hzz, hxy, hxz, hyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for ia in range(4):
+            wx = x0 if ia == 0 else (x1 if ia == 1 else (x2 if ia == 2 else x3))
+            dx = dx0 if ia == 0 else (dx1 if ia == 1 else (dx2 if ia == 2 else dx3))
+            hx = hx0 if ia == 0 else (hx1 if ia == 1 else (hx2 if ia == 2 else hx3))
+            s00, s10, s20, s01, s11, s02 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for ib in range(4):
+                wy = y0 if ib == 0 else (y1 if ib == 1 else (y2 if ib == 2 else y3))
+                dy = dy0 if ib == 0 else (dy1 if ib == 1 else (dy2 if ib == 2 else dy3))
+                hy = hy0 if ib == 0 else (hy1 if ib == 1 else (hy2 if ib == 2 else hy3))
+                k = cells[i] + ia * stride_x + ib * stride_y
+                c0, c1, c2, c3 = (
+                    coefficients[k],
+                    coefficients[k + 1],
+                    coefficients[k + 2],
+                    coefficients[k + 3],
+                )
+                r0 = c0 * z0 + c1 * z1 + c2 * z2 + c3 * z3
+                r1 = c0 * dz0 + c1 * dz1 + c2 * dz2 + c3 * dz3
+                r2 = c0 * hz0 + c1 * hz1 + c2 * hz2 + c3 * hz3
+                s00 += wy * r0
+                s10 += dy * r0
+                s20 += hy * r0
+                s01 += wy * r1
+                s11 += dy * r1
+                s02 += wy * r2
+            d += wx * s00
+            gx += dx * s00
+            hxx += hx * s00
+            gy += wx * s10
+            hxy += dx * s10
+            hyy += wx * s20
+            gz += wx * s01
+            hxz += dx * s01
+            hyz += wx * s11
+            hzz += wx * s02
+        spring = fractions[3, i] if d < 0.0 else 0.0
+        energy += 0.5 * spring * d * d
+        k1 = spring * d * inverse
+        k2 = spring * inverse * inverse
+        elements[3, i] = k1 * gx
+        elements[4, i] = k1 * gy
+        elements[5, i] = k1 * gz
+        elements[6, i] = k2 * (gx * gx + d * hxx)
+        elements[7, i] = k2 * (gy * gy + d * hyy)
+        elements[8, i] = k2 * (gz * gz + d * hzz)
+        elements[9, i] = k2 * (gx * gy + d * hxy)
+        elements[10, i] = k2 * (gx * gz + d * hxz)
+        elements[11, i] = k2 * (gy * gz + d * hyz)
+    return energy
+
+
+@compiled
+def tension(strain, stiffness, transition):
+    """Force of a line ligament, its slope with strain and its integral over strain.
+
+    Equation 3 of the paper: quadratic up to twice the transition strain, linear beyond.
+    """
+    if strain <= 0.0:
+        return 0.0, 0.0, 0.0
+    if strain <= 2.0 * transition:
+        slope = stiffness * strain / (2.0 * transition)
+        return 0.5 * slope * strain, slope, slope * strain * strain / 6.0
+    over = strain - transition
+    return (
+        stiffness * over,
+        stiffness,
+        stiffness * (0.5 * over * over + transition * transition / 6.0),
+    )
+
+
+@compiled
+def ligament_elements(R, t, ligaments, n, elements):
+    """Append an element for every ligament; return the new number of elements and their energy."""
+    femoral, tibial, properties = ligaments
+    energy = 0.0
+    for i in range(femoral.shape[0]):
+        y0, y1, y2 = tibial[i, 0], tibial[i, 1], tibial[i, 2]
+        p0 = R[0] * y0 + R[1] * y1 + R[2] * y2
+        p1 = R[3] * y0 + R[4] * y1 + R[5] * y2
+        p2 = R[6] * y0 + R[7] * y1 + R[8] * y2
+        e0 = p0 + t[0] - femoral[i, 0]
+        e1 = p1 + t[1] - femoral[i, 1]
+        e2 = p2 + t[2] - femoral[i, 2]
+        length = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        slack_length = properties[i, 2] / (1.0 + properties[i, 1])
+        force, slope, work = tension(
+            length / slack_length - 1.0, properties[i, 0], properties[i, 3]
+        )
+        energy += slack_length * work
+        a = force / length
+        b = slope / slack_length - a
+        e0, e1, e2 = e0 / length, e1 / length, e2 / length
+        elements[0, n], elements[1, n], elements[2, n] = p0, p1, p2
+        elements[3, n], elements[4, n], elements[5, n] = force * e0, force * e1, force * e2
+        elements[6, n], elements[7, n], elements[8, n] = a + b * e0 * e0, a + b * e1 * e1, a + b * e2 * e2
+        elements[9, n], elements[10, n], elements[11, n] = b * e0 * e1, b * e0 * e2, b * e1 * e2
+        n += 1
+    return n, energy
+
+
+@compiled
+def sum_elements(n, elements, sums):
+    """Write the sums over elements: f (3), f p^T (9), D (6), D [e_k x p] (9), their moment (6)."""
+    f0, f1, f2 = 0.0, 0.0, 0.0
+    t00, t01, t02, t10, t11, t12, t20, t21, t22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    dxx, dyy, dzz, dxy, dxz, dyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    b00, b01, b02, b10, b11, b12, b20, b21, b22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    c00, c11, c22, c01, c02, c12 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        p0, p1, p2 = elements[0, i], elements[1, i], elements[2, i]
+        a0, a1, a2 = elements[3, i], elements[4, i], elements[5, i]
+        xx, yy, zz = elements[6, i], elements[7, i], elements[8, i]
+        xy, xz, yz = elements[9, i], elements[10, i], elements[11, i]
+        f0 += a0
+        f1 += a1
+        f2 += a2
+        t00 += a0 * p0
+        t01 += a0 * p1
+        t02 += a0 * p2
+        t10 += a1 * p0
+        t11 += a1 * p1
+        t12 += a1 * p2
+        t20 += a2 * p0
+        t21 += a2 * p1
+        t22 += a2 * p2
+        dxx += xx
+        dyy += yy
+        dzz += zz
+        dxy += xy
+        dxz += xz
+        dyz += yz
+        g00, g10, g20 = p1 * xz - p2 * xy, p1 * yz - p2 * yy, p1 * zz - p2 * yz
+        g01, g11, g21 = p2 * xx - p0 * xz, p2 * xy - p0 * yz, p2 * xz - p0 * zz
+        g02, g12, g22 = p0 * xy - p1 * xx, p0 * yy - p1 * xy, p0 * yz - p1 * xz
+        b00 += g00
+        b01 += g01
+        b02 += g02
+        b10 += g10
+        b11 += g11
+        b12 += g12
+        b20 += g20
+        b21 += g21
+        b22 += g22
+        c00 += p1 * g20 - p2 * g10
+        c01 += p1 * g21 - p2 * g11
+        c02 += p1 * g22 - p2 * g12
+        c11 += p2 * g01 - p0 * g21
+        c12 += p2 * g02 - p0 * g22
+        c22 += p0 * g12 - p1 * g02
+    sums[0], sums[1], sums[2] = f0, f1, f2
+    sums[3], sums[4], sums[5] = t00, t01, t02
+    sums[6], sums[7], sums[8] = t10, t11, t12
+    sums[9], sums[10], sums[11] = t20, t21, t22
+    sums[12], sums[13], sums[14] = dxx, dxy, dxz
+    sums[15], sums[16], sums[17] = dxy, dyy, dyz
+    sums[18], sums[19], sums[20] = dxz, dyz, dzz
+    sums[21], sums[22], sums[23] = b00, b01, b02
+    sums[24], sums[25], sums[26] = b10, b11, b12
+    sums[27], sums[28], sums[29] = b20, b21, b22
+    sums[30], sums[31], sums[32] = c00, c01, c02
+    sums[33], sums[34], sums[35] = c01, c11, c12
+    sums[36], sums[37], sums[38] = c02, c12, c22
+
+
+@compiled
+def bilinear(a, i, M, k, b, j):
+    """Row i of `a` times the 3 x 3 matrix at M[k:] times row j of `b`."""
+    return (
+        a[i, 0] * (M[k] * b[j, 0] + M[k + 1] * b[j, 1] + M[k + 2] * b[j, 2])
+        + a[i, 1] * (M[k + 3] * b[j, 0] + M[k + 4] * b[j, 1] + M[k + 5] * b[j, 2])
+        + a[i, 2] * (M[k + 6] * b[j, 0] + M[k + 7] * b[j, 1] + M[k + 8] * b[j, 2])
+    )
+
+
+@compiled
+def dot(a, i, b, j):
+    """Product of row i of `a` with row j of `b`."""
+    return a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]
+
+
+@compiled
+def generalised(flexion, R, t, sums, axes, g, H, h):
+    """Turn the sums over elements into gradient g, Hessian H and d g / d flexion.
+
+    Rows of `axes`: 0, 1 the rotation axes of varus and internal rotation, 2-4 the translations,
+    5 the axis of flexion, 6 how flexion moves the tibial origin.
+    """
+    ca, sa = math.cos(flexion), math.sin(flexion)
+    axes[0, 0], axes[0, 1], axes[0, 2] = ca, -sa, 0.0
+    axes[1, 0], axes[1, 1], axes[1, 2] = R[1], R[4], R[7]
+    axes[2, 0], axes[2, 1], axes[2, 2] = ca, -sa, 0.0
+    axes[3, 0], axes[3, 1], axes[3, 2] = sa, ca, 0.0
+    axes[4, 0], axes[4, 1], axes[4, 2] = 0.0, 0.0, 1.0
+    axes[5, 0], axes[5, 1], axes[5, 2] = 0.0, 0.0, -1.0
+    axes[6, 0], axes[6, 1], axes[6, 2] = t[1], -t[0], 0.0
+    axes[7, 0], axes[7, 1], axes[7, 2] = sums[0], sums[1], sums[2]
+    axes[8, 0], axes[8, 1], axes[8, 2] = sums[10] - sums[8], sums[5] - sums[9], sums[6] - sums[4]
+    trace = sums[3] + sums[7] + sums[11]
+    for i in range(2):
+        g[i] = dot(axes, i, axes, 8)
+        for j in range(i, 2):
+            # d2 p / d a d b = a x (b x p), with a the outer of the two axes.
+            H[i, j] = (
+                bilinear(axes, i, sums, 30, axes, j)
+                + bilinear(axes, j, sums, 3, axes, i)
+                - trace * dot(axes, i, axes, j)
+            )
+            H[j, i] = H[i, j]
+        for j in range(2, 5):
+            H[j, i] = bilinear(axes, j, sums, 21, axes, i)
+            H[i, j] = H[j, i]
+        h[i] = (
+            bilinear(axes, i, sums, 30, axes, 5)
+            + bilinear(axes, 6, sums, 21, axes, i)
+            + bilinear(axes, i, sums, 3, axes, 5)
+            - trace * dot(axes, i, axes, 5)
+        )
+    for i in range(2, 5):
+        g[i] = dot(axes, i, axes, 7)
+        for j in range(i, 5):
+            H[i, j] = bilinear(axes, i, sums, 12, axes, j)
+            H[j, i] = H[i, j]
+        h[i] = bilinear(axes, i, sums, 21, axes, 5) + bilinear(axes, i, sums, 12, axes, 6)
+    h[2] += sums[0] * axes[2, 1] - sums[1] * axes[2, 0]
+    h[3] += sums[0] * axes[3, 1] - sums[1] * axes[3, 0]
+
+
+@compiled
+def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
+    """Energy of a pose; its gradient, Hessian and d gradient / d flexion are written to g, H, h."""
+    elements, R, t, sums, axes = work[0], work[6], work[7], work[8], work[9]
+    rotation(flexion, q, R)
+    ca, sa = math.cos(flexion), math.sin(flexion)
+    t[0] = ca * q[2] + sa * q[3]
+    t[1] = -sa * q[2] + ca * q[3]
+    t[2] = q[4]
+    if not list_is_valid(R, t, contact[1][0], field[3][0], work):
+        list_candidates(R, t, contact, field, work)
+    n_contact, energy = contact_elements(R, t, contact, field, work)
+    work[3][1] = n_contact
+    n, pulled = ligament_elements(R, t, ligaments, n_contact, elements)
+    energy += pulled
+    sum_elements(n, elements, sums)
+    generalised(flexion, R, t, sums, axes, g, H, h)
+    for i in range(5):
+        energy -= load[i] * q[i]
+        g[i] -= load[i]
+    return energy
+
+
+@compiled
+def scale_of(i):
+    """Millimetres that one unit of coordinate i is worth."""
+    return ROTATION_SCALE if i < 2 else 1.0
+
+
+@compiled
+def factorise(H, shift, L):
+    """Write the Cholesky factor of H + shift * scale^2 into L; whether that is positive definite."""
+    for i in range(5):
+        for j in range(i + 1):
+            x = H[i, j]
+            if i == j:
+                x += shift * scale_of(i) ** 2
+            for k in range(j):
+                x -= L[i, k] * L[j, k]
+            if i == j:
+                if x <= 1e-12 * scale_of(i) ** 2:
+                    return False
+                L[i, i] = math.sqrt(x)
+            else:
+                L[i, j] = x / L[j, j]
+    return True
+
+
+@compiled
+def substitute(L, b, x):
+    """Solve L L^T x = b."""
+    for i in range(5):
+        s = b[i]
+        for k in range(i):
+            s -= L[i, k] * x[k]
+        x[i] = s / L[i, i]
+    for i in range(4, -1, -1):
+        s = x[i]
+        for k in range(i + 1, 5):
+            s -= L[k, i] * x[k]
+        x[i] = s / L[i, i]
+
+
+@compiled
+def scaled_norm(x):
+    """Length of a pose change in mm."""
+    s = 0.0
+    for i in range(5):
+        s += (x[i] * scale_of(i)) ** 2
+    return math.sqrt(s)
+
+
+@compiled
+def residual_norm(g):
+    """Size of a generalised force in N, moments divided by the rotation scale."""
+    s = 0.0
+    for i in range(5):
+        s += (g[i] / scale_of(i)) ** 2
+    return math.sqrt(s)
+
+
+@compiled
+def trust_region_step(g, H, radius, L, minus_g, step):
+    """Write the step that minimises the quadratic model within `radius`; return its shift."""
+    for i in range(5):
+        minus_g[i] = -g[i]
+    shift = 0.0
+    lowest = 0.0  # The shift is at least this.
+    for _ in range(60):
+        if not factorise(H, shift, L):
+            lowest = shift
+            shift = max(4.0 * shift, 0.05)
+            continue
+        substitute(L, minus_g, step)
+        length = scaled_norm(step)
+        if length <= radius * 1.1 and (length >= 0.7 * radius or shift <= lowest * 1.5 + 1e-9):
+            return shift
+        if length <= radius and shift == 0.0:
+            return shift
+        # Newton's iteration on 1/length(shift) = 1/radius: d length / d shift from one more solve.
+        slope = 0.0
+        for i in range(5):
+            s = step[i] * scale_of(i) ** 2
+            for k in range(i):
+                s -= L[i, k] * minus_g[k]
+            minus_g[i] = s / L[i, i]
+            slope += minus_g[i] ** 2
+        for i in range(5):
+            minus_g[i] = -g[i]
+        new = shift + (length * length / slope) * (length - radius) / radius
+        shift = new if new > lowest else 0.5 * (shift + lowest)
+    return shift
+
+
+@compiled
+def find_minimum(flexion, q, load, farthest, contact, field, ligaments, work, g, H, h):
+    """Move q to a minimum of the energy; return (outcome, residual).
+
+    A Newton step inside a trust region on the energy. `farthest` [mm] ends the search when q moves
+    farther than that from where it began.
+    """
+    L, minus_g, step, trial, g_new, H_new, h_new, start = work[10]
+    for i in range(5):
+        start[i] = q[i]
+    energy = evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h)
+    residual = residual_norm(g)
+    radius = 3.0
+    for _ in range(MOST_ITERATIONS):
+        if residual < RESIDUAL_TOLERANCE:
+            break
+        trust_region_step(g, H, radius, L, minus_g, step)
+        length = scaled_norm(step)
+        predicted = 0.0
+        for i in range(5):
+            trial[i] = q[i] + step[i]
+            s = 0.0
+            for j in range(5):
+                s += H[i, j] * step[j]
+            predicted -= step[i] * (g[i] + 0.5 * s)
+        energy_new = evaluate(flexion, trial, load, contact, field, ligaments, work, g_new, H_new, h_new)
+        residual_new = residual_norm(g_new)
+        rounding = 1e-13 * (abs(energy) + 1e4)
+        gained = energy - energy_new
+        if gained > 0.1 * predicted - rounding and (predicted > rounding or residual_new < residual):
+            if gained > 0.75 * predicted and length > 0.6 * radius:
+                radius = min(2.0 * radius, 10.0)
+            energy, residual = energy_new, residual_new
+            moved = 0.0
+            for i in range(5):
+                q[i] = trial[i]
+                g[i] = g_new[i]
+                h[i] = h_new[i]
+                moved += ((q[i] - start[i]) * scale_of(i)) ** 2
+                for j in range(5):
+                    H[i, j] = H_new[i, j]
+            if moved > farthest * farthest:
+                return NO_EQUILIBRIUM, residual
+        else:
+            if predicted <= rounding:  # Rounding hides any further gain.
+                break
+            radius = 0.25 * min(length, radius)
+            if radius < 1e-12:
+                break
+    if residual > RESIDUAL_ACCEPTED:
+        return NO_EQUILIBRIUM, residual
+    if not factorise(H, -FLOOR_MARGIN, L):
+        return UNCONSTRAINED, residual
+    return CONVERGED, residual
+
+
+@compiled
+def tangent(H, h, load_change, flexion_change, L, right, step):
+    """Write how the equilibrium moves when load and flexion change: -H^-1 d(gradient)."""
+    for i in range(5):
+        right[i] = load_change[i] - h[i] * flexion_change
+    if factorise(H, 0.0, L):
+        substitute(L, right, step)
+    else:
+        for i in range(5):
+            step[i] = 0.0
+
+
+@compiled
+def off_branch(before, after, tangent_before, tangent_after, share):
+    """Whether a step disagrees with its end tangents more than a smooth branch would [true/false]."""
+    off, length = 0.0, 0.0
+    for i in range(5):
+        change = after[i] - before[i]
+        error = change - 0.5 * share * (tangent_before[i] + tangent_after[i])
+        off += (error * scale_of(i)) ** 2
+        length += (change * scale_of(i)) ** 2
+    return math.sqrt(off) > BRANCH_ABSOLUTE + BRANCH_RELATIVE * math.sqrt(length)
+
+
+@compiled
+def follow(path, q, H, h, guess, has_guess, contact, field, ligaments, work, g):
+    """Follow the branch of equilibria from one end of a straight load path to the other.
+
+    `path` holds flexion (2), load before (5), load after (5). q, H and h are those of the state
+    before and become those of the state after, or of the last stable state reached. A step is
+    accepted when it agrees with the tangents at both of its ends, else it is halved: on a smooth
+    branch the disagreement vanishes with the step, across a jump it stays.
+
+    Returns (outcome, share of the path reached, residual, number of solves).
+    """
+    L, minus_g = work[10][0], work[10][1]
+    q_new, H_new, h_new, load, change, before, after = work[11]
+    flexion_change = path[1] - path[0]
+    for i in range(5):
+        change[i] = path[7 + i] - path[2 + i]
+    reached, share, residual, solves = 0.0, 1.0, 0.0, 0
+    tangent(H, h, change, flexion_change, L, minus_g, before)
+    while reached < 1.0:
+        share = min(share, 1.0 - reached)
+        goal = reached + share
+        for i in range(5):
+            q_new[i] = guess[i] if has_guess and share == 1.0 else q[i] + share * before[i]
+            load[i] = path[2 + i] + goal * change[i]
+        outcome, residual = find_minimum(
+            path[0] + goal * flexion_change,
+            q_new,
+            load,
+            LARGEST_MOVE,
+            contact,
+            field,
+            ligaments,
+            work,
+            g,
+            H_new,
+            h_new,
+        )
+        solves += 1
+        if outcome == CONVERGED:
+            tangent(H_new, h_new, change, flexion_change, L, minus_g, after)
+            if off_branch(q, q_new, before, after, share):
+                outcome = FOLD
+        if outcome == CONVERGED:
+            reached = goal
+            share *= 2.0
+            for i in range(5):
+                q[i] = q_new[i]
+                h[i] = h_new[i]
+                before[i] = after[i]
+                for j in range(5):
+                    H[i, j] = H_new[i, j]
+        elif has_guess and share == 1.0:
+            has_guess = False
+        else:
+            share *= 0.5
+            if share < SMALLEST_STEP:
+                free = not factorise(H, -10.0 * FLOOR_MARGIN, L)
+                return UNCONSTRAINED if free else FOLD, reached, residual, solves
+    return CONVERGED, 1.0, residual, solves
+
+
+@compiled
+def parameter_columns(R, t, ligaments, axes, columns):
+    """Write d gradient / d (stiffness [N], reference strain) of every ligament into `columns`."""
+    femoral, tibial, properties = ligaments
+    m = femoral.shape[0]
+    for i in range(m):
+        y0, y1, y2 = tibial[i, 0], tibial[i, 1], tibial[i, 2]
+        p0 = R[0] * y0 + R[1] * y1 + R[2] * y2
+        p1 = R[3] * y0 + R[4] * y1 + R[5] * y2
+        p2 = R[6] * y0 + R[7] * y1 + R[8] * y2
+        e0 = p0 + t[0] - femoral[i, 0]
+        e1 = p1 + t[1] - femoral[i, 1]
+        e2 = p2 + t[2] - femoral[i, 2]
+        length = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        strain = length * (1.0 + properties[i, 1]) / properties[i, 2] - 1.0
+        force, slope, _ = tension(strain, 1.0, properties[i, 3])
+        by_strain = properties[i, 0] * slope / properties[i, 2]
+        force /= length
+        m0, m1, m2 = p1 * e2 - p2 * e1, p2 * e0 - p0 * e2, p0 * e1 - p1 * e0
+        for a in range(5):
+            if a < 2:
+                along = axes[a, 0] * m0 + axes[a, 1] * m1 + axes[a, 2] * m2
+            else:
+                along = axes[a, 0] * e0 + axes[a, 1] * e1 + axes[a, 2] * e2
+            columns[a, i] = force * along
+            columns[a, m + i] = by_strain * along
+
+
+@compiled
+def sensitivities(flexion, q, H, ligaments, work, columns, S):
+    """Write dq / d(stiffness, reference strain) = -H^-1 d gradient / d parameter into S (5, 2m)."""
+    R, t, axes = work[6], work[7], work[9]
+    L, right, step = work[10][0], work[10][1], work[10][2]
+    rotation(flexion, q, R)
+    ca, sa = math.cos(flexion), math.sin(flexion)
+    t[0] = ca * q[2] + sa * q[3]
+    t[1] = -sa * q[2] + ca * q[3]
+    t[2] = q[4]
+    axes[0, 0], axes[0, 1], axes[0, 2] = ca, -sa, 0.0
+    axes[1, 0], axes[1, 1], axes[1, 2] = R[1], R[4], R[7]
+    axes[2, 0], axes[2, 1], axes[2, 2] = ca, -sa, 0.0
+    axes[3, 0], axes[3, 1], axes[3, 2] = sa, ca, 0.0
+    axes[4, 0], axes[4, 1], axes[4, 2] = 0.0, 0.0, 1.0
+    parameter_columns(R, t, ligaments, axes, columns)
+    factorise(H, 0.0, L)
+    for j in range(columns.shape[1]):
+        for i in range(5):
+            right[i] = -columns[i, j]
+        substitute(L, right, step)
+        for i in range(5):
+            S[i, j] = step[i]
+
+
+@compiled
+def workspace(n_points, n_ligaments):
+    """Memory for one thread's work, allocated once a simulation."""
+    n = n_points + n_ligaments
+    counts = np.zeros(2, np.int64)
+    counts[0] = -1
+    solver = (
+        np.zeros((5, 5)),
+        np.zeros(5),
+        np.zeros(5),
+        np.zeros(5),
+        np.zeros(5),
+        np.zeros((5, 5)),
+        np.zeros(5),
+        np.zeros(5),
+    )
+    path = (
+        np.zeros(5),
+        np.zeros((5, 5)),
+        np.zeros(5),
+        np.zeros(5),
+        np.zeros(5),
+        np.zeros(5),
+        np.zeros(5),
+    )
+    return (
+        np.zeros((12, n)),
+        np.zeros((4, n)),
+        np.zeros(n, np.int64),
+        counts,
+        np.zeros(12),
+        np.zeros(n, np.int64),
+        np.zeros(9),
+        np.zeros(3),
+        np.zeros(39),
+        np.zeros((9, 3)),
+        solver,
+        path,
+    )
+
+
+@compiled
+def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, derivatives, results):
+    """Solve every node of a tree of load paths, each from its parent's state.
+
+    `nodes`: flexion (n), load (n, 5), parent (n); a parent of -1 starts the search at `start`.
+    `results`: poses (n, 5), Hessians (n, 5, 5), sensitivities (n, 5, 2m), outcomes (n), residuals
+    (n), share of the path from the parent that was reached (n), d gradient / d flexion (n, 5),
+    solves (n).
+    """
+    flexion, loads, parent = nodes
+    poses, hessians, slopes, outcomes, residuals, reached, flexed, solves = results
+    work = workspace(contact[0].shape[0], ligaments[0].shape[0])
+    g, q, H, h = np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
+    path = np.zeros(12)
+    columns = np.zeros((5, 2 * ligaments[0].shape[0]))
+    for n in range(flexion.shape[0]):
+        before = parent[n]
+        if before < 0:
+            for i in range(5):
+                q[i] = start[i]
+            outcome, residuals[n] = find_minimum(
+                flexion[n], q, loads[n], 1e9, contact, field, ligaments, work, g, H, h
+            )
+            reached[n] = 1.0
+            solves[n] = 1
+        else:
+            for i in range(5):
+                q[i] = poses[before, i]
+                h[i] = flexed[before, i]
+                path[2 + i] = loads[before, i]
+                path[7 + i] = loads[n, i]
+                for j in range(5):
+                    H[i, j] = hessians[before, i, j]
+            path[0], path[1] = flexion[before], flexion[n]
+            outcome = outcomes[before]
+            reached[n] = 0.0
+            if outcome == CONVERGED:
+                outcome, reached[n], residuals[n], solves[n] = follow(
+                    path, q, H, h, guesses[n], has_guess, contact, field, ligaments, work, g
+                )
+        outcomes[n] = outcome
+        for i in range(5):
+            poses[n, i] = q[i]
+            flexed[n, i] = h[i]
+            for j in range(5):
+                hessians[n, i, j] = H[i, j]
+        if derivatives and outcome == CONVERGED:
+            sensitivities(flexion[n], q, H, ligaments, work, columns, slopes[n])

@@ -1,0 +1,114 @@
+"""The calibrated parameters: names, bounds, priors, and which are free."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identknee.runs.arrays import Array, frozen
+
+STIFFNESS = "stiffness_kN"
+STRAIN = "reference_strain_pct"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Parameters:
+    """Free parameters of a model, in the order of its parameter vector theta.
+
+    Attributes
+    ----------
+    names
+        For example ``"ACL.stiffness_kN"``; the unit is the last word of the name.
+    center
+        The subject's own values, shape ``(n,)``: centre of the prior and default start.
+    lower, upper
+        Bounds, shape ``(n,)``.
+    prior_sd
+        Prior standard deviation, shape ``(n,)``: of the natural logarithm where `is_log`, in the
+        parameter's own unit elsewhere.
+    is_log
+        Whether the prior is lognormal, shape ``(n,)``.
+    """
+
+    names: tuple[str, ...]
+    center: Array
+    lower: Array
+    upper: Array
+    prior_sd: Array
+    is_log: tuple[bool, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if len(set(self.names)) != n:
+            raise ValueError(f"parameter names must differ, got {self.names}")
+        for field in ("center", "lower", "upper", "prior_sd"):
+            object.__setattr__(self, field, frozen(getattr(self, field), n, name=field))
+        for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
+            if not low < high:
+                raise ValueError(
+                    f"the bounds of {name} must be lower < upper, got {low:g} and {high:g}"
+                )
+
+    @property
+    def n(self) -> int:
+        """How many there are."""
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Where `name` stands in theta."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            known = ", ".join(self.names)
+            raise ValueError(f"there is no parameter {name!r}; the parameters are {known}") from None
+
+    def vector(self, values: Mapping[str, float]) -> Array:
+        """Theta with `values` by name and the subject's own for the rest."""
+        theta = np.array(self.center)
+        for name, value in values.items():
+            theta[self.index(name)] = value
+        return theta
+
+    def select(self, names: Sequence[str]) -> "Parameters":
+        """The parameters called `names`, in that order."""
+        chosen = [self.index(name) for name in names]
+        return Parameters(
+            names=tuple(names),
+            center=self.center[chosen],
+            lower=self.lower[chosen],
+            upper=self.upper[chosen],
+            prior_sd=self.prior_sd[chosen],
+            is_log=tuple(self.is_log[i] for i in chosen),
+        )
+
+    def with_bounds(self, bounds: Mapping[str, tuple[float, float]]) -> "Parameters":
+        """A copy with other bounds for the parameters named."""
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        for name, (low, high) in bounds.items():
+            lower[self.index(name)], upper[self.index(name)] = low, high
+        return replace(self, lower=lower, upper=upper)
+
+
+def ligament_parameters(
+    ligaments: Sequence[str], stiffness_kN: Sequence[float], reference_strain_pct: Sequence[float]
+) -> Parameters:
+    """Parameters of line ligaments: stiffness and reference strain of each.
+
+    Theta holds the stiffnesses of all ligaments first, then their reference strains. The box is
+    0 to 40 kN and -15 to 15 %; the prior is lognormal around the subject's stiffness with log-sd
+    0.35 and normal around its reference strain with sd 2 %.
+
+    Examples
+    --------
+    >>> ligament_parameters(["ACL"], [10.0], [8.0]).names
+    ('ACL.stiffness_kN', 'ACL.reference_strain_pct')
+    """
+    n = len(ligaments)
+    return Parameters(
+        names=(*(f"{x}.{STIFFNESS}" for x in ligaments), *(f"{x}.{STRAIN}" for x in ligaments)),
+        center=np.r_[np.asarray(stiffness_kN, float), np.asarray(reference_strain_pct, float)],
+        lower=np.r_[np.zeros(n), np.full(n, -15.0)],
+        upper=np.r_[np.full(n, 40.0), np.full(n, 15.0)],
+        prior_sd=np.r_[np.full(n, 0.35), np.full(n, 2.0)],
+        is_log=(True,) * n + (False,) * n,
+    )

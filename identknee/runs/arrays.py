@@ -1,0 +1,54 @@
+"""Array types, and the copy every frozen dataclass keeps of what it was given."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
+    """A read-only float64 copy of `values`, its shape checked.
+
+    Parameters
+    ----------
+    values
+        Anything numpy can turn into numbers.
+    shape
+        The lengths wanted, ``None`` where any length will do.
+    name
+        What to call the values in a message.
+
+    Raises
+    ------
+    ValueError
+        If the values are not numbers or the shape differs.
+
+    Examples
+    --------
+    >>> frozen([1, 2, 3], 3, name="femur").flags.writeable
+    False
+    """
+    try:
+        array = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must hold numbers only, got {values!r}") from error
+    if array.ndim != len(shape) or not _fits(array.shape, shape):
+        wanted = " x ".join("any" if length is None else str(length) for length in shape)
+        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+    array.flags.writeable = False
+    return array
+
+
+def frozen_integers(values: ArrayLike) -> IntArray:
+    """A read-only int64 copy of `values`."""
+    array = np.array(values, dtype=np.int64, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _fits(actual: Iterable[int], wanted: Iterable[int | None]) -> bool:
+    return all(want is None or have == want for have, want in zip(actual, wanted, strict=True))

@@ -1,0 +1,41 @@
+"""What a person is told about a file that cannot be used."""
+
+import os
+
+
+class InputError(ValueError):
+    """A file or folder that cannot be used, as one sentence and its remedy.
+
+    The message reads "PATH, WHERE: WHY. REMEDY".
+
+    Parameters
+    ----------
+    path
+        The file or folder.
+    where
+        The place in it, such as ``"row 7, column varus_deg"``; empty for the whole file.
+    why
+        What is wrong, without the full stop.
+    remedy
+        What to do about it, a sentence of its own.
+
+    Examples
+    --------
+    >>> print(InputError("a.csv", "row 7", "the trial has no name", "Name it."))
+    a.csv, row 7: the trial has no name. Name it.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], where: str, why: str, remedy: str) -> None:
+        # All four go to the base class so that the error survives the trip from a worker process.
+        super().__init__(os.fspath(path), where, why, remedy)
+        self.path = os.fspath(path)
+        self.where = where
+        self.why = why
+        self.remedy = remedy
+
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """The whole message."""
+        place = f"{self.path}, {self.where}" if self.where else self.path
+        sentence = f"{place}: {self.why.rstrip('.')}."
+        return f"{sentence} {self.remedy}" if self.remedy else sentence

@@ -1,0 +1,209 @@
+"""Files read with care and written whole or not at all."""
+
+import errno
+import hashlib
+import json
+import math
+import os
+import secrets
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identknee.runs.errors import InputError
+
+PathLike = str | os.PathLike[str]
+BYTES_PER_MB = 10**6
+
+
+def write_atomically(path: PathLike, content: str | bytes) -> Path:
+    """Path of a file that now holds `content`, and that never held a part of it.
+
+    The content goes to a temporary name in the same folder, reaches the disk, and is then renamed.
+    Text is written as UTF-8 with the line ends it has.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written: no such folder, no permission, a full disk. What stood there
+        before is left as it was, and the temporary file is removed.
+    """
+    target = Path(path)
+    data = content.encode("utf-8") if isinstance(content, str) else content
+    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
+    try:
+        try:
+            with temporary.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise _unwritable(target, error) from error
+    return target
+
+
+def prepare_folder(path: PathLike) -> Path:
+    """Path of a folder that exists, made where it is missing, and can be written to.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made or written to, or is a file.
+    """
+    folder = Path(path)
+    probe = folder / f".{secrets.token_hex(4)}.part"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            probe.touch()
+        finally:
+            probe.unlink(missing_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise InputError(
+            folder, "", "a file stands where the folder should be", "Choose another folder name."
+        ) from error
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    return folder
+
+
+def check_readable(path: PathLike, limit_mb: float = 512) -> Path:
+    """Path of a file that can be read: it is there, holds something and is not too large.
+
+    Parameters
+    ----------
+    path
+        The file.
+    limit_mb
+        The largest size taken [MB of 10^6 bytes].
+
+    Raises
+    ------
+    InputError
+        If it is missing, a folder, empty, too large or may not be read.
+    """
+    file = Path(path)
+    if file.is_dir():
+        raise InputError(
+            file, "", "this is a folder, not a file", "Give the path of the file in it."
+        )
+    try:
+        size = file.stat().st_size
+        with file.open("rb"):
+            pass
+    except FileNotFoundError as error:
+        raise InputError(
+            file, "", "there is no such file", "Check the spelling and the folder."
+        ) from error
+    except OSError as error:
+        reason = _reason(error)
+        raise InputError(
+            file, "", f"the file cannot be read ({reason})", "Check its permissions."
+        ) from error
+    if size > limit_mb * BYTES_PER_MB:
+        raise InputError(
+            file,
+            "",
+            f"the file has {size / BYTES_PER_MB:.0f} MB, more than the {limit_mb:g} MB allowed",
+            "Check that it is the right file, or thin or split it.",
+        )
+    if size == 0:
+        raise InputError(file, "", "the file is empty", "Write or export it again.")
+    return file
+
+
+def digest(source: PathLike | bytes) -> str:
+    """SHA-256 of a file (given by its path) or of bytes, as 64 hexadecimal digits.
+
+    Examples
+    --------
+    >>> digest(b"")[:8]
+    'e3b0c442'
+    """
+    if isinstance(source, bytes):
+        return hashlib.sha256(source).hexdigest()
+    with check_readable(source, math.inf).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_json(path: PathLike, mapping: Mapping[str, Any]) -> Path:
+    """Path of a JSON file that now holds `mapping`; numbers are the shortest that read back equal.
+
+    JSON has no infinity and no NaN, so both become ``null``.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    TypeError
+        If a value has no JSON form.
+    """
+    text = json.dumps(plain(mapping), indent=2, ensure_ascii=False, allow_nan=False)
+    return write_atomically(path, text + "\n")
+
+
+def plain(value: Any, *, keep_nonfinite: bool = False) -> Any:
+    """`value` in the types JSON knows: arrays as lists, enums by value, paths as text.
+
+    Parameters
+    ----------
+    value
+        Numbers, text, arrays, enums, paths, and mappings and sequences of them.
+    keep_nonfinite
+        Whether infinity and NaN stay as they are; they become None otherwise.
+
+    Raises
+    ------
+    TypeError
+        If a value has no JSON form.
+
+    Examples
+    --------
+    >>> plain({"theta": np.array([1.5, np.inf])})
+    {'theta': [1.5, None]}
+    """
+    if isinstance(value, Enum):
+        return plain(value.value, keep_nonfinite=keep_nonfinite)
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist(), keep_nonfinite=keep_nonfinite)
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float):
+        return value if keep_nonfinite or math.isfinite(value) else None
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {
+            str(plain(key)): plain(item, keep_nonfinite=keep_nonfinite)
+            for key, item in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [plain(item, keep_nonfinite=keep_nonfinite) for item in value]
+    raise TypeError(f"{value!r} of type {type(value).__name__} has no JSON form")
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+        why = "the disk is full"
+        remedy = "Free some space or write to another disk; nothing half-written was left."
+    elif error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
+        why = f"it may not be written to ({_reason(error)})"
+        remedy = "Choose another folder with --out, or change the permissions."
+    elif error.errno == errno.ENOENT:
+        why, remedy = "its folder does not exist", "Make the folder first or choose another."
+    elif error.errno in {errno.EISDIR, errno.ENOTDIR}:
+        why = f"a file and a folder are mixed up in this path ({_reason(error)})"
+        remedy = "Choose another name."
+    else:
+        why, remedy = f"it cannot be written ({_reason(error)})", "Choose another place."
+    return InputError(path, "", why, remedy)
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or type(error).__name__).lower()

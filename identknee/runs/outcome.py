@@ -1,0 +1,45 @@
+"""How a computation ended, each way with its sentence."""
+
+from enum import Enum, unique
+
+
+@unique
+class Outcome(Enum):
+    """How an equilibrium, a trial or a fit ended.
+
+    The value is the word written to files; `sentence` says it to a person.
+    """
+
+    # Equilibria and trials.
+    CONVERGED = "converged"
+    FOLD = "fold"
+    NO_EQUILIBRIUM = "no_equilibrium"
+    UNCONSTRAINED = "unconstrained"
+    LEFT_GEOMETRY = "left_geometry"
+    # Fits.
+    MINIMUM = "minimum"
+    VALLEY = "valley"
+    CLIFF = "cliff"
+    BUDGET = "budget"
+    SPREAD = "spread"
+    START_FAILED = "start_failed"
+
+    @property
+    def sentence(self) -> str:
+        """What happened, as a full sentence."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Outcome.CONVERGED: "A stable equilibrium was found on the branch that starts unloaded.",
+    Outcome.FOLD: "The branch of equilibria ended before the full load: the knee would snap.",
+    Outcome.NO_EQUILIBRIUM: "No equilibrium was found from the reference pose.",
+    Outcome.UNCONSTRAINED: "Nothing resists one direction of motion, so the pose is not unique.",
+    Outcome.LEFT_GEOMETRY: "Contact came within 3 mm of a surface's rim, where it ends.",
+    Outcome.MINIMUM: "Exact derivatives confirm a local minimum.",
+    Outcome.VALLEY: "The optimizer stopped in a valley before a minimum was reached.",
+    Outcome.CLIFF: "The way down is cut by a cliff: beyond it a trial leaves its branch.",
+    Outcome.BUDGET: "The budget of simulations was used up.",
+    Outcome.SPREAD: "The population shrank below the tolerance.",
+    Outcome.START_FAILED: "The model has no prediction at the start.",
+}

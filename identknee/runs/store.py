@@ -1,0 +1,126 @@
+"""Finished pieces of unfinished work, kept on disk so that the same command resumes."""
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from identknee.runs.errors import InputError
+from identknee.runs.files import PathLike, plain, prepare_folder
+
+WAIT_S = 10.0
+
+
+class Store:
+    """A table from keys to JSON values in one SQLite file that outlives a crash.
+
+    Each `put_many` is one transaction: after a kill or a power cut the file holds all of a batch or
+    none of it. Numbers come back equal bit for bit, infinities and NaN too; arrays come back as
+    lists. One process writes; others may read meanwhile.
+
+    Parameters
+    ----------
+    path
+        The file, made with its folder where missing.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened or written, or is not a store.
+    """
+
+    def __init__(self, path: PathLike) -> None:
+        self.path = Path(path)
+        prepare_folder(self.path.parent)
+        with self._explained():
+            self._connection = sqlite3.connect(self.path, timeout=WAIT_S)
+        try:
+            with self._explained():
+                self._connection.execute("PRAGMA journal_mode=WAL")
+                self._connection.execute("PRAGMA synchronous=FULL")
+                with self._connection:
+                    self._connection.execute(
+                        "CREATE TABLE IF NOT EXISTS rows "
+                        "(key TEXT PRIMARY KEY, value TEXT NOT NULL)"
+                    )
+        except InputError:
+            self.close()
+            raise
+
+    def get(self, key: str) -> Any:
+        """Value under `key`, None where there is none."""
+        with self._explained():
+            row = self._connection.execute(
+                "SELECT value FROM rows WHERE key = ?", (key,)
+            ).fetchone()
+        return None if row is None else json.loads(row[0])
+
+    def put_many(self, rows: Mapping[str, Any]) -> None:
+        """Keep `rows`, all of them or none; a key already there gets the new value.
+
+        Raises
+        ------
+        InputError
+            If the disk is full or the file may not be written to.
+        TypeError
+            If a value has no JSON form.
+        """
+        texts = [
+            (key, json.dumps(plain(value, keep_nonfinite=True))) for key, value in rows.items()
+        ]
+        with self._explained(), self._connection:
+            self._connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?)", texts)
+
+    def keys(self) -> set[str]:
+        """All keys kept so far."""
+        with self._explained():
+            return {key for (key,) in self._connection.execute("SELECT key FROM rows")}
+
+    def close(self) -> None:
+        """Close the file; what was put is on disk already."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            why, remedy = _explanation(error)
+            raise InputError(self.path, "", why, remedy) from error
+
+
+def _explanation(error: sqlite3.Error) -> tuple[str, str]:
+    code = getattr(error, "sqlite_errorcode", None)
+    primary = None if code is None else code & 0xFF
+    if primary == sqlite3.SQLITE_FULL:
+        return "the disk is full", "Free some space and give the same command again to resume."
+    if primary in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
+        return (
+            "another run is writing to this file",
+            "Wait for it to end, or choose another folder with --out.",
+        )
+    if primary in {sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT}:
+        return (
+            f"this is not a store of finished work, or it is damaged ({error})",
+            "Remove the file and start again, or choose another folder with --out.",
+        )
+    if primary in {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM}:
+        return (
+            f"it may not be written to ({error})",
+            "Choose another folder with --out, or change the permissions.",
+        )
+    return f"it cannot be used ({error})", "Remove the file and start again."
