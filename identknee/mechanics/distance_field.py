@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
-from identknee.mechanics.kernel import HOLDS_CONTACT, IS_NEAR, NEAR_CELLS
+from identknee.mechanics.kernel import IS_NEAR, NEAR_CELLS
 from identknee.runs.arrays import Array, IntArray, frozen
 
-ByteArray = NDArray[np.uint8]
+ReachArray = NDArray[np.uint16]
 
 SPACING = 0.75  # mm
 PADDING = 5  # cells around the surface: room for the candidate list and the spline's support
@@ -25,8 +25,9 @@ class DistanceField:
     coefficients
         Spline coefficients [mm], shape ``(nx, ny, nz)``.
     reach
-        What each cell can hold, shape ``(nx, ny, nz)``: bit 1, the distance may be negative in it
-        (the least of its Bezier coefficients is); bit 2, a cell close by has bit 1.
+        What each cell can hold, shape ``(nx, ny, nz)``: bits 0-7, the distance may be
+        negative in that eighth (the least of its Bezier coefficients is); bit 8, a cell close by
+        has one of those bits.
     origin
         Position of the first node [mm], shape ``(3,)``.
     spacing
@@ -34,11 +35,11 @@ class DistanceField:
     """
 
     coefficients: Array
-    reach: ByteArray
+    reach: ReachArray
     origin: Array
     spacing: float
 
-    def arrays(self) -> tuple[Array, ByteArray, Array, Array, IntArray]:
+    def arrays(self) -> tuple[Array, ReachArray, Array, Array, IntArray]:
         """The field as the kernel takes it."""
         return (
             self.coefficients.reshape(-1),
@@ -73,27 +74,29 @@ def build_field(
     )
 
 
-def _reach(coefficients: Array) -> ByteArray:
+def _reach(coefficients: Array) -> ReachArray:
     """What each cell can hold; the outermost cells, which lack support, hold nothing."""
     support = np.lib.stride_tricks.sliding_window_view(coefficients, (4, 4, 4))
     inner = (slice(1, -2),) * 3
     # A spline lies within the hull of its coefficients; only where they differ in sign is it worth
-    # finding the tighter hull of the cell's Bezier coefficients.
+    # finding the tighter hull of the Bezier coefficients of each eighth of the cell.
     lowest = minimum_filter(coefficients, size=4, origin=-1)[inner]
     highest = maximum_filter(coefficients, size=4, origin=-1)[inner]
-    holds_inside = highest < 0.0
-    undecided = np.nonzero((lowest < 0.0) & ~holds_inside)
+    holds = np.where(highest < 0.0, 255, 0)
+    undecided = np.nonzero((lowest < 0.0) & (highest >= 0.0))
     corners = support[undecided]
-    bezier = np.einsum("ai,bj,ck,nijk->nabc", *(_BEZIER_FROM_SPLINE,) * 3, corners, optimize=True)
-    holds_inside[undecided] = bezier.min(axis=(1, 2, 3)) < 0.0
-    holds = np.zeros(coefficients.shape, bool)
-    holds[inner] = holds_inside
-    near = maximum_filter(holds, size=2 * NEAR_CELLS + 1)
-    has_support = np.zeros_like(holds)
-    has_support[inner] = True
-    reach = (HOLDS_CONTACT * holds + IS_NEAR * (near & has_support)).astype(np.uint8)
+    for eighth in range(8):
+        halves = (_HALVES[eighth >> 2 & 1], _HALVES[eighth >> 1 & 1], _HALVES[eighth & 1])
+        bezier = np.einsum("ai,bj,ck,nijk->nabc", *halves, corners, optimize=True)
+        holds[undecided] |= (bezier.min(axis=(1, 2, 3)) < 0.0) << eighth
+    reach = np.zeros(coefficients.shape, np.uint16)
+    near = maximum_filter(np.pad(holds > 0, 1), size=2 * NEAR_CELLS + 1)[1:-1, 1:-1, 1:-1]
+    reach[inner] = holds + IS_NEAR * near
     reach.flags.writeable = False
     return reach
 
 
-_BEZIER_FROM_SPLINE = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
+# Bezier coefficients of the lower and the upper half of a cell from the four spline coefficients.
+_BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
+_LOWER = np.array([[8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1]]) / 8.0
+_HALVES = (_LOWER @ _BEZIER, _LOWER[::-1, ::-1] @ _BEZIER)

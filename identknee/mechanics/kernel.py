@@ -13,7 +13,8 @@ alone, so one set of sums over elements gives gradient and Hessian of the whole.
 All functions live in this one module so that editing one recompiles every caller. Groups of arrays
 travel as tuples, laid out in `identknee.mechanics.equilibria`:
 
-* ``contact``: points (n, 3), their distance from the tibial origin at most (1,), stiffness (n,);
+* ``contact``: points (n, 3), their distance from the tibial origin at most (1,), stiffness (n,),
+  the compartment each belongs to (n,);
 * ``field``: coefficients (flat), reach (flat), origin (3,), spacing (1,), shape (3,);
 * ``ligaments``: femoral (m, 3) and tibial (m, 3) insertions, properties (m, 4): stiffness [N],
   reference strain, reference length [mm], transition strain.
@@ -27,16 +28,18 @@ from identknee.mechanics.compiled import compiled
 
 # One radian of rotation weighs as much as this many millimetres, wherever the two are compared.
 ROTATION_SCALE = 40.0
-RESIDUAL_TOLERANCE = 1e-10  # N; what a solve aims for
-RESIDUAL_ACCEPTED = 1e-6  # N; what is called an equilibrium when rounding stops it earlier
+# N; a solve this close takes one Newton step more, unmeasured, which squares the error: far below
+# what a difference between two ways of solving may be (1e-9 mm).
+RESIDUAL_TOLERANCE = 3e-6
 SMALLEST_STEP = 1.0 / 1024.0  # of the way from one node of the load path to the next
 LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has left the branch
 BRANCH_ABSOLUTE = 0.15  # mm; disagreement of a step with its end tangents that is always allowed
 BRANCH_RELATIVE = 0.15  # the same, as a share of the step's length
 FLOOR_MARGIN = 1e-3  # N/mm; below this stiffness a pose is not unique
 MOST_ITERATIONS = 200
-HOLDS_CONTACT = 1  # bits of the `reach` of a cell of the distance field
-IS_NEAR = 2
+# Bits 0-7 of the `reach` of a cell of the distance field: each eighth that may hold contact. Bit 8:
+# the cell is near one that does.
+IS_NEAR = 256
 NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
 
 CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = 0, 1, 2, 3
@@ -106,6 +109,7 @@ def contact_elements(R, t, contact, field, work):
     points, stiffness = contact[0], contact[2]
     coefficients, reach, origin, spacing, shape = field
     elements, fractions, candidates, counts, cells = work[0], work[1], work[2], work[3], work[5]
+    touching = work[12]
     ny, nz = shape[1], shape[2]
     stride_x, stride_y = ny * nz, nz
     inverse = 1.0 / spacing[0]
@@ -122,12 +126,15 @@ def contact_elements(R, t, contact, field, work):
         # Candidates stay inside the grid: cells near its faces hold no contact and are not near.
         ix, iy, iz = int(u0), int(u1), int(u2)
         cell = ix * stride_x + iy * stride_y + iz
-        if reach[cell] & HOLDS_CONTACT:
+        u0, u1, u2 = u0 - ix, u1 - iy, u2 - iz
+        eighth = 4 * int(u0 + u0) + 2 * int(u1 + u1) + int(u2 + u2)
+        if (reach[cell] >> eighth) & 1:
             cells[n] = cell - stride_x - stride_y - 1
-            fractions[0, n] = u0 - ix
-            fractions[1, n] = u1 - iy
-            fractions[2, n] = u2 - iz
+            fractions[0, n] = u0
+            fractions[1, n] = u1
+            fractions[2, n] = u2
             fractions[3, n] = stiffness[i]
+            touching[n] = i
             elements[0, n] = p0
             elements[1, n] = p1
             elements[2, n] = p2
@@ -560,10 +567,14 @@ def find_minimum(flexion, q, load, farthest, contact, field, ligaments, work, g,
             radius = 0.25 * min(length, radius)
             if radius < 1e-12:
                 break
-    if residual > RESIDUAL_ACCEPTED:
+    if residual >= RESIDUAL_TOLERANCE:
         return NO_EQUILIBRIUM, residual
     if not factorise(H, -FLOOR_MARGIN, L):
         return UNCONSTRAINED, residual
+    factorise(H, 0.0, L)
+    substitute(L, g, step)
+    for i in range(5):
+        q[i] -= step[i]
     return CONVERGED, residual
 
 
@@ -706,6 +717,31 @@ def sensitivities(flexion, q, H, ligaments, work, columns, S):
 
 
 @compiled
+def contact_centres(contact, work, centres):
+    """Write force [N] and centre of force in tibial and femoral axes (7) of every compartment.
+
+    The contact elements are those of the pose evaluated last.
+    """
+    points, compartment = contact[0], contact[3]
+    elements, counts, t, touching = work[0], work[3], work[7], work[12]
+    for c in range(centres.shape[0]):
+        for k in range(7):
+            centres[c, k] = 0.0
+    for n in range(counts[1]):
+        i = touching[n]
+        c = compartment[i]
+        force = math.sqrt(elements[3, n] ** 2 + elements[4, n] ** 2 + elements[5, n] ** 2)
+        centres[c, 0] += force
+        for k in range(3):
+            centres[c, 1 + k] += force * points[i, k]
+            centres[c, 4 + k] += force * (elements[k, n] + t[k])
+    for c in range(centres.shape[0]):
+        if centres[c, 0] > 0.0:
+            for k in range(1, 7):
+                centres[c, k] /= centres[c, 0]
+
+
+@compiled
 def workspace(n_points, n_ligaments):
     """Memory for one thread's work, allocated once a simulation."""
     n = n_points + n_ligaments
@@ -743,6 +779,7 @@ def workspace(n_points, n_ligaments):
         np.zeros((9, 3)),
         solver,
         path,
+        np.zeros(n, np.int64),
     )
 
 
@@ -753,10 +790,10 @@ def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, d
     `nodes`: flexion (n), load (n, 5), parent (n); a parent of -1 starts the search at `start`.
     `results`: poses (n, 5), Hessians (n, 5, 5), sensitivities (n, 5, 2m), outcomes (n), residuals
     (n), share of the path from the parent that was reached (n), d gradient / d flexion (n, 5),
-    solves (n).
+    solves (n), contact force and centres (n, compartments, 7).
     """
     flexion, loads, parent = nodes
-    poses, hessians, slopes, outcomes, residuals, reached, flexed, solves = results
+    poses, hessians, slopes, outcomes, residuals, reached, flexed, solves, centres = results
     work = workspace(contact[0].shape[0], ligaments[0].shape[0])
     g, q, H, h = np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
     path = np.zeros(12)
@@ -792,5 +829,6 @@ def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, d
             flexed[n, i] = h[i]
             for j in range(5):
                 hessians[n, i, j] = H[i, j]
+        contact_centres(contact, work, centres[n])
         if derivatives and outcome == CONVERGED:
             sensitivities(flexion[n], q, H, ligaments, work, columns, slopes[n])

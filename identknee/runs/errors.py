@@ -1,6 +1,8 @@
 """What a person is told about a file that cannot be used."""
 
+import difflib
 import os
+from collections.abc import Iterable
 
 
 class InputError(ValueError):
@@ -39,3 +41,21 @@ class InputError(ValueError):
         place = f"{self.path}, {self.where}" if self.where else self.path
         sentence = f"{place}: {self.why.rstrip('.')}."
         return f"{sentence} {self.remedy}" if self.remedy else sentence
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Sentence that names the closest of the `known` words, or all where none is close.
+
+    Examples
+    --------
+    >>> suggestion("varus", ["varus_deg", "internal_deg"])
+    'Did you mean varus_deg?'
+    >>> suggestion("speed", ["varus_deg", "internal_deg"])
+    'Known are varus_deg, internal_deg.'
+    """
+    names = {name.casefold(): name for name in known}
+    close = difflib.get_close_matches(word.casefold(), list(names), n=1, cutoff=0.55)
+    close = close or [name for name in names if name.startswith(word.casefold())]
+    if close:
+        return f"Did you mean {names[close[0]]}?"
+    return f"Known are {', '.join(names.values())}."

@@ -1,0 +1,47 @@
+"""How far a search looks in each parameter, by the parameter's unit."""
+
+import numpy as np
+
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array
+
+STIFFNESS_UNIT = "_kN"
+STRAIN_UNIT = "_pct"
+
+
+def half_widths(parameters: Parameters) -> Array:
+    """Half-widths of the box of first candidates around a start, shape ``(n,)``.
+
+    They are 2 kN and 3 % as in the paper (section 2.5), and two prior standard deviations for
+    parameters in other units.
+    """
+    return _by_unit(parameters, 2.0, 3.0, 2.0)
+
+
+def typical_steps(parameters: Parameters) -> Array:
+    """A typical uncertainty of each parameter, shape ``(n,)``: 3 kN, 2 % or the prior's sd."""
+    return _by_unit(parameters, 3.0, 2.0, 1.0)
+
+
+def floors(parameters: Parameters) -> Array:
+    """The least value that has a meaning, shape ``(n,)``.
+
+    Zero for stiffnesses and for whatever has a lognormal prior, minus infinity for the rest.
+    """
+    positive = [
+        is_log or name.endswith(STIFFNESS_UNIT)
+        for name, is_log in zip(parameters.names, parameters.is_log, strict=True)
+    ]
+    return np.where(positive, 0.0, -np.inf)
+
+
+def _by_unit(parameters: Parameters, stiffness: float, strain: float, prior_sds: float) -> Array:
+    values = prior_sds * np.where(
+        parameters.is_log, parameters.prior_sd * np.abs(parameters.center), parameters.prior_sd
+    )
+    for i, name in enumerate(parameters.names):
+        if name.endswith(STIFFNESS_UNIT):
+            values[i] = stiffness
+        elif name.endswith(STRAIN_UNIT):
+            values[i] = strain
+    return values

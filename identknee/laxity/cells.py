@@ -1,0 +1,217 @@
+"""The cells of a CSV table, read with the line number that every message about them needs."""
+
+import csv
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn, Self, TextIO
+
+from identknee.runs.errors import InputError, suggestion
+from identknee.runs.files import PathLike, check_readable
+
+NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+class CellFile:
+    """A CSV file being read: comments, header, then rows one by one.
+
+    Lines that start with ``#`` are comments wherever they stand. Spaces around cells, quoted cells,
+    a byte-order mark and any line ends are fine; rows whose cells are all blank are passed over.
+
+    Attributes
+    ----------
+    path
+        The file.
+    columns
+        Position of each column by its name.
+    header_line
+        Line number of the header.
+    comments
+        Line number and text of each comment met so far.
+    """
+
+    def __init__(self, path: Path, file: TextIO) -> None:
+        self.path = path
+        self.comments: list[tuple[int, str]] = []
+        self._lines = self._data_lines(file)
+        self.header_line, names = self._header()
+        self.columns = {name: position for position, name in enumerate(names)}
+        for name in names:
+            if names.count(name) > 1:
+                self.refuse(self.header_line, name, "two columns have this name", "Remove one.")
+
+    @classmethod
+    @contextmanager
+    def open(cls, path: PathLike) -> Iterator[Self]:
+        """The file at `path`, its header read.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read or has no header.
+        """
+        checked = check_readable(path)
+        with checked.open(encoding="utf-8-sig", newline="") as file:
+            yield cls(checked, file)
+
+    def check_columns(self, known: Iterable[str], required: Iterable[str]) -> None:
+        """Accept the header if all its columns are known and none is missing.
+
+        Raises
+        ------
+        InputError
+            If not, with the closest known name.
+        """
+        known = tuple(known)
+        for name in self.columns:
+            if name not in known:
+                self.refuse(
+                    self.header_line, name, "this column is unknown", suggestion(name, known)
+                )
+        for name in required:
+            if name not in self.columns:
+                self.refuse(
+                    self.header_line, name, "this column is missing", "Add it; every row needs it."
+                )
+
+    def rows(self) -> Iterator["Row"]:
+        """The rows below the header, in their order."""
+        for line, text in self._lines:
+            cells = self._split(line, text)
+            if any(cells):
+                n_columns = len(self.columns)
+                if len(cells) < n_columns or any(cells[n_columns:]):
+                    self.refuse(
+                        line,
+                        "",
+                        f"there are {len(cells)} cells under {n_columns} columns",
+                        "Give each column one cell, blank where there is nothing to say, and "
+                        "put cells that hold a comma in quotes.",
+                    )
+                yield Row(self, line, cells)
+
+    def refuse(self, line: int, column: str, why: str, remedy: str) -> NoReturn:
+        """Raise the error about a place in this file."""
+        place = f"row {line}, column {column}" if column else f"row {line}"
+        raise InputError(self.path, place, why, remedy)
+
+    def _header(self) -> tuple[int, list[str]]:
+        for line, text in self._lines:
+            names = self._split(line, text)
+            while names and not names[-1]:
+                names.pop()
+            if names:
+                if len(names) == 1 and re.search(r"[;\t]", names[0]):
+                    self.refuse(
+                        line,
+                        "",
+                        "the cells are not separated by commas",
+                        "Save the table as CSV with commas between cells and decimal points.",
+                    )
+                if "" in names:
+                    self.refuse(line, "", "a column has no name", "Name it or remove it.")
+                return line, names
+        raise InputError(self.path, "", "there is no header", "Start with a row of column names.")
+
+    def _data_lines(self, file: TextIO) -> Iterator[tuple[int, str]]:
+        try:
+            for number, line in enumerate(file, 1):
+                text = line.rstrip("\r\n")
+                if text.lstrip().startswith("#"):
+                    self.comments.append((number, text.lstrip()[1:].strip()))
+                elif text.strip():
+                    yield number, text
+        except UnicodeDecodeError as error:
+            raise InputError(
+                self.path, "", "the text is not UTF-8", "Save the table as CSV in UTF-8."
+            ) from error
+
+    def _split(self, line: int, text: str) -> list[str]:
+        # Line by line, so that a quote left open spoils one row and row numbers stay line numbers.
+        if text.count('"') % 2:
+            self.refuse(line, "", "a quote is left open", 'Close it, or write "" for a quote mark.')
+        try:
+            (cells,) = csv.reader([text], skipinitialspace=True)
+        except csv.Error as error:
+            self.refuse(line, "", f"the row cannot be split into cells ({error})", "Shorten it.")
+        return [cell.strip() for cell in cells]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One row of a `CellFile`."""
+
+    file: CellFile
+    line: int
+    cells: list[str]
+
+    def text(self, column: str) -> str:
+        """What stands in `column`, without the spaces around it; empty without such a column."""
+        position = self.file.columns.get(column)
+        return "" if position is None else self.cells[position]
+
+    def number(self, column: str, blank_where: str = "") -> float | None:
+        """Number in `column`, None where the cell is blank.
+
+        Parameters
+        ----------
+        column
+            Its name.
+        blank_where
+            Where a blank cell is right, for the message about text in its place.
+
+        Raises
+        ------
+        InputError
+            If the cell holds anything but a finite decimal number.
+        """
+        text = self.text(column)
+        if not text:
+            return None
+        if NUMBER.fullmatch(text):
+            value = float(text)
+            if abs(value) != float("inf"):
+                return value
+            self.refuse(column, f"{text} is too large to be a number here", "Check its exponent.")
+        if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", text):
+            remedy = "Write it with a decimal point."
+        elif re.fullmatch(r"[\u2212\u2012\u2013\u2014][0-9.]+", text):
+            remedy = "Write the minus sign as a plain hyphen."
+        elif blank_where:
+            remedy = f"Write a number, or leave the cell blank where {blank_where}."
+        else:
+            remedy = "Write a number, such as 2.5."
+        return self.refuse(column, f"{text!r} is not a number", remedy)
+
+    def required(self, column: str) -> float:
+        """Number in `column`.
+
+        Raises
+        ------
+        InputError
+            If the cell is blank or holds no number.
+        """
+        value = self.number(column)
+        if value is None:
+            self.refuse(column, "the cell is blank", "Write a number, 0 if it is zero.")
+        return value
+
+    def refuse(self, column: str, why: str, remedy: str) -> NoReturn:
+        """Raise the error about a cell of this row."""
+        self.file.refuse(self.line, column, why, remedy)
+
+
+def written(cells: Iterable[str]) -> str:
+    """One CSV line of `cells`, quoted where a reader would need it.
+
+    Examples
+    --------
+    >>> written(["#1", "a, b", "0.1"])
+    '"#1","a, b",0.1'
+    """
+    return ",".join(
+        '"' + cell.replace('"', '""') + '"' if re.search(r'[,"#;]', cell) else cell
+        for cell in cells
+    )

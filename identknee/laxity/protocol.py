@@ -1,0 +1,357 @@
+"""Which trials a laxity test has: the flexion angle and the loads of each."""
+
+import math
+import os
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.errors import InputError, suggestion
+from identknee.runs.files import check_readable
+
+LOADS = (
+    "internal_moment_Nm",
+    "varus_moment_Nm",
+    "anterior_force_N",
+    "distraction_force_N",
+    "lateral_force_N",
+)
+FLEXION = "flexion_deg"
+BUILT_IN = ("seed63", "table2", "drawer")
+MOMENT_LIMIT_NM = 50.0
+FORCE_LIMIT_N = 1000.0
+FLEXION_LIMITS_DEG = (-10.0, 160.0)
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Protocol:
+    """Trials of a laxity test.
+
+    Attributes
+    ----------
+    name
+        What the protocol is called.
+    trials
+        Name of each trial, no two alike.
+    flexion_deg
+        Flexion angle of each trial [deg], shape ``(n,)``, from -10 to 160.
+    loads
+        Loads of each trial, shape ``(n, 5)``, in the order and units of `LOADS`: internal and varus
+        moment [N·m], anterior, distraction and lateral force [N]. Opposite loads are negative:
+        external, valgus, posterior, compression, medial.
+
+    Raises
+    ------
+    ValueError
+        If two trials share a name, or an angle or a load is out of range.
+    """
+
+    name: str
+    trials: tuple[str, ...]
+    flexion_deg: Array
+    loads: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.trials)
+        object.__setattr__(self, "trials", tuple(self.trials))
+        object.__setattr__(self, "flexion_deg", frozen(self.flexion_deg, n, name=FLEXION))
+        object.__setattr__(self, "loads", frozen(self.loads, n, len(LOADS), name="loads"))
+        seen: set[str] = set()
+        for trial, flexion, loads in zip(self.trials, self.flexion_deg, self.loads, strict=True):
+            if fault := name_fault(trial):
+                raise ValueError(f"trial {trial!r}: {fault[0]}. {fault[1]}")
+            if trial in seen:
+                raise ValueError(f"two trials are called {trial!r}. Give each its own name.")
+            seen.add(trial)
+            for column, value in zip((FLEXION, *LOADS), (flexion, *loads), strict=True):
+                if fault := range_fault(column, float(value)):
+                    raise ValueError(f"trial {trial!r}, {column}: {fault[0]}. {fault[1]}")
+
+    @property
+    def n(self) -> int:
+        """How many trials there are."""
+        return len(self.trials)
+
+    @property
+    def is_unloaded(self) -> BoolArray:
+        """Whether all loads of a trial are zero, shape ``(n,)``."""
+        return np.asarray(~self.loads.any(axis=1))
+
+    def select(self, indices: ArrayLike) -> "Protocol":
+        """The trials at `indices` (whole numbers, or a mask of n truth values), in that order.
+
+        Raises
+        ------
+        ValueError
+            If an index is out of range or given twice.
+        """
+        chosen = chosen_rows(indices, self.n)
+        return Protocol(
+            name=self.name,
+            trials=tuple(self.trials[i] for i in chosen),
+            flexion_deg=self.flexion_deg[chosen],
+            loads=self.loads[chosen],
+        )
+
+
+def concatenate(protocols: Sequence[Protocol], *, name: str | None = None) -> Protocol:
+    """All trials of `protocols`, one after the other; a trial they share is kept once.
+
+    Parameters
+    ----------
+    protocols
+        At least one.
+    name
+        What to call the result; the names joined by ``+`` where None.
+
+    Raises
+    ------
+    ValueError
+        If two different trials have one name.
+
+    Examples
+    --------
+    >>> both = concatenate([load_protocol("seed63"), load_protocol("drawer")])
+    >>> both.name, both.n
+    ('seed63+drawer', 69)
+    """
+    rows: dict[str, tuple[float, ...]] = {}
+    for protocol in protocols:
+        for trial, flexion, loads in zip(
+            protocol.trials, protocol.flexion_deg, protocol.loads, strict=True
+        ):
+            row = (float(flexion), *map(float, loads))
+            if rows.setdefault(trial, row) != row:
+                raise ValueError(
+                    f"two different trials are called {trial!r} ({protocol.name} has one). "
+                    "Rename one of them."
+                )
+    return _protocol(name or "+".join(protocol.name for protocol in protocols), rows)
+
+
+def load_protocol(name_or_path: str | os.PathLike[str]) -> Protocol:
+    """Protocol that ships with the package (`BUILT_IN`), or of a user's TOML file.
+
+    Such a file has ``format = 1``, perhaps a ``name`` and a ``description``, and any number of
+    blocks of two kinds. ``[[ramps]]`` has ``load`` (one of `LOADS`), its ``values``, and
+    ``flexion_deg`` (one angle or several): a trial is made of each value at each angle, with the
+    constant loads of an optional ``held`` table added. A trial that comes up more than once, such
+    as the unloaded one of each angle, is made once. ``[[trials]]`` has ``flexion_deg``, any of
+    `LOADS` together, and perhaps a ``name``.
+
+    Raises
+    ------
+    InputError
+        If there is no such protocol, or the file breaks a rule above.
+
+    Examples
+    --------
+    >>> protocol = load_protocol("seed63")
+    >>> protocol.n, protocol.trials[0]
+    (63, 'flexion0_varus-10Nm')
+    """
+    path = Path(name_or_path)
+    if name_or_path in BUILT_IN:
+        path = Path(__file__).parent / "protocols" / f"{name_or_path}.toml"
+    elif not path.exists() and path.suffix == "":
+        raise InputError(
+            path,
+            "",
+            "there is no built-in protocol and no file of this name",
+            f"{suggestion(str(path), BUILT_IN)} Or give the path of a TOML file.",
+        )
+    check_readable(path)
+    try:
+        data = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(path, "", "the text is not UTF-8", "Save it as UTF-8.") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(path, "", f"this is not TOML: {error}", "Mend that line.") from error
+    return _File(path).protocol(data)
+
+
+def trial_name(flexion_deg: float, loads: Sequence[float]) -> str:
+    """Readable name of a trial, different for different angles or loads.
+
+    Examples
+    --------
+    >>> trial_name(30, [0, -4, 0, 0, 0])
+    'flexion30_varus-4Nm'
+    """
+    parts = [f"flexion{_shortest(flexion_deg)}"]
+    for column, value in zip(LOADS, loads, strict=True):
+        if value != 0:
+            direction, _, unit = column.split("_")
+            parts.append(f"{direction}{_shortest(value)}{unit}")
+    return "_".join(parts if len(parts) > 1 else [*parts, "unloaded"])
+
+
+def range_fault(column: str, value: float) -> tuple[str, str] | None:
+    """What is wrong with an angle or a load of `column`, and its remedy; None if all is well."""
+    if not math.isfinite(value):
+        return f"{value} is not a finite number", "Give one."
+    if column == FLEXION:
+        low, high = FLEXION_LIMITS_DEG
+        if low <= value <= high:
+            return None
+        why = f"a flexion of {value:g} deg lies outside {low:g} to {high:g} deg"
+        return why, "Give the flexion angle in degrees, 0 in extension."
+    if column.endswith("_Nm"):
+        if abs(value) <= MOMENT_LIMIT_NM:
+            return None
+        why = f"a moment of {value:g} N·m is beyond {MOMENT_LIMIT_NM:g} N·m either way"
+        return why, "If it is in N·mm, divide it by 1000."
+    if abs(value) <= FORCE_LIMIT_N:
+        return None
+    why = f"a force of {value:g} N is beyond {FORCE_LIMIT_N:g} N either way"
+    return why, "Check its unit: forces are given in N."
+
+
+def name_fault(name: str) -> tuple[str, str] | None:
+    """What is wrong with the name of a trial, and its remedy; None if all is well."""
+    if not name.strip():
+        return "the trial has no name", "Give every trial a name of its own."
+    if name != name.strip() or not name.isprintable():
+        why = "the name of a trial starts or ends with a space or holds a line break or tab"
+        return why, "Use visible characters only."
+    return None
+
+
+def chosen_rows(indices: ArrayLike, n: int) -> list[int]:
+    """Row numbers from whole numbers or from a mask of `n` truth values.
+
+    Raises
+    ------
+    ValueError
+        If one is out of range.
+    """
+    given = np.asarray(indices)
+    if given.dtype == np.bool_:
+        if given.shape != (n,):
+            raise ValueError(f"a mask of {n} truth values is needed, got shape {given.shape}")
+        return [int(i) for i in np.flatnonzero(given)]
+    chosen = [int(i) for i in given]
+    for index in chosen:
+        if not -n <= index < n:
+            raise ValueError(f"there are {n} trials, counted from 0; there is no trial {index}")
+    return chosen
+
+
+class _File:
+    """A protocol's file while it is read; knows its path for the messages."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def protocol(self, data: Mapping[str, Any]) -> Protocol:
+        self._check_keys("", data, ("format", "name", "description", "ramps", "trials"))
+        if data.get("format") != FORMAT:
+            self._refuse(
+                "format",
+                f"the format is {data.get('format', 'not given')}",
+                f"Write format = {FORMAT}, the only one there is.",
+            )
+        rows: dict[str, tuple[float, ...]] = {}
+        for number, ramp in enumerate(self._blocks(data, "ramps"), 1):
+            rows.update(self._ramp(f"[[ramps]] block {number}", ramp))
+        for number, trial in enumerate(self._blocks(data, "trials"), 1):
+            place = f"[[trials]] block {number}"
+            name, row = self._trial(place, trial)
+            if name in rows:
+                self._refuse(place, f"the trial {name!r} is there already", "Give it another name.")
+            rows[name] = row
+        if not rows:
+            self._refuse("", "there is no trial", "Add a [[ramps]] or [[trials]] block.")
+        return _protocol(str(data.get("name", self._path.stem)), rows)
+
+    def _ramp(self, place: str, ramp: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
+        self._check_keys(place, ramp, (FLEXION, "load", "values", "held"))
+        load = ramp.get("load")
+        if load not in LOADS:
+            why = "it does not say which load varies" if load is None else f"no load is {load!r}"
+            self._refuse(f"{place}, load", why, suggestion(str(load), LOADS))
+        held = ramp.get("held", {})
+        if not isinstance(held, Mapping):
+            self._refuse(
+                f"{place}, held", "this is no table", "Write held = { anterior_force_N = 30 }."
+            )
+        others = tuple(column for column in LOADS if column != load)
+        self._check_keys(f"{place}, held", held, others)
+        rows = {}
+        for flexion in self._numbers(place, ramp, FLEXION, FLEXION):
+            for value in self._numbers(place, ramp, "values", str(load)):
+                loads = self._loads(place, {**held, str(load): value})
+                rows[trial_name(flexion, loads)] = (flexion, *loads)
+        return rows
+
+    def _trial(self, place: str, trial: Mapping[str, Any]) -> tuple[str, tuple[float, ...]]:
+        self._check_keys(place, trial, ("name", FLEXION, *LOADS))
+        angles = self._numbers(place, trial, FLEXION, FLEXION)
+        if len(angles) != 1:
+            self._refuse(
+                f"{place}, {FLEXION}",
+                f"a trial has one angle, not {len(angles)}",
+                "Write a block for each angle, or a [[ramps]] block.",
+            )
+        loads = self._loads(place, trial)
+        name = trial.get("name", trial_name(angles[0], loads))
+        if not isinstance(name, str):
+            self._refuse(f"{place}, name", f"the name {name!r} is no text", "Put it in quotes.")
+        if fault := name_fault(name):
+            self._refuse(f"{place}, name", *fault)
+        return name, (angles[0], *loads)
+
+    def _loads(self, place: str, table: Mapping[str, Any]) -> tuple[float, ...]:
+        return tuple(self._number(f"{place}, {x}", x, table.get(x, 0.0)) for x in LOADS)
+
+    def _numbers(self, place: str, table: Mapping[str, Any], key: str, column: str) -> list[float]:
+        place = f"{place}, {key}"
+        if key not in table:
+            self._refuse(place, "it is missing", f"Write {key} = [0, 30] or other numbers.")
+        values = table[key] if isinstance(table[key], list) else [table[key]]
+        if not values:
+            self._refuse(place, "the list is empty", "Write at least one number.")
+        return [self._number(place, column, value) for value in values]
+
+    def _number(self, place: str, column: str, value: object) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            self._refuse(place, f"{value!r} is no number", "Write numbers without quotes.")
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if fault := range_fault(column, number):
+            self._refuse(place, *fault)
+        return number
+
+    def _blocks(self, data: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+        blocks = data.get(key, [])
+        if not isinstance(blocks, list) or not all(isinstance(x, Mapping) for x in blocks):
+            self._refuse(key, "these are no blocks", f"Start each with a line [[{key}]].")
+        return blocks
+
+    def _check_keys(self, place: str, table: Mapping[str, Any], known: Iterable[str]) -> None:
+        known = tuple(known)
+        for key in table:
+            if key not in known:
+                self._refuse(place, f"the word {key!r} is unknown here", suggestion(key, known))
+
+    def _refuse(self, place: str, why: str, remedy: str) -> NoReturn:
+        raise InputError(self._path, place, why, remedy)
+
+
+def _protocol(name: str, rows: Mapping[str, tuple[float, ...]]) -> Protocol:
+    table = np.array(list(rows.values()), dtype=np.float64).reshape(len(rows), 1 + len(LOADS))
+    return Protocol(name=name, trials=tuple(rows), flexion_deg=table[:, 0], loads=table[:, 1:])
+
+
+def _shortest(value: float) -> str:
+    text = f"{value + 0.0:g}"
+    return text if float(text) == value else repr(float(value))

@@ -1,0 +1,362 @@
+"""Laxity, measured or simulated: where the tibia went in each trial; its CSV file."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.laxity.cells import CellFile, Row, written
+from identknee.laxity.protocol import FLEXION, LOADS, Protocol, chosen_rows, name_fault, range_fault
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.errors import InputError
+from identknee.runs.files import PathLike, write_atomically
+
+COORDINATES = (
+    "lateral_shift_mm",
+    "anterior_drawer_mm",
+    "distraction_mm",
+    "varus_deg",
+    "internal_deg",
+)
+TRANSLATIONS = slice(0, 3)
+ROTATIONS = slice(3, 5)
+PHASES = ("loading", "unloading")
+# Five errors can share a correlation above -1/4 only: their covariance must stay positive.
+CORRELATION_LIMITS = (-0.25, 1.0)
+LARGEST_ORDER = 10**9
+
+Zero = Literal["absolute", "unloaded"]
+
+_SD = tuple(f"sd_{column}" for column in COORDINATES)
+_COLUMNS = ("trial", FLEXION, *LOADS, *COORDINATES, *_SD, "order", "phase")
+_STATEMENT = re.compile(r"(within_trial_correlation|zero)\s*:\s*(.*)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Laxity:
+    """Pose of the tibia in each trial of a protocol, measured or simulated.
+
+    Attributes
+    ----------
+    protocol
+        The trials, n of them.
+    coordinates
+        Coordinates in the order and units of `COORDINATES` [mm, deg], shape ``(n, 5)``; NaN where
+        not measured.
+    sd
+        Standard deviation of their errors [mm, deg], shape ``(n, 5)``, > 0; None where none is
+        stated. A coordinate states it for all its measured trials or, with NaN, for none.
+    within_trial_correlation
+        Correlation that the five errors of a trial share, above -0.25 and below 1.
+    order
+        When each trial was made, shape ``(n,)``; None where unknown.
+    phase
+        ``"loading"``, ``"unloading"`` or, where it is neither, ``""`` for each trial; None where
+        unknown.
+    comments
+        Free text that goes with the table, a line each.
+    zero
+        ``"absolute"`` for Grood-Suntay coordinates, ``"unloaded"`` where they are changes from the
+        unloaded pose of the same flexion angle.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, or a value breaks a rule above.
+    """
+
+    protocol: Protocol
+    coordinates: Array
+    sd: Array | None = None
+    within_trial_correlation: float = 0.0
+    order: IntArray | None = None
+    phase: tuple[str, ...] | None = None
+    comments: tuple[str, ...] = ()
+    zero: Zero = "absolute"
+
+    def __post_init__(self) -> None:
+        coordinates = frozen(self.coordinates, self.n, len(COORDINATES), name="coordinates")
+        if np.isinf(coordinates).any():
+            raise ValueError("coordinates must be finite, or NaN where not measured")
+        object.__setattr__(self, "coordinates", coordinates)
+        object.__setattr__(self, "sd", _checked_sd(self.sd, coordinates))
+        if fault := correlation_fault(self.within_trial_correlation):
+            raise ValueError(". ".join(fault))
+        if self.order is not None:
+            object.__setattr__(self, "order", _checked_order(self.order, self.n))
+        if self.phase is not None:
+            object.__setattr__(self, "phase", tuple(self.phase))
+            if len(self.phase) != self.n or not set(self.phase) <= {*PHASES, ""}:
+                raise ValueError(f"phase must hold {self.n} of {PHASES} or '', got {self.phase}")
+        object.__setattr__(self, "comments", tuple(line.strip() for line in self.comments))
+        for line in self.comments:
+            if _STATEMENT.fullmatch(line) or "\n" in line or "\r" in line:
+                raise ValueError(f"a comment is one line and states no setting, got {line!r}")
+        if self.zero not in get_args(Zero):
+            raise ValueError(f"zero must be one of {get_args(Zero)}, got {self.zero!r}")
+
+    @property
+    def n(self) -> int:
+        """How many trials there are."""
+        return self.protocol.n
+
+    @property
+    def is_measured(self) -> BoolArray:
+        """Whether a coordinate has a value, shape ``(n, 5)``."""
+        return ~np.isnan(self.coordinates)
+
+    def select(self, indices: ArrayLike) -> "Laxity":
+        """The trials at `indices` (whole numbers, or a mask of n truth values), in that order.
+
+        Raises
+        ------
+        ValueError
+            If an index is out of range or given twice.
+        """
+        chosen = chosen_rows(indices, self.n)
+        return Laxity(
+            protocol=self.protocol.select(chosen),
+            coordinates=self.coordinates[chosen],
+            sd=None if self.sd is None else self.sd[chosen],
+            within_trial_correlation=self.within_trial_correlation,
+            order=None if self.order is None else self.order[chosen],
+            phase=None if self.phase is None else tuple(self.phase[i] for i in chosen),
+            comments=self.comments,
+            zero=self.zero,
+        )
+
+
+def read_laxity(path: PathLike) -> Laxity:
+    """Laxity of a CSV file with one row a trial.
+
+    Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing), any of
+    `COORDINATES`, ``sd_`` and the name of a coordinate, ``order`` and ``phase``. A blank coordinate
+    was not measured. Comment lines start with ``#``; two of them state something:
+    ``# within_trial_correlation: 0.3`` and ``# zero: unloaded``. The protocol is called after the
+    file.
+
+    Raises
+    ------
+    InputError
+        If the file breaks a rule; the message names the row (the line number in the file), the
+        column and what to do.
+    """
+    with CellFile.open(path) as file:
+        file.check_columns(_COLUMNS, ("trial", FLEXION))
+        _check_coordinates(file)
+        names: dict[str, int] = {}
+        numbers: list[tuple[float, ...]] = []
+        order: list[int] = []
+        phase: list[str] = []
+        for row in file.rows():
+            _add_name(row, names)
+            numbers.append((*_setting(row), *_measured(row)))
+            if "order" in file.columns:
+                order.append(_order(row))
+            if "phase" in file.columns:
+                phase.append(_phase(row))
+        if not names:
+            raise InputError(file.path, "", "there is no trial below the header", "Add a row each.")
+    table = np.array(numbers)
+    loads, coordinates = 1 + len(LOADS), 1 + len(LOADS) + len(COORDINATES)
+    comments, correlation, zero = _statements(file)
+    return Laxity(
+        protocol=Protocol(
+            name=file.path.stem,
+            trials=tuple(names),
+            flexion_deg=table[:, 0],
+            loads=table[:, 1:loads],
+        ),
+        coordinates=table[:, loads:coordinates],
+        sd=table[:, coordinates:],
+        within_trial_correlation=correlation,
+        order=np.array(order) if order else None,
+        phase=tuple(phase) if phase else None,
+        comments=comments,
+        zero=zero,
+    )
+
+
+def write_laxity(laxity: Laxity, path: PathLike) -> Path:
+    """Path of a CSV file that now holds `laxity`, and that `read_laxity` reads back equal.
+
+    Numbers are the shortest that read back bit for bit; the protocol's name is not written.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    lines = [f"# {comment}".rstrip() for comment in laxity.comments]
+    if laxity.within_trial_correlation != 0:
+        lines.append(f"# within_trial_correlation: {float(laxity.within_trial_correlation)!r}")
+    if laxity.zero != "absolute":
+        lines.append(f"# zero: {laxity.zero}")
+    protocol = laxity.protocol
+    header = ["trial", FLEXION, *LOADS, *COORDINATES]
+    blocks = [protocol.flexion_deg[:, None], protocol.loads, laxity.coordinates]
+    if laxity.sd is not None:
+        stated = [j for j in range(len(COORDINATES)) if not np.isnan(laxity.sd[:, j]).all()]
+        header += [_SD[j] for j in stated]
+        blocks.append(laxity.sd[:, stated])
+    rows = [
+        [trial, *("" if math.isnan(x) else repr(x) for x in values)]
+        for trial, values in zip(protocol.trials, np.hstack(blocks).tolist(), strict=True)
+    ]
+    for name, extra in (("order", laxity.order), ("phase", laxity.phase)):
+        if extra is not None:
+            header.append(name)
+            for row, value in zip(rows, extra, strict=True):
+                row.append(str(value))
+    lines += [written(cells) for cells in (header, *rows)]
+    return write_atomically(path, "\n".join(lines) + "\n")
+
+
+def correlation_fault(value: float) -> tuple[str, str] | None:
+    """What is wrong with a within-trial correlation, and its remedy; None if all is well."""
+    low, high = CORRELATION_LIMITS
+    if low < value < high:
+        return None
+    why = f"the within-trial correlation is {value:g}"
+    return why, f"It must lie above {low:g} and below {high:g}"
+
+
+def _checked_sd(sd: Array | None, coordinates: Array) -> Array | None:
+    if sd is None or np.isnan(sd).all():
+        return None
+    sd = frozen(sd, *coordinates.shape, name="sd")
+    if not (np.isnan(sd) | ((sd > 0) & (sd < np.inf))).all():
+        raise ValueError("a standard deviation must be greater than 0 and finite, or NaN")
+    for column, values, measured in zip(COORDINATES, sd.T, coordinates.T, strict=True):
+        needed = np.isnan(values) & ~np.isnan(measured)
+        if needed.any() and not np.isnan(values).all():
+            raise ValueError(
+                f"{column} has a standard deviation in some trials only: give all or none"
+            )
+    return sd
+
+
+def _checked_order(order: ArrayLike, n: int) -> IntArray:
+    given = frozen(order, n, name="order")
+    if not np.array_equal(given, np.floor(given)):
+        raise ValueError("order must hold whole numbers")
+    return frozen_integers(given)
+
+
+def _check_coordinates(file: CellFile) -> None:
+    if not any(column in file.columns for column in COORDINATES):
+        file.refuse(
+            file.header_line,
+            "",
+            "no column holds a coordinate",
+            f"Add one or more of {', '.join(COORDINATES)}.",
+        )
+    for column, sd in zip(COORDINATES, _SD, strict=True):
+        if sd in file.columns and column not in file.columns:
+            file.refuse(
+                file.header_line,
+                sd,
+                f"there is no column {column} for this standard deviation",
+                "Add it or remove this one.",
+            )
+
+
+def _add_name(row: Row, names: dict[str, int]) -> None:
+    name = row.text("trial")
+    if fault := name_fault(name):
+        row.refuse("trial", *fault)
+    if name in names:
+        row.refuse(
+            "trial",
+            f"{name!r} already names the trial of row {names[name]}",
+            "Give each trial its own name; replicates of one load are welcome.",
+        )
+    names[name] = row.line
+
+
+def _setting(row: Row) -> list[float]:
+    """Flexion and loads."""
+    values = []
+    for column in (FLEXION, *LOADS):
+        value = row.required(column) if column in row.file.columns else 0.0
+        if fault := range_fault(column, value):
+            row.refuse(column, *fault)
+        values.append(value)
+    return values
+
+
+def _measured(row: Row) -> list[float]:
+    """Coordinates, then standard deviations."""
+    coordinates, spreads = [], []
+    for column, sd in zip(COORDINATES, _SD, strict=True):
+        value = row.number(column, "nothing was measured")
+        spread = row.number(sd, "its coordinate is blank too")
+        if spread is not None and spread <= 0:
+            row.refuse(
+                sd,
+                f"the standard deviation is {spread:g}",
+                "It must be greater than 0; remove the column if it is unknown.",
+            )
+        if spread is None and value is not None and sd in row.file.columns:
+            row.refuse(
+                sd,
+                f"{column} is measured but its standard deviation is blank",
+                "Give it in every such row, or remove the column.",
+            )
+        coordinates.append(math.nan if value is None else value)
+        spreads.append(math.nan if spread is None else spread)
+    return coordinates + spreads
+
+
+def _order(row: Row) -> int:
+    value = row.required("order")
+    if value != int(value) or abs(value) > LARGEST_ORDER:
+        row.refuse("order", f"{value:g} is no whole number", "Count the trials 1, 2, 3 and so on.")
+    return int(value)
+
+
+def _phase(row: Row) -> str:
+    phase = row.text("phase").lower()
+    if phase not in {*PHASES, ""}:
+        row.refuse(
+            "phase",
+            f"the phase {phase!r} is unknown",
+            "Write loading or unloading, or leave it blank.",
+        )
+    return phase
+
+
+def _statements(file: CellFile) -> tuple[tuple[str, ...], float, Zero]:
+    """Free comments, within-trial correlation and zero."""
+    free: list[str] = []
+    stated: dict[str, str] = {"within_trial_correlation": "0", "zero": "absolute"}
+    lines: dict[str, int] = {}
+    for line, text in file.comments:
+        found = _STATEMENT.fullmatch(text)
+        if found is None:
+            free.append(text)
+            continue
+        # A spreadsheet pads every line with commas.
+        name, value = found[1].lower(), found[2].rstrip(", ")
+        if name in lines:
+            file.refuse(line, "", f"{name} is stated in row {lines[name]} too", "Remove one.")
+        lines[name], stated[name] = line, value
+    try:
+        correlation = float(stated["within_trial_correlation"])
+    except ValueError:
+        correlation = math.nan
+    if fault := correlation_fault(correlation):
+        file.refuse(lines["within_trial_correlation"], "", fault[0], f"{fault[1]}.")
+    for zero in get_args(Zero):
+        if stated["zero"].lower() == zero:
+            return tuple(free), correlation, zero
+    return file.refuse(
+        lines["zero"],
+        "",
+        f"the zero {stated['zero']!r} is unknown",
+        "Write '# zero: unloaded' for changes from the unloaded pose, or leave the line out.",
+    )

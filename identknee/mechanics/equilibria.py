@@ -1,0 +1,155 @@
+"""Equilibria of a set of trials: the kernel's door for the rest of the package."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.mechanics import kernel
+from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.load_paths import LoadPaths
+from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+
+PRESSURE_MODULUS = 10.0  # N/mm3, the paper's 10 GN/m3
+TRANSITION_STRAIN = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ContactPoints:
+    """Points of the tibial surface that carry contact, in tibial axes.
+
+    Attributes
+    ----------
+    points
+        [mm], shape ``(n, 3)``.
+    areas
+        Tributary areas [mm2], shape ``(n,)``.
+    compartment
+        Which tibial surface each belongs to, shape ``(n,)``.
+    """
+
+    points: Array
+    areas: Array
+    compartment: IntArray
+
+    def __post_init__(self) -> None:
+        n = len(self.points)
+        object.__setattr__(self, "points", frozen(self.points, n, 3, name="points"))
+        object.__setattr__(self, "areas", frozen(self.areas, n, name="areas"))
+        object.__setattr__(self, "compartment", frozen_integers(self.compartment))
+
+    @property
+    def n_compartments(self) -> int:
+        """How many tibial surfaces there are."""
+        return int(self.compartment.max()) + 1
+
+    def arrays(self) -> tuple[Array, Array, Array, IntArray]:
+        """The points as the kernel takes them."""
+        radius = np.array([np.linalg.norm(self.points, axis=1).max()])
+        return self.points, radius, PRESSURE_MODULUS * self.areas, self.compartment
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lines:
+    """Line ligaments: insertions in femoral and tibial axes, and what does not change in a fit.
+
+    Attributes
+    ----------
+    femoral, tibial
+        Insertions [mm], shape ``(m, 3)``.
+    reference_length
+        Distance of the insertions in the scanned pose [mm], shape ``(m,)``.
+    """
+
+    femoral: Array
+    tibial: Array
+    reference_length: Array
+
+    def arrays(self, stiffness: Array, reference_strain: Array) -> tuple[Array, Array, Array]:
+        """The ligaments with stiffness [N] and reference strain, as the kernel takes them."""
+        transition = np.full(len(self.reference_length), TRANSITION_STRAIN)
+        properties = np.stack(
+            [stiffness, reference_strain, self.reference_length, transition], axis=1
+        )
+        return self.femoral, self.tibial, properties
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Equilibria:
+    """What the kernel found at every node of the load paths.
+
+    Attributes
+    ----------
+    poses
+        Last stable pose on the way to each node: varus, internal [rad], x, y, z [mm], ``(n, 5)``.
+    hessians
+        Second derivatives of the energy there, ``(n, 5, 5)``.
+    sensitivities
+        d pose / d (stiffness [N], reference strain), ``(n, 5, 2m)``; zero where not converged.
+    codes
+        Outcome codes of the kernel, ``(n,)``.
+    reached
+        Share of the step from the parent that was reached, ``(n,)``.
+    centres
+        Contact force [N], its centre in tibial and femoral axes [mm], ``(n, compartments, 7)``.
+    solves
+        Equilibrium searches made for each node, ``(n,)``.
+    """
+
+    poses: Array
+    hessians: Array
+    sensitivities: Array
+    codes: IntArray
+    reached: Array
+    centres: Array
+    solves: IntArray
+
+
+def solve(
+    paths: LoadPaths,
+    start: Array,
+    contact: ContactPoints,
+    field: DistanceField,
+    ligaments: tuple[Array, Array, Array],
+    *,
+    derivatives: bool = True,
+    guesses: Array | None = None,
+) -> Equilibria:
+    """The equilibria at the nodes of `paths`, beginning the search at the pose `start` (5,).
+
+    Parameters
+    ----------
+    guesses
+        Poses to try first, shape ``(n_nodes, 5)``. A guess is kept only if the equilibrium found
+        from it agrees with its neighbour's tangents, as one found without must.
+    """
+    n, m = len(paths.flexion), len(ligaments[0])
+    codes, solves = np.full(n, kernel.NO_EQUILIBRIUM), np.zeros(n, np.int64)
+    poses, hessians, slopes = np.zeros((n, 5)), np.zeros((n, 5, 5)), np.zeros((n, 5, 2 * m))
+    residuals, reached, flexed = np.zeros(n), np.zeros(n), np.zeros((n, 5))
+    centres = np.zeros((n, contact.n_compartments, 7))
+    kernel.simulate_path(
+        (paths.flexion, paths.loads, paths.parent),
+        np.asarray(start, float),
+        np.zeros((n, 5)) if guesses is None else guesses,
+        guesses is not None,
+        contact.arrays(),
+        field.arrays(),
+        ligaments,
+        derivatives,
+        (poses, hessians, slopes, codes, residuals, reached, flexed, solves, centres),
+    )
+    return Equilibria(
+        poses=poses,
+        hessians=hessians,
+        sensitivities=slopes,
+        codes=codes,
+        reached=reached,
+        centres=centres,
+        solves=solves,
+    )
+
+
+def stability_margins(hessians: Array) -> Array:
+    """Smallest eigenvalue of each Hessian [N/mm], rotations scaled by 40 mm; shape ``(n,)``."""
+    scale = np.array([kernel.scale_of(i) for i in range(5)])
+    return np.linalg.eigvalsh(hessians / scale[:, None] / scale)[:, 0]

@@ -1,0 +1,105 @@
+"""The tree of load paths that a set of trials is solved along.
+
+The path to a trial depends on that trial alone, not on the others of its protocol: from the reference
+pose in steps of flexion, then along a straight line from no load to the full one. Trials share the
+nodes their paths have in common.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from identknee.mechanics.kernel import ROTATION_SCALE
+from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+
+Continuation = Literal["continuation", "single-step"]
+FLEXION_STEP = np.radians(10.0)
+LOAD_STEP = 2000.0 / ROTATION_SCALE  # N, or N mm per rotation scale: 2 N m
+_SCALE = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LoadPaths:
+    """Nodes (flexion, load), each with the node it is reached from.
+
+    Attributes
+    ----------
+    flexion
+        [rad], shape ``(n_nodes,)``.
+    loads
+        Generalised loads of (varus, internal [N mm], x, y, z [N]), shape ``(n_nodes, 5)``.
+    parent
+        Index of the node before, -1 where the path begins, shape ``(n_nodes,)``.
+    trial_node
+        The node of each trial, shape ``(n_trials,)``.
+    """
+
+    flexion: Array
+    loads: Array
+    parent: IntArray
+    trial_node: IntArray
+
+
+def load_paths(
+    flexion: Array, loads: Array, start_flexion: float, continuation: Continuation = "continuation"
+) -> LoadPaths:
+    """The paths to trials at `flexion` [rad] (n,) under `loads` (n, 5), from `start_flexion` [rad].
+
+    With ``"single-step"`` every trial starts at the reference pose and bears its whole load at once.
+    """
+    tree = _Tree()
+    trial_node = []
+    for angle, load in zip(flexion, loads, strict=True):
+        if continuation == "single-step":
+            trial_node.append(tree.node(-1, float(angle), load))
+        else:
+            unloaded = _flex(tree, start_flexion, float(angle))
+            trial_node.append(_load(tree, unloaded, float(angle), load))
+    return LoadPaths(
+        flexion=frozen(tree.flexion, None, name="flexion"),
+        loads=frozen(np.reshape(tree.loads, (-1, 5)), None, 5, name="loads"),
+        parent=frozen_integers(tree.parent),
+        trial_node=frozen_integers(trial_node),
+    )
+
+
+class _Tree:
+    """Nodes so far, found again by what they are and where they come from."""
+
+    def __init__(self) -> None:
+        self.flexion: list[float] = []
+        self.loads: list[Array] = []
+        self.parent: list[int] = []
+        self._known: dict[tuple[int, float, tuple[float, ...]], int] = {}
+
+    def node(self, parent: int, flexion: float, load: Array) -> int:
+        key = (parent, round(flexion, 12), tuple(np.round(load, 9)))
+        if key not in self._known:
+            self._known[key] = len(self.flexion)
+            self.flexion.append(flexion)
+            self.loads.append(np.asarray(load, float))
+            self.parent.append(parent)
+        return self._known[key]
+
+
+def _flex(tree: _Tree, start: float, goal: float) -> int:
+    node = tree.node(-1, start, np.zeros(5))
+    for angle in _steps(goal - start, FLEXION_STEP):
+        node = tree.node(node, start + angle, np.zeros(5))
+    return node
+
+
+def _load(tree: _Tree, node: int, flexion: float, load: Array) -> int:
+    size = float(np.linalg.norm(load / _SCALE))
+    for reached in _steps(size, LOAD_STEP):
+        node = tree.node(node, flexion, load * (reached / size))
+    return node
+
+
+def _steps(whole: float, step: float) -> list[float]:
+    """Multiples of `step` up to `whole`, then `whole` itself; nothing where it is zero."""
+    if abs(whole) < 1e-9 * step:
+        return []
+    full = int(np.ceil(abs(whole) / step - 1e-9))
+    return [*(np.sign(whole) * step * k for k in range(1, full)), whole]

@@ -1,0 +1,138 @@
+"""The mechanical joint of a knee: its surfaces and ligaments as arrays in femoral and tibial axes."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from identknee.mechanics.closest_point import mesh_distance
+from identknee.mechanics.compiled import cache_folder
+from identknee.mechanics.contact_points import DEFAULT_NUMBER, contact_points
+from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
+from identknee.mechanics.equilibria import ContactPoints, Lines
+from identknee.mechanics.pose import start_pose
+from identknee.mechanics.rims import RimMap, map_rims
+from identknee.runs.arrays import Array, frozen
+from identknee.subject.knee import Knee
+
+FIELD_FORMAT = b"field 1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Joint:
+    """A knee as the kernel takes it.
+
+    Attributes
+    ----------
+    field
+        Signed distance to the femur, in femoral axes.
+    contact
+        Points of the tibia that carry contact, in tibial axes.
+    lines
+        The ligaments.
+    femoral_rims, tibial_rims
+        How far places on the surfaces are from their rims; one map a tibial surface.
+    start_flexion, start
+        The scanned pose: flexion [rad] and (varus, internal [rad], x, y, z [mm]), ``(5,)``.
+    """
+
+    field: DistanceField
+    contact: ContactPoints
+    lines: Lines
+    femoral_rims: RimMap
+    tibial_rims: tuple[RimMap, ...]
+    start_flexion: float
+    start: Array
+
+
+@lru_cache(maxsize=16)
+def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
+    """The joint of a knee with about `n_points` contact points (None for every vertex).
+
+    The distance field is read from the cache on disk where it was built before.
+    """
+    femoral = knee.femur_frame.to_local(knee.femur.vertices)
+    sheets = [(knee.tibia_frame.to_local(x.vertices), x.faces) for x in knee.tibia]
+    flexion, start = start_pose(
+        knee.femur_frame.axes @ knee.tibia_frame.axes.T,
+        knee.femur_frame.to_local(knee.tibia_frame.origin[None])[0],
+    )
+    insertions = np.array([x.femur for x in knee.ligaments]).reshape(-1, 3)
+    tibial_insertions = np.array([x.tibia for x in knee.ligaments]).reshape(-1, 3)
+    return Joint(
+        field=_field(knee, femoral),
+        contact=contact_points(sheets, n_points),
+        lines=Lines(
+            femoral=knee.femur_frame.to_local(insertions),
+            tibial=knee.tibia_frame.to_local(tibial_insertions),
+            reference_length=knee.reference_lengths,
+        ),
+        femoral_rims=map_rims(femoral, knee.femur.faces),
+        tibial_rims=tuple(map_rims(vertices, faces) for vertices, faces in sheets),
+        start_flexion=flexion,
+        start=frozen(start, 5, name="start"),
+    )
+
+
+def _field(knee: Knee, femoral: Array) -> DistanceField:
+    """The distance field of the femur, from the cache or built and put there."""
+    distance: Callable[[Array], Array] | None = None
+    digest = hashlib.sha256(FIELD_FORMAT + repr(SPACING).encode())
+    digest.update(femoral.tobytes())
+    if knee.femur_distance is not None:
+        closed_form = knee.femur_distance
+
+        def distance(points: Array) -> Array:
+            return closed_form(knee.femur_frame.to_common(points))
+
+        # A formula has no bytes: what it gives off the surface stands for it.
+        digest.update(distance(femoral[::7] * 1.02).tobytes())
+    else:
+        digest.update(knee.femur.faces.tobytes())
+    path = cache_folder() / "fields" / f"{digest.hexdigest()[:24]}.npz"
+    cached = _read_field(path)
+    if cached is not None:
+        return cached
+    field = build_field(
+        distance or mesh_distance(femoral, knee.femur.faces),
+        femoral.min(axis=0),
+        femoral.max(axis=0),
+    )
+    _keep_field(path, field)
+    return field
+
+
+def _read_field(path: Path) -> DistanceField | None:
+    try:
+        with np.load(path) as stored:
+            return DistanceField(
+                coefficients=stored["coefficients"],
+                reach=stored["reach"],
+                origin=stored["origin"],
+                spacing=float(stored["spacing"]),
+            )
+    except (OSError, KeyError, ValueError):
+        return None
+
+
+def _keep_field(path: Path, field: DistanceField) -> None:
+    """Write the field to the cache; a cache that cannot be written is no failure."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".npz")
+        with os.fdopen(handle, "wb") as file:
+            np.savez(
+                file,
+                coefficients=field.coefficients,
+                reach=field.reach,
+                origin=field.origin,
+                spacing=field.spacing,
+            )
+        Path(name).replace(path)
+    except OSError:
+        return

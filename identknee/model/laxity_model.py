@@ -1,0 +1,199 @@
+"""The laxity model: a knee under a protocol, its prediction and the prediction's exact Jacobian."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import Laxity
+from identknee.mechanics.contact_points import DEFAULT_NUMBER
+from identknee.mechanics.equilibria import Equilibria, solve
+from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
+from identknee.mechanics.kernel import CONVERGED, tension
+from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths
+from identknee.mechanics.pose import rotation_matrix
+from identknee.model.joint import Joint, joint_of
+from identknee.model.parameters import Parameters, ligament_parameters
+from identknee.model.prediction import LEFT_GEOMETRY, Prediction
+from identknee.runs.arrays import Array, BoolArray
+from identknee.subject.knee import Knee
+
+Contact = Literal["field", "mesh"]
+RIM_MARGIN = 3.0  # mm
+# Kernel units per unit of theta: N per kN, strain per %.
+_PER_KN, _PER_PCT = 1000.0, 0.01
+# Loads of a protocol (internal, varus moment, anterior, distraction, lateral force) to generalised
+# loads of (varus, internal, x, y, z).
+_GENERALISED = np.array(
+    [
+        [0.0, 1000.0, 0.0, 0.0, 0.0],
+        [1000.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, -1.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 1.0],
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaxityModel:
+    """A knee under a protocol.
+
+    Attributes
+    ----------
+    knee
+        The subject.
+    protocol
+        The trials to predict.
+    continuation
+        How a trial's equilibrium is found: ``"continuation"`` follows the branch that starts
+        unloaded in the scanned pose, the canonical answer; ``"single-step"`` puts the whole load on
+        the scanned pose at once, as the paper did.
+    n_points
+        About how many contact points to use; None for every vertex of the tibial surfaces.
+    """
+
+    knee: Knee
+    protocol: Protocol
+    continuation: Continuation = "continuation"
+    n_points: int | None = DEFAULT_NUMBER
+    joint: Joint = field(init=False, repr=False)
+    paths: LoadPaths = field(init=False, repr=False)
+    parameters: Parameters = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        joint = joint_of(self.knee, self.n_points)
+        paths = load_paths(
+            np.radians(self.protocol.flexion_deg),
+            self.protocol.loads @ _GENERALISED,
+            joint.start_flexion,
+            self.continuation,
+        )
+        ligaments = self.knee.ligaments
+        parameters = ligament_parameters(
+            [x.name for x in ligaments],
+            [x.stiffness_kN for x in ligaments],
+            [x.reference_strain_pct for x in ligaments],
+        )
+        object.__setattr__(self, "joint", joint)
+        object.__setattr__(self, "paths", paths)
+        object.__setattr__(self, "parameters", parameters)
+
+    def with_protocol(self, protocol: Protocol) -> "LaxityModel":
+        """The same model under another protocol."""
+        return replace(self, protocol=protocol)
+
+    def predict(
+        self, theta: Array, *, derivatives: bool = True, near: Prediction | None = None
+    ) -> Prediction:
+        """Pose of the tibia in every trial, and how it changes with theta.
+
+        Parameters
+        ----------
+        theta
+            Parameter vector in the order and units of `parameters`, shape ``(p,)``.
+        derivatives
+            Whether the Jacobian is wanted.
+        near
+            A prediction at a parameter vector close by, to start from. It makes the answer faster,
+            not different: what is found from it must stand the same tests.
+
+        Raises
+        ------
+        ValueError
+            If theta has the wrong length or holds a stiffness below 0 or a reference strain of
+            -100 % or less. A trial without equilibrium is not an error: it has an outcome.
+        """
+        ligaments = self.joint.lines.arrays(*self._unpacked(theta))
+        found = solve(
+            self.paths,
+            self.joint.start,
+            self.joint.contact,
+            self.joint.field,
+            ligaments,
+            derivatives=derivatives,
+            guesses=None if near is None else near.node_poses,
+        )
+        return self._prediction(np.array(theta, float), found, derivatives=derivatives)
+
+    def simulate(self, theta: Array) -> Laxity:
+        """The laxity table of the prediction at theta; trials that did not converge are blank."""
+        prediction = self.predict(theta, derivatives=False)
+        return Laxity(protocol=self.protocol, coordinates=prediction.coordinates)
+
+    def tensions(self, prediction: Prediction) -> Array:
+        """Tension of every ligament in every trial [N], shape ``(n, n_ligaments)``.
+
+        NaN in trials that did not converge.
+        """
+        flexion = np.radians(self.protocol.flexion_deg)
+        ligaments = self.joint.lines.arrays(*self._unpacked(prediction.theta))
+        return line_tensions(flexion, prediction.poses, ligaments, prediction.is_converged)
+
+    def _unpacked(self, theta: Array) -> tuple[Array, Array]:
+        theta = np.asarray(theta, float)
+        if theta.shape != (self.parameters.n,):
+            raise ValueError(
+                f"theta must have {self.parameters.n} values, one for each of "
+                f"{', '.join(self.parameters.names)}; got shape {theta.shape}"
+            )
+        m = self.parameters.n // 2
+        stiffness, strain = theta[:m] * _PER_KN, theta[m:] * _PER_PCT
+        if not (np.isfinite(theta).all() and (stiffness >= 0.0).all() and (strain > -1.0).all()):
+            raise ValueError(
+                "stiffness must be finite and >= 0 kN, reference strain finite and above -100 %; "
+                f"got {dict(zip(self.parameters.names, theta.tolist(), strict=True))}"
+            )
+        return stiffness, strain
+
+    def _prediction(self, theta: Array, found: Equilibria, *, derivatives: bool) -> Prediction:
+        nodes = self.paths.trial_node
+        codes = np.array(found.codes[nodes])
+        codes[(codes == CONVERGED) & self._near_rim(found.centres[nodes])] = LEFT_GEOMETRY
+        poses = found.poses[nodes]
+        converged = codes == CONVERGED
+        coordinates = np.where(converged[:, None], coordinates_from_pose(poses), np.nan)
+        jacobian = None
+        if derivatives:
+            m = self.parameters.n // 2
+            units = np.r_[np.full(m, _PER_KN), np.full(m, _PER_PCT)]
+            jacobian = coordinate_jacobian(poses) @ (found.sensitivities[nodes] * units)
+            jacobian[~converged] = np.nan
+        return Prediction(
+            theta=theta,
+            coordinates=coordinates,
+            jacobian=jacobian,
+            codes=codes,
+            poses=poses,
+            hessians=found.hessians[nodes],
+            reached=found.reached[nodes],
+            centres=found.centres[nodes],
+            node_poses=found.poses,
+        )
+
+    def _near_rim(self, centres: Array) -> BoolArray:
+        """Whether the centre of a compartment's contact is too close to a rim, shape ``(n,)``."""
+        too_close = np.zeros(len(centres), bool)
+        for c, tibial in enumerate(self.joint.tibial_rims):
+            margin = np.minimum(
+                tibial.at(centres[:, c, 1:4]), self.joint.femoral_rims.at(centres[:, c, 4:7])
+            )
+            too_close |= (centres[:, c, 0] > 0.0) & (margin < RIM_MARGIN)
+        return too_close
+
+
+def line_tensions(
+    flexion: Array, poses: Array, ligaments: tuple[Array, Array, Array], converged: BoolArray
+) -> Array:
+    """Tension of line ligaments [N] at poses ``(n, 5)``, NaN where not `converged`; ``(n, m)``."""
+    femoral, tibial, properties = ligaments
+    result = np.full((len(poses), len(femoral)), np.nan)
+    for n in np.flatnonzero(converged):
+        turn = rotation_matrix(flexion[n], 0.0, 0.0)
+        rotation = rotation_matrix(flexion[n], poses[n, 0], poses[n, 1])
+        length = np.linalg.norm(tibial @ rotation.T + turn @ poses[n, 2:] - femoral, axis=1)
+        strain = length * (1.0 + properties[:, 1]) / properties[:, 2] - 1.0
+        for i, row in enumerate(properties):
+            result[n, i] = tension(strain[i], row[0], row[3])[0]
+    return result

@@ -1,0 +1,87 @@
+"""What a laxity model predicts: poses, their Jacobian, and how each trial ended."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.mechanics.equilibria import stability_margins
+from identknee.mechanics.kernel import CONVERGED
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.outcome import Outcome
+
+LEFT_GEOMETRY = 4
+# In the order of the kernel's codes, then those found afterwards.
+OUTCOMES = (
+    Outcome.CONVERGED,
+    Outcome.FOLD,
+    Outcome.NO_EQUILIBRIUM,
+    Outcome.UNCONSTRAINED,
+    Outcome.LEFT_GEOMETRY,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prediction:
+    """The prediction of a laxity model at one parameter vector, for n trials and p parameters.
+
+    Attributes
+    ----------
+    theta
+        The parameter vector, shape ``(p,)``.
+    coordinates
+        Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg], shape
+        ``(n, 5)``; NaN where a trial did not converge.
+    jacobian
+        d coordinates / d theta in their units, shape ``(n, 5, p)``; None if it was not asked for.
+    codes
+        How each trial ended, as places in `OUTCOMES`, shape ``(n,)``.
+    poses
+        The last stable pose on the way to each trial: varus, internal [rad], x, y, z [mm],
+        ``(n, 5)``.
+    hessians
+        Second derivatives of the energy there [N, N mm, N/mm], shape ``(n, 5, 5)``.
+    reached
+        Share of the last load step that was reached, shape ``(n,)``.
+    centres
+        Of every trial and compartment: contact force [N], its centre in tibial and in femoral axes
+        [mm], shape ``(n, compartments, 7)``.
+    node_poses
+        Poses at all nodes of the load paths, where another prediction may start.
+    """
+
+    theta: Array
+    coordinates: Array
+    jacobian: Array | None
+    codes: IntArray
+    poses: Array
+    hessians: Array
+    reached: Array
+    centres: Array
+    node_poses: Array
+
+    def __post_init__(self) -> None:
+        for values in (self.theta, self.coordinates, self.codes, self.poses, self.hessians):
+            values.flags.writeable = False
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """How each trial ended."""
+        return tuple(OUTCOMES[code] for code in self.codes)
+
+    @property
+    def is_converged(self) -> BoolArray:
+        """Which trials have an equilibrium, shape ``(n,)``."""
+        return np.asarray(self.codes == CONVERGED)
+
+    @property
+    def all_converged(self) -> bool:
+        """Whether every trial has one."""
+        return bool(self.is_converged.all())
+
+    @property
+    def margins(self) -> Array:
+        """Stability margin of each trial's pose [N/mm], shape ``(n,)``.
+
+        The smallest eigenvalue of the Hessian, rotations scaled by 40 mm.
+        """
+        return stability_margins(self.hessians)

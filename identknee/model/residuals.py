@@ -1,0 +1,111 @@
+"""The difference between a model's prediction and measured laxity, as residuals for calibration."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.unloaded import from_unloaded
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import Parameters
+from identknee.model.prediction import Prediction
+from identknee.runs.arrays import Array
+
+Weighting = Literal["unit", "noise"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaxityResiduals:
+    """Residuals of a laxity model against measured laxity.
+
+    Attributes
+    ----------
+    model
+        The model; its protocol is replaced by that of the data.
+    laxity
+        The data. Coordinates not measured are left out.
+    weighting
+        ``"unit"`` for plain differences in mm and deg (equation 6 of the paper), ``"noise"`` for
+        differences divided by the stated errors, with the correlation that the errors of a trial
+        share taken out.
+
+    Raises
+    ------
+    ValueError
+        If noise weighting is asked for and a measured coordinate has no standard deviation, or if
+        the data are relative to an unloaded pose that their protocol lacks.
+    """
+
+    model: LaxityModel
+    laxity: Laxity
+    weighting: Weighting = "unit"
+    _whitening: Array = field(init=False, repr=False)
+    # The prediction made last: where the Jacobian is wanted after the residuals it starts there.
+    _last: list[Prediction] = field(init=False, repr=False, default_factory=list)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", self.model.with_protocol(self.laxity.protocol))
+        self._relative(self.laxity.coordinates)
+        object.__setattr__(self, "_whitening", _whitening(self.laxity, self.weighting))
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters of the model."""
+        return self.model.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Predicted less measured coordinates, weighted, shape ``(m,)``.
+
+        All are infinite where a trial with data has no equilibrium at theta.
+        """
+        prediction = self.model.predict(theta, derivatives=False)
+        self._last[:] = [prediction]
+        measured = self.laxity.is_measured
+        if not prediction.is_converged[measured.any(axis=1)].all():
+            return np.full(int(measured.sum()), np.inf)
+        difference = self._relative(prediction.coordinates) - self.laxity.coordinates
+        return self._weighted(difference)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite."""
+        near = next((x for x in self._last if np.array_equal(x.theta, theta)), None)
+        prediction = self.model.predict(theta, near=near)
+        if prediction.jacobian is None:  # pragma: no cover - predict was asked for it
+            raise AssertionError
+        return self._weighted(self._relative(prediction.jacobian))
+
+    def _relative(self, values: Array) -> Array:
+        if self.laxity.zero == "absolute":
+            return values
+        return from_unloaded(values, self.laxity.protocol)
+
+    def _weighted(self, values: Array) -> Array:
+        """Rows of measured coordinates, whitened; `values` has shape ``(n, 5, ...)``."""
+        measured = self.laxity.is_measured
+        if self.weighting == "unit":
+            return np.asarray(values[measured])
+        known = np.where(measured.reshape(*measured.shape, *(1,) * (values.ndim - 2)), values, 0.0)
+        return np.einsum("nij,nj...->ni...", self._whitening, known)[measured]
+
+
+def _whitening(laxity: Laxity, weighting: Weighting) -> Array:
+    """The matrix (5, 5) of each trial that turns its errors into independent ones of variance 1."""
+    n = len(COORDINATES)
+    matrices = np.zeros((laxity.n, n, n))
+    if weighting == "unit":
+        return matrices
+    measured = laxity.is_measured
+    if laxity.sd is None or np.isnan(laxity.sd[measured]).any():
+        raise ValueError(
+            "weighting by noise needs a standard deviation for every measured coordinate; "
+            "add the columns sd_<coordinate> or use unit weighting"
+        )
+    shared = np.full((n, n), laxity.within_trial_correlation)
+    np.fill_diagonal(shared, 1.0)
+    for trial in range(laxity.n):
+        used = np.flatnonzero(measured[trial])
+        sd = laxity.sd[trial, used]
+        covariance = sd[:, None] * shared[np.ix_(used, used)] * sd
+        matrices[trial][np.ix_(used, used)] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return matrices

@@ -1,0 +1,94 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identknee.runs.executors import process_pool, serial, spawn_seeds, threads
+
+
+def draw(seed: np.random.SeedSequence) -> tuple[float, ...]:
+    values = np.random.default_rng(seed).standard_normal(50)
+    return (*(float(x) for x in np.exp(values)), float(values @ values))
+
+
+def fail(item: int) -> int:
+    raise ValueError(f"item {item}")
+
+
+def test_every_executor_gives_the_same_bits_in_the_same_order() -> None:
+    seeds = spawn_seeds(7, 9)
+    expected = list(serial.map(draw, seeds))
+    with threads(2) as executor:
+        assert list(executor.map(draw, seeds)) == expected
+    with process_pool(2) as executor:
+        assert list(executor.map(draw, seeds)) == expected
+        with pytest.raises(ValueError, match="item 1"):
+            list(executor.map(fail, [1]))
+
+
+def test_one_worker_needs_no_pool() -> None:
+    with process_pool(1) as executor, threads(1) as other:
+        assert executor is serial
+        assert other is serial
+
+
+def test_no_workers_is_a_mistake() -> None:
+    for pool in (process_pool, threads):
+        with pytest.raises(ValueError, match="at least 1, got 0"), pool(0):
+            pass
+
+
+def test_seeds_are_a_function_of_the_seed_alone() -> None:
+    parent = np.random.SeedSequence(3)
+    again = [spawn_seeds(3, 2), spawn_seeds(parent, 2), spawn_seeds(parent, 3)[:2]]
+    states = [[tuple(s.generate_state(4)) for s in seeds] for seeds in again]
+    assert states[0] == states[1] == states[2]
+    assert states[0][0] != states[0][1]
+    child = spawn_seeds(3, 2)[0]
+    assert spawn_seeds(child, 1)[0].spawn_key == (0, 0)
+
+
+SCRIPT = """
+import os, sys, time
+from identknee.runs.executors import process_pool
+
+if __name__ == "__main__":
+    with process_pool(2) as executor:
+        print(next(iter(executor.map(eval, ["__import__('os').getpid()"]))), flush=True)
+        time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is of POSIX systems")
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    root = str(Path(__file__).parents[3])
+    environment = {**os.environ, "PYTHONPATH": root}
+    with subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, env=environment, text=True
+    ) as parent:
+        assert parent.stdout is not None
+        worker = int(parent.stdout.readline())
+        parent.send_signal(signal.SIGKILL)
+    deadline = time.monotonic() + 20
+    while is_running(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not is_running(worker)
+
+
+def is_running(process: int) -> bool:
+    """Whether it runs; a zombie whose new parent has not collected it does not."""
+    status = Path(f"/proc/{process}/stat")
+    if status.exists():
+        return status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return not Path("/proc").exists()

@@ -1,0 +1,146 @@
+import errno
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identknee.runs.errors import InputError
+from identknee.runs.files import (
+    check_readable,
+    digest,
+    plain,
+    prepare_folder,
+    write_atomically,
+    write_json,
+)
+from identknee.runs.outcome import Outcome
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_write_replaces_the_file_and_leaves_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    write_atomically(path, "old")
+    write_atomically(path, "new ä\r\n")
+    assert path.read_bytes() == "new ä\r\n".encode()
+    assert names(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [(errno.ENOSPC, "the disk is full"), (errno.EACCES, "may not be written")],
+)
+def test_a_failed_write_keeps_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, words: str
+) -> None:
+    path = tmp_path / "a.txt"
+    write_atomically(path, "old")
+
+    def fail(_descriptor: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(InputError, match=words):
+        write_atomically(path, "new")
+    assert path.read_text() == "old"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_an_interrupted_write_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(_descriptor: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(tmp_path / "a.txt", "new")
+    assert names(tmp_path) == []
+
+
+def test_write_into_a_missing_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"folder does not exist\. Make the folder"):
+        write_atomically(tmp_path / "no" / "a.txt", "x")
+
+
+def test_prepare_folder(tmp_path: Path) -> None:
+    folder = prepare_folder(tmp_path / "a" / "b")
+    assert folder.is_dir()
+    assert names(folder) == []
+    (tmp_path / "file").write_text("x")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match=r"a file stands .* Choose another"):
+            prepare_folder(path)
+
+
+def test_prepare_folder_that_may_not_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_self: Path) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    with pytest.raises(
+        InputError, match=r"\(permission denied\)\. Choose another folder with --out"
+    ):
+        prepare_folder(tmp_path)
+
+
+def test_check_readable(tmp_path: Path) -> None:
+    full, empty = tmp_path / "full", tmp_path / "empty"
+    full.write_text("x")
+    empty.touch()
+    assert check_readable(full) == full
+    for path, words in (
+        (tmp_path / "none", r"there is no such file\. Check the spelling"),
+        (tmp_path, "this is a folder"),
+        (empty, "the file is empty"),
+    ):
+        with pytest.raises(InputError, match=words):
+            check_readable(path)
+
+
+def test_check_readable_refuses_large_files(tmp_path: Path) -> None:
+    path = tmp_path / "large"
+    with path.open("wb") as file:
+        file.truncate(513 * 10**6)
+    with pytest.raises(InputError, match=r"the file has 513 MB, more than the 512 MB allowed\. "):
+        check_readable(path)
+
+
+def test_digest_of_path_and_bytes_agree(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"abc")
+    known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert digest(path) == digest(str(path)) == digest(b"abc") == known
+
+
+def test_write_json(tmp_path: Path) -> None:
+    values = {
+        "outcome": Outcome.FOLD,
+        "theta": np.array([0.1, np.nan, np.inf]),
+        "n": np.int64(3),
+        "third": 1 / 3,
+        "path": Path("a.csv"),
+        "none": None,
+        "flag": np.bool_(True),
+    }
+    read = json.loads(write_json(tmp_path / "a.json", values).read_text())
+    assert read == {
+        "outcome": "fold",
+        "theta": [0.1, None, None],
+        "n": 3,
+        "third": 1 / 3,
+        "path": "a.csv",
+        "none": None,
+        "flag": True,
+    }
+
+
+def test_plain_refuses_what_json_cannot_hold() -> None:
+    with pytest.raises(TypeError, match="of type object has no JSON form"):
+        plain({"a": object()})
