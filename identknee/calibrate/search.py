@@ -48,8 +48,6 @@ def run_search(search: Search, objective: Objective) -> Outcome:
             return Outcome.SPREAD
 
 
-def uniform_box(
-    generator: np.random.Generator, n: int, low: Array, high: Array
-) -> Array:
+def uniform_box(generator: np.random.Generator, n: int, low: Array, high: Array) -> Array:
     """Points drawn uniformly from a box, shape ``(n, len(low))``."""
     return generator.uniform(low, high, size=(n, len(low)))

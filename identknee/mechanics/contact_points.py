@@ -1,24 +1,27 @@
-"""The points at which contact is evaluated: vertices of a surface, few enough to be fast."""
+"""The points at which contact is evaluated: centroids of equal patches of the tibial surface."""
 
 from collections.abc import Sequence
 
-import fast_simplification
 import numpy as np
+from scipy.spatial import cKDTree
 
 from identknee.mechanics.equilibria import ContactPoints
 from identknee.runs.arrays import Array, IntArray
 
 DEFAULT_NUMBER = 1500
+MOST_PIECES = 20  # a sheet is cut into about this many pieces a patch, or more
+ROUNDS = 40
 
 
 def contact_points(
     sheets: Sequence[tuple[Array, IntArray]], number: int | None = DEFAULT_NUMBER
 ) -> ContactPoints:
-    """Vertices of the tibial sheets with their tributary areas, about `number` in all.
+    """Quadrature points of the tibial sheets with their tributary areas, about `number` in all.
 
-    Sheets with more vertices are decimated by quadric edge collapse, never thinned: leaving vertices
-    out moved poses five times as much as simplifying the surface they lie on. The areas of a
-    decimated sheet are scaled to the area of the whole one.
+    A surface with more vertices than that is clustered into patches of nearly equal size (Lloyd's
+    iteration, as in [1]_), each represented by its centroid and its whole area: the depth of a patch
+    is then right to second order. Where there are no more vertices than asked for, or `number` is
+    None, the points are the vertices, each with a third of the triangles around it.
 
     Parameters
     ----------
@@ -26,18 +29,25 @@ def contact_points(
         Vertices ``(n, 3)`` [mm] and faces ``(m, 3)`` of each tibial surface.
     number
         How many points are wanted; None for every vertex.
+
+    References
+    ----------
+    .. [1] Valette and Chassery (2004), Comput. Graph. Forum 23(3), 381-389.
+           https://doi.org/10.1111/j.1467-8659.2004.00769.x
     """
     total = sum(len(vertices) for vertices, _ in sheets)
+    whole = sum(triangle_areas(vertices, faces).sum() for vertices, faces in sheets)
     points, areas, compartment = [], [], []
     for index, (vertices, faces) in enumerate(sheets):
-        area = _triangle_areas(vertices, faces).sum()
-        # A few points more than asked for are kept as they are: decimation would gain nothing.
-        if number is not None and total > 1.2 * number:
-            vertices, faces = _decimated(vertices, faces, round(number * len(vertices) / total))
-        tributary = _vertex_areas(vertices, faces)
-        points.append(vertices)
-        areas.append(tributary * (area / tributary.sum()))
-        compartment.append(np.full(len(vertices), index))
+        # A few more than asked for are kept as they are: clustering would gain nothing.
+        if number is None or total <= 1.2 * number:
+            found, area = vertices, _vertex_areas(vertices, faces)
+        else:
+            share = triangle_areas(vertices, faces).sum() / whole
+            found, area = _patches(vertices, faces, max(1, round(number * share)))
+        points.append(found)
+        areas.append(area)
+        compartment.append(np.full(len(found), index))
     return ContactPoints(
         points=np.concatenate(points),
         areas=np.concatenate(areas),
@@ -45,17 +55,8 @@ def contact_points(
     )
 
 
-def _decimated(vertices: Array, faces: IntArray, number: int) -> tuple[Array, IntArray]:
-    """The sheet with about `number` vertices; an open sheet has about half as many as triangles."""
-    share = 1.0 - number / len(vertices)
-    # The compiled library works in single precision unless it is given doubles.
-    points, triangles = fast_simplification.simplify(
-        np.asarray(vertices, np.float64), np.asarray(faces, np.int32), target_reduction=share
-    )
-    return np.asarray(points, np.float64), np.asarray(triangles, np.int64)
-
-
-def _triangle_areas(vertices: Array, faces: IntArray) -> Array:
+def triangle_areas(vertices: Array, faces: IntArray) -> Array:
+    """Area of each triangle [mm2], shape ``(m,)``."""
     corner = vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area: Array = 0.5 * np.linalg.norm(normal, axis=1)
@@ -65,5 +66,35 @@ def _triangle_areas(vertices: Array, faces: IntArray) -> Array:
 def _vertex_areas(vertices: Array, faces: IntArray) -> Array:
     area = np.zeros(len(vertices))
     for k in range(3):
-        np.add.at(area, faces[:, k], _triangle_areas(vertices, faces) / 3.0)
+        np.add.at(area, faces[:, k], triangle_areas(vertices, faces) / 3.0)
     return area
+
+
+def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Array]:
+    """Centroids and areas of `number` patches of nearly equal size."""
+    corner = vertices[faces]
+    while len(corner) < MOST_PIECES * number:
+        corner = _quartered(corner)
+    pieces = corner.mean(axis=1)
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    weight = 0.5 * np.linalg.norm(normal, axis=1)
+    # Seeds evenly along the surface's area, in an order that keeps neighbours together.
+    order = cKDTree(pieces).indices
+    passed = np.cumsum(weight[order]) - 0.5 * weight[order]
+    seeds = order[np.searchsorted(passed, (np.arange(number) + 0.5) * weight.sum() / number)]
+    centroid = pieces[seeds]
+    for _ in range(ROUNDS):
+        nearest = cKDTree(centroid).query(pieces)[1]
+        area = np.bincount(nearest, weight, len(centroid))
+        sums = [np.bincount(nearest, weight * pieces[:, k], len(centroid)) for k in range(3)]
+        centroid, area = np.stack(sums, axis=1)[area > 0.0], area[area > 0.0]
+        centroid /= area[:, None]
+    return centroid, area
+
+
+def _quartered(corner: Array) -> Array:
+    """Each triangle cut into four by the middles of its edges; shape ``(4 m, 3, 3)``."""
+    a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+    return np.concatenate([np.stack(part, axis=1) for part in parts])

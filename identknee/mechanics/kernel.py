@@ -25,6 +25,7 @@ import math
 import numpy as np
 
 from identknee.mechanics.compiled import compiled
+from identknee.mechanics.spline_lanes import spline_at
 
 # One radian of rotation weighs as much as this many millimetres, wherever the two are compared.
 ROTATION_SCALE = 40.0
@@ -36,6 +37,7 @@ LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has 
 BRANCH_ABSOLUTE = 0.15  # mm; disagreement of a step with its end tangents that is always allowed
 BRANCH_RELATIVE = 0.15  # the same, as a share of the step's length
 FLOOR_MARGIN = 1e-3  # N/mm; below this stiffness a pose is not unique
+SLACK_RESIDUAL = 1e-3  # N; with less than this and no stiffness, the search would creep on for ever
 MOST_ITERATIONS = 200
 # Bits 0-7 of the `reach` of a cell of the distance field: each eighth that may hold contact. Bit 8:
 # the cell is near one that does.
@@ -65,160 +67,116 @@ def rotation(flexion, q, R):
 
 @compiled
 def list_candidates(R, t, contact, field, work):
-    """Note the points that may touch the femur at this pose or within a cell's width of it."""
-    points = contact[0]
+    """Copy the points that may touch the femur at this pose or within a cell's width of it."""
+    points, stiffness = contact[0], contact[2]
     reach, origin, spacing, shape = field[1], field[2], field[3], field[4]
-    candidates, counts, listed = work[2], work[3], work[4]
+    listed, which, counts, listed_pose = work[2], work[13], work[3], work[4]
     nx, ny, nz = shape[0], shape[1], shape[2]
     inverse = 1.0 / spacing[0]
+    o0, o1, o2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
     n = 0
     for i in range(points.shape[0]):
         y0, y1, y2 = points[i, 0], points[i, 1], points[i, 2]
-        ix = int(math.floor((R[0] * y0 + R[1] * y1 + R[2] * y2 + t[0] - origin[0]) * inverse))
-        iy = int(math.floor((R[3] * y0 + R[4] * y1 + R[5] * y2 + t[1] - origin[1]) * inverse))
-        iz = int(math.floor((R[6] * y0 + R[7] * y1 + R[8] * y2 + t[2] - origin[2]) * inverse))
-        if ix >= 0 and iy >= 0 and iz >= 0 and ix < nx and iy < ny and iz < nz:
-            if reach[(ix * ny + iy) * nz + iz] != 0:
-                candidates[n] = i
+        u0 = (R[0] * y0 + R[1] * y1 + R[2] * y2 + o0) * inverse
+        u1 = (R[3] * y0 + R[4] * y1 + R[5] * y2 + o1) * inverse
+        u2 = (R[6] * y0 + R[7] * y1 + R[8] * y2 + o2) * inverse
+        if u0 >= 0.0 and u1 >= 0.0 and u2 >= 0.0 and u0 < nx and u1 < ny and u2 < nz:
+            if reach[(int(u0) * ny + int(u1)) * nz + int(u2)] != 0:
+                listed[0, n], listed[1, n], listed[2, n] = y0, y1, y2
+                listed[3, n] = stiffness[i]
+                which[n] = i
                 n += 1
     counts[0] = n
+    counts[3] += 1
     for j in range(9):
-        listed[j] = R[j]
+        listed_pose[j] = R[j]
     for j in range(3):
-        listed[9 + j] = t[j]
+        listed_pose[9 + j] = t[j]
 
 
 @compiled
 def list_is_valid(R, t, radius, spacing, work):
     """Whether no point has moved farther than the list of candidates allows for."""
-    counts, listed = work[3], work[4]
+    counts, listed_pose = work[3], work[4]
     if counts[0] < 0:
         return False
     turn = 0.0
     for j in range(9):
-        turn += (R[j] - listed[j]) ** 2
+        turn += (R[j] - listed_pose[j]) ** 2
     move = 0.0
     for j in range(3):
-        move += (t[j] - listed[9 + j]) ** 2
+        move += (t[j] - listed_pose[9 + j]) ** 2
     return math.sqrt(turn) * radius + math.sqrt(move) < NEAR_CELLS * spacing
 
 
 @compiled
-def contact_elements(R, t, contact, field, work):
+def contact_elements(R, t, field, work):
     """Write an element for every point that may touch the femur; return their number and energy."""
-    points, stiffness = contact[0], contact[2]
     coefficients, reach, origin, spacing, shape = field
-    elements, fractions, candidates, counts, cells = work[0], work[1], work[2], work[3], work[5]
-    touching = work[12]
+    elements, fractions, listed, counts, cells = work[0], work[1], work[2], work[3], work[5]
+    touching, which, moved = work[12], work[13], work[14]
     ny, nz = shape[1], shape[2]
     stride_x, stride_y = ny * nz, nz
     inverse = 1.0 / spacing[0]
+    o0, o1, o2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
+    for j in range(counts[0]):
+        y0, y1, y2 = listed[0, j], listed[1, j], listed[2, j]
+        moved[0, j] = R[0] * y0 + R[1] * y1 + R[2] * y2
+        moved[1, j] = R[3] * y0 + R[4] * y1 + R[5] * y2
+        moved[2, j] = R[6] * y0 + R[7] * y1 + R[8] * y2
+        moved[3, j] = (moved[0, j] + o0) * inverse
+        moved[4, j] = (moved[1, j] + o1) * inverse
+        moved[5, j] = (moved[2, j] + o2) * inverse
     n = 0
     for j in range(counts[0]):
-        i = candidates[j]
-        y0, y1, y2 = points[i, 0], points[i, 1], points[i, 2]
-        p0 = R[0] * y0 + R[1] * y1 + R[2] * y2
-        p1 = R[3] * y0 + R[4] * y1 + R[5] * y2
-        p2 = R[6] * y0 + R[7] * y1 + R[8] * y2
-        u0 = (p0 + t[0] - origin[0]) * inverse
-        u1 = (p1 + t[1] - origin[1]) * inverse
-        u2 = (p2 + t[2] - origin[2]) * inverse
-        # Candidates stay inside the grid: cells near its faces hold no contact and are not near.
-        ix, iy, iz = int(u0), int(u1), int(u2)
+        # Listed points stay inside the grid: cells near its faces hold no contact and are not near.
+        ix, iy, iz = int(moved[3, j]), int(moved[4, j]), int(moved[5, j])
         cell = ix * stride_x + iy * stride_y + iz
-        u0, u1, u2 = u0 - ix, u1 - iy, u2 - iz
+        u0, u1, u2 = moved[3, j] - ix, moved[4, j] - iy, moved[5, j] - iz
         eighth = 4 * int(u0 + u0) + 2 * int(u1 + u1) + int(u2 + u2)
         if (reach[cell] >> eighth) & 1:
             cells[n] = cell - stride_x - stride_y - 1
-            fractions[0, n] = u0
-            fractions[1, n] = u1
-            fractions[2, n] = u2
-            fractions[3, n] = stiffness[i]
-            touching[n] = i
-            elements[0, n] = p0
-            elements[1, n] = p1
-            elements[2, n] = p2
+            fractions[0, n], fractions[1, n], fractions[2, n] = u0, u1, u2
+            fractions[3, n] = listed[3, j]
+            elements[0, n], elements[1, n], elements[2, n] = moved[0, j], moved[1, j], moved[2, j]
+            touching[n] = which[j]
             n += 1
-    return n, spline_elements(n, coefficients, stride_x, stride_y, inverse, fractions, cells, elements)
+    return n, spline_elements(n, coefficients, stride_x, stride_y, inverse, work)
 
 
 @compiled
-def spline_elements(n, coefficients, stride_x, stride_y, inverse, fractions, cells, elements):
-    """Write f and D of n contact points from the distance spline; return their energy.
+def spline_weights(u, weights, first):
+    """Write the cubic B-spline weights at the place u in a cell, and their two derivatives."""
+    a = 1.0 - u
+    w0, w3 = a * a * a / 6.0, u * u * u / 6.0
+    w1 = (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0
+    weights[first], weights[first + 1] = w0, w1
+    weights[first + 2], weights[first + 3] = 1.0 - w0 - w1 - w3, w3
+    d0, d3 = -a * a / 2.0, u * u / 2.0
+    d1 = (3.0 * u * u - 4.0 * u) / 2.0
+    weights[first + 4], weights[first + 5] = d0, d1
+    weights[first + 6], weights[first + 7] = -d0 - d1 - d3, d3
+    weights[first + 8], weights[first + 9] = a, 3.0 * u - 2.0
+    weights[first + 10], weights[first + 11] = 1.0 - 3.0 * u, u
 
-    One straight-line body over many points, so that the compiler works on several at once.
-    """
+
+@compiled
+def spline_elements(n, coefficients, stride_x, stride_y, inverse, work):
+    """Write f and D of n contact points from the distance spline; return their energy."""
+    elements, fractions, cells, weights = work[0], work[1], work[5], work[15]
     energy = 0.0
     for i in range(n):
-        b = fractions[0, i]
-        a = 1.0 - b
-        x0, x3 = a * a * a / 6.0, b * b * b / 6.0
-        x1 = (4.0 - 6.0 * b * b + 3.0 * b * b * b) / 6.0
-        x2 = 1.0 - x0 - x1 - x3
-        dx0, dx3, dx1 = -a * a / 2.0, b * b / 2.0, (3.0 * b * b - 4.0 * b) / 2.0
-        dx2 = -dx0 - dx1 - dx3
-        hx0, hx1, hx2, hx3 = a, 3.0 * b - 2.0, 1.0 - 3.0 * b, b
-        b = fractions[1, i]
-        a = 1.0 - b
-        y0, y3 = a * a * a / 6.0, b * b * b / 6.0
-        y1 = (4.0 - 6.0 * b * b + 3.0 * b * b * b) / 6.0
-        y2 = 1.0 - y0 - y1 - y3
-        dy0, dy3, dy1 = -a * a / 2.0, b * b / 2.0, (3.0 * b * b - 4.0 * b) / 2.0
-        dy2 = -dy0 - dy1 - dy3
-        hy0, hy1, hy2, hy3 = a, 3.0 * b - 2.0, 1.0 - 3.0 * b, b
-        b = fractions[2, i]
-        a = 1.0 - b
-        z0, z3 = a * a * a / 6.0, b * b * b / 6.0
-        z1 = (4.0 - 6.0 * b * b + 3.0 * b * b * b) / 6.0
-        z2 = 1.0 - z0 - z1 - z3
-        dz0, dz3, dz1 = -a * a / 2.0, b * b / 2.0, (3.0 * b * b - 4.0 * b) / 2.0
-        dz2 = -dz0 - dz1 - dz3
-        hz0, hz1, hz2, hz3 = a, 3.0 * b - 2.0, 1.0 - 3.0 * b, b
-        d = 0.0
-        gx, gy, gz = 0.0, 0.0, 0.0
-        hxx, hyy, hzz, hxy, hxz, hyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for ia in range(4):
-            wx = x0 if ia == 0 else (x1 if ia == 1 else (x2 if ia == 2 else x3))
-            dx = dx0 if ia == 0 else (dx1 if ia == 1 else (dx2 if ia == 2 else dx3))
-            hx = hx0 if ia == 0 else (hx1 if ia == 1 else (hx2 if ia == 2 else hx3))
-            s00, s10, s20, s01, s11, s02 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for ib in range(4):
-                wy = y0 if ib == 0 else (y1 if ib == 1 else (y2 if ib == 2 else y3))
-                dy = dy0 if ib == 0 else (dy1 if ib == 1 else (dy2 if ib == 2 else dy3))
-                hy = hy0 if ib == 0 else (hy1 if ib == 1 else (hy2 if ib == 2 else hy3))
-                k = cells[i] + ia * stride_x + ib * stride_y
-                c0, c1, c2, c3 = (
-                    coefficients[k],
-                    coefficients[k + 1],
-                    coefficients[k + 2],
-                    coefficients[k + 3],
-                )
-                r0 = c0 * z0 + c1 * z1 + c2 * z2 + c3 * z3
-                r1 = c0 * dz0 + c1 * dz1 + c2 * dz2 + c3 * dz3
-                r2 = c0 * hz0 + c1 * hz1 + c2 * hz2 + c3 * hz3
-                s00 += wy * r0
-                s10 += dy * r0
-                s20 += hy * r0
-                s01 += wy * r1
-                s11 += dy * r1
-                s02 += wy * r2
-            d += wx * s00
-            gx += dx * s00
-            hxx += hx * s00
-            gy += wx * s10
-            hxy += dx * s10
-            hyy += wx * s20
-            gz += wx * s01
-            hxz += dx * s01
-            hyz += wx * s11
-            hzz += wx * s02
+        spline_weights(fractions[0, i], weights, 0)
+        spline_weights(fractions[1, i], weights, 12)
+        spline_weights(fractions[2, i], weights, 24)
+        d, gx, gy, gz, hxx, hyy, hzz, hxy, hxz, hyz = spline_at(
+            coefficients, cells[i], stride_x, stride_y, weights
+        )
         spring = fractions[3, i] if d < 0.0 else 0.0
         energy += 0.5 * spring * d * d
         k1 = spring * d * inverse
         k2 = spring * inverse * inverse
-        elements[3, i] = k1 * gx
-        elements[4, i] = k1 * gy
-        elements[5, i] = k1 * gz
+        elements[3, i], elements[4, i], elements[5, i] = k1 * gx, k1 * gy, k1 * gz
         elements[6, i] = k2 * (gx * gx + d * hxx)
         elements[7, i] = k2 * (gy * gy + d * hyy)
         elements[8, i] = k2 * (gz * gz + d * hzz)
@@ -415,8 +373,9 @@ def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
     t[2] = q[4]
     if not list_is_valid(R, t, contact[1][0], field[3][0], work):
         list_candidates(R, t, contact, field, work)
-    n_contact, energy = contact_elements(R, t, contact, field, work)
+    n_contact, energy = contact_elements(R, t, field, work)
     work[3][1] = n_contact
+    work[3][2] += 1
     n, pulled = ligament_elements(R, t, ligaments, n_contact, elements)
     energy += pulled
     sum_elements(n, elements, sums)
@@ -534,6 +493,8 @@ def find_minimum(flexion, q, load, farthest, contact, field, ligaments, work, g,
     for _ in range(MOST_ITERATIONS):
         if residual < RESIDUAL_TOLERANCE:
             break
+        if residual < SLACK_RESIDUAL and not factorise(H, -FLOOR_MARGIN, L):
+            break
         trust_region_step(g, H, radius, L, minus_g, step)
         length = scaled_norm(step)
         predicted = 0.0
@@ -567,10 +528,10 @@ def find_minimum(flexion, q, load, farthest, contact, field, ligaments, work, g,
             radius = 0.25 * min(length, radius)
             if radius < 1e-12:
                 break
+    if residual < SLACK_RESIDUAL and not factorise(H, -FLOOR_MARGIN, L):
+        return UNCONSTRAINED, residual
     if residual >= RESIDUAL_TOLERANCE:
         return NO_EQUILIBRIUM, residual
-    if not factorise(H, -FLOOR_MARGIN, L):
-        return UNCONSTRAINED, residual
     factorise(H, 0.0, L)
     substitute(L, g, step)
     for i in range(5):
@@ -603,13 +564,15 @@ def off_branch(before, after, tangent_before, tangent_after, share):
 
 
 @compiled
-def follow(path, q, H, h, guess, has_guess, contact, field, ligaments, work, g):
+def follow(path, q, H, h, hint, hinted, contact, field, ligaments, work, g):
     """Follow the branch of equilibria from one end of a straight load path to the other.
 
     `path` holds flexion (2), load before (5), load after (5). q, H and h are those of the state
     before and become those of the state after, or of the last stable state reached. A step is
     accepted when it agrees with the tangents at both of its ends, else it is halved: on a smooth
-    branch the disagreement vanishes with the step, across a jump it stays.
+    branch the disagreement vanishes with the step, across a jump it stays. `hint` is a pose to try
+    at the share `hinted` of the path (negative for none); a pose that was found too far away for one
+    step is tried again from closer by.
 
     Returns (outcome, share of the path reached, residual, number of solves).
     """
@@ -618,13 +581,14 @@ def follow(path, q, H, h, guess, has_guess, contact, field, ligaments, work, g):
     flexion_change = path[1] - path[0]
     for i in range(5):
         change[i] = path[7 + i] - path[2 + i]
-    reached, share, residual, solves = 0.0, 1.0, 0.0, 0
+    reached, share, residual, solves, own_hint = 0.0, 1.0, 0.0, 0, False
     tangent(H, h, change, flexion_change, L, minus_g, before)
     while reached < 1.0:
         share = min(share, 1.0 - reached)
         goal = reached + share
+        try_hint = abs(goal - hinted) < 0.5 * SMALLEST_STEP
         for i in range(5):
-            q_new[i] = guess[i] if has_guess and share == 1.0 else q[i] + share * before[i]
+            q_new[i] = hint[i] if try_hint else q[i] + share * before[i]
             load[i] = path[2 + i] + goal * change[i]
         outcome, residual = find_minimum(
             path[0] + goal * flexion_change,
@@ -642,24 +606,27 @@ def follow(path, q, H, h, guess, has_guess, contact, field, ligaments, work, g):
         solves += 1
         if outcome == CONVERGED:
             tangent(H_new, h_new, change, flexion_change, L, minus_g, after)
-            if off_branch(q, q_new, before, after, share):
-                outcome = FOLD
-        if outcome == CONVERGED:
-            reached = goal
-            share *= 2.0
+            if not off_branch(q, q_new, before, after, share):
+                reached = goal
+                share *= 2.0
+                for i in range(5):
+                    q[i] = q_new[i]
+                    h[i] = h_new[i]
+                    before[i] = after[i]
+                    for j in range(5):
+                        H[i, j] = H_new[i, j]
+                continue
+        if try_hint and not own_hint:
+            hinted = -1.0
+            continue
+        if outcome == CONVERGED and not try_hint:
+            hinted, own_hint = goal, True
             for i in range(5):
-                q[i] = q_new[i]
-                h[i] = h_new[i]
-                before[i] = after[i]
-                for j in range(5):
-                    H[i, j] = H_new[i, j]
-        elif has_guess and share == 1.0:
-            has_guess = False
-        else:
-            share *= 0.5
-            if share < SMALLEST_STEP:
-                free = not factorise(H, -10.0 * FLOOR_MARGIN, L)
-                return UNCONSTRAINED if free else FOLD, reached, residual, solves
+                hint[i] = q_new[i]
+        share *= 0.5
+        if share < SMALLEST_STEP:
+            free = not factorise(H, -10.0 * FLOOR_MARGIN, L)
+            return UNCONSTRAINED if free else FOLD, reached, residual, solves
     return CONVERGED, 1.0, residual, solves
 
 
@@ -745,7 +712,7 @@ def contact_centres(contact, work, centres):
 def workspace(n_points, n_ligaments):
     """Memory for one thread's work, allocated once a simulation."""
     n = n_points + n_ligaments
-    counts = np.zeros(2, np.int64)
+    counts = np.zeros(4, np.int64)
     counts[0] = -1
     solver = (
         np.zeros((5, 5)),
@@ -767,19 +734,22 @@ def workspace(n_points, n_ligaments):
         np.zeros(5),
     )
     return (
-        np.zeros((12, n)),
-        np.zeros((4, n)),
-        np.zeros(n, np.int64),
-        counts,
-        np.zeros(12),
-        np.zeros(n, np.int64),
-        np.zeros(9),
-        np.zeros(3),
-        np.zeros(39),
-        np.zeros((9, 3)),
-        solver,
-        path,
-        np.zeros(n, np.int64),
+        np.zeros((12, n)),  # 0 elements
+        np.zeros((4, n)),  # 1 place in the cell, stiffness
+        np.zeros((4, n)),  # 2 listed points, stiffness
+        counts,  # 3 listed points, contact elements, evaluations, listings
+        np.zeros(12),  # 4 pose of the list
+        np.zeros(n, np.int64),  # 5 first coefficient of the cell
+        np.zeros(9),  # 6 rotation
+        np.zeros(3),  # 7 translation
+        np.zeros(39),  # 8 sums over elements
+        np.zeros((9, 3)),  # 9 axes
+        solver,  # 10
+        path,  # 11
+        np.zeros(n, np.int64),  # 12 point of each contact element
+        np.zeros(n, np.int64),  # 13 point of each listed one
+        np.zeros((6, n)),  # 14 listed points, turned; their place in the grid
+        np.zeros(36),  # 15 spline weights
     )
 
 
@@ -796,7 +766,8 @@ def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, d
     poses, hessians, slopes, outcomes, residuals, reached, flexed, solves, centres = results
     work = workspace(contact[0].shape[0], ligaments[0].shape[0])
     g, q, H, h = np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-    path = np.zeros(12)
+    hinted = 1.0 if has_guess else -1.0
+    path, hint = np.zeros(12), np.zeros(5)
     columns = np.zeros((5, 2 * ligaments[0].shape[0]))
     for n in range(flexion.shape[0]):
         before = parent[n]
@@ -812,6 +783,7 @@ def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, d
             for i in range(5):
                 q[i] = poses[before, i]
                 h[i] = flexed[before, i]
+                hint[i] = guesses[n, i]
                 path[2 + i] = loads[before, i]
                 path[7 + i] = loads[n, i]
                 for j in range(5):
@@ -821,7 +793,7 @@ def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, d
             reached[n] = 0.0
             if outcome == CONVERGED:
                 outcome, reached[n], residuals[n], solves[n] = follow(
-                    path, q, H, h, guesses[n], has_guess, contact, field, ligaments, work, g
+                    path, q, H, h, hint, hinted, contact, field, ligaments, work, g
                 )
         outcomes[n] = outcome
         for i in range(5):

@@ -1,0 +1,313 @@
+"""One verb for all optimizers: a problem and a start in, a fitted parameter set out."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import TypedDict, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.calibrate.complex import minimise_by_complex
+from identknee.calibrate.gauss_newton import gauss_newton
+from identknee.calibrate.least_squares import minimise_by_least_squares
+from identknee.calibrate.objective import Ended, Objective
+from identknee.calibrate.population import (
+    minimise_by_annealing,
+    minimise_by_cma_es,
+    minimise_by_genetic,
+    minimise_by_particle_swarm,
+)
+from identknee.calibrate.problem import Problem, Restricted, WithPriors, restricted
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, frozen
+from identknee.runs.executors import Executor, serial, spawn_seeds
+from identknee.runs.outcome import Outcome
+from identknee.runs.progress import progress, progress_bar
+
+BUDGET = 2500
+
+Method = Callable[[Objective, Array, np.random.Generator], Outcome]
+
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "least-squares": minimise_by_least_squares,
+        "complex": minimise_by_complex,
+        "genetic": minimise_by_genetic,
+        "particle-swarm": minimise_by_particle_swarm,
+        "cma-es": minimise_by_cma_es,
+        "annealing": minimise_by_annealing,
+    }
+)
+
+
+class Settings(TypedDict, total=False):
+    """What `fit_many` passes on to each `fit`, by the same names."""
+
+    method: str
+    budget: int | None
+    fixed: Sequence[str]
+    priors: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fit:
+    """Where an optimizer ended, and how.
+
+    Attributes
+    ----------
+    method
+        Name of the optimizer.
+    parameters
+        All parameters of the problem, fixed ones included.
+    fixed
+        Names of those held at their start.
+    priors
+        Whether the priors were part of the objective.
+    start, theta
+        Where it began and the best point it saw, shape ``(n,)``, in kN and %. They are equal where
+        no simulation had a prediction.
+    objective
+        Half the sum of squares at `theta`, with the priors' where they were used; inf if no
+        simulation had a prediction.
+    outcome, message
+        How it ended, and that in a sentence.
+    n_simulations, budget
+        Simulations made and allowed.
+    seconds
+        Time taken [s].
+    seed
+        Of the random numbers.
+    history
+        Simulation number and best objective so far, at each improvement, shape ``(k, 2)``.
+    gradient_norm
+        Largest derivative of the objective at `theta` by a free parameter, each times its typical
+        step (3 kN, 2 %), leaving out those that only lead out of the bounds. None where the model
+        has no derivatives.
+    """
+
+    method: str
+    parameters: Parameters
+    fixed: tuple[str, ...]
+    priors: bool
+    start: Array
+    theta: Array
+    objective: float
+    outcome: Outcome
+    message: str
+    n_simulations: int
+    budget: int
+    seconds: float
+    seed: int
+    history: Array
+    gradient_norm: float | None
+
+    def __post_init__(self) -> None:
+        for field in ("start", "theta"):
+            values = frozen(getattr(self, field), self.parameters.n, name=field)
+            object.__setattr__(self, field, values)
+        object.__setattr__(self, "history", frozen(self.history, None, 2, name="history"))
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Names of the parameters that ended on one of their bounds."""
+        low, high = self.theta <= self.parameters.lower, self.theta >= self.parameters.upper
+        return tuple(np.array(self.parameters.names)[low | high].tolist())
+
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """A short table: start and end of each parameter, and how it ended."""
+        width = max(len(name) for name in self.parameters.names)
+        rows = [
+            f"{name:<{width}} {start:12.6g} {end:12.6g}"
+            for name, start, end in zip(self.parameters.names, self.start, self.theta, strict=True)
+        ]
+        head = f"{self.method:<{width}} {'start':>12} {'end':>12}"
+        return "\n".join([head, *rows, f"objective {self.objective:.6g}. {self.message}"])
+
+
+def fit(
+    problem: Problem,
+    start: ArrayLike,
+    *,
+    method: str = "least-squares",
+    seed: int = 0,
+    budget: int | None = None,
+    fixed: Sequence[str] = (),
+    priors: bool = False,
+) -> Fit:
+    """The parameter set an optimizer finds from one start.
+
+    Parameters
+    ----------
+    problem
+        What to fit.
+    start
+        Theta to begin at, shape ``(n,)``; the centre of the box of first candidates for all
+        methods but least squares.
+    method
+        ``"least-squares"``, ``"complex"``, ``"genetic"``, ``"particle-swarm"``, ``"cma-es"`` or
+        ``"annealing"``. The same seed gives the same fit.
+    seed
+        Of the random numbers, not negative.
+    budget
+        Simulations allowed; the paper's 2,500 if None.
+    fixed
+        Names of parameters to hold at their start.
+    priors
+        Whether to add the parameters' priors to the residuals.
+
+    Raises
+    ------
+    ValueError
+        If the start has another length or is not finite, or the method, a fixed name, the seed or
+        the budget is not one of those possible. That the model has no prediction is not an error:
+        the outcome says it.
+    ModuleNotFoundError
+        If the method needs a package that is not installed.
+    """
+    allowed = BUDGET if budget is None else budget
+    with progress_bar(f"fitting by {method}", allowed) as advance:
+        return _fit(
+            problem,
+            (start, seed),
+            method=method,
+            budget=budget,
+            fixed=fixed,
+            priors=priors,
+            on_simulation=advance,
+        )
+
+
+def fit_many(
+    problem: Problem,
+    starts: ArrayLike,
+    *,
+    seed: int = 0,
+    executor: Executor = serial,
+    **settings: Unpack[Settings],
+) -> tuple[Fit, ...]:
+    """One fit from each start, in their order, failed ones included.
+
+    Parameters
+    ----------
+    problem
+        What to fit; it must be picklable if `executor` runs processes.
+    starts
+        Where to begin, shape ``(n_starts, n)``.
+    seed
+        Each fit gets a seed of its own from this one; it stands in the fit and repeats it alone.
+    executor
+        Anything with an ordered ``map``; the fits are the same whichever it is.
+    settings
+        `method`, `budget`, `fixed` and `priors` as for `fit`.
+
+    Raises
+    ------
+    ValueError, ModuleNotFoundError
+        As in `fit`.
+    """
+    points = frozen(starts, None, problem.parameters.n, name="starts")
+    seeds = [int(child.generate_state(1)[0]) for child in spawn_seeds(seed, len(points))]
+    tasks = list(zip(points, seeds, strict=True))
+    fits = executor.map(partial(_fit, problem, **settings), tasks)
+    return tuple(progress(fits, total=len(tasks), description="fitting"))
+
+
+def waterfall(fits: Sequence[Fit]) -> Array:
+    """The objectives of the fits from low to high, shape ``(n_fits,)``; inf for failed ones."""
+    return np.sort([fit.objective for fit in fits])
+
+
+def _fit(
+    problem: Problem,
+    task: tuple[ArrayLike, int],
+    *,
+    method: str = "least-squares",
+    budget: int | None = None,
+    fixed: Sequence[str] = (),
+    priors: bool = False,
+    on_simulation: Callable[[int], None] | None = None,
+) -> Fit:
+    parameters, seed = problem.parameters, task[1]
+    start = _checked_start(task[0], parameters)
+    minimise = _method(method)
+    allowed = _checked_budget(budget)
+    generator = _generator(seed)
+    whole: Problem = WithPriors(problem=problem) if priors else problem
+    part = restricted(whole, fixed, start)
+    objective = Objective(part, budget=allowed, on_simulation=on_simulation)
+    began = time.perf_counter()
+    try:
+        outcome = minimise(objective, start[list(part.free)], generator)
+    except Ended as end:
+        outcome = end.outcome
+    if objective.best_theta is None:
+        outcome = Outcome.START_FAILED
+    return Fit(
+        method=method,
+        parameters=parameters,
+        fixed=tuple(fixed),
+        priors=priors,
+        start=start,
+        theta=start if objective.best_theta is None else part.whole(objective.best_theta),
+        objective=objective.best_value,
+        outcome=outcome,
+        message=_message(outcome, objective),
+        n_simulations=objective.n_simulations,
+        budget=allowed,
+        gradient_norm=_gradient_norm(objective, part),
+        seconds=time.perf_counter() - began,
+        seed=seed,
+        history=np.array(objective.history).reshape(-1, 2),
+    )
+
+
+def _message(outcome: Outcome, objective: Objective) -> str:
+    n = objective.n_simulations
+    simulations = "1 simulation" if n == 1 else f"{n} simulations"
+    if outcome is Outcome.START_FAILED and n > 1:
+        return f"The model has no prediction at any of {simulations} around the start."
+    return f"{outcome.sentence} It took {simulations}."
+
+
+def _gradient_norm(objective: Objective, part: Restricted) -> float | None:
+    """Not counted as a simulation: theta was one already."""
+    theta = objective.best_theta
+    if theta is None:
+        return None
+    jacobian = objective.jacobian(theta)
+    if not np.all(np.isfinite(jacobian)):
+        return None
+    # A search without bounds may end outside them, where they do not hold it back.
+    return gauss_newton(theta, objective.residuals(theta), jacobian, part.parameters).gradient_norm
+
+
+def _method(name: str) -> Method:
+    if name not in METHODS:
+        raise ValueError(f"there is no method {name!r}; the methods are {', '.join(METHODS)}")
+    return METHODS[name]
+
+
+def _checked_start(start: ArrayLike, parameters: Parameters) -> Array:
+    checked = frozen(start, parameters.n, name="the start")
+    for name, value in zip(parameters.names, checked, strict=True):
+        if not np.isfinite(value):
+            raise ValueError(f"the start of {name} must be a finite number, got {value}")
+    return checked
+
+
+def _checked_budget(budget: int | None) -> int:
+    if budget is None:
+        return BUDGET
+    if budget < 1:
+        raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
+    return budget
+
+
+def _generator(seed: int) -> np.random.Generator:
+    if seed < 0:
+        raise ValueError(f"the seed must not be negative, got {seed}")
+    return np.random.default_rng(seed)

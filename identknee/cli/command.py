@@ -1,0 +1,123 @@
+"""What all verbs share: their options, how they end, and what they leave behind."""
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+
+import typer
+import typer.core
+
+from identknee.runs.errors import InputError
+
+if TYPE_CHECKING:
+    from identknee.model.laxity_model import LaxityModel
+    from identknee.subject.knee import Knee
+
+Result = TypeVar("Result")
+
+DONE, NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+Subject = Annotated[
+    str, typer.Argument(metavar="SUBJECT", help="A subject folder, or the word reference.")
+]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
+Seed = Annotated[int, typer.Option(min=0, help="Of all random numbers; it is recorded.")]
+Workers = Annotated[
+    int, typer.Option(min=1, help="Threads to use where there is more than one task.")
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print result.json to standard output, and nothing else.")
+]
+Continuation = Annotated[
+    Literal["continuation", "single-step"],
+    typer.Option(help="Follow the load, or apply it all at once as the paper did."),
+]
+
+
+class NotComputed(Exception):  # noqa: N818 - said to a person as a sentence
+    """Raised where the input is fine and the answer still cannot be had; says why."""
+
+
+class Verbs(typer.core.TyperGroup):
+    """Verbs that end with a sentence and an exit code instead of a traceback."""
+
+    # typing.override came with Python 3.12.
+    def invoke(self, ctx: Any) -> Any:  # type: ignore[explicit-override]
+        """Result of the verb, its mistakes turned into exit codes."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            sentence, code = "stopped; the same command does it again from the start", INTERRUPTED
+        except (NotComputed, ModuleNotFoundError) as error:
+            sentence, code = str(error), NOT_COMPUTED
+        except MemoryError:
+            sentence, code = "there is not enough memory", NOT_COMPUTED
+        except ValueError as error:
+            if not is_our_sentence(error):
+                raise
+            sentence, code = str(error), WRONG_INPUT
+        typer.echo(f"identknee: {sentence}", err=True)
+        raise typer.Exit(code)
+
+
+def is_our_sentence(error: ValueError) -> bool:
+    """Whether the error was raised by identknee for the caller, rather than inside a library."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    module = "" if trace is None else str(trace.tb_frame.f_globals.get("__name__", ""))
+    return isinstance(error, InputError) or module.partition(".")[0] == "identknee"
+
+
+def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> None:
+    """Print the summary as JSON, or the lines for a person."""
+    if as_json:
+        from identknee.runs.files import plain
+
+        typer.echo(json.dumps(plain(summary), indent=2, ensure_ascii=False, allow_nan=False))
+    else:
+        typer.echo("\n".join(lines))
+
+
+def warm_up(model: "LaxityModel") -> None:
+    """Compile, or load what was compiled before, so that the time taken later excludes it."""
+    from identknee.runs.progress import progress_bar
+
+    with progress_bar("compiling, once after an installation"):
+        model.with_protocol(model.protocol.select([0])).predict(model.parameters.center)
+
+
+def nested(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Values by parameter name as ligament, then quantity.
+
+    Examples
+    --------
+    >>> nested({"ACL.stiffness_kN": 10.0, "ACL.reference_strain_pct": 8.0})
+    {'ACL': {'stiffness_kN': 10.0, 'reference_strain_pct': 8.0}}
+    """
+    tree: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        owner, _, quantity = name.rpartition(".")
+        tree.setdefault(owner, {})[quantity] = float(value)
+    return tree
+
+
+def timed(function: Callable[[], Result]) -> tuple[Result, float]:
+    """What the function returns, and how long it took [s]."""
+    began = time.perf_counter()
+    result = function()
+    return result, time.perf_counter() - began
+
+
+def knee_digest(knee: "Knee") -> str:
+    """SHA-256 of all numbers of a knee: surfaces, frames and ligaments, wherever they came from."""
+    from identknee.runs.files import digest
+
+    parts = [f"{knee.side} {knee.ligaments}".encode()]
+    for surface in (knee.femur, *knee.tibia):
+        parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
+    for frame in (knee.femur_frame, knee.tibia_frame):
+        parts += [frame.origin.tobytes(), frame.axes.tobytes()]
+    return digest(b"".join(parts))

@@ -1,0 +1,147 @@
+"""`identknee fit`: one parameter set from measured laxity and one start."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from identknee.cli.command import (
+    Continuation,
+    Json,
+    NotComputed,
+    Out,
+    Seed,
+    Subject,
+    Workers,
+    knee_digest,
+    nested,
+    show,
+    warm_up,
+)
+from identknee.cli.values import named_bounds
+
+if TYPE_CHECKING:
+    from identknee.calibrate.fit import Fit
+    from identknee.laxity.rmse import LaxityError
+
+
+Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
+Start = Annotated[
+    str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")
+]
+Method = Annotated[
+    str,
+    typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
+]
+Budget = Annotated[
+    int | None, typer.Option(help="Simulations allowed; 2,500 as in the paper without.")
+]
+Weighting = Annotated[
+    Literal["unit", "noise"],
+    typer.Option(help="unit: plain mm and deg (equation 6). noise: divided by the sd_ columns."),
+]
+Priors = Annotated[
+    bool,
+    typer.Option(
+        "--priors", help="Add the priors; with unit weighting errors count as 1 mm and 1 deg."
+    ),
+]
+Fixed = Annotated[
+    list[str] | None,
+    typer.Option("--fix", metavar="NAME", help="A parameter to hold at its start; repeatable."),
+]
+Bounds = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME=LOW:HIGH", help="Bounds of a parameter; repeatable."),
+]
+
+
+def fit(
+    context: typer.Context,
+    subject: Subject,
+    data: Data,
+    start: Start = "subject",
+    method: Method = "least-squares",
+    budget: Budget = None,
+    weighting: Weighting = "unit",
+    priors: Priors = False,
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    continuation: Continuation = "continuation",
+    out: Out = Path("identknee-fit"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Fit the ligament parameters of SUBJECT to DATA.csv from one start.
+
+    One search is one thread: more workers change nothing.
+    """
+    from identknee.calibrate.fit import fit as run_fit
+    from identknee.calibrate.starts import load_start
+    from identknee.model.laxity_model import LaxityModel
+    from identknee.runs.files import prepare_folder
+    from identknee.runs.record import record
+    from identknee.subject.folder import read_subject
+
+    limits = named_bounds(bounds or [], "--bounds")
+    prepare_folder(out)
+    laxity, knee = read_laxity(data), read_subject(subject)
+    inputs = {"subject": knee_digest(knee), "data": digest(data)}
+    recording = record("fit", context.params, inputs, seed)
+    model = LaxityModel(knee=knee, protocol=laxity.protocol, continuation=continuation)
+    residuals = LaxityResiduals(model=model, laxity=laxity, weighting=weighting)
+    problem = with_bounds(residuals, limits)
+    theta = load_start(start, problem.parameters)
+    warm_up(model)
+    found = run_fit(problem, theta, method=method, seed=seed, budget=budget, fixed=fixed or (), priors=priors)
+    prediction = model.predict(found.theta, derivatives=False)
+    error = laxity_rmse(Laxity(protocol=model.protocol, coordinates=prediction.coordinates), laxity)
+    # xarray takes a second to load.
+    from identknee.report.groups import fit_groups
+    from identknee.report.result_files import write_result
+
+    groups = fit_groups(found, model, prediction, laxity)
+    summary = write_result(out, _summary(found, error, start), groups, recording.finish())
+    show(summary, _lines(found, error, out), as_json=as_json)
+    if found.outcome is Outcome.START_FAILED:
+        raise NotComputed(
+            f"{found.message} Choose another --start, or see identknee subject check {subject}"
+        )
+
+
+def _summary(found: "Fit", error: "LaxityError", start: str) -> dict[str, Any]:
+    names = found.parameters.names
+    return {
+        "outcome": found.outcome.value,
+        "sentence": found.message,
+        "objective": found.objective,
+        "n_simulations": found.n_simulations,
+        "seconds": found.seconds,
+        "method": found.method,
+        "start": start,
+        "parameters": nested(dict(zip(names, found.theta, strict=True))),
+        "start_parameters": nested(dict(zip(names, found.start, strict=True))),
+        "rmse": {"mm": error.mm, "deg": error.deg},
+        "n_compared": error.n_compared,
+        "n_missing": error.n_missing,
+        "at_bounds": found.at_bounds,
+        "fixed": found.fixed,
+        "gradient_norm": found.gradient_norm,
+    }
+
+
+def _lines(found: "Fit", error: "LaxityError", out: Path) -> list[str]:
+    width = max(len(name) for name in found.parameters.names)
+    lines = [f"{'':{width}}  {'start':>9}  {'fitted':>9}"]
+    for name, start, end in zip(found.parameters.names, found.start, found.theta, strict=True):
+        note = "  fixed" if name in found.fixed else ""
+        note = note or ("  at its bound" if name in found.at_bounds else "")
+        lines.append(f"{name:{width}}  {start:9.4f}  {end:9.4f}{note}")
+    lines += [
+        f"RMSE {error.mm:.3g} mm, {error.deg:.3g} deg over {error.n_compared} measured values.",
+        f"{found.message} {found.seconds:.2f} s.",
+        "This is one parameter set that fits; how well it is known is another question.",
+        f"Results: {out}",
+    ]
+    return lines

@@ -1,0 +1,108 @@
+"""Numbers with names and units as they are typed on a command line."""
+
+import math
+import re
+from collections.abc import Sequence
+
+_NOISE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg)\s*")
+
+
+def named_values(texts: Sequence[str], option: str) -> dict[str, float]:
+    """Values by parameter name from texts such as ``ACL.stiffness_kN=9.5``.
+
+    Raises
+    ------
+    ValueError
+        If a text has another form or a name comes twice.
+
+    Examples
+    --------
+    >>> named_values(["ACL.stiffness_kN=9.5"], "--set")
+    {'ACL.stiffness_kN': 9.5}
+    """
+    values: dict[str, float] = {}
+    for text in texts:
+        name, value = _split(text, option, "ACL.stiffness_kN=9.5")
+        if name in values:
+            raise ValueError(f"{option} gives {name} twice; give it once.")
+        values[name] = _number(value, f"{option} {text}")
+    return values
+
+
+def named_bounds(texts: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
+    """Lower and upper bound by parameter name from texts such as ``ACL.stiffness_kN=5:15``.
+
+    Raises
+    ------
+    ValueError
+        If a text has another form or a name comes twice.
+
+    Examples
+    --------
+    >>> named_bounds(["ACL.stiffness_kN=5:15"], "--bounds")
+    {'ACL.stiffness_kN': (5.0, 15.0)}
+    """
+    bounds: dict[str, tuple[float, float]] = {}
+    for text in texts:
+        name, value = _split(text, option, "ACL.stiffness_kN=5:15")
+        low, colon, high = value.partition(":")
+        if not colon:
+            raise ValueError(
+                f"{option} {text}: there is no upper bound. "
+                f"Write LOWER:UPPER, for example {option} {name}=5:15"
+            )
+        if name in bounds:
+            raise ValueError(f"{option} gives {name} twice; give it once.")
+        where = f"{option} {text}"
+        bounds[name] = (_number(low, where), _number(high, where))
+    return bounds
+
+
+def noise_sizes(text: str) -> tuple[float, float]:
+    """Standard deviations [mm], [deg] from a text such as ``0.3mm,0.3deg``.
+
+    Raises
+    ------
+    ValueError
+        If it has another form.
+
+    Examples
+    --------
+    >>> noise_sizes("0.3mm,0.5deg")
+    (0.3, 0.5)
+    """
+    sizes: dict[str, float] = {}
+    for part in text.split(","):
+        found = _NOISE.fullmatch(part)
+        if found is None or found[2] in sizes:
+            raise ValueError(_noise_remedy(text))
+        sizes[found[2]] = _number(found[1], f"--noise {text}")
+    if len(sizes) != 2:
+        raise ValueError(_noise_remedy(text))
+    return sizes["mm"], sizes["deg"]
+
+
+def _split(text: str, option: str, example: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip():
+        raise ValueError(
+            f"{option} {text}: this is not NAME=VALUE. Write for example {option} {example}"
+        )
+    return name.strip(), value.strip()
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{where}: {text.strip()!r} is not a number. Write a number such as 9.5")
+    return value
+
+
+def _noise_remedy(text: str) -> str:
+    return (
+        f"--noise {text}: this is not a size of noise. Write the standard deviations of "
+        "translations and of rotations with their units, for example --noise 0.3mm,0.3deg"
+    )

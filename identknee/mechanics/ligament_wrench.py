@@ -1,0 +1,88 @@
+"""Line ligaments in plain numpy: tensions, generalised force and stiffness of all at one pose."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.mechanics.equilibria import TRANSITION_STRAIN, Lines
+from identknee.mechanics.placement import Placement
+from identknee.runs.arrays import Array, frozen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LigamentWrench:
+    """What the ligaments do to the tibia at one pose.
+
+    Attributes
+    ----------
+    force
+        Generalised force on (varus, internal [N mm], x, y, z [N]), shape ``(5,)``.
+    stiffness
+        Minus its derivative by the pose, shape ``(5, 5)``: the Hessian of the ligaments' energy.
+    tensions
+        [N], shape ``(m,)``.
+    """
+
+    force: Array
+    stiffness: Array
+    tensions: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "force", frozen(self.force, 5, name="force"))
+        object.__setattr__(self, "stiffness", frozen(self.stiffness, 5, 5, name="stiffness"))
+        object.__setattr__(self, "tensions", frozen(self.tensions, None, name="tensions"))
+
+
+def line_tensions(strain: Array, stiffness: Array) -> tuple[Array, Array]:
+    """Tension [N] at `strain` of lines of `stiffness` [N], and its derivative by strain [N].
+
+    References
+    ----------
+    .. [1] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
+           https://doi.org/10.1115/1.2894883
+
+    Examples
+    --------
+    >>> tension, slope = line_tensions(np.array([-0.1, 0.03, 0.06, 0.1]), np.full(4, 1000.0))
+    >>> tension
+    array([ 0. ,  7.5, 30. , 70. ])
+    """
+    stretched = np.maximum(strain, 0.0)
+    toe = stretched < 2.0 * TRANSITION_STRAIN
+    tension = stiffness * np.where(
+        toe, stretched**2 / (4.0 * TRANSITION_STRAIN), stretched - TRANSITION_STRAIN
+    )
+    slope = stiffness * np.where(toe, stretched / (2.0 * TRANSITION_STRAIN), 1.0)
+    return tension, slope
+
+
+def ligament_wrench(
+    placement: Placement, lines: Lines, stiffness: Array, reference_strain: Array
+) -> LigamentWrench:
+    """Tensions, generalised force and stiffness of the ligaments at a placement of the tibia.
+
+    Parameters
+    ----------
+    placement
+        Where the tibia stands.
+    lines
+        Insertions and reference lengths of the m ligaments.
+    stiffness
+        [N per unit strain], shape ``(m,)``.
+    reference_strain
+        Strain at the reference length [-], shape ``(m,)``.
+    """
+    offset = placement.to_femur(lines.tibial) - lines.femoral
+    length = np.linalg.norm(offset, axis=1)
+    direction = offset / length[:, None]
+    slack_length = lines.reference_length / (1.0 + reference_strain)
+    tension, slope = line_tensions(length / slack_length - 1.0, stiffness)
+    jacobian = placement.jacobian(lines.tibial)
+    lengthening = np.einsum("nai,ni->na", jacobian, direction)
+    turning = tension / length
+    hessian = (
+        np.einsum("n,na,nb->ab", slope / slack_length - turning, lengthening, lengthening)
+        + np.einsum("n,nai,nbi->ab", turning, jacobian, jacobian)
+        + placement.bending(lines.tibial, tension[:, None] * direction)
+    )
+    return LigamentWrench(force=-tension @ lengthening, stiffness=hessian, tensions=tension)

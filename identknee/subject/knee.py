@@ -1,0 +1,150 @@
+"""The knee: surfaces, ligaments and frames of one subject."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from identknee.runs.arrays import Array, frozen
+from identknee.subject.frames import Frame
+from identknee.subject.ligament import Ligament
+from identknee.subject.surface import Surface
+
+Side = Literal["right", "left"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Landmark:
+    """A named place on a bone.
+
+    Attributes
+    ----------
+    name
+        For example ``"hip_centre"``.
+    position
+        In the common frame of the scanned pose [mm], shape ``(3,)``.
+    """
+
+    name: str
+    position: Array
+
+    def __post_init__(self) -> None:
+        place = frozen(self.position, 3, name=f"the landmark {self.name}")
+        if not np.isfinite(place).all():
+            raise ValueError(
+                f"the landmark {self.name} must be finite numbers in mm, got {place.tolist()}"
+            )
+        object.__setattr__(self, "position", place)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Knee:
+    """A subject's knee in the common frame of its scanned pose.
+
+    Everything here describes a right knee: a left one is mirrored when it is read.
+
+    Attributes
+    ----------
+    name, description
+        What the subject is called, and a sentence about it.
+    side
+        The side the subject's data came from.
+    femur
+        Articular surface of the femur.
+    tibia
+        Articular surfaces of the medial and the lateral plateau.
+    ligaments
+        Any number, each with its own name.
+    femur_frame, tibia_frame
+        The bones' frames, moved along with them by the scanner.
+    landmarks
+        Places the frames were made from or are checked against.
+    femur_distance
+        Signed distance [mm] of points ``(n, 3)`` to the femur, negative inside, where a closed form
+        of it is known.
+
+    Raises
+    ------
+    ValueError
+        If the side is unknown, there are not two tibial surfaces or two ligaments share a name.
+    """
+
+    name: str
+    side: Side
+    femur: Surface
+    tibia: tuple[Surface, ...]
+    ligaments: tuple[Ligament, ...]
+    femur_frame: Frame
+    tibia_frame: Frame
+    description: str = ""
+    landmarks: tuple[Landmark, ...] = ()
+    femur_distance: Callable[[Array], Array] | None = None
+
+    def __post_init__(self) -> None:
+        if self.side not in ("right", "left"):
+            raise ValueError(f'side must be "right" or "left", got {self.side!r}')
+        if len(self.tibia) != 2:
+            raise ValueError(
+                f"a knee has a medial and a lateral tibial surface, got {len(self.tibia)}"
+            )
+        names = [x.name for x in self.ligaments]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two ligaments are called {name}; rename one of them")
+        object.__setattr__(self, "tibia", tuple(self.tibia))
+        object.__setattr__(self, "ligaments", tuple(self.ligaments))
+        object.__setattr__(self, "landmarks", tuple(self.landmarks))
+
+    @property
+    def reference_lengths(self) -> Array:
+        """Distance of each ligament's insertions in the scanned pose [mm], ``(n_ligaments,)``."""
+        return np.array([x.length for x in self.ligaments])
+
+    def ligament(self, name: str) -> Ligament:
+        """The ligament called `name`.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        for ligament in self.ligaments:
+            if ligament.name == name:
+                return ligament
+        known = ", ".join(x.name for x in self.ligaments)
+        raise ValueError(f"there is no ligament {name!r}; the ligaments are {known}")
+
+    def with_ligaments(self, ligaments: Sequence[Ligament]) -> "Knee":
+        """A copy with other ligaments."""
+        return replace(self, ligaments=tuple(ligaments))
+
+    def mirrored(self) -> "Knee":
+        """The knee seen in the mirror z = 0, its frames turned so that z is lateral again.
+
+        The same knee in every angle and distance; reading and writing left knees uses it.
+        """
+        distance = self.femur_distance
+        return replace(
+            self,
+            femur=self.femur.mirrored(),
+            tibia=tuple(x.mirrored() for x in self.tibia),
+            ligaments=tuple(x.mirrored() for x in self.ligaments),
+            femur_frame=self.femur_frame.mirrored(),
+            tibia_frame=self.tibia_frame.mirrored(),
+            landmarks=tuple(
+                Landmark(name=x.name, position=x.position * [1.0, 1.0, -1.0])
+                for x in self.landmarks
+            ),
+            femur_distance=None if distance is None else _Mirrored(distance=distance),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Mirrored:
+    """A distance function seen in the mirror z = 0."""
+
+    distance: Callable[[Array], Array]
+
+    def __call__(self, points: Array) -> Array:
+        return self.distance(points * [1.0, 1.0, -1.0])
