@@ -1,1 +1,116 @@
-"""How far can a knee ligament calibration be trusted?"""
+"""Knee ligament calibrations, and how far they can be trusted.
+
+The names below are the whole public interface, in the order of the flow: a subject, its laxity, the
+model of it, the fit, the report. Each is loaded when it is first used.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from identknee.calibrate.bounded import with_bounds
+    from identknee.calibrate.fit import Fit, fit, fit_many, waterfall
+    from identknee.calibrate.problem import Problem
+    from identknee.calibrate.starts import load_start
+    from identknee.laxity.noise import add_noise
+    from identknee.laxity.protocol import Protocol, load_protocol
+    from identknee.laxity.rmse import LaxityError, laxity_rmse
+    from identknee.laxity.table import Laxity, read_laxity, write_laxity
+    from identknee.model.laxity_model import LaxityModel
+    from identknee.model.parameters import Parameters
+    from identknee.model.prediction import Prediction
+    from identknee.model.residuals import LaxityResiduals
+    from identknee.model.simulate import Simulation, simulate
+    from identknee.model.stability import StabilityReport, check_stability
+    from identknee.report.scene import scene
+    from identknee.runs.errors import InputError
+    from identknee.runs.outcome import Outcome
+    from identknee.subject.check import Finding, check_geometry
+    from identknee.subject.folder import read_subject, write_subject
+    from identknee.subject.frames import Frame
+    from identknee.subject.knee import Knee
+    from identknee.subject.ligament import Ligament
+    from identknee.subject.opensim import import_opensim
+    from identknee.subject.reference import reference_knee
+    from identknee.subject.surface import Surface
+
+__all__ = [  # noqa: RUF022 - in the order of the flow
+    "read_subject",
+    "write_subject",
+    "import_opensim",
+    "reference_knee",
+    "Knee",
+    "Surface",
+    "Ligament",
+    "Frame",
+    "check_geometry",
+    "Finding",
+    "load_protocol",
+    "Protocol",
+    "read_laxity",
+    "write_laxity",
+    "Laxity",
+    "add_noise",
+    "laxity_rmse",
+    "LaxityError",
+    "LaxityModel",
+    "Parameters",
+    "simulate",
+    "Simulation",
+    "Prediction",
+    "check_stability",
+    "StabilityReport",
+    "LaxityResiduals",
+    "Problem",
+    "with_bounds",
+    "load_start",
+    "fit",
+    "fit_many",
+    "Fit",
+    "waterfall",
+    "scene",
+    "Outcome",
+    "InputError",
+]
+
+_MODULES = {
+    "subject.folder": ("read_subject", "write_subject"),
+    "subject.opensim": ("import_opensim",),
+    "subject.reference": ("reference_knee",),
+    "subject.knee": ("Knee",),
+    "subject.surface": ("Surface",),
+    "subject.ligament": ("Ligament",),
+    "subject.frames": ("Frame",),
+    "subject.check": ("check_geometry", "Finding"),
+    "laxity.protocol": ("load_protocol", "Protocol"),
+    "laxity.table": ("read_laxity", "write_laxity", "Laxity"),
+    "laxity.noise": ("add_noise",),
+    "laxity.rmse": ("laxity_rmse", "LaxityError"),
+    "model.laxity_model": ("LaxityModel",),
+    "model.parameters": ("Parameters",),
+    "model.simulate": ("simulate", "Simulation"),
+    "model.prediction": ("Prediction",),
+    "model.stability": ("check_stability", "StabilityReport"),
+    "model.residuals": ("LaxityResiduals",),
+    "calibrate.problem": ("Problem",),
+    "calibrate.bounded": ("with_bounds",),
+    "calibrate.starts": ("load_start",),
+    "calibrate.fit": ("fit", "fit_many", "Fit", "waterfall"),
+    "report.scene": ("scene",),
+    "runs.outcome": ("Outcome",),
+    "runs.errors": ("InputError",),
+}
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
+
+
+# Modules are loaded on first use so that `identknee --help` does not wait for compilers.
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'identknee' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"identknee.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -87,7 +87,7 @@ def linear(n: int = 3, m: int = 8, seed: int = 1) -> ClosedForm:
     rng = np.random.default_rng(seed)
     matrix = rng.normal(size=(m, n))
     data = matrix @ rng.uniform(-2, 2, n) + 0.3 * rng.normal(size=m)
-    minimum = np.linalg.solve(matrix.T @ matrix, matrix.T @ data)
+    minimum = np.array(np.linalg.solve(matrix.T @ matrix, matrix.T @ data), dtype=np.float64)
     return ClosedForm(
         name="linear",
         parameters=plain_parameters(n),

@@ -58,14 +58,9 @@ def gauss_newton(
     """
     scales = typical_steps(parameters)
     scaled = jacobian * scales
-    damping = RANK_TOLERANCE * float(np.linalg.norm(scaled, 2))
-    # Damped rows keep the step short along directions that change nothing; a floor keeps the
-    # problem of full rank where nothing changes anything.
-    rows = np.vstack([scaled, max(damping, 1e-150) * np.eye(theta.size)])
     low, high = (parameters.lower - theta) / scales, (parameters.upper - theta) / scales
     solution = scipy.optimize.lsq_linear(
-        rows,
-        np.concatenate([-residuals, np.zeros(theta.size)]),
+        *_condensed(scaled, -residuals),
         bounds=(np.minimum(low, 0.0), np.maximum(high, 0.0)),
         method="bvls",
     )
@@ -83,3 +78,17 @@ def gauss_newton(
         or reduction <= ROUNDING * half_sum_of_squares(residuals),
         gradient_norm=float(np.max(np.abs(gradient) * inward)),
     )
+
+
+def _condensed(matrix: Array, data: Array) -> tuple[Array, Array]:
+    """A square system with the same least-squares solutions, and none where `matrix` has no say.
+
+    Along directions that change nothing, which scipy would follow into rounding, it asks for zero.
+    """
+    n = matrix.shape[1]
+    padded = np.vstack([matrix, np.zeros((n, n))])
+    left, size, right = np.linalg.svd(padded, full_matrices=False)
+    known = size > RANK_TOLERANCE * size[0]
+    wanted = np.where(known, left[: len(data)].T @ data, 0.0)
+    weights = np.where(known, size, max(float(size[0]), 1e-150))
+    return weights[:, None] * right, wanted

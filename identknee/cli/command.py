@@ -4,20 +4,19 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 import typer.core
 
+import identknee as ik
 from identknee.runs.errors import InputError
-
-if TYPE_CHECKING:
-    from identknee.model.laxity_model import LaxityModel
-    from identknee.subject.knee import Knee
+from identknee.runs.files import digest, plain
+from identknee.runs.progress import progress_bar
 
 Result = TypeVar("Result")
 
-DONE, NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 
 Subject = Annotated[
     str, typer.Argument(metavar="SUBJECT", help="A subject folder, or the word reference.")
@@ -74,19 +73,16 @@ def is_our_sentence(error: ValueError) -> bool:
 def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> None:
     """Print the summary as JSON, or the lines for a person."""
     if as_json:
-        from identknee.runs.files import plain
-
         typer.echo(json.dumps(plain(summary), indent=2, ensure_ascii=False, allow_nan=False))
     else:
         typer.echo("\n".join(lines))
 
 
-def warm_up(model: "LaxityModel") -> None:
-    """Compile, or load what was compiled before, so that the time taken later excludes it."""
-    from identknee.runs.progress import progress_bar
-
-    with progress_bar("compiling, once after an installation"):
-        model.with_protocol(model.protocol.select([0])).predict(model.parameters.center)
+def warm_up(knee: "ik.Knee", protocol: "ik.Protocol") -> None:
+    """Compile and build the distance field, or load them, so that times taken later exclude it."""
+    with progress_bar("preparing, longer the first time after an installation"):
+        model = ik.LaxityModel(knee=knee, protocol=protocol.select([0]))
+        model.predict(model.parameters.center)
 
 
 def nested(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
@@ -111,11 +107,12 @@ def timed(function: Callable[[], Result]) -> tuple[Result, float]:
     return result, time.perf_counter() - began
 
 
-def knee_digest(knee: "Knee") -> str:
+def knee_digest(knee: "ik.Knee") -> str:
     """SHA-256 of all numbers of a knee: surfaces, frames and ligaments, wherever they came from."""
-    from identknee.runs.files import digest
-
-    parts = [f"{knee.side} {knee.ligaments}".encode()]
+    parts = [knee.side.encode()]
+    for x in knee.ligaments:
+        numbers = (*x.femur.tolist(), *x.tibia.tolist(), x.stiffness_kN, x.reference_strain_pct)
+        parts.append(f"{x.name} {numbers}".encode())
     for surface in (knee.femur, *knee.tibia):
         parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
     for frame in (knee.femur_frame, knee.tibia_frame):

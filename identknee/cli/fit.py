@@ -1,10 +1,11 @@
 """`identknee fit`: one parameter set from measured laxity and one start."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
+import identknee as ik
 from identknee.cli.command import (
     Continuation,
     Json,
@@ -19,16 +20,11 @@ from identknee.cli.command import (
     warm_up,
 )
 from identknee.cli.values import named_bounds
-
-if TYPE_CHECKING:
-    from identknee.calibrate.fit import Fit
-    from identknee.laxity.rmse import LaxityError
-
+from identknee.runs.files import digest, prepare_folder
+from identknee.runs.record import record
 
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
-Start = Annotated[
-    str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")
-]
+Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]
 Method = Annotated[
     str,
     typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
@@ -73,44 +69,46 @@ def fit(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Fit the ligament parameters of SUBJECT to DATA.csv from one start.
+    """Fit the parameters of SUBJECT to DATA.csv.
 
-    One search is one thread: more workers change nothing.
+    The fitted parameters, the error left and how the search ended go to result.json. One search is
+    one thread: more workers change nothing.
     """
-    from identknee.calibrate.fit import fit as run_fit
-    from identknee.calibrate.starts import load_start
-    from identknee.model.laxity_model import LaxityModel
-    from identknee.runs.files import prepare_folder
-    from identknee.runs.record import record
-    from identknee.subject.folder import read_subject
-
     limits = named_bounds(bounds or [], "--bounds")
     prepare_folder(out)
-    laxity, knee = read_laxity(data), read_subject(subject)
+    laxity, knee = ik.read_laxity(data), ik.read_subject(subject)
     inputs = {"subject": knee_digest(knee), "data": digest(data)}
     recording = record("fit", context.params, inputs, seed)
-    model = LaxityModel(knee=knee, protocol=laxity.protocol, continuation=continuation)
-    residuals = LaxityResiduals(model=model, laxity=laxity, weighting=weighting)
-    problem = with_bounds(residuals, limits)
-    theta = load_start(start, problem.parameters)
-    warm_up(model)
-    found = run_fit(problem, theta, method=method, seed=seed, budget=budget, fixed=fixed or (), priors=priors)
-    prediction = model.predict(found.theta, derivatives=False)
-    error = laxity_rmse(Laxity(protocol=model.protocol, coordinates=prediction.coordinates), laxity)
+    model = ik.LaxityModel(knee=knee, protocol=laxity.protocol, continuation=continuation)
+    residuals = ik.LaxityResiduals(model=model, laxity=laxity, weighting=weighting)
+    problem = ik.with_bounds(residuals, limits)
+    theta = ik.load_start(start, problem.parameters)
+    warm_up(knee, laxity.protocol)
+    found = ik.fit(
+        problem,
+        theta,
+        method=method,
+        seed=seed,
+        budget=budget,
+        fixed=fixed or (),
+        priors=priors,
+    )
+    fitted = ik.Simulation(model=model, prediction=model.predict(found.theta, derivatives=False))
+    error = ik.laxity_rmse(fitted.laxity, laxity)
     # xarray takes a second to load.
     from identknee.report.groups import fit_groups
     from identknee.report.result_files import write_result
 
-    groups = fit_groups(found, model, prediction, laxity)
+    groups = fit_groups(found, fitted, laxity)
     summary = write_result(out, _summary(found, error, start), groups, recording.finish())
     show(summary, _lines(found, error, out), as_json=as_json)
-    if found.outcome is Outcome.START_FAILED:
+    if found.outcome is ik.Outcome.START_FAILED:
         raise NotComputed(
-            f"{found.message} Choose another --start, or see identknee subject check {subject}"
+            f"{found.message} Choose another --start, or see: identknee subject check {subject}"
         )
 
 
-def _summary(found: "Fit", error: "LaxityError", start: str) -> dict[str, Any]:
+def _summary(found: "ik.Fit", error: "ik.LaxityError", start: str) -> dict[str, Any]:
     names = found.parameters.names
     return {
         "outcome": found.outcome.value,
@@ -131,7 +129,7 @@ def _summary(found: "Fit", error: "LaxityError", start: str) -> dict[str, Any]:
     }
 
 
-def _lines(found: "Fit", error: "LaxityError", out: Path) -> list[str]:
+def _lines(found: "ik.Fit", error: "ik.LaxityError", out: Path) -> list[str]:
     width = max(len(name) for name in found.parameters.names)
     lines = [f"{'':{width}}  {'start':>9}  {'fitted':>9}"]
     for name, start, end in zip(found.parameters.names, found.start, found.theta, strict=True):

@@ -45,7 +45,12 @@ class ContactPoints:
     def arrays(self) -> tuple[Array, Array, Array, IntArray]:
         """The points as the kernel takes them."""
         radius = np.array([np.linalg.norm(self.points, axis=1).max()])
-        return self.points, radius, PRESSURE_MODULUS * self.areas, self.compartment
+        return (
+            np.ascontiguousarray(self.points.T),
+            radius,
+            PRESSURE_MODULUS * self.areas,
+            self.compartment,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

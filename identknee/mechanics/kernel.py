@@ -13,7 +13,7 @@ alone, so one set of sums over elements gives gradient and Hessian of the whole.
 All functions live in this one module so that editing one recompiles every caller. Groups of arrays
 travel as tuples, laid out in `identknee.mechanics.equilibria`:
 
-* ``contact``: points (n, 3), their distance from the tibial origin at most (1,), stiffness (n,),
+* ``contact``: points (3, n), their distance from the tibial origin at most (1,), stiffness (n,),
   the compartment each belongs to (n,);
 * ``field``: coefficients (flat), reach (flat), origin (3,), spacing (1,), shape (3,);
 * ``ligaments``: femoral (m, 3) and tibial (m, 3) insertions, properties (m, 4): stiffness [N],
@@ -34,8 +34,8 @@ ROTATION_SCALE = 40.0
 RESIDUAL_TOLERANCE = 3e-6
 SMALLEST_STEP = 1.0 / 1024.0  # of the way from one node of the load path to the next
 LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has left the branch
-BRANCH_ABSOLUTE = 0.15  # mm; disagreement of a step with its end tangents that is always allowed
-BRANCH_RELATIVE = 0.15  # the same, as a share of the step's length
+BRANCH_ABSOLUTE = 0.1  # mm; disagreement of a step with its end tangents that is always allowed
+BRANCH_RELATIVE = 0.25  # the same, as a share of the step's length
 FLOOR_MARGIN = 1e-3  # N/mm; below this stiffness a pose is not unique
 SLACK_RESIDUAL = 1e-3  # N; with less than this and no stiffness, the search would creep on for ever
 MOST_ITERATIONS = 200
@@ -66,26 +66,42 @@ def rotation(flexion, q, R):
 
 
 @compiled
+def place_points(n, points, R, t, field, moved):
+    """Turn n points (columns of `points`) by R; write them (rows 0-2) and their grid places (3-5)."""
+    origin, inverse = field[2], 1.0 / field[3][0]
+    o0, o1, o2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8]
+    for j in range(n):
+        y0, y1, y2 = points[0, j], points[1, j], points[2, j]
+        p0 = r0 * y0 + r1 * y1 + r2 * y2
+        p1 = r3 * y0 + r4 * y1 + r5 * y2
+        p2 = r6 * y0 + r7 * y1 + r8 * y2
+        moved[0, j], moved[1, j], moved[2, j] = p0, p1, p2
+        moved[3, j] = (p0 + o0) * inverse
+        moved[4, j] = (p1 + o1) * inverse
+        moved[5, j] = (p2 + o2) * inverse
+
+
+@compiled
 def list_candidates(R, t, contact, field, work):
     """Copy the points that may touch the femur at this pose or within a cell's width of it."""
     points, stiffness = contact[0], contact[2]
-    reach, origin, spacing, shape = field[1], field[2], field[3], field[4]
-    listed, which, counts, listed_pose = work[2], work[13], work[3], work[4]
+    reach, shape = field[1], field[4]
+    listed, which, counts, listed_pose, moved = work[2], work[13], work[3], work[4], work[14]
     nx, ny, nz = shape[0], shape[1], shape[2]
-    inverse = 1.0 / spacing[0]
-    o0, o1, o2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
+    place_points(points.shape[1], points, R, t, field, moved)
+    last_x, last_y, last_z = nx - 1.0, ny - 1.0, nz - 1.0
     n = 0
-    for i in range(points.shape[0]):
-        y0, y1, y2 = points[i, 0], points[i, 1], points[i, 2]
-        u0 = (R[0] * y0 + R[1] * y1 + R[2] * y2 + o0) * inverse
-        u1 = (R[3] * y0 + R[4] * y1 + R[5] * y2 + o1) * inverse
-        u2 = (R[6] * y0 + R[7] * y1 + R[8] * y2 + o2) * inverse
-        if u0 >= 0.0 and u1 >= 0.0 and u2 >= 0.0 and u0 < nx and u1 < ny and u2 < nz:
-            if reach[(int(u0) * ny + int(u1)) * nz + int(u2)] != 0:
-                listed[0, n], listed[1, n], listed[2, n] = y0, y1, y2
-                listed[3, n] = stiffness[i]
-                which[n] = i
-                n += 1
+    # Without branches: whether a point is near cannot be predicted. Cells at the grid's faces are
+    # not, so that points beyond them may be looked up there.
+    for i in range(points.shape[1]):
+        ix = int(min(max(moved[3, i], 0.0), last_x))
+        iy = int(min(max(moved[4, i], 0.0), last_y))
+        iz = int(min(max(moved[5, i], 0.0), last_z))
+        listed[0, n], listed[1, n], listed[2, n] = points[0, i], points[1, i], points[2, i]
+        listed[3, n] = stiffness[i]
+        which[n] = i
+        n += reach[(ix * ny + iy) * nz + iz] >= IS_NEAR
     counts[0] = n
     counts[3] += 1
     for j in range(9):
@@ -112,21 +128,12 @@ def list_is_valid(R, t, radius, spacing, work):
 @compiled
 def contact_elements(R, t, field, work):
     """Write an element for every point that may touch the femur; return their number and energy."""
-    coefficients, reach, origin, spacing, shape = field
+    coefficients, reach, shape = field[0], field[1], field[4]
     elements, fractions, listed, counts, cells = work[0], work[1], work[2], work[3], work[5]
     touching, which, moved = work[12], work[13], work[14]
     ny, nz = shape[1], shape[2]
     stride_x, stride_y = ny * nz, nz
-    inverse = 1.0 / spacing[0]
-    o0, o1, o2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
-    for j in range(counts[0]):
-        y0, y1, y2 = listed[0, j], listed[1, j], listed[2, j]
-        moved[0, j] = R[0] * y0 + R[1] * y1 + R[2] * y2
-        moved[1, j] = R[3] * y0 + R[4] * y1 + R[5] * y2
-        moved[2, j] = R[6] * y0 + R[7] * y1 + R[8] * y2
-        moved[3, j] = (moved[0, j] + o0) * inverse
-        moved[4, j] = (moved[1, j] + o1) * inverse
-        moved[5, j] = (moved[2, j] + o2) * inverse
+    place_points(counts[0], listed, R, t, field, moved)
     n = 0
     for j in range(counts[0]):
         # Listed points stay inside the grid: cells near its faces hold no contact and are not near.
@@ -134,43 +141,44 @@ def contact_elements(R, t, field, work):
         cell = ix * stride_x + iy * stride_y + iz
         u0, u1, u2 = moved[3, j] - ix, moved[4, j] - iy, moved[5, j] - iz
         eighth = 4 * int(u0 + u0) + 2 * int(u1 + u1) + int(u2 + u2)
-        if (reach[cell] >> eighth) & 1:
-            cells[n] = cell - stride_x - stride_y - 1
-            fractions[0, n], fractions[1, n], fractions[2, n] = u0, u1, u2
-            fractions[3, n] = listed[3, j]
-            elements[0, n], elements[1, n], elements[2, n] = moved[0, j], moved[1, j], moved[2, j]
-            touching[n] = which[j]
-            n += 1
+        cells[n] = cell - stride_x - stride_y - 1
+        fractions[0, n], fractions[1, n], fractions[2, n] = u0, u1, u2
+        fractions[3, n] = listed[3, j]
+        elements[0, n], elements[1, n], elements[2, n] = moved[0, j], moved[1, j], moved[2, j]
+        touching[n] = which[j]
+        n += (reach[cell] >> eighth) & 1
+    inverse = 1.0 / field[3][0]
     return n, spline_elements(n, coefficients, stride_x, stride_y, inverse, work)
 
 
 @compiled
-def spline_weights(u, weights, first):
+def spline_weights(u, weights, i, first):
     """Write the cubic B-spline weights at the place u in a cell, and their two derivatives."""
     a = 1.0 - u
     w0, w3 = a * a * a / 6.0, u * u * u / 6.0
     w1 = (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0
-    weights[first], weights[first + 1] = w0, w1
-    weights[first + 2], weights[first + 3] = 1.0 - w0 - w1 - w3, w3
+    weights[i, first], weights[i, first + 1] = w0, w1
+    weights[i, first + 2], weights[i, first + 3] = 1.0 - w0 - w1 - w3, w3
     d0, d3 = -a * a / 2.0, u * u / 2.0
     d1 = (3.0 * u * u - 4.0 * u) / 2.0
-    weights[first + 4], weights[first + 5] = d0, d1
-    weights[first + 6], weights[first + 7] = -d0 - d1 - d3, d3
-    weights[first + 8], weights[first + 9] = a, 3.0 * u - 2.0
-    weights[first + 10], weights[first + 11] = 1.0 - 3.0 * u, u
+    weights[i, first + 4], weights[i, first + 5] = d0, d1
+    weights[i, first + 6], weights[i, first + 7] = -d0 - d1 - d3, d3
+    weights[i, first + 8], weights[i, first + 9] = a, 3.0 * u - 2.0
+    weights[i, first + 10], weights[i, first + 11] = 1.0 - 3.0 * u, u
 
 
 @compiled
 def spline_elements(n, coefficients, stride_x, stride_y, inverse, work):
     """Write f and D of n contact points from the distance spline; return their energy."""
     elements, fractions, cells, weights = work[0], work[1], work[5], work[15]
+    for i in range(n):
+        spline_weights(fractions[0, i], weights, i, 0)
+        spline_weights(fractions[1, i], weights, i, 12)
+        spline_weights(fractions[2, i], weights, i, 24)
     energy = 0.0
     for i in range(n):
-        spline_weights(fractions[0, i], weights, 0)
-        spline_weights(fractions[1, i], weights, 12)
-        spline_weights(fractions[2, i], weights, 24)
         d, gx, gy, gz, hxx, hyy, hzz, hxy, hxz, hyz = spline_at(
-            coefficients, cells[i], stride_x, stride_y, weights
+            coefficients, cells[i], stride_x, stride_y, weights, i
         )
         spring = fractions[3, i] if d < 0.0 else 0.0
         energy += 0.5 * spring * d * d
@@ -553,80 +561,80 @@ def tangent(H, h, load_change, flexion_change, L, right, step):
 
 @compiled
 def off_branch(before, after, tangent_before, tangent_after, share):
-    """Whether a step disagrees with its end tangents more than a smooth branch would [true/false]."""
-    off, length = 0.0, 0.0
+    """Whether a step disagrees with the tangents at its ends more than a smooth branch would.
+
+    The disagreement is weighed against the way the tangents explain, of which a jump is no part.
+    """
+    off, length, explained = 0.0, 0.0, 0.0
     for i in range(5):
         change = after[i] - before[i]
-        error = change - 0.5 * share * (tangent_before[i] + tangent_after[i])
-        off += (error * scale_of(i)) ** 2
+        mean = 0.5 * share * (tangent_before[i] + tangent_after[i])
+        off += ((change - mean) * scale_of(i)) ** 2
         length += (change * scale_of(i)) ** 2
-    return math.sqrt(off) > BRANCH_ABSOLUTE + BRANCH_RELATIVE * math.sqrt(length)
+        explained += (mean * scale_of(i)) ** 2
+    allowed = BRANCH_ABSOLUTE + BRANCH_RELATIVE * math.sqrt(min(length, explained))
+    return math.sqrt(off) > allowed
 
 
 @compiled
-def follow(path, q, H, h, hint, hinted, contact, field, ligaments, work, g):
+def copy_state(q, H, h, slope, q_to, H_to, h_to, slope_to):
+    """Copy an equilibrium: pose, Hessian, d gradient / d flexion and tangent."""
+    for i in range(5):
+        q_to[i], h_to[i], slope_to[i] = q[i], h[i], slope[i]
+        for j in range(5):
+            H_to[i, j] = H[i, j]
+
+
+@compiled
+def follow(path, q, H, h, guess, guessed, contact, field, ligaments, work, g):
     """Follow the branch of equilibria from one end of a straight load path to the other.
 
     `path` holds flexion (2), load before (5), load after (5). q, H and h are those of the state
     before and become those of the state after, or of the last stable state reached. A step is
     accepted when it agrees with the tangents at both of its ends, else it is halved: on a smooth
-    branch the disagreement vanishes with the step, across a jump it stays. `hint` is a pose to try
-    at the share `hinted` of the path (negative for none); a pose that was found too far away for one
-    step is tried again from closer by.
+    branch the disagreement vanishes with the step, across a jump it stays. A state found too far
+    away for one step is kept and looked at again from closer by. `guess` is a pose to try first at
+    the path's end, if `guessed`.
 
     Returns (outcome, share of the path reached, residual, number of solves).
     """
     L, minus_g = work[10][0], work[10][1]
-    q_new, H_new, h_new, load, change, before, after = work[11]
+    q_new, H_new, h_new, after, q_far, H_far, h_far, after_far, load, change, before = work[11]
     flexion_change = path[1] - path[0]
     for i in range(5):
         change[i] = path[7 + i] - path[2 + i]
-    reached, share, residual, solves, own_hint = 0.0, 1.0, 0.0, 0, False
+    reached, share, far, residual, solves = 0.0, 1.0, -1.0, 0.0, 0
     tangent(H, h, change, flexion_change, L, minus_g, before)
     while reached < 1.0:
         share = min(share, 1.0 - reached)
         goal = reached + share
-        try_hint = abs(goal - hinted) < 0.5 * SMALLEST_STEP
-        for i in range(5):
-            q_new[i] = hint[i] if try_hint else q[i] + share * before[i]
-            load[i] = path[2 + i] + goal * change[i]
-        outcome, residual = find_minimum(
-            path[0] + goal * flexion_change,
-            q_new,
-            load,
-            LARGEST_MOVE,
-            contact,
-            field,
-            ligaments,
-            work,
-            g,
-            H_new,
-            h_new,
-        )
-        solves += 1
-        if outcome == CONVERGED:
-            tangent(H_new, h_new, change, flexion_change, L, minus_g, after)
-            if not off_branch(q, q_new, before, after, share):
-                reached = goal
-                share *= 2.0
-                for i in range(5):
-                    q[i] = q_new[i]
-                    h[i] = h_new[i]
-                    before[i] = after[i]
-                    for j in range(5):
-                        H[i, j] = H_new[i, j]
-                continue
-        if try_hint and not own_hint:
-            hinted = -1.0
-            continue
-        if outcome == CONVERGED and not try_hint:
-            hinted, own_hint = goal, True
+        outcome = CONVERGED
+        if goal == far:
+            copy_state(q_far, H_far, h_far, after_far, q_new, H_new, h_new, after)
+        else:
             for i in range(5):
-                hint[i] = q_new[i]
-        share *= 0.5
-        if share < SMALLEST_STEP:
-            free = not factorise(H, -10.0 * FLOOR_MARGIN, L)
-            return UNCONSTRAINED if free else FOLD, reached, residual, solves
+                q_new[i] = guess[i] if guessed else q[i] + share * before[i]
+                load[i] = path[2 + i] + goal * change[i]
+            angle = path[0] + goal * flexion_change
+            outcome, residual = find_minimum(
+                angle, q_new, load, LARGEST_MOVE, contact, field, ligaments, work, g, H_new, h_new
+            )
+            solves += 1
+            tangent(H_new, h_new, change, flexion_change, L, minus_g, after)
+        if outcome == CONVERGED and not off_branch(q, q_new, before, after, share):
+            copy_state(q_new, H_new, h_new, after, q, H, h, before)
+            reached = goal
+            share *= 2.0
+        elif guessed:
+            guessed = False
+        else:
+            if outcome == CONVERGED and goal != far:
+                copy_state(q_new, H_new, h_new, after, q_far, H_far, h_far, after_far)
+                far = goal
+            share *= 0.5
+            if share < SMALLEST_STEP:
+                free = not factorise(H, -10.0 * FLOOR_MARGIN, L)
+                return UNCONSTRAINED if free else FOLD, reached, residual, solves
     return CONVERGED, 1.0, residual, solves
 
 
@@ -700,7 +708,7 @@ def contact_centres(contact, work, centres):
         force = math.sqrt(elements[3, n] ** 2 + elements[4, n] ** 2 + elements[5, n] ** 2)
         centres[c, 0] += force
         for k in range(3):
-            centres[c, 1 + k] += force * points[i, k]
+            centres[c, 1 + k] += force * points[k, i]
             centres[c, 4 + k] += force * (elements[k, n] + t[k])
     for c in range(centres.shape[0]):
         if centres[c, 0] > 0.0:
@@ -711,7 +719,7 @@ def contact_centres(contact, work, centres):
 @compiled
 def workspace(n_points, n_ligaments):
     """Memory for one thread's work, allocated once a simulation."""
-    n = n_points + n_ligaments
+    n = n_points + n_ligaments + 1
     counts = np.zeros(4, np.int64)
     counts[0] = -1
     solver = (
@@ -725,6 +733,10 @@ def workspace(n_points, n_ligaments):
         np.zeros(5),
     )
     path = (
+        np.zeros(5),
+        np.zeros((5, 5)),
+        np.zeros(5),
+        np.zeros(5),
         np.zeros(5),
         np.zeros((5, 5)),
         np.zeros(5),
@@ -749,7 +761,7 @@ def workspace(n_points, n_ligaments):
         np.zeros(n, np.int64),  # 12 point of each contact element
         np.zeros(n, np.int64),  # 13 point of each listed one
         np.zeros((6, n)),  # 14 listed points, turned; their place in the grid
-        np.zeros(36),  # 15 spline weights
+        np.zeros((n, 36)),  # 15 spline weights
     )
 
 
@@ -764,10 +776,9 @@ def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, d
     """
     flexion, loads, parent = nodes
     poses, hessians, slopes, outcomes, residuals, reached, flexed, solves, centres = results
-    work = workspace(contact[0].shape[0], ligaments[0].shape[0])
+    work = workspace(contact[0].shape[1], ligaments[0].shape[0])
     g, q, H, h = np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-    hinted = 1.0 if has_guess else -1.0
-    path, hint = np.zeros(12), np.zeros(5)
+    path = np.zeros(12)
     columns = np.zeros((5, 2 * ligaments[0].shape[0]))
     for n in range(flexion.shape[0]):
         before = parent[n]
@@ -783,7 +794,6 @@ def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, d
             for i in range(5):
                 q[i] = poses[before, i]
                 h[i] = flexed[before, i]
-                hint[i] = guesses[n, i]
                 path[2 + i] = loads[before, i]
                 path[7 + i] = loads[n, i]
                 for j in range(5):
@@ -793,7 +803,7 @@ def simulate_path(nodes, start, guesses, has_guess, contact, field, ligaments, d
             reached[n] = 0.0
             if outcome == CONVERGED:
                 outcome, reached[n], residuals[n], solves[n] = follow(
-                    path, q, H, h, hint, hinted, contact, field, ligaments, work, g
+                    path, q, H, h, guesses[n], has_guess, contact, field, ligaments, work, g
                 )
         outcomes[n] = outcome
         for i in range(5):

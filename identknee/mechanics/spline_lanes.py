@@ -22,15 +22,15 @@ _RESULTS = ((0, 0), (1, 0), (3, 0), (0, 1), (2, 0), (5, 0), (0, 2), (4, 0), (1, 
 
 @intrinsic
 def spline_at(  # type: ignore[no-untyped-def]
-    _typing, coefficients, first, stride_x, stride_y, weights
+    _typing, coefficients, first, stride_x, stride_y, weights, row
 ):
     """The spline's value and derivatives (10), in units of the grid.
 
-    `first` is where the 4 x 4 x 4 coefficients of the cell begin; `weights` (36) holds, for x, y
-    and z, the four weights of the value, of the first and of the second derivative.
+    `first` is where the 4 x 4 x 4 coefficients of the cell begin; row `row` of `weights` (n, 36)
+    holds, for x, y and z, the four weights of the value, of the first and of the second derivative.
     """
     signature = types.UniTuple(types.float64, 10)(
-        coefficients, first, stride_x, stride_y, weights
+        coefficients, first, stride_x, stride_y, weights, row
     )
     return signature, _generate
 
@@ -40,7 +40,8 @@ def _generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any
         array = context.make_array(signature.args[position])
         return array(context, builder, arguments[position]).data
 
-    coefficients, weights = address(0), address(4)
+    start = builder.mul(arguments[5], ir.Constant(_INDEX, 36))
+    coefficients, weights = address(0), builder.gep(address(4), [start])
 
     def load(start: Any, offset: Any) -> Any:
         pointer = builder.bitcast(builder.gep(start, [offset]), _LANES.as_pointer())

@@ -183,7 +183,7 @@ def _findings(report: StabilityReport, model: LaxityModel) -> tuple[Finding, ...
 def _own_finding(report: StabilityReport, protocol: str) -> Finding:
     n = len(report.trials)
     if report.n_converged < n:
-        ended = Counter(x for x in report.outcomes if x is not Outcome.CONVERGED)
+        ended: Counter[Outcome] = Counter(x for x in report.outcomes if x is not Outcome.CONVERGED)
         first = next(i for i, x in enumerate(report.outcomes) if x is not Outcome.CONVERGED)
         return Finding(
             severity="error",
@@ -219,7 +219,9 @@ def _own_finding(report: StabilityReport, protocol: str) -> Finding:
 
 def _box_finding(report: StabilityReport, protocol: str) -> Finding:
     share = report.converged_share
-    failed = {k: v for k, v in report.box_outcomes.items() if k is not Outcome.CONVERGED}
+    failed: dict[Outcome, int] = {
+        end: n for end, n in report.box_outcomes.items() if end is not Outcome.CONVERGED
+    }
     n_failed = sum(bool(np.isnan(x)) for x in report.box_margins)
     is_low = share < ENOUGH_CONVERGED
     ended = f" ({_counted(failed)})" if failed else ""

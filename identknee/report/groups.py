@@ -8,33 +8,30 @@ import xarray
 from identknee.calibrate.fit import Fit
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.model.simulate import Simulation
 from identknee.model.stability import StabilityReport
 from identknee.subject.knee import Knee
 
 Groups = Mapping[str, xarray.Dataset]
 
 
-def simulation_groups(
-    model: LaxityModel, prediction: Prediction, noisy: Laxity | None = None
-) -> Groups:
+def simulation_groups(simulation: Simulation, noisy: Laxity | None = None) -> Groups:
     """Groups ``constant_data`` and ``predictions``; ``observed_data`` where there is noise."""
     groups = {
-        "constant_data": _constant_data(model.protocol),
-        "predictions": _predictions(model, prediction),
+        "constant_data": _constant_data(simulation.model.protocol),
+        "predictions": _predictions(simulation),
     }
     if noisy is not None:
         groups["observed_data"] = _observed_data(noisy)
     return groups
 
 
-def fit_groups(fit: Fit, model: LaxityModel, prediction: Prediction, laxity: Laxity) -> Groups:
+def fit_groups(fit: Fit, fitted: Simulation, laxity: Laxity) -> Groups:
     """Groups ``constant_data``, ``observed_data``, ``predictions`` and ``optimization``."""
     return {
-        "constant_data": _constant_data(model.protocol),
+        "constant_data": _constant_data(laxity.protocol),
         "observed_data": _observed_data(laxity),
-        "predictions": _predictions(model, prediction),
+        "predictions": _predictions(fitted),
         "optimization": optimization(fit),
     }
 
@@ -92,7 +89,10 @@ def optimization(fit: Fit) -> xarray.Dataset:
 
 def _constant_data(protocol: Protocol) -> xarray.Dataset:
     return xarray.Dataset(
-        {"flexion_deg": ("trial", protocol.flexion_deg), "loads": (("trial", "load"), protocol.loads)},
+        {
+            "flexion_deg": ("trial", protocol.flexion_deg),
+            "loads": (("trial", "load"), protocol.loads),
+        },
         coords={"trial": list(protocol.trials), "load": list(LOADS)},
         attrs={"protocol": protocol.name},
     )
@@ -113,7 +113,8 @@ def _observed_data(laxity: Laxity) -> xarray.Dataset:
     )
 
 
-def _predictions(model: LaxityModel, prediction: Prediction) -> xarray.Dataset:
+def _predictions(simulation: Simulation) -> xarray.Dataset:
+    model, prediction = simulation.model, simulation.prediction
     return xarray.Dataset(
         {
             "coordinates": (("trial", "coordinate"), prediction.coordinates),

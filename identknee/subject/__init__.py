@@ -1,1 +1,1 @@
-"""The nouns a user brings: surfaces, frames, ligaments, the knee, and the readers that make them."""
+"""The nouns a user brings: surfaces, frames, ligaments, the knee, and the readers of them."""

@@ -31,13 +31,13 @@ class Ligament:
     name: str
     femur: Array
     tibia: Array
-    stiffness_kN: float
+    stiffness_kN: float  # noqa: N815 - the key in files
     reference_strain_pct: float
 
     def __post_init__(self) -> None:
         if not self.name or self.name != self.name.strip() or set(self.name) & set(".,=\"'\n\r\t"):
             raise ValueError(
-                f"a ligament needs a name without . , = or quotes in it, got {self.name!r}; rename it"
+                f"a ligament needs a name without . , = or quotes, got {self.name!r}; rename it"
             )
         for bone in ("femur", "tibia"):
             place = frozen(getattr(self, bone), 3, name=f"the {bone} insertion of {self.name}")
@@ -49,12 +49,13 @@ class Ligament:
             object.__setattr__(self, bone, place)
         if self.length == 0.0:
             raise ValueError(
-                f"{self.name} has length zero: its insertions coincide at {self.femur.tolist()} mm; "
+                f"{self.name} has length zero: both insertions lie at {self.femur.tolist()} mm; "
                 "give two different points"
             )
         if not 0.0 <= self.stiffness_kN < np.inf:
             raise ValueError(
-                f"the stiffness of {self.name} must be finite and >= 0 kN, got {self.stiffness_kN:g}"
+                f"the stiffness of {self.name} must be finite and >= 0 kN, "
+                f"got {self.stiffness_kN:g}"
             )
         if not -100.0 < self.reference_strain_pct < np.inf:
             raise ValueError(

@@ -93,10 +93,6 @@ class Surface:
         """A copy seen in the mirror z = 0; its normals still point outward."""
         return Surface(vertices=self.vertices * [1.0, 1.0, -1.0], faces=self.faces[:, ::-1])
 
-    def flipped(self) -> "Surface":
-        """A copy whose normals point the other way."""
-        return Surface(vertices=self.vertices, faces=self.faces[:, ::-1])
-
 
 def joined(*surfaces: Surface) -> Surface:
     """One surface that holds all of them, none of them connected with another."""

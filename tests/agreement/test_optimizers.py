@@ -10,8 +10,9 @@ from identknee.runs.outcome import Outcome
 pytest.importorskip("cma")
 pytest.importorskip("pymoo")
 
-# How much above the minimum a method may end: about three times the worst of ten seeds, measured.
-# Annealing and the genetic algorithm refine slowly; the eight springs have a sloppy valley.
+# How much above the minimum a method may end: two to three times the worst of ten seeds, measured.
+# Annealing and the genetic algorithm refine slowly; the eight springs have a sloppy valley, and
+# Rosenbrock's (12 at its start) holds annealing up in two runs of ten.
 ABOVE_MINIMUM = {
     "least-squares": {
         "linear": 1e-15,
@@ -23,26 +24,26 @@ ABOVE_MINIMUM = {
     "genetic": {"linear": 0.006, "rosenbrock": 0.15, "active bounds": 3e-6, "springs": 0.2},
     "particle-swarm": {"linear": 1e-9, "rosenbrock": 4e-4, "active bounds": 1e-9, "springs": 0.1},
     "cma-es": {"linear": 5e-7, "rosenbrock": 3e-8, "active bounds": 2e-6, "springs": 6e-8},
-    "annealing": {"linear": 1e-5, "rosenbrock": 0.4, "active bounds": 1e-4, "springs": 0.2},
+    "annealing": {"linear": 1e-5, "rosenbrock": 5.0, "active bounds": 4e-6, "springs": 1.0},
 }
 PROBLEMS = {problem.name.removeprefix("sloppy "): problem for problem in EASY}
 PAIRS = [(method, name) for method, names in ABOVE_MINIMUM.items() for name in names]
 
 
-def test_every_method_is_here():
+def test_every_method_is_here() -> None:
     assert set(ABOVE_MINIMUM) == set(METHODS)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("method", "name"), PAIRS)
-def test_ends_near_the_minimum(method, name, seed):
+def test_ends_near_the_minimum(method: str, name: str, seed: int) -> None:
     problem = PROBLEMS[name]
     end = fit(problem, problem.start, method=method, seed=seed)
     assert end.objective <= problem.lowest + ABOVE_MINIMUM[method][name]
     assert end.outcome in {Outcome.MINIMUM, Outcome.SPREAD, Outcome.BUDGET}
 
 
-def test_complex_knows_no_bound_but_the_floor_of_stiffnesses():
+def test_complex_knows_no_bound_but_the_floor_of_stiffnesses() -> None:
     problem = PROBLEMS["active bounds"]
     end = fit(problem, problem.start, method="complex")
     # Without its bounds the problem has the minimum 0 at (-1, 2, 9).
@@ -50,7 +51,7 @@ def test_complex_knows_no_bound_but_the_floor_of_stiffnesses():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_same_seed_gives_the_same_fit(method):
+def test_the_same_seed_gives_the_same_fit(method: str) -> None:
     problem = sloppy_springs()
     first, second = (fit(problem, problem.start, method=method, budget=300) for _ in range(2))
     np.testing.assert_array_equal(first.theta, second.theta)
@@ -58,7 +59,7 @@ def test_the_same_seed_gives_the_same_fit(method):
 
 
 @pytest.mark.parametrize("method", [method for method in METHODS if method != "least-squares"])
-def test_another_seed_gives_another_search(method):
+def test_another_seed_gives_another_search(method: str) -> None:
     problem = sloppy_springs()
     first, second = (
         fit(problem, problem.start, method=method, seed=seed, budget=100) for seed in (0, 1)
@@ -67,7 +68,7 @@ def test_another_seed_gives_another_search(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_budget_is_kept_exactly_and_the_result_is_consistent(method):
+def test_the_budget_is_kept_exactly_and_the_result_is_consistent(method: str) -> None:
     problem = sloppy_springs()
     end = fit(problem, problem.start, method=method, budget=57)
     assert end.n_simulations <= 57
@@ -82,7 +83,7 @@ def test_the_budget_is_kept_exactly_and_the_result_is_consistent(method):
 
 
 @pytest.mark.parametrize("method", [method for method in METHODS if method != "complex"])
-def test_bounds_hold(method):
+def test_bounds_hold(method: str) -> None:
     problem = PROBLEMS["active bounds"]
     end = fit(problem, problem.start, method=method, budget=400)
     assert np.all(end.theta >= problem.parameters.lower)
@@ -90,7 +91,7 @@ def test_bounds_hold(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_infinite_objectives_are_survived(method):
+def test_infinite_objectives_are_survived(method: str) -> None:
     cliff = disc_in_the_way()
     # A box that the disc cuts into: some of the first candidates have no prediction.
     end = fit(cliff, [-2.5, 0.3], method=method)
@@ -101,7 +102,7 @@ def test_infinite_objectives_are_survived(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_fixed_parameters_and_priors_work_for_all(method):
+def test_fixed_parameters_and_priors_work_for_all(method: str) -> None:
     problem = linear()
     held = problem.parameters.names[1]
     end = fit(problem, problem.start, method=method, fixed=(held,), priors=True, budget=300)

@@ -1,9 +1,14 @@
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from problems import IG2, IG4, linear, sloppy_springs
 
 from identknee.calibrate.complex import Complex, minimise_by_complex
 from identknee.calibrate.objective import Objective
+from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
 START = np.array([5.0, 0.5])
@@ -11,7 +16,7 @@ HALF_WIDTHS = np.array([2.0, 3.0])
 NO_FLOORS = np.full(2, -np.inf)
 
 
-def a_complex(floors=NO_FLOORS, seed=3):
+def a_complex(floors: ArrayLike = NO_FLOORS, seed: int = 3) -> Complex:
     return Complex(
         start=START,
         half_widths=HALF_WIDTHS,
@@ -20,7 +25,7 @@ def a_complex(floors=NO_FLOORS, seed=3):
     )
 
 
-def told_first(search, worst=7):
+def told_first(search: Complex, worst: int = 7) -> tuple[Array, Array]:
     """First candidates, told that number `worst` is the worst, and the centroid of the others."""
     first = np.array(search.ask())
     values = np.linspace(1.0, 2.0, 20)
@@ -29,7 +34,7 @@ def told_first(search, worst=7):
     return first, np.delete(first, worst, axis=0).mean(axis=0)
 
 
-def test_first_candidates_are_twenty_from_the_box_around_the_start():
+def test_first_candidates_are_twenty_from_the_box_around_the_start() -> None:
     first = a_complex().ask()
     assert first.shape == (20, 2)
     assert np.all(np.abs(first - START) <= HALF_WIDTHS)
@@ -37,14 +42,14 @@ def test_first_candidates_are_twenty_from_the_box_around_the_start():
     assert not np.any(np.all(first == START, axis=1)), "the start is no member"
 
 
-def test_the_worst_is_reflected_by_nine_tenths():
+def test_the_worst_is_reflected_by_nine_tenths() -> None:
     search = a_complex()
     first, centroid = told_first(search)
     expected = centroid + 0.9 * (centroid - first[7])
     np.testing.assert_allclose(search.ask(), expected[None], rtol=1e-14)
 
 
-def test_an_improved_candidate_takes_the_place_of_the_worst():
+def test_an_improved_candidate_takes_the_place_of_the_worst() -> None:
     search = a_complex()
     told_first(search)
     reflected = np.array(search.ask()[0])
@@ -57,7 +62,7 @@ def test_an_improved_candidate_takes_the_place_of_the_worst():
     )
 
 
-def test_four_halvings_then_a_new_candidate_from_the_box():
+def test_four_halvings_then_a_new_candidate_from_the_box() -> None:
     search = a_complex()
     _, centroid = told_first(search)
     reflected = np.array(search.ask()[0])
@@ -77,7 +82,7 @@ def test_four_halvings_then_a_new_candidate_from_the_box():
     np.testing.assert_allclose(search.ask()[0], centroid + 0.9 * (centroid - new), rtol=1e-14)
 
 
-def test_replacement_comes_from_the_starts_box_wherever_the_population_is():
+def test_replacement_comes_from_the_starts_box_wherever_the_population_is() -> None:
     search = a_complex()
     told_first(search)
     # Downhill without an end: each reflected candidate is better, and the complex wanders off.
@@ -89,7 +94,7 @@ def test_replacement_comes_from_the_starts_box_wherever_the_population_is():
     assert np.all(np.abs(search.ask()[0] - START) <= HALF_WIDTHS)
 
 
-def test_no_prediction_is_no_improvement_even_among_such():
+def test_no_prediction_is_no_improvement_even_among_such() -> None:
     search = a_complex()
     search.ask()
     search.tell(np.full(20, np.inf))
@@ -98,7 +103,7 @@ def test_no_prediction_is_no_improvement_even_among_such():
     np.testing.assert_allclose(search.ask()[0], (reflected + centroid) / 2, rtol=1e-14)
 
 
-def test_floors_hold_for_first_reflected_and_new_candidates():
+def test_floors_hold_for_first_reflected_and_new_candidates() -> None:
     floors = np.array([4.5, -np.inf])
     search = a_complex(floors)
     lowest = []
@@ -110,14 +115,21 @@ def test_floors_hold_for_first_reflected_and_new_candidates():
     assert search.population[:, 1].min() < START[1], "the other one has no floor"
 
 
-def slow_complex(objective, start, half_widths, floor, rng, budget):
+def slow_complex(
+    objective: Callable[[Array], float],
+    start: Array,
+    half_widths: Array,
+    floor: Array,
+    rng: np.random.Generator,
+    budget: int,
+) -> Array:
     """The method again as one loop: the oracle."""
-    trail = []
+    trail: list[Array] = []
 
-    def new():
+    def new() -> Array:
         return np.maximum(rng.uniform(start - half_widths, start + half_widths), floor)
 
-    def evaluate(point):
+    def evaluate(point: Array) -> float:
         trail.append(np.array(point))
         return objective(point)
 
@@ -143,15 +155,15 @@ def slow_complex(objective, start, half_widths, floor, rng, budget):
 
 
 @pytest.mark.parametrize("start", [IG2, IG4], ids=["IG2", "IG4"])
-def test_follows_the_same_trail_as_a_plain_loop(start):
+def test_follows_the_same_trail_as_a_plain_loop(start: Any) -> None:
     problem = sloppy_springs()
-    trail = []
+    trail: list[Array] = []
 
     class Recorded:
         parameters = problem.parameters
         jacobian = problem.jacobian
 
-        def residuals(self, theta):
+        def residuals(self, theta: Array) -> Array:
             trail.append(np.array(theta))
             return problem.residuals(theta)
 
@@ -168,10 +180,11 @@ def test_follows_the_same_trail_as_a_plain_loop(start):
     np.testing.assert_allclose(np.array(trail)[:600], expected[:600], rtol=1e-6)
 
 
-def test_stops_by_spread_and_not_before():
+def test_stops_by_spread_and_not_before() -> None:
     problem = linear()
     objective = Objective(problem, budget=2500)
     outcome = minimise_by_complex(objective, problem.start, np.random.default_rng(0))
     assert outcome is Outcome.SPREAD
     # All twenty candidates lie within 1e-3 in each parameter, hence the best one near the minimum.
+    assert objective.best_theta is not None
     assert np.max(np.abs(objective.best_theta - problem.minimum)) < 1e-3

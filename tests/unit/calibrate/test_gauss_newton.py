@@ -1,17 +1,18 @@
 import numpy as np
 import pytest
-from problems import active_bounds, linear
+from problems import ClosedForm, active_bounds, linear
 
-from identknee.calibrate.gauss_newton import gauss_newton
+from identknee.calibrate.gauss_newton import GaussNewton, gauss_newton
+from identknee.runs.arrays import Array
 
 
-def at(problem, theta):
+def at(problem: ClosedForm, theta: Array) -> GaussNewton:
     return gauss_newton(
         theta, problem.residuals(theta), problem.jacobian(theta), problem.parameters
     )
 
 
-def test_one_step_solves_a_linear_problem():
+def test_one_step_solves_a_linear_problem() -> None:
     problem = linear()
     step = at(problem, problem.start)
     np.testing.assert_allclose(problem.start + step.step, problem.minimum, rtol=1e-12)
@@ -22,7 +23,7 @@ def test_one_step_solves_a_linear_problem():
     assert at(problem, problem.minimum).is_stationary
 
 
-def test_active_bounds_are_not_left():
+def test_active_bounds_are_not_left() -> None:
     problem = active_bounds()
     end = at(problem, problem.minimum)
     assert end.is_stationary
@@ -33,7 +34,7 @@ def test_active_bounds_are_not_left():
     assert landed[2] == pytest.approx(5.0, rel=1e-15)
 
 
-def test_a_gradient_that_leads_inward_counts_at_a_bound():
+def test_a_gradient_that_leads_inward_counts_at_a_bound() -> None:
     problem = active_bounds()
     theta = np.array([0.0, 1.0, 0.0])
     end = at(problem, theta)
@@ -43,7 +44,7 @@ def test_a_gradient_that_leads_inward_counts_at_a_bound():
 
 
 @pytest.mark.parametrize("null", [0.0, 1e-17])
-def test_directions_that_change_nothing_are_not_taken(null):
+def test_directions_that_change_nothing_are_not_taken(null: float) -> None:
     problem = linear()
     jacobian = np.array(problem.jacobian(problem.start))
     jacobian[:, 2] = jacobian[:, 0] * (1 + null) + null
@@ -54,7 +55,7 @@ def test_directions_that_change_nothing_are_not_taken(null):
     np.testing.assert_allclose(step.step, expected, rtol=1e-6)
 
 
-def test_no_derivative_at_all_is_stationary():
+def test_no_derivative_at_all_is_stationary() -> None:
     problem = linear()
     end = gauss_newton(problem.start, np.ones(8), np.zeros((8, 3)), problem.parameters)
     assert end.is_stationary

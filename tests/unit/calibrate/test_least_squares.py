@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -13,17 +15,18 @@ from problems import (
 )
 
 from identknee.calibrate.fit import fit
+from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
 # What the benchmark wants of noise-free data, in kN and %.
 RECOVERY = 1e-9
 
 
-def test_scipy_shrinks_its_step_fourfold_after_residuals_without_prediction():
+def test_scipy_shrinks_its_step_fourfold_after_residuals_without_prediction() -> None:
     """What the search for a cliff relies on, whichever scipy is installed."""
-    tried = []
+    tried: list[float] = []
 
-    def residuals(x):
+    def residuals(x: Array) -> Array:
         tried.append(float(x[0]))
         return np.array([np.inf]) if x[0] > 1.0 else x - 4.0
 
@@ -37,7 +40,7 @@ def test_scipy_shrinks_its_step_fourfold_after_residuals_without_prediction():
 
 
 @pytest.mark.parametrize("start", [IG2, IG4], ids=["IG2", "IG4"])
-def test_recovers_noise_free_springs(start):
+def test_recovers_noise_free_springs(start: Any) -> None:
     problem = sloppy_springs()
     end = fit(problem, start)
     assert end.outcome is Outcome.MINIMUM
@@ -45,24 +48,25 @@ def test_recovers_noise_free_springs(start):
     assert end.n_simulations <= 20
 
 
-def test_starting_at_the_minimum_costs_at_most_one_step():
+def test_starting_at_the_minimum_costs_at_most_one_step() -> None:
     problem = sloppy_springs()
     end = fit(problem, problem.minimum)
     assert end.outcome is Outcome.MINIMUM
     assert end.n_simulations <= 2
 
 
-def test_noisy_springs_end_where_the_gradient_vanishes():
+def test_noisy_springs_end_where_the_gradient_vanishes() -> None:
     end = fit(sloppy_springs(noise=0.1), IG4)
     assert end.outcome is Outcome.MINIMUM
     assert end.objective > 0.1
     # The objective is about 0.5, so its derivatives per typical step round at 1e-16; the last
     # Gauss-Newton step leaves what the curvature it neglects makes of 1e-6 of a typical step.
+    assert end.gradient_norm is not None
     assert end.gradient_norm < 1e-6
     assert end.n_simulations <= 40
 
 
-def test_active_bounds_are_met_exactly():
+def test_active_bounds_are_met_exactly() -> None:
     problem = active_bounds()
     end = fit(problem, problem.start)
     assert end.outcome is Outcome.MINIMUM
@@ -71,7 +75,7 @@ def test_active_bounds_are_met_exactly():
 
 
 @pytest.mark.parametrize("start", [[0.0, 5.0, 0.0], [-3.0, 99.0, 5.0]])
-def test_a_start_on_or_outside_the_bounds_is_moved_inside(start):
+def test_a_start_on_or_outside_the_bounds_is_moved_inside(start: Any) -> None:
     problem = active_bounds()
     end = fit(problem, start)
     assert end.outcome is Outcome.MINIMUM
@@ -79,7 +83,7 @@ def test_a_start_on_or_outside_the_bounds_is_moved_inside(start):
     np.testing.assert_array_equal(end.start, start)
 
 
-def test_a_start_without_prediction_fails_at_once():
+def test_a_start_without_prediction_fails_at_once() -> None:
     problem = Cliff(problem=linear(), beyond=lambda _: 1.0)
     end = fit(problem, problem.problem.start)
     assert end.outcome is Outcome.START_FAILED
@@ -88,7 +92,7 @@ def test_a_start_without_prediction_fails_at_once():
     np.testing.assert_array_equal(end.theta, end.start)
 
 
-def test_a_wall_ends_the_fit_near_the_lowest_point_before_it():
+def test_a_wall_ends_the_fit_near_the_lowest_point_before_it() -> None:
     cliff = wall_before_the_minimum()
     problem = cliff.problem
     end = fit(cliff, problem.start)
@@ -106,7 +110,7 @@ def test_a_wall_ends_the_fit_near_the_lowest_point_before_it():
     assert end.n_simulations < 300
 
 
-def test_budget_ends_the_descent():
+def test_budget_ends_the_descent() -> None:
     problem = rosenbrock()
     end = fit(problem, problem.start, budget=5)
     assert end.outcome is Outcome.BUDGET
@@ -114,30 +118,31 @@ def test_budget_ends_the_descent():
     assert end.objective == end.history[-1, 1]
 
 
-def test_residuals_that_lie_about_their_derivatives_end_in_a_valley():
+def test_residuals_that_lie_about_their_derivatives_end_in_a_valley() -> None:
     problem = rosenbrock()
 
     class Lying:
         parameters = problem.parameters
         residuals = problem.residuals
 
-        def jacobian(self, theta):
+        def jacobian(self, theta: Array) -> Array:
             return -problem.jacobian(theta)
 
     end = fit(Lying(), problem.start)
     assert end.outcome is Outcome.VALLEY
+    assert end.gradient_norm is not None
     assert end.gradient_norm > 1.0
     assert end.n_simulations < 100
 
 
-def test_derivatives_that_are_not_finite_end_in_a_valley():
+def test_derivatives_that_are_not_finite_end_in_a_valley() -> None:
     problem = rosenbrock()
 
     class Broken:
         parameters = problem.parameters
         residuals = problem.residuals
 
-        def jacobian(self, theta):
+        def jacobian(self, theta: Array) -> Array:
             return np.full((2, 2), np.nan)
 
     end = fit(Broken(), problem.start)

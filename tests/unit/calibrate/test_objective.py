@@ -3,19 +3,20 @@ import pytest
 from problems import Cliff, linear
 
 from identknee.calibrate.objective import Ended, Objective
+from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
 
-def test_value_is_half_the_sum_of_squares():
+def test_value_is_half_the_sum_of_squares() -> None:
     problem = linear()
     objective = Objective(problem, budget=10)
     residuals = problem.residuals(problem.start)
     assert objective.value(problem.start) == pytest.approx(0.5 * np.sum(residuals**2), rel=1e-14)
 
 
-def test_a_simulation_is_an_evaluation_at_a_new_theta():
+def test_a_simulation_is_an_evaluation_at_a_new_theta() -> None:
     problem = linear()
-    told = []
+    told: list[int] = []
     objective = Objective(problem, budget=10, on_simulation=told.append)
     objective.value(problem.minimum)
     objective.residuals(problem.minimum)
@@ -27,7 +28,7 @@ def test_a_simulation_is_an_evaluation_at_a_new_theta():
     assert told == [1, 1]
 
 
-def test_history_holds_the_improvements():
+def test_history_holds_the_improvements() -> None:
     problem = linear()
     objective = Objective(problem, budget=10)
     far = problem.minimum + 5
@@ -38,7 +39,7 @@ def test_history_holds_the_improvements():
     np.testing.assert_array_equal(objective.best_theta, problem.minimum)
 
 
-def test_no_prediction_is_infinite_and_never_the_best():
+def test_no_prediction_is_infinite_and_never_the_best() -> None:
     problem = linear()
     objective = Objective(Cliff(problem=problem, beyond=lambda _: 1.0), budget=10)
     assert objective.value(problem.start) == np.inf
@@ -47,14 +48,14 @@ def test_no_prediction_is_infinite_and_never_the_best():
     assert objective.history == []
 
 
-def test_one_residual_that_is_not_a_number_spoils_all():
+def test_one_residual_that_is_not_a_number_spoils_all() -> None:
     problem = linear()
 
     class Broken:
         parameters = problem.parameters
         jacobian = problem.jacobian
 
-        def residuals(self, theta):
+        def residuals(self, theta: Array) -> Array:
             residuals = problem.residuals(theta)
             residuals[3] = np.nan
             return residuals
@@ -63,7 +64,7 @@ def test_one_residual_that_is_not_a_number_spoils_all():
     assert np.all(np.isinf(objective.residuals(problem.start)))
 
 
-def test_budget_ends_the_search():
+def test_budget_ends_the_search() -> None:
     problem = linear()
     objective = Objective(problem, budget=1)
     objective.value(problem.start)
@@ -73,7 +74,7 @@ def test_budget_ends_the_search():
     assert objective.n_simulations == 1
 
 
-def test_what_was_remembered_does_not_change_with_the_callers_array():
+def test_what_was_remembered_does_not_change_with_the_callers_array() -> None:
     problem = linear()
     objective = Objective(problem, budget=5)
     theta = np.array(problem.start)

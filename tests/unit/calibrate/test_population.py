@@ -1,4 +1,5 @@
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ LIBRARIES = {
 
 
 @pytest.mark.parametrize("algorithm", [ga.GA, pso.PSO])
-def test_first_population_is_the_papers_box_cut_to_the_bounds(algorithm):
+def test_first_population_is_the_papers_box_cut_to_the_bounds(algorithm: Any) -> None:
     parameters = linear().parameters
     start = np.array([8.0, 0.0, -9.0])
     first = PymooSearch(algorithm, parameters, start, np.random.default_rng(0)).ask()
@@ -29,7 +30,7 @@ def test_first_population_is_the_papers_box_cut_to_the_bounds(algorithm):
     assert np.all(np.ptp(first, axis=0) > 2.0)
 
 
-def test_cma_starts_as_wide_as_the_box():
+def test_cma_starts_as_wide_as_the_box() -> None:
     parameters = linear().parameters
     rng = np.random.default_rng(0)
     candidates = np.concatenate([CmaSearch(parameters, np.zeros(3), rng).ask() for _ in range(300)])
@@ -39,17 +40,26 @@ def test_cma_starts_as_wide_as_the_box():
 
 
 @pytest.mark.parametrize("method", LIBRARIES)
-def test_a_missing_package_says_what_to_install(method, monkeypatch):
+def test_a_missing_package_says_what_to_install(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, LIBRARIES[method], None)
     problem = linear()
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'identknee\[optimizers\]'"):
         fit(problem, problem.start, method=method)
 
 
+def global_state() -> Any:
+    state: Any = np.random.get_state()  # noqa: NPY002
+    return state[1].copy()
+
+
 @pytest.mark.parametrize("method", [*LIBRARIES, "annealing"])
-def test_says_nothing_and_leaves_the_global_generator_alone(method, capfd):
+def test_says_nothing_and_leaves_the_global_generator_alone(
+    method: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     problem = linear()
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    before = global_state()
     fit(problem, problem.start, method=method, budget=200)
-    np.testing.assert_array_equal(before, np.random.get_state()[1])  # noqa: NPY002
+    np.testing.assert_array_equal(before, global_state())
     assert capfd.readouterr() == ("", "")

@@ -1,15 +1,18 @@
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from problems import linear, plain_parameters, sloppy_springs
 
 from identknee.calibrate.problem import WithPriors, restricted
 from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array
 
 # Central differences of smooth functions of order one, step 1e-6.
 DIFFERENCE = 1e-8
 
 
-def differences(residuals, theta, step=1e-6):
+def differences(residuals: Callable[[Array], Array], theta: Array, step: float = 1e-6) -> Array:
     columns = [
         (residuals(theta + step * e) - residuals(theta - step * e)) / (2 * step)
         for e in np.eye(theta.size)
@@ -17,7 +20,7 @@ def differences(residuals, theta, step=1e-6):
     return np.stack(columns, axis=1)
 
 
-def test_restricted_problem_is_a_slice_of_the_whole():
+def test_restricted_problem_is_a_slice_of_the_whole() -> None:
     whole = sloppy_springs()
     part = restricted(whole, ["PCL.stiffness_kN", "MCL.reference_strain_pct"], whole.start)
     theta = whole.start[list(part.free)] + 0.1
@@ -32,7 +35,7 @@ def test_restricted_problem_is_a_slice_of_the_whole():
     )
 
 
-def test_restricting_refuses_unknown_names_and_leaves_something_free():
+def test_restricting_refuses_unknown_names_and_leaves_something_free() -> None:
     problem = linear(2)
     with pytest.raises(ValueError, match="no parameter 'y'"):
         restricted(problem, ["y"], problem.start)
@@ -40,9 +43,9 @@ def test_restricting_refuses_unknown_names_and_leaves_something_free():
         restricted(problem, problem.parameters.names, problem.start)
 
 
-def test_prior_rows_and_their_derivatives():
-    problem = WithPriors(problem=sloppy_springs())
-    theta = problem.problem.start
+def test_prior_rows_and_their_derivatives() -> None:
+    springs = sloppy_springs()
+    problem, theta = WithPriors(problem=springs), springs.start
     rows = problem.residuals(theta)[-8:]
     center = problem.parameters.center
     np.testing.assert_allclose(rows[:4], np.log(theta[:4] / center[:4]) / 0.35, rtol=1e-14)
@@ -52,14 +55,14 @@ def test_prior_rows_and_their_derivatives():
     )
 
 
-def test_lognormal_prior_excludes_zero():
-    problem = WithPriors(problem=sloppy_springs())
-    theta = np.array(problem.problem.start)
+def test_lognormal_prior_excludes_zero() -> None:
+    springs = sloppy_springs()
+    problem, theta = WithPriors(problem=springs), np.array(springs.start)
     theta[0] = 0.0
     assert np.all(np.isinf(problem.residuals(theta)))
 
 
-def test_all_closed_form_jacobians_are_derivatives():
+def test_all_closed_form_jacobians_are_derivatives() -> None:
     from problems import EASY
 
     for problem in EASY:
@@ -71,5 +74,5 @@ def test_all_closed_form_jacobians_are_derivatives():
         )
 
 
-def test_plain_parameters_are_parameters():
+def test_plain_parameters_are_parameters() -> None:
     assert isinstance(plain_parameters(2), Parameters)

@@ -4,30 +4,31 @@ from problems import linear
 
 from identknee.calibrate.objective import Ended, Objective
 from identknee.calibrate.search import run_search, uniform_box
+from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
 
 class Shrinking:
     """Asks for two points around the origin, closer each time."""
 
-    def __init__(self, factor, last=np.inf):
+    def __init__(self, factor: float, last: float = np.inf) -> None:
         self.width, self.factor, self.rounds, self.last = 1.0, factor, 0, last
-        self.told = []
+        self.told: list[Array] = []
 
     @property
-    def population(self):
+    def population(self) -> Array:
         return self.width * np.array([np.zeros(3), np.ones(3)])
 
-    def ask(self):
+    def ask(self) -> Array:
         self.width *= self.factor
         self.rounds += 1
         return self.population if self.rounds <= self.last else np.empty((0, 3))
 
-    def tell(self, values):
+    def tell(self, values: Array) -> None:
         self.told.append(values)
 
 
-def test_ends_when_every_spread_is_below_a_thousandth():
+def test_ends_when_every_spread_is_below_a_thousandth() -> None:
     search = Shrinking(0.1)
     assert run_search(search, Objective(linear(), budget=100)) is Outcome.SPREAD
     # 0.1^3 rounds to just above 1e-3, 0.1^4 is below it.
@@ -35,18 +36,18 @@ def test_ends_when_every_spread_is_below_a_thousandth():
     assert all(values.shape == (2,) for values in search.told)
 
 
-def test_ends_when_nothing_is_asked():
+def test_ends_when_nothing_is_asked() -> None:
     assert run_search(Shrinking(1.0, last=2), Objective(linear(), budget=9)) is Outcome.SPREAD
 
 
-def test_budget_cuts_a_generation_short():
+def test_budget_cuts_a_generation_short() -> None:
     objective = Objective(linear(), budget=3)
     with pytest.raises(Ended):
         run_search(Shrinking(0.9), objective)
     assert objective.n_simulations == 3
 
 
-def test_uniform_box_fills_its_box():
+def test_uniform_box_fills_its_box() -> None:
     low, high = np.array([-1.0, 5.0]), np.array([1.0, 9.0])
     points = uniform_box(np.random.default_rng(0), 4000, low, high)
     assert np.all((points >= low) & (points <= high))

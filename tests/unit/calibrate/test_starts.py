@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from problems import IG2, IG4, LIGAMENTS, REFERENCE
@@ -9,7 +11,7 @@ from identknee.runs.errors import InputError
 KNEE = ligament_parameters(LIGAMENTS, [11.0, 12.0, 13.0, 14.0], [1.0, 2.0, 3.0, 5.0])
 
 
-def test_table_1_of_the_paper():
+def test_table_1_of_the_paper() -> None:
     ig3 = [9.0, 17.0, 7.0, 7.0, 7.0, -3.0, 4.0, 5.0]
     expected = {"IG1": REFERENCE, "IG2": IG2, "IG3": ig3, "IG4": IG4}
     assert start_names() == ("subject", *expected)
@@ -17,7 +19,7 @@ def test_table_1_of_the_paper():
         np.testing.assert_array_equal(named_start(name, KNEE), theta)
 
 
-def test_mean_distances_of_table_1():
+def test_mean_distances_of_table_1() -> None:
     # As printed in its last columns, to one decimal; 3.575 kN and 3.5 % for IG4.
     for name, k, strain in (("IG2", 0.5, 0.5), ("IG3", 1.1, 1.3), ("IG4", 3.6, 3.5)):
         off = np.abs(named_start(name, KNEE) - REFERENCE)
@@ -25,11 +27,11 @@ def test_mean_distances_of_table_1():
         assert abs(off[4:].mean() - strain) <= 0.051
 
 
-def test_the_subjects_own_values():
+def test_the_subjects_own_values() -> None:
     np.testing.assert_array_equal(named_start("subject", KNEE), KNEE.center)
 
 
-def test_order_and_further_ligaments_do_not_matter():
+def test_order_and_further_ligaments_do_not_matter() -> None:
     names = ["MCL", "popliteofibular", "LCL", "PCL", "ACL"]
     knee = ligament_parameters(names, [1.0, 2.5, 3.0, 4.0, 5.0], [1.0, 2.0, 3.0, 4.0, 5.0])
     start = named_start("IG1", knee)
@@ -39,25 +41,25 @@ def test_order_and_further_ligaments_do_not_matter():
     assert start[knee.index("popliteofibular.reference_strain_pct")] == 2.0
 
 
-def test_a_knee_without_the_four_is_told_what_is_missing():
+def test_a_knee_without_the_four_is_told_what_is_missing() -> None:
     knee = ligament_parameters(["front", "ACL", "MCL"], [1.0] * 3, [0.0] * 3)
     with pytest.raises(ValueError, match=r"speaks of PCL, LCL, which .* TOML file") as error:
         named_start("IG1", knee)
     assert "[front]\nstiffness_kN = 9.5" in str(error.value)
 
 
-def test_an_unknown_name_is_told_the_known_ones():
+def test_an_unknown_name_is_told_the_known_ones() -> None:
     with pytest.raises(ValueError, match=r"no start 'IG5'; the starts are subject, IG1, .* \.toml"):
         named_start("IG5", KNEE)
 
 
-def written(folder, text):
+def written(folder: Path, text: str) -> Path:
     path = folder / "start.toml"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_a_file_sets_what_it_names(tmp_path):
+def test_a_file_sets_what_it_names(tmp_path: Path) -> None:
     path = written(
         tmp_path, "[ACL]\nstiffness_kN = 9.5\n[MCL]\nstiffness_kN = 8\nreference_strain_pct = -1\n"
     )
@@ -67,13 +69,13 @@ def test_a_file_sets_what_it_names(tmp_path):
     np.testing.assert_array_equal(load_start("IG2", KNEE), IG2)
 
 
-def test_a_file_may_name_parameters_that_are_no_ligaments(tmp_path):
+def test_a_file_may_name_parameters_that_are_no_ligaments(tmp_path: Path) -> None:
     parameters = Parameters(
         names=("toe.strain", "gain"),
-        center=[0.03, 1.0],
-        lower=[0.0, 0.5],
-        upper=[0.1, 2.0],
-        prior_sd=[0.01, 0.1],
+        center=np.array([0.03, 1.0]),
+        lower=np.array([0.0, 0.5]),
+        upper=np.array([0.1, 2.0]),
+        prior_sd=np.array([0.01, 0.1]),
         is_log=(False, True),
     )
     path = written(tmp_path, "gain = 1.5\n[toe]\nstrain = 0.02\n")
@@ -97,7 +99,9 @@ def test_a_file_may_name_parameters_that_are_no_ligaments(tmp_path):
         ("", "the file is empty"),
     ],
 )
-def test_bad_files_are_named_with_place_and_remedy(tmp_path, text, sentence):
+def test_bad_files_are_named_with_place_and_remedy(
+    tmp_path: Path, text: str, sentence: str
+) -> None:
     path = written(tmp_path, text)
     with pytest.raises(InputError, match=sentence) as error:
         read_start(path, KNEE)
@@ -105,6 +109,6 @@ def test_bad_files_are_named_with_place_and_remedy(tmp_path, text, sentence):
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_file(tmp_path):
+def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such file"):
         load_start(tmp_path / "none.toml", KNEE)

@@ -1,0 +1,50 @@
+"""The command `identknee`: its verbs, and its version."""
+
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from identknee.cli import subject
+from identknee.cli.command import Verbs
+from identknee.cli.demo import demo
+from identknee.cli.fit import fit
+from identknee.cli.simulate import simulate
+
+app = typer.Typer(
+    cls=Verbs,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    # Plain help needs no rich, which takes longer to load than everything else here.
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"identknee {version('identknee')}")
+        raise typer.Exit
+
+
+@app.callback()
+def identknee(
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """Fit knee ligament parameters to laxity tests, and see how far they can be trusted.
+
+    SUBJECT is a subject folder or the word reference. Every verb leaves result.json and result.nc
+    in the folder --out. Exit codes: 0 done, 1 it could not be computed, 2 the input is wrong.
+    """
+
+
+app.command()(demo)
+app.add_typer(subject.app, name="subject")
+app.command()(simulate)
+app.command()(fit)

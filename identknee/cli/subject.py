@@ -1,0 +1,226 @@
+"""`identknee subject`: check, show, export and import a subject's knee."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+import identknee as ik
+from identknee.cli.command import (
+    WRONG_INPUT,
+    Json,
+    Out,
+    Seed,
+    Subject,
+    Verbs,
+    Workers,
+    knee_digest,
+    show,
+    warm_up,
+)
+from identknee.runs.executors import threads
+from identknee.runs.files import digest, prepare_folder, write_atomically
+from identknee.runs.record import Recording, record
+
+SCENE_FILE = "scene.png"
+
+app = typer.Typer(
+    cls=Verbs,
+    help="Check, show, export or import a subject's knee.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+ProtocolName = Annotated[
+    str, typer.Option(help="seed63, table2, drawer, or the path of a TOML file.")
+]
+Samples = Annotated[
+    int, typer.Option(min=0, help="Parameter vectors to draw from the box; 0 for none.")
+]
+OsimFile = Annotated[Path, typer.Argument(metavar="FILE.osim", help="An OpenSim/JAM model.")]
+Bundles = Annotated[
+    Literal["separate", "merged"],
+    typer.Option(help="Bundles as they are, or merged to the four single lines."),
+]
+
+
+@app.command()
+def check(
+    context: typer.Context,
+    subject: Subject,
+    protocol: ProtocolName = "seed63",
+    samples: Samples = 200,
+    out: Out = Path("identknee-check"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Check surfaces, frames and ligaments of SUBJECT, and its stability over a protocol.
+
+    Stability is taken at the subject's own parameters and over a box around them: stiffness
+    +-50 %, reference strain +-3 %. Exit code 2 if there is an error.
+    """
+    prepare_folder(out)
+    trials, knee = ik.load_protocol(protocol), ik.read_subject(subject)
+    recording = record("subject check", context.params, {"subject": knee_digest(knee)}, seed)
+    findings = ik.check_geometry(knee)
+    stability = None
+    if not _has_error(findings):
+        warm_up(knee, trials)
+        model = ik.LaxityModel(knee=knee, protocol=trials)
+        with threads(workers) as executor:
+            stability = ik.check_stability(model, n_samples=samples, seed=seed, executor=executor)
+        findings += stability.findings
+    from identknee.report.groups import stability_groups, subject_groups
+
+    groups = dict(subject_groups(knee))
+    if stability is not None:
+        groups.update(stability_groups(stability))
+    summary = _write(out, _check_summary(knee, findings, stability), groups, recording)
+    show(summary, _check_lines(knee, findings, stability), as_json=as_json)
+    if _has_error(findings):
+        raise typer.Exit(WRONG_INPUT)
+
+
+@app.command("show")
+def draw(
+    context: typer.Context,
+    subject: Subject,
+    out: Out = Path("identknee-show"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Draw SUBJECT in its scanned pose: scene.png."""
+    prepare_folder(out)
+    knee = ik.read_subject(subject)
+    recording = record("subject show", context.params, {"subject": knee_digest(knee)}, seed)
+    from identknee.report.groups import subject_groups
+    from identknee.report.picture import png
+
+    path = write_atomically(out / SCENE_FILE, png(ik.scene(knee)))
+    summary = _write(out, _knee_summary(knee), subject_groups(knee), recording)
+    show(summary, [f"{knee.name}: {path}"], as_json=as_json)
+
+
+@app.command()
+def export(
+    context: typer.Context,
+    subject: Subject,
+    out: Out = Path("identknee-subject"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Write SUBJECT as a subject folder: subject.toml and its surfaces."""
+    prepare_folder(out)
+    knee = ik.read_subject(subject)
+    recording = record("subject export", context.params, {"subject": knee_digest(knee)}, seed)
+    _write_subject(knee, out, recording, as_json=as_json)
+
+
+@app.command("import-osim")
+def import_osim(
+    context: typer.Context,
+    file: OsimFile,
+    bundles: Bundles = "separate",
+    out: Out = Path("identknee-subject"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Turn an OpenSim/JAM knee and its contact meshes into a subject folder."""
+    prepare_folder(out)
+    knee = ik.import_opensim(file, bundles=bundles)
+    recording = record("subject import-osim", context.params, {"osim": digest(file)}, seed)
+    _write_subject(knee, out, recording, as_json=as_json)
+
+
+def _write_subject(knee: "ik.Knee", out: Path, recording: Recording, *, as_json: bool) -> None:
+    from identknee.report.groups import subject_groups
+
+    ik.write_subject(knee, out)
+    summary = _write(out, _knee_summary(knee), subject_groups(knee), recording)
+    names = ", ".join(x.name for x in knee.ligaments)
+    line = f"{knee.name}: {len(knee.ligaments)} ligaments ({names}) written to {out}"
+    show(summary, [line, f"Next: identknee subject check {out}"], as_json=as_json)
+
+
+def _write(out: Path, summary: dict[str, Any], groups: Any, recording: Recording) -> dict[str, Any]:
+    from identknee.report.result_files import write_result
+
+    return write_result(out, summary, groups, recording.finish())
+
+
+def _knee_summary(knee: "ik.Knee") -> dict[str, Any]:
+    return {
+        "subject": knee.name,
+        "side": knee.side,
+        "n_vertices": {
+            "femur": len(knee.femur.vertices),
+            "tibia": [len(x.vertices) for x in knee.tibia],
+        },
+        "ligaments": [
+            {
+                "name": x.name,
+                "reference_length_mm": x.length,
+                "stiffness_kN": x.stiffness_kN,
+                "reference_strain_pct": x.reference_strain_pct,
+            }
+            for x in knee.ligaments
+        ],
+    }
+
+
+def _check_summary(
+    knee: "ik.Knee",
+    findings: "Sequence[ik.Finding]",
+    stability: "ik.StabilityReport | None",
+) -> dict[str, Any]:
+    counts = Counter(x.severity for x in findings)
+    summary: dict[str, Any] = {
+        **_knee_summary(knee),
+        "n_errors": counts["error"],
+        "n_warnings": counts["warning"],
+        "findings": [
+            {
+                "severity": x.severity,
+                "subject": x.subject,
+                "sentence": x.sentence,
+                "remedy": x.remedy,
+            }
+            for x in findings
+        ],
+        "stability": None,
+    }
+    if stability is not None:
+        summary["stability"] = {
+            "n_trials": len(stability.trials),
+            "n_converged": stability.n_converged,
+            "lowest_margin_N_per_mm": stability.lowest_margin,
+            "n_samples": stability.n_samples,
+            "box_converged_share": stability.converged_share,
+            "box_outcomes": {end.value: n for end, n in stability.box_outcomes.items()},
+            "contact_points_change": {"mm": stability.change_mm, "deg": stability.change_deg},
+        }
+    return summary
+
+
+def _check_lines(
+    knee: "ik.Knee",
+    findings: "Sequence[ik.Finding]",
+    stability: "ik.StabilityReport | None",
+) -> list[str]:
+    lines = [f"{knee.name} ({knee.side} knee, {len(knee.ligaments)} ligaments)"]
+    for finding in findings:
+        sentence = f"{finding.severity:8}{finding.subject}: {finding.sentence}"
+        lines.append(f"{sentence} {finding.remedy}".rstrip())
+    if stability is None:
+        lines.append("Stability was not checked: mend the errors above first.")
+    return lines
+
+
+def _has_error(findings: "Sequence[ik.Finding]") -> bool:
+    return any(x.severity == "error" for x in findings)

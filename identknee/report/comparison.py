@@ -1,0 +1,168 @@
+"""How far parameter sets are from one another: parameters, tensions, spread over seeds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.laxity.protocol import LOADS, Protocol
+from identknee.runs.arrays import Array, frozen
+
+BOOTSTRAP_DRAWS = 9999
+# Load column: its name where positive and where negative.
+_DIRECTIONS = (
+    ("internal moment", "external moment"),
+    ("varus moment", "valgus moment"),
+    ("anterior force", "posterior force"),
+    ("distraction force", "compression force"),
+    ("lateral force", "medial force"),
+)
+UNLOADED = "unloaded"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ParameterError:
+    """Absolute differences of a parameter set from another, over the ligaments.
+
+    Attributes
+    ----------
+    stiffness_kN, strain_pct
+        Of each ligament [kN, %], shape ``(n_ligaments,)``.
+    """
+
+    stiffness_kN: Array  # noqa: N815 - the unit
+    strain_pct: Array
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness_kN", "strain_pct"):
+            object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
+
+    @property
+    def mean_kN(self) -> float:  # noqa: N802 - the unit
+        """Mean over the ligaments [kN]."""
+        return float(self.stiffness_kN.mean())
+
+    @property
+    def sd_kN(self) -> float:  # noqa: N802 - the unit
+        """Sample standard deviation over the ligaments [kN]."""
+        return float(self.stiffness_kN.std(ddof=1))
+
+    @property
+    def mean_pct(self) -> float:
+        """Mean over the ligaments [%]."""
+        return float(self.strain_pct.mean())
+
+    @property
+    def sd_pct(self) -> float:
+        """Sample standard deviation over the ligaments [%]."""
+        return float(self.strain_pct.std(ddof=1))
+
+
+def parameter_error(theta: ArrayLike, truth: ArrayLike) -> ParameterError:
+    """Absolute differences of `theta` from `truth`, both stiffnesses first, shape ``(2 m,)``.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or the length is odd.
+
+    Examples
+    --------
+    >>> error = parameter_error([10.5, 18.0, 8.0, -4.5], [10.0, 18.0, 8.0, -4.0])
+    >>> error.mean_kN, error.mean_pct
+    (0.25, 0.25)
+    """
+    difference = np.abs(np.asarray(theta, float) - np.asarray(truth, float))
+    if difference.ndim != 1 or difference.size % 2:
+        raise ValueError(
+            "theta must hold a stiffness and a reference strain for every ligament, "
+            f"got shape {difference.shape}"
+        )
+    half = difference.size // 2
+    return ParameterError(stiffness_kN=difference[:half], strain_pct=difference[half:])
+
+
+def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
+    """What loads each trial, for example ``"valgus moment"``; ``"unloaded"`` where nothing does.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> load_scenarios(load_protocol("drawer"))[:3]
+    ('posterior force', 'unloaded', 'anterior force')
+    """
+    return tuple(
+        " + ".join(
+            _DIRECTIONS[i][0 if loads[i] > 0 else 1] for i in range(len(LOADS)) if loads[i] != 0.0
+        )
+        or UNLOADED
+        for loads in protocol.loads
+    )
+
+
+def largest_by(values: Array, labels: Sequence[object], order: Sequence[object]) -> Array:
+    """Largest of `values` (n, m) among the rows of each label, shape ``(len(order), m)``.
+
+    Parameters
+    ----------
+    values
+        With a row a trial; NaN is left out.
+    labels
+        Of each row.
+    order
+        The labels wanted. One without a number gives NaN.
+    """
+    table = np.full((len(order), values.shape[1]), np.nan)
+    for row, wanted in enumerate(order):
+        chosen = values[[label == wanted for label in labels]]
+        known = ~np.isnan(chosen)
+        some = known.any(axis=0)
+        table[row, some] = np.where(known, chosen, -np.inf).max(axis=0, initial=-np.inf)[some]
+    return table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """Where the middle of some values lies, and how widely they scatter.
+
+    Attributes
+    ----------
+    median, low, high
+        Median, smallest and largest.
+    ci_low, ci_high
+        95 % bootstrap interval of the median.
+    n
+        How many values; those not finite are left out and not counted.
+    """
+
+    median: float
+    low: float
+    high: float
+    ci_low: float
+    ci_high: float
+    n: int
+
+
+def spread(values: ArrayLike, *, seed: int = 0) -> Spread:
+    """Median, range and 95 % percentile-bootstrap interval of the median; NaN without values.
+
+    Examples
+    --------
+    >>> spread([1.0, 2.0, 9.0]).median
+    2.0
+    """
+    known = np.asarray(values, float)
+    known = known[np.isfinite(known)]
+    if not known.size:
+        return Spread(median=np.nan, low=np.nan, high=np.nan, ci_low=np.nan, ci_high=np.nan, n=0)
+    rows = np.random.default_rng(seed).integers(known.size, size=(BOOTSTRAP_DRAWS, known.size))
+    low, high = np.quantile(np.median(known[rows], axis=1), [0.025, 0.975])
+    return Spread(
+        median=float(np.median(known)),
+        low=float(known.min()),
+        high=float(known.max()),
+        ci_low=float(low),
+        ci_high=float(high),
+        n=int(known.size),
+    )

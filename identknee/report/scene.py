@@ -1,0 +1,269 @@
+"""A picture of a knee: its surfaces, ligaments and axes, as Figure 1 of the paper shows them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
+
+from identknee.mechanics.placement import Placement, place
+from identknee.mechanics.pose import start_pose
+from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.subject.knee import Knee
+
+FEMUR, TIBIA, LIGAMENT = "#8ec7e8", "#5b9bc8", "#c8102e"
+FEMUR_AXES, TIBIA_AXES = "#e6a700", "#00895f"
+OPACITY = 0.62  # of the femur, so that the cruciates show through it
+LIGAMENT_WIDTH, SCALE_BAR = 1.6, 20.0  # mm
+# Where both frames coincide the longer arrows of the femur still show.
+FEMUR_AXIS_LENGTH, TIBIA_AXIS_LENGTH = 60.0, 42.0  # mm
+PIECES = 40
+AXIS_NAMES = ("anterior", "superior", "lateral")
+LIGHT = np.array([0.35, 0.45, 0.82])  # right, up, toward the reader
+AMBIENT = 0.55
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """Directions of a parallel projection in femoral axes.
+
+    Attributes
+    ----------
+    right, up, toward
+        Unit vectors to the right and top of the page and toward the reader, shape ``(3,)``.
+    """
+
+    right: Array
+    up: Array
+    toward: Array
+
+    def project(self, points: Array) -> Array:
+        """Right, up and toward the reader [mm] of points ``(..., 3)``, in the same shape."""
+        projected: Array = points @ np.stack([self.right, self.up, self.toward], axis=1)
+        return projected
+
+
+def view_from(azimuth_deg: float, elevation_deg: float) -> View:
+    """View of a right knee: azimuth 0 from in front, 90 from the lateral side, 180 from behind.
+
+    Examples
+    --------
+    >>> view_from(90, 0).toward.round(9) + 0.0
+    array([0., 0., 1.])
+    """
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    toward = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.sin(elevation),
+            np.cos(elevation) * np.sin(azimuth),
+        ]
+    )
+    right = np.array([np.sin(azimuth), 0.0, -np.cos(azimuth)])
+    return View(right=right, up=np.cross(toward, right), toward=toward)
+
+
+def scene(
+    knee: Knee,
+    pose: ArrayLike | None = None,
+    *,
+    flexion_deg: float = 0.0,
+    azimuth_deg: float = 215.0,
+    elevation_deg: float = 12.0,
+    figure: Figure | None = None,
+) -> Figure:
+    """Figure of the cartilage surfaces, the ligaments and the axes of both bones.
+
+    Parameters
+    ----------
+    knee
+        The subject, drawn as a right knee.
+    pose
+        Varus, internal [rad], x, y, z [mm] of the tibia at `flexion_deg`, shape ``(5,)``, as in
+        `Prediction.poses`; the scanned pose if None.
+    flexion_deg
+        Flexion angle of `pose` [deg]; not used without it.
+    azimuth_deg, elevation_deg
+        From where it is seen [deg]: 0 from in front, 90 from the lateral side, 180 from behind, and
+        how far from above.
+    figure
+        An empty figure to draw into; a new one if None.
+    """
+    view = view_from(azimuth_deg, elevation_deg)
+    if figure is None:
+        figure = Figure(figsize=(6.0, 6.4), layout="constrained")
+    axes = figure.add_subplot()
+    draw_scene(axes, knee, view, pose=pose, flexion_deg=flexion_deg)
+    return figure
+
+
+def draw_scene(
+    axes: Axes,
+    knee: Knee,
+    view: View,
+    *,
+    pose: ArrayLike | None = None,
+    flexion_deg: float = 0.0,
+) -> None:
+    """Draw what `scene` shows into `axes`."""
+    placement = _placement(knee, pose, flexion_deg)
+    femur = knee.femur_frame.to_local(knee.femur.vertices)
+    tibia = [placement.to_femur(knee.tibia_frame.to_local(x.vertices)) for x in knee.tibia]
+    femoral = knee.femur_frame.to_local([x.femur for x in knee.ligaments])
+    tibial = placement.to_femur(knee.tibia_frame.to_local([x.tibia for x in knee.ligaments]))
+    parts = [_triangles(view, femur, knee.femur.faces, FEMUR, OPACITY)]
+    parts += [
+        _triangles(view, vertices, surface.faces, TIBIA, 1.0)
+        for vertices, surface in zip(tibia, knee.tibia, strict=True)
+    ]
+    parts += [_ribbon(view, a, b) for a, b in zip(femoral, tibial, strict=True)]
+    _paint(axes, parts)
+    femoral_axes = FEMUR_AXIS_LENGTH * np.eye(3)
+    tibial_axes = TIBIA_AXIS_LENGTH * placement.rotation.T
+    _draw_axes(axes, view, np.zeros(3), femoral_axes, FEMUR_AXES)
+    _draw_axes(axes, view, placement.translation, tibial_axes, TIBIA_AXES)
+    _name_axes(axes, view, femoral_axes)
+    _label_ligaments(axes, view, [x.name for x in knee.ligaments], tibial)
+    _finish(axes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Polygons:
+    """Polygons on the page: corners ``(n, corners, 2)``, depths ``(n,)``, colours ``(n, 4)``.
+
+    Without `smooth` edges the seams of neighbouring triangles do not show.
+    """
+
+    corners: Array
+    depths: Array
+    colours: Array
+    smooth: bool = False
+
+
+def _placement(knee: Knee, pose: ArrayLike | None, flexion_deg: float) -> Placement:
+    if pose is None:
+        flexion, start = start_pose(
+            knee.femur_frame.axes @ knee.tibia_frame.axes.T,
+            knee.femur_frame.to_local(knee.tibia_frame.origin[None])[0],
+        )
+        return place(flexion, start)
+    return place(float(np.radians(flexion_deg)), frozen(pose, 5, name="the pose"))
+
+
+def _triangles(
+    view: View, vertices: Array, faces: IntArray, colour: str, opacity: float
+) -> _Polygons:
+    """A surface, each triangle shaded by how it faces the light; both of its sides are seen."""
+    corners = view.project(vertices)[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    facing = np.abs(normals @ (LIGHT / np.linalg.norm(LIGHT))) / np.where(lengths > 0, lengths, 1)
+    shade = AMBIENT + (1.0 - AMBIENT) * facing
+    colours = np.empty((len(faces), 4))
+    colours[:, :3] = shade[:, None] * np.array(to_rgb(colour))
+    colours[:, 3] = opacity
+    return _Polygons(corners=corners[..., :2], depths=corners[..., 2].mean(axis=1), colours=colours)
+
+
+def _ribbon(view: View, start: Array, end: Array) -> _Polygons:
+    """A ligament as a band that faces the reader, in pieces that are hidden one by one."""
+    along = np.linspace(view.project(start), view.project(end), PIECES + 1)
+    direction = along[-1, :2] - along[0, :2]
+    across = np.array([-direction[1], direction[0]]) / max(float(np.hypot(*direction)), 1e-9)
+    sides = 0.5 * LIGAMENT_WIDTH * across
+    before, after = along[:-1, :2], along[1:, :2]
+    corners = np.stack([before - sides, before + sides, after + sides, after - sides], axis=1)
+    depths = 0.5 * (along[:-1, 2] + along[1:, 2])
+    colours = np.tile([*to_rgb(LIGAMENT), 1.0], (PIECES, 1))
+    return _Polygons(corners=corners, depths=depths, colours=colours, smooth=True)
+
+
+def _paint(axes: Axes, parts: Sequence[_Polygons]) -> None:
+    """Put all polygons on the page, the farthest first."""
+    corners = [polygon for part in parts for polygon in part.corners]
+    colours = np.concatenate([part.colours for part in parts])
+    smooth = np.concatenate([np.full(len(part.depths), part.smooth) for part in parts])
+    edges = np.where(smooth[:, None], colours, 0.0)
+    order = np.argsort(np.concatenate([part.depths for part in parts]), kind="stable")
+    axes.add_collection(
+        PolyCollection(
+            [corners[i] for i in order],
+            facecolors=colours[order],
+            edgecolors=edges[order],
+            linewidths=0.3,
+            antialiaseds=smooth[order].tolist(),
+        )
+    )
+    axes.autoscale_view()
+
+
+def _draw_axes(axes: Axes, view: View, origin: Array, arrows: Array, colour: str) -> None:
+    """Arrows from `origin` along the rows of `arrows`."""
+    style = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
+    foot = view.project(origin)[:2]
+    for arrow in arrows:
+        tip = view.project(origin + arrow)[:2]
+        axes.annotate("", (tip[0], tip[1]), (foot[0], foot[1]), arrowprops=style)
+        axes.update_datalim([tip])
+
+
+def _name_axes(axes: Axes, view: View, arrows: Array) -> None:
+    """Names beyond the tips of the femur's arrows."""
+    for tip, name in zip(view.project(arrows)[:, :2], AXIS_NAMES, strict=True):
+        right, up = 7.0 * tip / max(float(np.hypot(*tip)), 1e-9)
+        axes.annotate(
+            name,
+            tip,
+            (right, up),
+            textcoords="offset points",
+            fontsize=9,
+            ha="left" if right > 3 else "right" if right < -3 else "center",
+            va="center" if abs(up) < 4 else "bottom" if up > 0 else "top",
+        )
+
+
+def _label_ligaments(axes: Axes, view: View, names: Sequence[str], ends: Array) -> None:
+    """Names at the tibial ends, on the side away from the middle."""
+    places = view.project(ends)[:, :2]
+    middle = places[:, 0].mean()
+    for name, (x, y) in zip(names, places, strict=True):
+        right = x >= middle
+        axes.annotate(
+            name,
+            (x, y),
+            (6 if right else -6, -4),
+            textcoords="offset points",
+            color=LIGAMENT,
+            fontsize=9,
+            fontweight="bold",
+            ha="left" if right else "right",
+            va="top",
+        )
+
+
+def _finish(axes: Axes) -> None:
+    axes.set_aspect("equal")
+    axes.margins(0.12)
+    axes.autoscale_view()
+    left, bottom = axes.get_xlim()[0], axes.get_ylim()[0]
+    axes.plot([left, left + SCALE_BAR], [bottom, bottom], color="black", linewidth=2)
+    axes.annotate(
+        f"{SCALE_BAR:g} mm",
+        (left, bottom),
+        (0, 4),
+        textcoords="offset points",
+        fontsize=8,
+    )
+    keys = {"femoral axes": FEMUR_AXES, "tibial axes": TIBIA_AXES, "ligaments": LIGAMENT}
+    axes.legend(
+        handles=[Line2D([], [], color=x, linewidth=2, label=name) for name, x in keys.items()],
+        loc="lower right",
+        frameon=False,
+        fontsize=8,
+    )
+    axes.set_axis_off()

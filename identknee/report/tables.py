@@ -1,0 +1,276 @@
+"""Results as tables: rows of text and numbers, each column with its unit."""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.laxity.published import PublishedError, PublishedLaxity
+from identknee.report.comparison import Spread, parameter_error
+from identknee.runs.arrays import Array
+
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """Head of a column.
+
+    Attributes
+    ----------
+    name
+        What stands in it.
+    unit
+        Of its numbers; empty for text, counts and ratios.
+    decimals
+        Places after the point; None for as many as four significant digits need.
+    """
+
+    name: str
+    unit: str = ""
+    decimals: int | None = 2
+
+    @property
+    def head(self) -> str:
+        """Name and unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table with a title.
+
+    Attributes
+    ----------
+    title
+        A line that says what it shows.
+    columns
+        Heads, as many as every row has cells.
+    rows
+        Cells: text, numbers, or None where there is nothing to say.
+
+    Raises
+    ------
+    ValueError
+        If a row is longer or shorter than the heads.
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(
+                    f"every row of {self.title!r} needs {len(self.columns)} cells, got {len(row)}"
+                )
+
+    def texts(self) -> list[list[str]]:
+        """The cells as text, row by row."""
+        return [
+            [_text(cell, column) for cell, column in zip(row, self.columns, strict=True)]
+            for row in self.rows
+        ]
+
+    def markdown(self) -> str:
+        """The table as Markdown, its title above it in bold."""
+        heads = [column.head for column in self.columns]
+        rule = ["---" if self._is_text(i) else "---:" for i in range(len(heads))]
+        lines = ["| " + " | ".join(row) + " |" for row in (heads, rule, *self.texts())]
+        return "\n".join([f"**{self.title}**", "", *lines])
+
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """The table in columns of even width, for a terminal."""
+        rows = [[column.head for column in self.columns], *self.texts()]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(self.columns))]
+        lines = [
+            "  ".join(
+                cell.ljust(width) if self._is_text(i) else cell.rjust(width)
+                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in rows
+        ]
+        return "\n".join([self.title, *lines])
+
+    def _is_text(self, i: int) -> bool:
+        return i == 0 or any(isinstance(row[i], str) for row in self.rows)
+
+
+def filled(text: str, tables: Mapping[str, Table]) -> str:
+    """`text` with each table between ``<!-- NAME -->`` and ``<!-- end NAME -->`` put in anew.
+
+    Raises
+    ------
+    ValueError
+        If the text has no such place for a table.
+    """
+    for name, table in tables.items():
+        place = re.compile(
+            rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end {re.escape(name)} -->)", re.DOTALL
+        )
+        content = table.markdown()
+        text, count = place.subn(_between(content), text)
+        if count != 1:
+            raise ValueError(
+                f"the text has {count} places for {name!r}; mark one with <!-- {name} --> and "
+                f"<!-- end {name} -->"
+            )
+    return text
+
+
+def laxity_table(published: Sequence[PublishedLaxity], models: Mapping[str, ArrayLike]) -> Table:
+    """Measured laxity, the paper's model and further models, a row a load (the paper's Table 2).
+
+    Parameters
+    ----------
+    published
+        The rows.
+    models
+        By name, the response of a model to each load, positive the way it pushes [mm or deg],
+        shape ``(len(published),)``; NaN where it has none.
+    """
+    values = [np.asarray(x, float) for x in models.values()]
+    rows = tuple(
+        (
+            row.load,
+            f"{row.magnitude:g} {'N' if row.column.endswith('_N') else 'N·m'}",
+            row.flexion_deg,
+            row.unit,
+            f"{row.mean:.1f} ({row.sd:.1f})",
+            row.paper_model,
+            *(_known(value[i]) for value in values),
+            *(_known((value[i] - row.mean) / row.sd) for value in values),
+        )
+        for i, row in enumerate(published)
+    )
+    return Table(
+        title="Laxity under the loads of the paper's Table 2",
+        columns=(
+            Column(name="load"),
+            Column(name="magnitude"),
+            Column(name="flexion", unit="deg", decimals=0),
+            Column(name="unit"),
+            Column(name="measured mean (sd)"),
+            Column(name="paper's model", decimals=1),
+            *(Column(name=name) for name in models),
+            *(Column(name=f"{name}, sd from mean") for name in models),
+        ),
+        rows=rows,
+    )
+
+
+def start_table(names: Sequence[str], starts: Mapping[str, ArrayLike], truth: ArrayLike) -> Table:
+    """Initial guesses and their mean distances from the truth (the paper's Table 1).
+
+    Parameters
+    ----------
+    names
+        Of the ligaments, in the order of theta.
+    starts
+        Theta by name, shape ``(2 m,)`` each.
+    truth
+        Theta they are compared with, shape ``(2 m,)``.
+    """
+    rows = []
+    for start, theta in starts.items():
+        values = np.asarray(theta, float)
+        error = parameter_error(values, truth)
+        pairs = values.reshape(2, -1).T.ravel().tolist()
+        rows.append((start, *pairs, error.mean_kN, error.mean_pct))
+    columns = [
+        column
+        for name in names
+        for column in (
+            Column(name=f"{name} k", unit="kN", decimals=1),
+            Column(name=f"{name} eps_r", unit="%", decimals=1),
+        )
+    ]
+    return Table(
+        title="Initial guesses and their mean distance from the reference",
+        columns=(
+            Column(name="start"),
+            *columns,
+            Column(name="distance k", unit="kN", decimals=3),
+            Column(name="distance eps_r", unit="%", decimals=3),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def error_table(published: Sequence[PublishedError], own: Mapping[str, Array]) -> Table:
+    """Published kinematic errors with our own rows below them (the paper's Table 5).
+
+    Parameters
+    ----------
+    published
+        The rows.
+    own
+        By name, errors of internal rotation [deg], varus rotation [deg] and anterior translation
+        [mm], shape ``(3,)``.
+    """
+    rows: list[tuple[Cell, ...]] = [
+        (
+            row.study if row.flexion_deg is None else f"{row.study}, {row.flexion_deg:g} deg",
+            *(_mean_sd(pair) for pair in (row.internal_deg, row.varus_deg, row.anterior_mm)),
+        )
+        for row in published
+    ]
+    rows += [(name, *(f"{x:.2f}" for x in values)) for name, values in own.items()]
+    return Table(
+        title="Kinematic error (RMSE) of models against the data they were fitted to, mean (sd)",
+        columns=(
+            Column(name="study"),
+            Column(name="internal rotation", unit="deg"),
+            Column(name="varus rotation", unit="deg"),
+            Column(name="anterior translation", unit="mm"),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def median_range(values: Spread, decimals: int = 2) -> str:
+    """A spread as text: the median, and the range in brackets.
+
+    Examples
+    --------
+    >>> from identknee.report.comparison import spread
+    >>> median_range(spread([1.0, 2.0, 9.0]), 1)
+    '2.0 [1.0, 9.0]'
+    """
+    if not values.n:
+        return "-"
+    low, high = f"{values.low:.{decimals}f}", f"{values.high:.{decimals}f}"
+    return f"{values.median:.{decimals}f} [{low}, {high}]"
+
+
+def _between(content: str) -> Callable[[re.Match[str]], str]:
+    return lambda match: f"{match[1]}{content}\n{match[2]}"
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _mean_sd(pair: tuple[float, float | None] | None) -> str | None:
+    if pair is None:
+        return None
+    mean, sd = pair
+    return f"{mean:.1f}" if sd is None else f"{mean:.1f} ({sd:.1f})"
+
+
+def _text(cell: Cell, column: Column) -> str:
+    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+        return "-"
+    if isinstance(cell, str):
+        return cell
+    if isinstance(cell, int):
+        return str(cell)
+    if column.decimals is None:
+        return f"{cell:.4g}"
+    # Adding zero turns a rounded -0.0 into 0.0.
+    return f"{round(cell, column.decimals) + 0.0:.{column.decimals}f}"

@@ -1,0 +1,206 @@
+"""Subject folders: subject.toml and the surfaces it names."""
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from identknee.runs.errors import InputError
+from identknee.runs.files import PathLike, prepare_folder, write_atomically
+from identknee.subject.check import unusable
+from identknee.subject.frames import LANDMARKS, Frame, frames_from_landmarks
+from identknee.subject.knee import Knee, Landmark
+from identknee.subject.ligament import Ligament
+from identknee.subject.reference import NAME, reference_knee
+from identknee.subject.subject_file import FORMAT, Table, read_tables
+from identknee.subject.surface import Surface, read_surface, write_surface
+
+FILE = "subject.toml"
+SURFACES = ("femur", "tibia_medial", "tibia_lateral")
+Made = TypeVar("Made")
+
+
+def read_subject(path: PathLike) -> Knee:
+    """The knee of a subject folder, or the analytic one for the word ``reference``.
+
+    Lengths in the files are mm. Every frame there has x anterior, y superior and z to the subject's
+    right; a left knee is mirrored, so that the knee returned is always a right one with z lateral.
+    A folder that is itself called reference is read as ``./reference``.
+
+    Parameters
+    ----------
+    path
+        The folder, its ``subject.toml``, or ``"reference"``.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or cannot be used: the message names the file, the place in it and the
+        remedy. What can be used but looks wrong is left to `check_geometry`.
+    """
+    if os.fspath(path) == NAME:
+        return reference_knee()
+    file = Path(path) / FILE if Path(path).is_dir() else Path(path)
+    if not file.exists() and file.name != FILE:
+        raise InputError(
+            path,
+            "",
+            "there is no such subject folder",
+            f"Give a folder that holds {FILE}, or the word {NAME}.",
+        )
+    if file.name == FILE and not file.exists() and file.parent.is_dir():
+        raise InputError(
+            file.parent, "", f"the folder holds no {FILE}", "Add one, or give another folder."
+        )
+    knee = _knee(read_tables(file))
+    for finding in unusable(knee):
+        raise InputError(file, finding.subject, finding.sentence, finding.remedy)
+    return knee
+
+
+def write_subject(knee: Knee, folder: PathLike) -> Path:
+    """Path of the folder that now holds the knee: ``subject.toml`` and surfaces as binary PLY.
+
+    Reading it gives the same numbers back; only a closed-form distance is lost. A left knee is
+    mirrored back to the side it came from. Nothing is left half-written.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    target = prepare_folder(folder)
+    written = knee.mirrored() if knee.side == "left" else knee
+    with tempfile.TemporaryDirectory(prefix=".subject-", dir=target) as staging:
+        names = [f"{name}.ply" for name in SURFACES]
+        for surface, name in zip((written.femur, *written.tibia), names, strict=True):
+            write_surface(surface, Path(staging) / name)
+        write_atomically(Path(staging) / FILE, _text(written, names))
+        for name in (*names, FILE):
+            (Path(staging) / name).replace(target / name)
+    return target
+
+
+def _knee(table: Table) -> Knee:
+    table.check_keys(
+        ("format", "name", "side", "surfaces", "ligaments"), ("description", "frames", "landmarks")
+    )
+    side = table.text("side")
+    if side not in ("right", "left"):
+        table.refuse("side", f"{side!r} is no side", 'Write "right" or "left".')
+    landmarks = _landmarks(table)
+    femur_frame, tibia_frame = _frames(table, landmarks, is_left=side == "left")
+    surfaces = _surfaces(table)
+    ligaments = [_ligament(x) for x in table.tables("ligaments")]
+    knee = _made(
+        table,
+        lambda: Knee(
+            name=table.text("name"),
+            side="left" if side == "left" else "right",
+            description=table.text("description", ""),
+            femur=surfaces[0],
+            tibia=surfaces[1:],
+            ligaments=tuple(ligaments),
+            femur_frame=femur_frame,
+            tibia_frame=tibia_frame,
+            landmarks=landmarks,
+        ),
+    )
+    return knee.mirrored() if side == "left" else knee
+
+
+def _surfaces(table: Table) -> tuple[Surface, ...]:
+    files = table.table("surfaces")
+    files.check_keys(SURFACES)
+    return tuple(read_surface(table.path.parent / files.text(name)) for name in SURFACES)
+
+
+def _landmarks(table: Table) -> tuple[Landmark, ...]:
+    if "landmarks" not in table.values:
+        return ()
+    places = table.table("landmarks")
+    places.check_keys((), LANDMARKS)
+    return tuple(Landmark(name=x, position=places.point(x)) for x in places.values)
+
+
+def _frames(
+    table: Table, landmarks: tuple[Landmark, ...], *, is_left: bool
+) -> tuple[Frame, Frame]:
+    if "frames" in table.values:
+        frames = table.table("frames")
+        frames.check_keys(("femur", "tibia"))
+        femur, tibia = (_frame(frames.table(x, f"[frames.{x}]")) for x in ("femur", "tibia"))
+        return femur, tibia
+    if not landmarks:
+        table.check_keys(("frames",), table.values)
+    places = table.table("landmarks")
+    positions = {x.name: x.position for x in landmarks}
+    return _made(places, lambda: frames_from_landmarks(positions, is_left=is_left))
+
+
+def _frame(table: Table) -> Frame:
+    table.check_keys(("origin", "axes"))
+    return _made(table, lambda: Frame(origin=table.point("origin"), axes=table.axes("axes")))
+
+
+def _ligament(table: Table) -> Ligament:
+    table.check_keys(("name", "femur", "tibia", "stiffness_kN", "reference_strain_pct"))
+    return _made(
+        table,
+        lambda: Ligament(
+            name=table.text("name"),
+            femur=table.point("femur"),
+            tibia=table.point("tibia"),
+            stiffness_kN=table.number("stiffness_kN"),
+            reference_strain_pct=table.number("reference_strain_pct"),
+        ),
+    )
+
+
+def _made(table: Table, make: Callable[[], Made]) -> Made:
+    """What `make` makes; the values it refuses are a mistake in the table's file."""
+    try:
+        return make()
+    except InputError:
+        raise
+    except ValueError as error:
+        table.refuse("", str(error), "")
+
+
+def _text(knee: Knee, surfaces: Iterable[str]) -> str:
+    """The subject.toml of a knee whose surfaces are files of these names."""
+    lines = [
+        "# A subject of identknee. Lengths in mm; x anterior, y superior, z to the subject's right.",
+        f"format = {FORMAT}",
+        f"name = {_toml(knee.name)}",
+        f"side = {_toml(knee.side)}",
+        f"description = {_toml(knee.description)}",
+        "",
+        "[surfaces]",
+        *(f"{key} = {_toml(name)}" for key, name in zip(SURFACES, surfaces, strict=True)),
+    ]
+    for bone, frame in (("femur", knee.femur_frame), ("tibia", knee.tibia_frame)):
+        lines += ["", f"[frames.{bone}]"]
+        lines += [f"origin = {_toml(frame.origin.tolist())}"]
+        lines += [f"axes = {_toml(frame.axes.tolist())}"]
+    if knee.landmarks:
+        lines += ["", "[landmarks]"]
+        lines += [f"{x.name} = {_toml(x.position.tolist())}" for x in knee.landmarks]
+    for ligament in knee.ligaments:
+        lines += [
+            "",
+            "[[ligaments]]",
+            f"name = {_toml(ligament.name)}",
+            f"femur = {_toml(ligament.femur.tolist())}",
+            f"tibia = {_toml(ligament.tibia.tolist())}",
+            f"stiffness_kN = {_toml(float(ligament.stiffness_kN))}",
+            f"reference_strain_pct = {_toml(float(ligament.reference_strain_pct))}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """Text, numbers and lists as TOML writes them, which is as JSON does."""
+    return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("\x7f", "\\u007f")

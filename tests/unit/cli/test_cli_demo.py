@@ -1,0 +1,89 @@
+"""`identknee demo`, on fewer trials and starts; and how the command is stopped."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import xarray
+from cli_runs import run, short_protocol
+
+import identknee as ik
+from identknee.cli import demo
+
+
+@pytest.fixture
+def few_trials(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    protocol = ik.load_protocol(short_protocol(tmp_path))
+    monkeypatch.setattr(ik, "load_protocol", lambda _name: protocol)
+    monkeypatch.setattr(demo, "STARTS", ("IG2", "IG4"))
+
+
+@pytest.mark.usefixtures("few_trials")
+def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    result = run("demo", "--runs", "1", "--budget", "60", "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "Short settings" in result.stderr
+    for word in ("complex", "least-squares", "IG2", "IG4", "budget 1", "minimum 1"):
+        assert word in result.stdout
+    assert "that a model fits does not show that its parameters are right" in result.stdout
+    assert {x.name for x in out.iterdir()} == {
+        "knee.png",
+        "laxity.csv",
+        "result.json",
+        "result.nc",
+        "starts.png",
+    }
+    summary = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert summary["settings"] == "short settings"
+    assert [(x["method"], x["start"]) for x in summary["starts"]] == [
+        ("complex", "IG2"),
+        ("complex", "IG4"),
+        ("least-squares", "IG2"),
+        ("least-squares", "IG4"),
+    ]
+    assert summary["truth"]["ACL"]["stiffness_kN"] == 10.0
+    with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
+        assert tree["fits"]["theta"].sizes == {"fit": 4, "parameter": 8}
+
+
+@pytest.mark.usefixtures("few_trials")
+def test_the_number_of_workers_changes_nothing(tmp_path: Path) -> None:
+    rows = []
+    for workers in ("1", "2"):
+        words = ["demo", "--runs", "2", "--budget", "40", "--workers", workers, "--json"]
+        result = run(*words, "--out", tmp_path)
+        assert result.stderr == ""
+        rows.append(json.loads(result.stdout)["starts"])
+        for row in rows[-1]:
+            row.pop("seconds")
+    assert rows[0] == rows[1]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
+def test_ctrl_c_leaves_a_sentence_and_no_result(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "identknee.cli.main", "demo", "--out", str(tmp_path / "out")],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    assert process.stderr is not None
+    said = ""
+    while "Fitting" not in said:
+        line = process.stderr.readline()
+        assert line, said
+        said += line
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    # Far shorter than the fits that were under way.
+    _, rest = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert rest == "identknee: stopped; the same command does it again from the start\n"
+    assert not (tmp_path / "out" / "result.json").exists()

@@ -1,0 +1,189 @@
+"""`identknee simulate`, from its words to its files and sentences."""
+
+import json
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from cli_runs import refused, run, short_protocol
+
+import identknee as ik
+
+
+def test_the_table_is_what_the_model_predicts(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    out = tmp_path / "out"
+    result = run(
+        "simulate", "reference", "--protocol", short, "--set", "ACL.stiffness_kN=9.5", "--out", out
+    )
+    assert result.exit_code == 0, result.output
+    assert "10 of 10 trials converged" in result.stdout
+    simulation = ik.simulate(
+        ik.reference_knee(), ik.load_protocol(short), {"ACL.stiffness_kN": 9.5}
+    )
+    read = ik.read_laxity(out / "laxity.csv")
+    np.testing.assert_array_equal(read.coordinates, simulation.laxity.coordinates)
+    assert read.protocol.trials == simulation.laxity.protocol.trials
+    assert read.sd is None
+
+
+def test_the_summary_has_the_keys_others_rely_on(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    result = run("simulate", "reference", "--protocol", short, "--out", tmp_path, "--json")
+    summary = json.loads(result.stdout)
+    assert summary == json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert summary["n_trials"] == summary["n_converged"] == 10
+    assert summary["parameters"]["PCL"] == {"stiffness_kN": 18.0, "reference_strain_pct": -4.0}
+    assert {"trial", "outcome", "reason"} <= set(summary["trials"][0])
+    assert [x["outcome"] for x in summary["trials"]] == ["converged"] * 10
+    assert min(x["margin_N_per_mm"] for x in summary["trials"]) > 0.0
+    assert summary["record"]["seed"] == 0
+    assert summary["record"]["settings"]["protocol"] == str(short)
+    assert len(summary["record"]["inputs"]["subject"]) == 64
+
+
+def test_the_arrays_are_in_named_groups(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    run("simulate", "reference", "--protocol", short, "--noise", "0.1mm,0.2deg", "--out", tmp_path)
+    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+        assert set(tree.children) == {"constant_data", "predictions", "observed_data"}
+        table = ik.read_laxity(tmp_path / "laxity.csv").coordinates
+        np.testing.assert_array_equal(tree["observed_data"]["coordinates"], table)
+        assert tree["predictions"]["tension_N"].dims == ("trial", "ligament")
+        assert float(tree["predictions"]["tension_N"].min()) >= 0.0
+
+
+def test_noise_is_of_the_size_and_seed_given(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    tables = {}
+    for name, seed in (("first", "7"), ("again", "7"), ("other", "8")):
+        words = ["simulate", "reference", "--protocol", short, "--noise", "0.1mm,0.2deg"]
+        run(*words, "--seed", seed, "--out", tmp_path / name)
+        tables[name] = ik.read_laxity(tmp_path / name / "laxity.csv")
+    sd = tables["first"].sd
+    assert sd is not None
+    np.testing.assert_array_equal(np.unique(sd, axis=0), [[0.1, 0.1, 0.1, 0.2, 0.2]])
+    np.testing.assert_array_equal(tables["first"].coordinates, tables["again"].coordinates)
+    assert not np.array_equal(tables["first"].coordinates, tables["other"].coordinates)
+
+
+def test_correlated_heavy_tailed_noise_is_stated(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    noise = ["--noise", "0.1mm,0.2deg", "--noise-correlation", "0.3", "--noise-student", "4"]
+    result = run("simulate", "reference", "--protocol", short, *noise, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert ik.read_laxity(tmp_path / "laxity.csv").within_trial_correlation == 0.3
+
+
+def test_a_trial_without_equilibrium_is_blank_and_explained(tmp_path: Path) -> None:
+    # At 60 deg of flexion the lax knee folds under internal moments; the unloaded trial stays.
+    words = ["simulate", "reference", "--protocol", "seed63", "--out", tmp_path]
+    lax = [
+        "PCL.stiffness_kN=9",
+        "ACL.stiffness_kN=5",
+        "ACL.reference_strain_pct=5",
+        "LCL.reference_strain_pct=-1",
+    ]
+    result = run(*words, *(word for value in lax for word in ("--set", value)))
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    table = ik.read_laxity(tmp_path / "laxity.csv")
+    failed = [x["outcome"] != "converged" for x in summary["trials"]]
+    assert 0 < sum(failed) < 63
+    np.testing.assert_array_equal(np.isnan(table.coordinates).all(axis=1), failed)
+    assert f"{63 - sum(failed)} of 63 trials converged" in result.stdout
+    assert "Their cells are blank; the reasons are in result.json." in result.stdout
+    reason = summary["trials"][failed.index(True)]["reason"]
+    assert reason.endswith("% of the last load step was reached.")
+
+
+def test_a_knee_without_any_equilibrium_ends_with_1(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    slack = [f"{name}.stiffness_kN=0" for name in ("ACL", "PCL", "LCL", "MCL")]
+    words = ["simulate", "reference", "--protocol", short, "--out", tmp_path]
+    result = run(*words, *(word for value in slack for word in ("--set", value)))
+    assert result.exit_code == 1
+    assert "none of the 10 trials has an equilibrium" in result.stderr
+    assert (tmp_path / "result.json").exists()
+
+
+def test_a_single_step_is_another_way_to_the_same_place(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    words = ["simulate", "reference", "--protocol", short]
+    run(*words, "--out", tmp_path / "a")
+    result = run(*words, "--continuation", "single-step", "--out", tmp_path / "b")
+    assert result.exit_code == 0, result.output
+    first, second = (ik.read_laxity(tmp_path / x / "laxity.csv").coordinates for x in "ab")
+    both = ~np.isnan(first) & ~np.isnan(second)
+    assert both.any()
+
+
+def test_wrong_words_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    out = tmp_path / "out"
+
+    def said(*words: str) -> str:
+        return refused("simulate", "reference", "--protocol", short, "--out", out, *words)
+
+    assert "there is no parameter 'ACL.stifness_kN'; the parameters are ACL.stiffness_kN" in said(
+        "--set", "ACL.stifness_kN=9"
+    )
+    assert "'nine' is not a number" in said("--set", "ACL.stiffness_kN=nine")
+    assert "this is not a size of noise" in said("--noise", "0.3")
+    assert "stiffness must be finite and >= 0 kN" in said("--set", "ACL.stiffness_kN=-1")
+    assert "sd_mm must be greater than 0" in said("--noise", "0mm,1deg")
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_wrong_protocols_are_refused(tmp_path: Path) -> None:
+    assert "Did you mean seed63?" in refused(
+        "simulate", "reference", "--protocol", "seed36", "--out", tmp_path
+    )
+    mistaken = tmp_path / "mistaken.toml"
+    mistaken.write_text(
+        'format = 1\n[[ramps]]\nflexion_deg = 0\nload = "varus_moment_Nm"\nvalues = [5000]\n',
+        encoding="utf-8",
+    )
+    said = refused("simulate", "reference", "--protocol", mistaken, "--out", tmp_path)
+    assert "5000 N·m is beyond 50 N·m" in said
+    assert "If it is in N·mm, divide it by 1000." in said
+    assert "there is no such file" in refused(
+        "simulate", "reference", "--protocol", tmp_path / "none.toml", "--out", tmp_path
+    )
+
+
+def test_a_subject_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    said = refused("simulate", tmp_path / "nobody", "--out", tmp_path)
+    assert str(tmp_path / "nobody") in said
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("taken", encoding="utf-8")
+    said = refused("simulate", "reference", "--out", file)
+    assert "a file stands where the folder should be. Choose another folder name." in said
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    locked = tmp_path / "locked"
+    locked.mkdir()
+    locked.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    try:
+        (locked / "probe").touch()
+    except PermissionError:
+        said = refused("simulate", "reference", "--out", locked)
+        assert "it may not be written to" in said
+    else:
+        pytest.skip("this user may write anywhere")
+    finally:
+        locked.chmod(stat.S_IRWXU)
+
+
+def test_a_seed_below_zero_and_unknown_options_are_refused() -> None:
+    for words in (["--seed", "-1"], ["--workers", "0"], ["--sed", "1"]):
+        result = run("simulate", "reference", *words)
+        assert result.exit_code == 2
+        assert "Traceback" not in result.stderr
+        assert words[0] in result.stderr

@@ -1,0 +1,125 @@
+"""`identknee subject`, from its words to its files and sentences."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+from cli_runs import refused, run, short_protocol
+
+import identknee as ik
+
+SHARED = os.environ.get("IDENTKNEE_SHARED")
+needs_shared = pytest.mark.skipif(
+    SHARED is None, reason="IDENTKNEE_SHARED names no folder of shared data"
+)
+
+
+def shared(*parts: str) -> Path:
+    return Path(SHARED or "", *parts)
+
+
+def summary_of(out: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    return content
+
+
+def test_the_reference_knee_passes_its_check(tmp_path: Path) -> None:
+    words = ["--protocol", short_protocol(tmp_path), "--samples", "5", "--workers", "2"]
+    result = run("subject", "check", "reference", *words, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "All 10 trials of short converge" in result.stdout
+    assert "Between the default contact points and all vertices" in result.stdout
+    summary = summary_of(tmp_path / "out")
+    assert summary["n_errors"] == 0
+    assert summary["stability"]["n_converged"] == 10
+    assert sum(summary["stability"]["box_outcomes"].values()) == 50
+    with xarray.open_datatree(tmp_path / "out" / "result.nc", engine="h5netcdf") as tree:
+        assert set(tree.children) == {"subject", "stability"}
+
+
+def test_a_knee_that_cannot_be_held_ends_with_2_and_a_remedy(tmp_path: Path) -> None:
+    knee = ik.reference_knee(edge_mm=2.0)
+    slack = [replace(x, stiffness_kN=0.0) for x in knee.ligaments]
+    ik.write_subject(knee.with_ligaments(slack), tmp_path / "slack")
+    words = ["--protocol", short_protocol(tmp_path), "--samples", "0", "--out", tmp_path / "out"]
+    result = run("subject", "check", tmp_path / "slack", *words)
+    assert result.exit_code == 2
+    assert "error   stability: 10 of the 10 trials of short do not converge" in result.stdout
+    assert "Move the insertions" in result.stdout
+    assert summary_of(tmp_path / "out")["n_errors"] == 1
+
+
+def test_a_knee_in_metres_is_not_simulated(tmp_path: Path) -> None:
+    knee = ik.reference_knee(edge_mm=3.0)
+    small = replace(
+        knee,
+        femur=knee.femur.scaled(1e-3),
+        tibia=tuple(x.scaled(1e-3) for x in knee.tibia),
+        femur_distance=None,
+    )
+    try:
+        ik.write_subject(small, tmp_path / "metres")
+        result = run("subject", "check", tmp_path / "metres", "--out", tmp_path / "out")
+    except ValueError as error:
+        pytest.fail(f"a subject in metres is a finding, not an exception: {error}")
+    assert result.exit_code == 2
+    assert "metres" in result.output
+
+
+def test_a_picture_is_drawn(tmp_path: Path) -> None:
+    result = run("subject", "show", "reference", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "scene.png").read_bytes().startswith(b"\x89PNG")
+    assert summary_of(tmp_path)["subject"] == "reference"
+
+
+def test_an_exported_subject_reads_back_as_the_same_knee(tmp_path: Path) -> None:
+    result = run("subject", "export", "reference", "--out", tmp_path / "copy")
+    assert result.exit_code == 0, result.output
+    assert f"Next: identknee subject check {tmp_path / 'copy'}" in result.stdout
+    knee, copy = ik.reference_knee(), ik.read_subject(tmp_path / "copy")
+    assert [x.name for x in copy.ligaments] == [x.name for x in knee.ligaments]
+    # Surface files hold single precision: 1e-7 of 100 mm.
+    np.testing.assert_allclose(copy.reference_lengths, knee.reference_lengths, atol=1e-5)
+    assert len(copy.femur.faces) == len(knee.femur.faces)
+
+
+@needs_shared
+def test_an_opensim_model_becomes_a_subject(tmp_path: Path) -> None:
+    file = shared("data", "lenhart2015", "opensim", "lenhart2015.osim")
+    words = ["--bundles", "merged", "--out", tmp_path / "subject", "--json"]
+    result = run("subject", "import-osim", file, *words)
+    assert result.exit_code == 0, result.output
+    names = {x["name"] for x in json.loads(result.stdout)["ligaments"]}
+    assert {"ACL", "PCL", "LCL", "MCL"} <= names
+    assert len(ik.read_subject(tmp_path / "subject").ligaments) == len(names)
+
+
+@needs_shared
+def test_raw_centroids_fold_and_that_is_said(tmp_path: Path) -> None:
+    words = ["--samples", "0", "--out", tmp_path]
+    result = run("subject", "check", shared("data", "lenhart2015"), *words)
+    assert result.exit_code == 2
+    assert "do not converge at the subject's own parameters" in result.stdout
+    assert "fold" in result.stdout
+
+
+def test_wrong_words_are_refused(tmp_path: Path) -> None:
+    said = refused("subject", "check", tmp_path / "nobody", "--out", tmp_path / "out")
+    assert str(tmp_path / "nobody") in said
+    said = refused("subject", "import-osim", tmp_path / "none.osim", "--out", tmp_path / "out")
+    assert "none.osim" in said
+    result = run("subject", "import-osim", "x.osim", "--bundles", "all")
+    assert result.exit_code == 2
+    assert "'separate', 'merged'" in result.stderr
+
+
+def test_without_a_verb_the_help_is_shown() -> None:
+    result = run("subject")
+    assert result.exit_code == 2
+    assert "import-osim" in result.output

@@ -1,0 +1,69 @@
+"""Numbers with names and units as they are typed."""
+
+import pytest
+
+from identknee.cli.values import named_bounds, named_values, noise_sizes
+
+
+def test_values_come_by_name() -> None:
+    assert named_values(["A.x=1", " B.y = -2e1 "], "--set") == {"A.x": 1.0, "B.y": -20.0}
+
+
+def test_bounds_come_by_name() -> None:
+    assert named_bounds(["A.x=-1:2.5"], "--bounds") == {"A.x": (-1.0, 2.5)}
+
+
+def test_noise_comes_in_either_order() -> None:
+    assert noise_sizes("0.3mm,0.5deg") == noise_sizes("0.5 deg, 0.3 mm") == (0.3, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("ACL.stiffness_kN", "this is not NAME=VALUE. Write for example --set ACL"),
+        ("=3", "this is not NAME=VALUE"),
+        ("A.x=stiff", "'stiff' is not a number. Write a number such as 9.5"),
+        ("A.x=", "'' is not a number"),
+        ("A.x=nan", "'nan' is not a number"),
+        ("A.x=inf", "'inf' is not a number"),
+    ],
+)
+def test_a_value_that_is_none_is_refused(text: str, sentence: str) -> None:
+    with pytest.raises(ValueError, match=f"^--set {text}.*") as caught:
+        named_values([text], "--set")
+    assert sentence in str(caught.value)
+
+
+def test_a_name_given_twice_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"--set gives A\.x twice; give it once"):
+        named_values(["A.x=1", "A.x=2"], "--set")
+    with pytest.raises(ValueError, match=r"--bounds gives A\.x twice; give it once"):
+        named_bounds(["A.x=1:2", "A.x=2:3"], "--bounds")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("A.x=3", "there is no upper bound. Write LOWER:UPPER"),
+        ("A.x=a:3", "'a' is not a number"),
+        ("A.x", "this is not NAME=VALUE"),
+    ],
+)
+def test_a_bound_that_is_none_is_refused(text: str, sentence: str) -> None:
+    with pytest.raises(ValueError, match="--bounds") as caught:
+        named_bounds([text], "--bounds")
+    assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "0.3", "0.3mm", "0.3mm,0.3mm", "0.3mm,0.3rad", "mm,deg", "0.3mm;0.3deg", "0.3,0.3"]
+)
+def test_a_noise_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="this is not a size of noise") as caught:
+        noise_sizes(text)
+    assert "for example --noise 0.3mm,0.3deg" in str(caught.value)
+
+
+def test_a_size_of_noise_is_a_number() -> None:
+    with pytest.raises(ValueError, match="'3e' is not a number"):
+        noise_sizes("3emm,1deg")

@@ -1,0 +1,104 @@
+"""How well posed a subject is, in numbers and sentences."""
+
+import numpy as np
+import pytest
+
+from identknee.laxity.protocol import load_protocol
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import ligament_parameters
+from identknee.model.stability import StabilityReport, box_sample, check_stability
+from identknee.runs.executors import threads
+from identknee.runs.outcome import Outcome
+from identknee.subject.reference import reference_knee
+
+N_SAMPLES = 20
+
+
+@pytest.fixture(scope="module")
+def model() -> LaxityModel:
+    return LaxityModel(knee=reference_knee(), protocol=load_protocol("seed63"))
+
+
+@pytest.fixture(scope="module")
+def report(model: LaxityModel) -> StabilityReport:
+    return check_stability(model, n_samples=N_SAMPLES, seed=1)
+
+
+def test_the_reference_knee_is_stable(report: StabilityReport) -> None:
+    assert report.n_converged == 63
+    assert report.lowest_margin > 0.5
+    assert [x.severity for x in report.findings][:1] == ["info"]
+    assert report.findings[0].sentence.startswith("All 63 trials of seed63 converge")
+
+
+def test_the_box_is_counted(report: StabilityReport) -> None:
+    assert sum(report.box_outcomes.values()) == 63 * N_SAMPLES
+    converged = report.box_outcomes[Outcome.CONVERGED]
+    assert report.converged_share == converged / (63 * N_SAMPLES)
+    assert report.box_margins.shape == (N_SAMPLES,)
+
+
+def test_threads_and_seeds_repeat(model: LaxityModel, report: StabilityReport) -> None:
+    with threads(2) as executor:
+        again = check_stability(model, n_samples=N_SAMPLES, seed=1, executor=executor)
+    np.testing.assert_array_equal(again.box_margins, report.box_margins)
+    assert again.box_outcomes == report.box_outcomes
+
+
+def test_fewer_contact_points_are_compared_with_all() -> None:
+    protocol = load_protocol("seed63").select([0, 30, 40])
+    coarse = LaxityModel(knee=reference_knee(), protocol=protocol, n_points=150)
+    report = check_stability(coarse, n_samples=0)
+    assert report.change_mm > 0.0
+    assert report.change_deg > 0.0
+    assert np.isnan(report.converged_share)
+    finding = report.findings[-1]
+    assert finding.subject == "contact points"
+    assert f"{report.change_mm:.3f} mm and {report.change_deg:.3f} deg" in finding.sentence
+    assert (finding.severity == "warning") == bool(finding.remedy)
+
+
+def test_a_knee_without_ligament_forces_is_an_error() -> None:
+    knee = reference_knee()
+    slack = [
+        type(x)(
+            name=x.name,
+            femur=x.femur,
+            tibia=x.tibia,
+            stiffness_kN=0.0,
+            reference_strain_pct=x.reference_strain_pct,
+        )
+        for x in knee.ligaments
+    ]
+    model = LaxityModel(
+        knee=knee.with_ligaments(slack), protocol=load_protocol("seed63").select([0, 1])
+    )
+    report = check_stability(model, n_samples=0)
+    assert report.n_converged == 0
+    assert np.isnan(report.lowest_margin)
+    first, last = report.findings
+    assert first.severity == "error"
+    assert first.sentence.startswith("2 of the 2 trials of seed63 do not converge")
+    assert "flexion0_varus-10Nm" in first.sentence
+    assert first.remedy
+    assert last.severity == "warning"
+
+
+def test_every_finding_that_is_no_info_has_a_remedy(report: StabilityReport) -> None:
+    for finding in report.findings:
+        assert bool(finding.remedy) == (finding.severity != "info")
+
+
+def test_the_box_stays_within_the_bounds() -> None:
+    parameters = ligament_parameters(["A", "B"], [30.0, 10.0], [14.0, 0.0])
+    drawn = box_sample(parameters, 500, np.random.default_rng(0))
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    # Within 2 % of the box's width of its ends after 500 draws.
+    np.testing.assert_allclose(low, [15.0, 5.0, 11.0, -3.0], atol=0.5)
+    np.testing.assert_allclose(high, [40.0, 15.0, 15.0, 3.0], atol=0.5)
+    assert (drawn <= parameters.upper).all()
+
+
+def test_a_negative_number_of_samples_is_refused(model: LaxityModel) -> None:
+    with pytest.raises(ValueError, match="number of samples must be 0 or more, got -1"):
+        check_stability(model, n_samples=-1)

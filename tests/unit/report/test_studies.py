@@ -1,0 +1,97 @@
+"""The studies draw from their committed records, and their pages are up to date."""
+
+import json
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+STUDIES = Path(__file__).parents[3] / "studies"
+NAMES = ("01_model_evaluation", "02_initial_guess")
+LARGEST_RECORD = 1_000_000  # bytes
+
+
+def load(study: str, name: str) -> ModuleType:
+    spec = spec_from_file_location(f"study_{study}_{name}", STUDIES / study / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("study", NAMES)
+def test_figures_are_drawn_from_the_committed_record(
+    study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = load(study, "figures")
+    page = tmp_path / "README.md"
+    page.write_text((STUDIES / study / "README.md").read_text(encoding="utf-8"), encoding="utf-8")
+    out = tmp_path / "figures"
+    monkeypatch.setattr(sys, "argv", ["figures.py", "--out", str(out), "--page", str(page)])
+    module.main()
+    # A scene needs the subject folders, which may not be here; its picture is committed.
+    drawn = {x.name for x in out.iterdir()} | {"figure_1_knees.png"}
+    committed = {x.name for x in (STUDIES / study / "figures").iterdir()} | {"figure_1_knees.png"}
+    assert drawn == committed
+    assert page.read_text(encoding="utf-8") == (STUDIES / study / "README.md").read_text(
+        encoding="utf-8"
+    )
+
+
+@pytest.mark.parametrize("study", NAMES)
+def test_records_are_small_and_say_how_they_were_made(study: str) -> None:
+    for path in (STUDIES / study / "records").iterdir():
+        assert path.stat().st_size < LARGEST_RECORD
+        record = json.loads(path.read_text(encoding="utf-8"))
+        assert record["head"]["command"].startswith(f"python studies/{study}/compute.py")
+        assert record["head"]["commit"]
+        assert set(record["head"]["inputs"]) == set(record["knees"])
+
+
+@pytest.mark.parametrize("study", NAMES)
+def test_every_picture_on_a_page_is_there(study: str) -> None:
+    text = (STUDIES / study / "README.md").read_text(encoding="utf-8")
+    for name in (STUDIES / study / "figures").iterdir():
+        assert f"(figures/{name.name})" in text
+
+
+def test_a_knee_that_is_missing_is_named_in_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = load("01_model_evaluation", "compute")
+    monkeypatch.delenv("IDENTKNEE_SHARED", raising=False)
+    monkeypatch.setattr(module, "RAMPS", (("varus_moment_Nm", 1.0, 0.5),))
+    monkeypatch.setattr(module, "RAMP_FLEXION_DEG", (0.0,))
+    path = tmp_path / "record.json"
+    monkeypatch.setattr(sys, "argv", ["compute.py", "--record", str(path), "--workers", "1"])
+    module.main()
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert record["missing_knees"] == ["lenhart2015", "lenhart2015_stable"]
+    assert list(record["knees"]) == ["reference"]
+    assert record["knees"]["reference"]["seed63"]["outcomes"] == {"converged": 63}
+
+
+def test_fits_are_kept_and_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = load("02_initial_guess", "compute")
+    monkeypatch.delenv("IDENTKNEE_SHARED", raising=False)
+    arguments = ["--seeds", "1", "--budget", "25", "--box-samples", "1", "--workers", "1"]
+    paths = ["--store", str(tmp_path / "store.sqlite"), "--record", str(tmp_path / "record.json")]
+    monkeypatch.setattr(sys, "argv", ["compute.py", *arguments, *paths])
+    module.main()
+    first = json.loads((tmp_path / "record.json").read_text(encoding="utf-8"))
+    assert first["missing_knees"] == ["lenhart2015_stable"]
+    assert first["counts"]["fits"] == 8
+    exact = first["knees"]["reference"]["least-squares"]
+    assert max(max(row["error_kN"] + row["error_pct"]) for row in exact) < 1e-6
+
+    def made_again(_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(module, "fit_row", made_again)
+    module.main()
+    second = json.loads((tmp_path / "record.json").read_text(encoding="utf-8"))
+    assert second["knees"] == first["knees"]

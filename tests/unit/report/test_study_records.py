@@ -1,0 +1,74 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identknee.report.study_records import (
+    commit,
+    knee_digest,
+    record_head,
+    rounded,
+    study_knee,
+    write_record,
+)
+
+
+def test_a_missing_folder_gives_no_knee(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("IDENTKNEE_SHARED", raising=False)
+    assert study_knee("lenhart2015") is None
+    monkeypatch.setenv("IDENTKNEE_SHARED", str(tmp_path))
+    assert study_knee("lenhart2015") is None
+
+
+def test_the_digest_of_a_knee_changes_with_a_ligament() -> None:
+    knee = study_knee("reference")
+    assert knee is not None
+    other = knee.with_ligaments(knee.ligaments[::-1])
+    again = study_knee("reference")
+    assert again is not None
+    assert knee_digest(knee) == knee_digest(again)
+    assert knee_digest(knee) != knee_digest(other)
+
+
+def test_rounding_keeps_significant_digits() -> None:
+    assert rounded({"a": [1.23456789, np.float64(2e-9)], "b": 12345678, "c": None}, 3) == {
+        "a": [1.23, 2e-9],
+        "b": 12345678,
+        "c": None,
+    }
+
+
+def test_head_says_how_to_do_it_again() -> None:
+    head = record_head("python compute.py", settings={"seeds": 2}, inputs={"knee": "00"})
+    assert head["command"] == "python compute.py"
+    assert head["commit"] == commit()
+    assert set(head) == {
+        "command",
+        "commit",
+        "date",
+        "machine",
+        "versions",
+        "settings",
+        "inputs",
+    }
+    assert head["machine"]["cores"] >= 1
+
+
+def test_a_record_reads_back_equal_with_a_line_for_each_row(tmp_path: Path) -> None:
+    record = {"rows": [{"x": 1.5, "y": [1, 2]}, {"x": None, "y": []}], "n": 2, "deep": {"a": [1]}}
+    path = write_record(tmp_path / "records" / "r.json", record)
+    text = path.read_text(encoding="utf-8")
+    assert json.loads(text) == record
+    assert ' {"x": 1.5, "y": [1, 2]},' in text.splitlines()[2]
+
+
+def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
+    path = write_record(tmp_path / "r.json", {"x": np.array([np.nan, 1.0])})
+    assert json.loads(path.read_text(encoding="utf-8")) == {"x": [None, 1.0]}
+
+
+def test_unwritable_folder_is_an_input_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x", encoding="utf-8")
+    with pytest.raises(ValueError, match="a file stands where the folder should be"):
+        write_record(tmp_path / "file" / "r.json", {})
