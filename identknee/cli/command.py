@@ -1,5 +1,6 @@
 """What all verbs share: their options, how they end, and what they leave behind."""
 
+import errno
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +18,7 @@ from identknee.runs.progress import progress_bar
 Result = TypeVar("Result")
 
 NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+STOPPED = "stopped; the same command does it again from the start"
 
 Subject = Annotated[
     str, typer.Argument(metavar="SUBJECT", help="A subject folder, or the word reference.")
@@ -48,11 +50,16 @@ class Verbs(typer.core.TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            sentence, code = "stopped; the same command does it again from the start", INTERRUPTED
+            sentence, code = STOPPED, INTERRUPTED
         except (NotComputed, ModuleNotFoundError) as error:
             sentence, code = str(error), NOT_COMPUTED
         except MemoryError:
             sentence, code = "there is not enough memory", NOT_COMPUTED
+        except OSError as error:
+            # A closed pipe, as in `identknee ... | head`, is typer's to end quietly.
+            if error.errno == errno.EPIPE:
+                raise
+            sentence, code = f"a file or folder cannot be used: {error}", WRONG_INPUT
         except ValueError as error:
             if not is_our_sentence(error):
                 raise

@@ -1,19 +1,36 @@
-"""Where the command `identknee` begins."""
+"""Where the command `identknee` begins, and what Ctrl-C does to it."""
 
+import os
+import signal
 import sys
+from types import FrameType
 
 INTERRUPTED = 130
+STOPPED = "identknee: stopped while starting"
 
 
 def main() -> None:
     """Run the command and leave with its exit code."""
+    signal.signal(signal.SIGINT, _stop)
     try:
         # Loaded here so that Ctrl-C during the start leaves no traceback either.
         from identknee.cli.app import app
 
         app(prog_name="identknee")
     except KeyboardInterrupt:
+        print(STOPPED, file=sys.stderr)
         sys.exit(INTERRUPTED)
+
+
+def _stop(_number: int, frame: FrameType | None) -> None:
+    # Some libraries swallow whatever is raised while they are imported and then fail later. Nothing
+    # is being written during an import, so there it is safe to leave at once.
+    while frame is not None:
+        if frame.f_globals.get("__name__") == "importlib._bootstrap":
+            print(STOPPED, file=sys.stderr, flush=True)
+            os._exit(INTERRUPTED)
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

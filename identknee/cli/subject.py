@@ -57,8 +57,9 @@ def check(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Check surfaces, frames and ligaments of SUBJECT, and its stability over a protocol.
+    """Check SUBJECT and its stability.
 
+    Surfaces, frames and ligaments are checked, then the stability of the model over a protocol.
     Stability is taken at the subject's own parameters and over a box around them: stiffness
     +-50 %, reference strain +-3 %. Exit code 2 if there is an error.
     """
@@ -93,7 +94,7 @@ def draw(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Draw SUBJECT in its scanned pose: scene.png."""
+    """Draw SUBJECT in its scanned pose."""
     prepare_folder(out)
     knee = ik.read_subject(subject)
     recording = record("subject show", context.params, {"subject": knee_digest(knee)}, seed)
@@ -114,7 +115,7 @@ def export(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Write SUBJECT as a subject folder: subject.toml and its surfaces."""
+    """Write SUBJECT as a subject folder."""
     prepare_folder(out)
     knee = ik.read_subject(subject)
     recording = record("subject export", context.params, {"subject": knee_digest(knee)}, seed)
@@ -131,7 +132,7 @@ def import_osim(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Turn an OpenSim/JAM knee and its contact meshes into a subject folder."""
+    """Turn an OpenSim model into a subject folder."""
     prepare_folder(out)
     knee = ik.import_opensim(file, bundles=bundles)
     recording = record("subject import-osim", context.params, {"osim": digest(file)}, seed)

@@ -1,1 +1,1 @@
-"""The kernel: arrays in, arrays out; signed distance, contact, ligaments, equilibrium, sensitivities."""
+"""The kernel, arrays in, arrays out: contact, ligaments, equilibrium, sensitivities."""

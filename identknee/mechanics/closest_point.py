@@ -68,9 +68,7 @@ def _build_tree(corners: Array) -> tuple[IntArray, Array, IntArray]:
             return
         axis = int(np.argmax(np.ptp(centres[chosen], axis=0)))
         middle = (first + last) // 2
-        order[first:last] = chosen[
-            np.argpartition(centres[chosen, axis], middle - first)
-        ]
+        order[first:last] = chosen[np.argpartition(centres[chosen, axis], middle - first)]
         build(first, middle)
         spans[here][2] = len(spans)
         build(middle, last)
@@ -80,7 +78,7 @@ def _build_tree(corners: Array) -> tuple[IntArray, Array, IntArray]:
 
 
 def _pseudonormals(vertices: Array, faces: IntArray) -> tuple[Array, BoolArray]:
-    """Normals (m, 7, 3) of each triangle's face, edges 01 12 20 and corners 0 1 2; which are rim."""
+    """Normals (m, 7, 3) of face, edges 01 12 20 and corners of each triangle; which are rim."""
     corner = vertices[faces]
     face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     face /= np.maximum(np.linalg.norm(face, axis=1, keepdims=True), 1e-300)
@@ -115,8 +113,16 @@ def closest_on_triangle(p0, p1, p2, corner, closest):
     0 the face, 1-3 the edges 01, 12, 20, 4-6 the corners. Barycentric regions as in Ericson,
     Real-Time Collision Detection (2005), section 5.1.5.
     """
-    ab0, ab1, ab2 = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
-    ac0, ac1, ac2 = corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1], corner[2, 2] - corner[0, 2]
+    ab0, ab1, ab2 = (
+        corner[1, 0] - corner[0, 0],
+        corner[1, 1] - corner[0, 1],
+        corner[1, 2] - corner[0, 2],
+    )
+    ac0, ac1, ac2 = (
+        corner[2, 0] - corner[0, 0],
+        corner[2, 1] - corner[0, 1],
+        corner[2, 2] - corner[0, 2],
+    )
     ap0, ap1, ap2 = p0 - corner[0, 0], p1 - corner[0, 1], p2 - corner[0, 2]
     aa, bb, cc = ab0 * ab0 + ab1 * ab1 + ab2 * ab2, 0.0, ac0 * ac0 + ac1 * ac1 + ac2 * ac2
     bb = ab0 * ac0 + ab1 * ac1 + ab2 * ac2
@@ -166,9 +172,7 @@ def signed_distances(points, triangles, boxes, spans, normals, on_rim, result):
         p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
         # The last point's triangle is a good first bound where points come along grid lines.
         best_feature = closest_on_triangle(p0, p1, p2, triangles[best_triangle], best_point)
-        best = (
-            (p0 - best_point[0]) ** 2 + (p1 - best_point[1]) ** 2 + (p2 - best_point[2]) ** 2
-        )
+        best = (p0 - best_point[0]) ** 2 + (p1 - best_point[1]) ** 2 + (p2 - best_point[2]) ** 2
         stack[0] = 0
         depth = 1
         while depth > 0:
@@ -178,7 +182,9 @@ def signed_distances(points, triangles, boxes, spans, normals, on_rim, result):
                 continue
             right = spans[node, 2]
             if right >= 0:
-                if box_distance(p0, p1, p2, boxes[node + 1]) < box_distance(p0, p1, p2, boxes[right]):
+                if box_distance(p0, p1, p2, boxes[node + 1]) < box_distance(
+                    p0, p1, p2, boxes[right]
+                ):
                     stack[depth], stack[depth + 1] = right, node + 1
                 else:
                     stack[depth], stack[depth + 1] = node + 1, right

@@ -10,13 +10,13 @@ import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 import numpy as np
 from platformdirs import user_cache_path
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = Callable[..., Any]
 
 # Sums may be reordered and fused; NaN and infinity keep their meaning.
 FAST_MATH = {"reassoc", "contract", "arcp", "nsz"}
@@ -41,9 +41,9 @@ def compiled(function: Function) -> Function:
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_compiled_folder())
     try:
-        result: Function = numba.njit(cache=True, nogil=True, fastmath=FAST_MATH, error_model="numpy")(
-            function
-        )
+        result: Function = numba.njit(
+            cache=True, nogil=True, fastmath=FAST_MATH, error_model="numpy"
+        )(function)
     except RuntimeError:  # No writable cache: compile every time rather than fail.
         result = numba.njit(nogil=True, fastmath=FAST_MATH, error_model="numpy")(function)
     finally:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
-from identknee.mechanics.kernel import IS_NEAR, NEAR_CELLS
+from identknee.mechanics.elements import IS_NEAR, NEAR_CELLS
 from identknee.runs.arrays import Array, IntArray, frozen
 
 ReachArray = NDArray[np.uint16]

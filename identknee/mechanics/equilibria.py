@@ -7,6 +7,7 @@ import numpy as np
 from identknee.mechanics import kernel
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.load_paths import LoadPaths
+from identknee.mechanics.small_matrices import scale_of
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 
 PRESSURE_MODULUS = 10.0  # N/mm3, the paper's 10 GN/m3
@@ -156,5 +157,5 @@ def solve(
 
 def stability_margins(hessians: Array) -> Array:
     """Smallest eigenvalue of each Hessian [N/mm], rotations scaled by 40 mm; shape ``(n,)``."""
-    scale = np.array([kernel.scale_of(i) for i in range(5)])
+    scale = np.array([scale_of(i) for i in range(5)])
     return np.linalg.eigvalsh(hessians / scale[:, None] / scale)[:, 0]

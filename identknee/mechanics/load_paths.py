@@ -1,7 +1,7 @@
 """The tree of load paths that a set of trials is solved along.
 
-The path to a trial depends on that trial alone, not on the others of its protocol: from the reference
-pose in steps of flexion, then along a straight line from no load to the full one. Trials share the
+The path to a trial depends on that trial alone, not on the others of its protocol: from the
+scanned pose in steps of flexion, then along a straight line from no load to the full one. Trials share the
 nodes their paths have in common.
 """
 
@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from identknee.mechanics.kernel import ROTATION_SCALE
+from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 
 Continuation = Literal["continuation", "single-step"]
@@ -46,7 +46,7 @@ def load_paths(
 ) -> LoadPaths:
     """The paths to trials at `flexion` [rad] (n,) under `loads` (n, 5), from `start_flexion` [rad].
 
-    With ``"single-step"`` every trial starts at the reference pose and bears its whole load at once.
+    With ``"single-step"`` every trial starts at the scanned pose and bears its whole load at once.
     """
     tree = _Tree()
     trial_node = []

@@ -1,4 +1,4 @@
-"""The mechanical joint of a knee: its surfaces and ligaments as arrays in femoral and tibial axes."""
+"""The mechanical joint of a knee: surfaces and ligaments as arrays in femoral and tibial axes."""
 
 import hashlib
 import os
@@ -17,10 +17,11 @@ from identknee.mechanics.distance_field import SPACING, DistanceField, build_fie
 from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.pose import start_pose
 from identknee.mechanics.rims import RimMap, map_rims
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.subject.knee import Knee
 
-FIELD_FORMAT = b"field 1"
+FIELD_FORMAT = b"field 2"
+Sheet = tuple[Array, IntArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,8 +57,7 @@ def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
 
     The distance field is read from the cache on disk where it was built before.
     """
-    femoral = knee.femur_frame.to_local(knee.femur.vertices)
-    sheets = [(knee.tibia_frame.to_local(x.vertices), x.faces) for x in knee.tibia]
+    (femoral, _), sheets = sheets_of(knee)
     flexion, start = start_pose(
         knee.femur_frame.axes @ knee.tibia_frame.axes.T,
         knee.femur_frame.to_local(knee.tibia_frame.origin[None])[0],
@@ -77,6 +77,13 @@ def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
         start_flexion=flexion,
         start=frozen(start, 5, name="start"),
     )
+
+
+def sheets_of(knee: Knee) -> tuple[Sheet, tuple[Sheet, ...]]:
+    """Vertices and faces of the femur in femoral axes, of each tibial surface in tibial axes."""
+    femur = (knee.femur_frame.to_local(knee.femur.vertices), knee.femur.faces)
+    tibia = tuple((knee.tibia_frame.to_local(x.vertices), x.faces) for x in knee.tibia)
+    return femur, tibia
 
 
 def _field(knee: Knee, femoral: Array) -> DistanceField:

@@ -1,6 +1,7 @@
 """The laxity model: a knee under a protocol, its prediction and the prediction's exact Jacobian."""
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -10,13 +11,17 @@ from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_points import DEFAULT_NUMBER
 from identknee.mechanics.equilibria import Equilibria, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
-from identknee.mechanics.kernel import CONVERGED, tension
+from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
+from identknee.mechanics.ligament_wrench import ligament_wrench
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths
-from identknee.mechanics.pose import rotation_matrix
-from identknee.model.joint import Joint, joint_of
+from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
+from identknee.mechanics.mesh_equilibrium import mesh_equilibria
+from identknee.mechanics.placement import place
+from identknee.model.joint import Joint, joint_of, sheets_of
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.model.prediction import LEFT_GEOMETRY, Prediction
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
 Contact = Literal["field", "mesh"]
@@ -52,12 +57,17 @@ class LaxityModel:
         the scanned pose at once, as the paper did.
     n_points
         About how many contact points to use; None for every vertex of the tibial surfaces.
+    contact
+        ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
+        ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
+        without derivatives, since its force jumps.
     """
 
     knee: Knee
     protocol: Protocol
     continuation: Continuation = "continuation"
     n_points: int | None = DEFAULT_NUMBER
+    contact: Contact = "field"
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
@@ -105,13 +115,14 @@ class LaxityModel:
             If theta has the wrong length or holds a stiffness below 0 or a reference strain of
             -100 % or less. A trial without equilibrium is not an error: it has an outcome.
         """
-        ligaments = self.joint.lines.arrays(*self._unpacked(theta))
+        if self.contact == "mesh":
+            return self._predict_on_meshes(theta, derivatives=derivatives)
         found = solve(
             self.paths,
             self.joint.start,
             self.joint.contact,
             self.joint.field,
-            ligaments,
+            self.joint.lines.arrays(*self._unpacked(theta)),
             derivatives=derivatives,
             guesses=None if near is None else near.node_poses,
         )
@@ -127,9 +138,13 @@ class LaxityModel:
 
         NaN in trials that did not converge.
         """
-        flexion = np.radians(self.protocol.flexion_deg)
-        ligaments = self.joint.lines.arrays(*self._unpacked(prediction.theta))
-        return line_tensions(flexion, prediction.poses, ligaments, prediction.is_converged)
+        parameters = self._unpacked(prediction.theta)
+        tensions = np.full((self.protocol.n, len(self.knee.ligaments)), np.nan)
+        for trial in np.flatnonzero(prediction.is_converged):
+            flexion = float(np.radians(self.protocol.flexion_deg[trial]))
+            placement = place(flexion, prediction.poses[trial])
+            tensions[trial] = ligament_wrench(placement, self.joint.lines, *parameters).tensions
+        return tensions
 
     def _unpacked(self, theta: Array) -> tuple[Array, Array]:
         theta = np.asarray(theta, float)
@@ -172,6 +187,31 @@ class LaxityModel:
             node_poses=found.poses,
         )
 
+    def _predict_on_meshes(self, theta: Array, *, derivatives: bool) -> Prediction:
+        if derivatives:
+            raise ValueError(
+                "mesh contact has no derivatives, its force jumps; ask for derivatives=False, or "
+                'use contact="field"'
+            )
+        contact = _mesh_contact(self.knee)
+        lines = self.joint.lines
+        found = mesh_equilibria(
+            self.paths, self.joint.start, contact, lines, *self._unpacked(theta)
+        )
+        n = self.protocol.n
+        converged = np.array([x is Outcome.CONVERGED for x in found.outcomes])
+        return Prediction(
+            theta=np.array(theta, float),
+            coordinates=np.where(converged[:, None], coordinates_from_pose(found.poses), np.nan),
+            jacobian=None,
+            codes=np.where(converged, CONVERGED, NO_EQUILIBRIUM),
+            poses=found.poses,
+            hessians=None,
+            reached=np.ones(n),
+            centres=np.zeros((n, 0, 7)),
+            node_poses=found.poses,
+        )
+
     def _near_rim(self, centres: Array) -> BoolArray:
         """Whether the centre of a compartment's contact is too close to a rim, shape ``(n,)``."""
         too_close = np.zeros(len(centres), bool)
@@ -183,17 +223,7 @@ class LaxityModel:
         return too_close
 
 
-def line_tensions(
-    flexion: Array, poses: Array, ligaments: tuple[Array, Array, Array], converged: BoolArray
-) -> Array:
-    """Tension of line ligaments [N] at poses ``(n, 5)``, NaN where not `converged`; ``(n, m)``."""
-    femoral, tibial, properties = ligaments
-    result = np.full((len(poses), len(femoral)), np.nan)
-    for n in np.flatnonzero(converged):
-        turn = rotation_matrix(flexion[n], 0.0, 0.0)
-        rotation = rotation_matrix(flexion[n], poses[n, 0], poses[n, 1])
-        length = np.linalg.norm(tibial @ rotation.T + turn @ poses[n, 2:] - femoral, axis=1)
-        strain = length * (1.0 + properties[:, 1]) / properties[:, 2] - 1.0
-        for i, row in enumerate(properties):
-            result[n, i] = tension(strain[i], row[0], row[3])[0]
-    return result
+@lru_cache(maxsize=4)
+def _mesh_contact(knee: Knee) -> MeshContact:
+    femur, tibia = sheets_of(knee)
+    return mesh_contact(femur, tibia)

@@ -60,7 +60,8 @@ class Parameters:
             return self.names.index(name)
         except ValueError:
             known = ", ".join(self.names)
-            raise ValueError(f"there is no parameter {name!r}; the parameters are {known}") from None
+            message = f"there is no parameter {name!r}; the parameters are {known}"
+            raise ValueError(message) from None
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """Theta with `values` by name and the subject's own for the rest."""

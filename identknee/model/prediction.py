@@ -39,7 +39,8 @@ class Prediction:
         The last stable pose on the way to each trial: varus, internal [rad], x, y, z [mm],
         ``(n, 5)``.
     hessians
-        Second derivatives of the energy there [N, N mm, N/mm], shape ``(n, 5, 5)``.
+        Second derivatives of the energy there [N, N mm, N/mm], shape ``(n, 5, 5)``; None for mesh
+        contact, which has none.
     reached
         Share of the last load step that was reached, shape ``(n,)``.
     centres
@@ -54,13 +55,13 @@ class Prediction:
     jacobian: Array | None
     codes: IntArray
     poses: Array
-    hessians: Array
+    hessians: Array | None
     reached: Array
     centres: Array
     node_poses: Array
 
     def __post_init__(self) -> None:
-        for values in (self.theta, self.coordinates, self.codes, self.poses, self.hessians):
+        for values in (self.theta, self.coordinates, self.codes, self.poses):
             values.flags.writeable = False
 
     @property
@@ -82,6 +83,8 @@ class Prediction:
     def margins(self) -> Array:
         """Stability margin of each trial's pose [N/mm], shape ``(n,)``.
 
-        The smallest eigenvalue of the Hessian, rotations scaled by 40 mm.
+        The smallest eigenvalue of the Hessian, rotations scaled by 40 mm; NaN for mesh contact.
         """
+        if self.hessians is None:
+            return np.full(len(self.codes), np.nan)
         return stability_margins(self.hessians)

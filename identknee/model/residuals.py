@@ -86,7 +86,8 @@ class LaxityResiduals:
         if self.weighting == "unit":
             return np.asarray(values[measured])
         known = np.where(measured.reshape(*measured.shape, *(1,) * (values.ndim - 2)), values, 0.0)
-        return np.einsum("nij,nj...->ni...", self._whitening, known)[measured]
+        whitened: Array = np.einsum("nij,nj...->ni...", self._whitening, known)
+        return whitened[measured]
 
 
 def _whitening(laxity: Laxity, weighting: Weighting) -> Array:

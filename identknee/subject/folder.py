@@ -125,9 +125,7 @@ def _landmarks(table: Table) -> tuple[Landmark, ...]:
     return tuple(Landmark(name=x, position=places.point(x)) for x in places.values)
 
 
-def _frames(
-    table: Table, landmarks: tuple[Landmark, ...], *, is_left: bool
-) -> tuple[Frame, Frame]:
+def _frames(table: Table, landmarks: tuple[Landmark, ...], *, is_left: bool) -> tuple[Frame, Frame]:
     if "frames" in table.values:
         frames = table.table("frames")
         frames.check_keys(("femur", "tibia"))

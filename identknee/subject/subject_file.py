@@ -98,7 +98,9 @@ class Table:
     def _three(self, key: str, value: Any) -> list[float]:
         if not isinstance(value, list) or len(value) != 3:
             self.refuse(
-                key, f"three numbers are wanted, got {value!r}", "Write [x, y, z] with points in mm."
+                key,
+                f"three numbers are wanted, got {value!r}",
+                "Write [x, y, z] with points in mm.",
             )
         return [self._number(key, x) for x in value]
 

@@ -1,5 +1,6 @@
 """How verbs end: sentences and exit codes instead of tracebacks."""
 
+import errno
 from dataclasses import replace
 from typing import NoReturn
 
@@ -42,6 +43,13 @@ def test_what_cannot_be_computed_ends_with_1() -> None:
 def test_a_missing_package_ends_with_1() -> None:
     error = ModuleNotFoundError("this method needs the package cma; install it")
     assert _ended(error) == (1, f"identknee: {error}\n")
+
+
+def test_a_full_disk_ends_with_2() -> None:
+    code, said = _ended(OSError(errno.ENOSPC, "No space left on device"))
+    assert code == 2
+    assert said.startswith("identknee: a file or folder cannot be used: ")
+    assert "No space left on device" in said
 
 
 def test_too_little_memory_ends_with_1() -> None:

@@ -1,8 +1,11 @@
 """The command as a whole."""
 
+import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 from cli_runs import run
@@ -51,3 +54,34 @@ def test_the_module_is_the_command() -> None:
         text=True,
     )
     assert "SUBJECT is a subject folder or the word reference" in answer.stdout
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
+@pytest.mark.parametrize("where", ["import decimal_that_is_slow", "time.sleep(60)"])
+def test_ctrl_c_ends_with_130_wherever_it_comes(where: str, tmp_path: Path) -> None:
+    # A module that swallows everything raised while it is imported, as some libraries do.
+    (tmp_path / "decimal_that_is_slow.py").write_text(
+        "import time\ntry:\n    print('now', flush=True)\n    time.sleep(60)\n"
+        "except BaseException:\n    pass\n",
+        encoding="utf-8",
+    )
+    code = (
+        "import sys, time, types; from identknee.cli import main\n"
+        f"def app(prog_name):\n    print('now', flush=True)\n    {where}\n"
+        "sys.modules['identknee.cli.app'] = types.SimpleNamespace(app=app); main.main()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "now\n"
+    if "import" in where:
+        assert process.stdout.readline() == "now\n"
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert said == "identknee: stopped while starting\n"

@@ -1,0 +1,156 @@
+"""Energy of a pose at fixed flexion, with its gradient, its Hessian and what flexion does to it.
+
+Poses are q = (varus, internal [rad], x, y, z [mm]) of the tibia in the femur, the translation in
+axes that turn with flexion: ``x_femur = R x_tibia + Rz(-flexion) (x, y, z)`` with
+``R = Rz(-flexion) Rx(varus) Ry(internal)``. Forces are in N, moments in N mm, energies in N mm.
+
+Groups of arrays travel as tuples, laid out in `identknee.mechanics.equilibria`:
+
+* ``contact``: points (3, n), their distance from the tibial origin at most (1,), stiffness (n,),
+  the compartment each belongs to (n,);
+* ``field``: coefficients (flat), reach (flat), origin (3,), spacing (1,), shape (3,);
+* ``ligaments``: femoral (m, 3) and tibial (m, 3) insertions, properties (m, 4): stiffness [N],
+  reference strain, reference length [mm], transition strain.
+"""
+
+import math
+
+from identknee.mechanics.compiled import compiled
+from identknee.mechanics.elements import (
+    contact_elements,
+    ligament_elements,
+    list_candidates,
+    list_is_valid,
+    sum_elements,
+)
+from identknee.mechanics.ligament_law import tension
+
+
+@compiled
+def place_tibia(flexion, q, R, t):
+    """Write rotation and origin of the tibia in femoral axes into R (9) and t (3)."""
+    ca, sa = math.cos(flexion), math.sin(flexion)
+    cv, sv = math.cos(q[0]), math.sin(q[0])
+    ci, si = math.cos(q[1]), math.sin(q[1])
+    m10, m11, m12 = sv * si, cv, -sv * ci
+    R[0], R[1], R[2] = ca * ci + sa * m10, sa * m11, ca * si + sa * m12
+    R[3], R[4], R[5] = -sa * ci + ca * m10, ca * m11, -sa * si + ca * m12
+    R[6], R[7], R[8] = -cv * si, sv, cv * ci
+    t[0], t[1], t[2] = ca * q[2] + sa * q[3], -sa * q[2] + ca * q[3], q[4]
+
+
+@compiled
+def motion_axes(flexion, R, t, axes):
+    """Write how the coordinates move the tibia, in femoral axes.
+
+    Rows of `axes`: 0, 1 the rotation axes of varus and internal rotation, 2-4 the translations,
+    5 the axis of flexion, 6 how flexion moves the tibial origin.
+    """
+    ca, sa = math.cos(flexion), math.sin(flexion)
+    axes[0, 0], axes[0, 1], axes[0, 2] = ca, -sa, 0.0
+    axes[1, 0], axes[1, 1], axes[1, 2] = R[1], R[4], R[7]
+    axes[2, 0], axes[2, 1], axes[2, 2] = ca, -sa, 0.0
+    axes[3, 0], axes[3, 1], axes[3, 2] = sa, ca, 0.0
+    axes[4, 0], axes[4, 1], axes[4, 2] = 0.0, 0.0, 1.0
+    axes[5, 0], axes[5, 1], axes[5, 2] = 0.0, 0.0, -1.0
+    axes[6, 0], axes[6, 1], axes[6, 2] = t[1], -t[0], 0.0
+
+
+@compiled
+def bilinear(a, i, M, k, b, j):
+    """Row i of `a` times the 3 x 3 matrix at M[k:] times row j of `b`."""
+    return (
+        a[i, 0] * (M[k] * b[j, 0] + M[k + 1] * b[j, 1] + M[k + 2] * b[j, 2])
+        + a[i, 1] * (M[k + 3] * b[j, 0] + M[k + 4] * b[j, 1] + M[k + 5] * b[j, 2])
+        + a[i, 2] * (M[k + 6] * b[j, 0] + M[k + 7] * b[j, 1] + M[k + 8] * b[j, 2])
+    )
+
+
+@compiled
+def dot(a, i, b, j):
+    """Product of row i of `a` with row j of `b`."""
+    return a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]
+
+
+@compiled
+def generalised(sums, axes, g, H, h):
+    """Turn the sums over elements into gradient g, Hessian H and d g / d flexion."""
+    axes[7, 0], axes[7, 1], axes[7, 2] = sums[0], sums[1], sums[2]
+    axes[8, 0], axes[8, 1], axes[8, 2] = sums[10] - sums[8], sums[5] - sums[9], sums[6] - sums[4]
+    trace = sums[3] + sums[7] + sums[11]
+    for i in range(2):
+        g[i] = dot(axes, i, axes, 8)
+        for j in range(i, 2):
+            # d2 p / d a d b = a x (b x p), with a the outer of the two axes.
+            H[i, j] = (
+                bilinear(axes, i, sums, 30, axes, j)
+                + bilinear(axes, j, sums, 3, axes, i)
+                - trace * dot(axes, i, axes, j)
+            )
+            H[j, i] = H[i, j]
+        for j in range(2, 5):
+            H[j, i] = bilinear(axes, j, sums, 21, axes, i)
+            H[i, j] = H[j, i]
+        h[i] = (
+            bilinear(axes, i, sums, 30, axes, 5)
+            + bilinear(axes, 6, sums, 21, axes, i)
+            + bilinear(axes, i, sums, 3, axes, 5)
+            - trace * dot(axes, i, axes, 5)
+        )
+    for i in range(2, 5):
+        g[i] = dot(axes, i, axes, 7)
+        for j in range(i, 5):
+            H[i, j] = bilinear(axes, i, sums, 12, axes, j)
+            H[j, i] = H[i, j]
+        h[i] = bilinear(axes, i, sums, 21, axes, 5) + bilinear(axes, i, sums, 12, axes, 6)
+    h[2] += sums[0] * axes[2, 1] - sums[1] * axes[2, 0]
+    h[3] += sums[0] * axes[3, 1] - sums[1] * axes[3, 0]
+
+
+@compiled
+def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
+    """Energy of a pose; its gradient, Hessian and d gradient / d flexion are written to g, H, h."""
+    elements, R, t, sums, axes = work[0], work[6], work[7], work[8], work[9]
+    place_tibia(flexion, q, R, t)
+    motion_axes(flexion, R, t, axes)
+    if not list_is_valid(R, t, contact[1][0], field[3][0], work):
+        list_candidates(R, t, contact, field, work)
+    n_contact, energy = contact_elements(R, t, field, work)
+    work[3][1] = n_contact
+    work[3][2] += 1
+    n, pulled = ligament_elements(R, t, ligaments, n_contact, elements)
+    energy += pulled
+    sum_elements(n, elements, sums)
+    generalised(sums, axes, g, H, h)
+    for i in range(5):
+        energy -= load[i] * q[i]
+        g[i] -= load[i]
+    return energy
+
+
+@compiled
+def parameter_columns(R, t, ligaments, axes, columns):
+    """Write d gradient / d (stiffness [N], reference strain) of every ligament into `columns`."""
+    femoral, tibial, properties = ligaments
+    m = femoral.shape[0]
+    for i in range(m):
+        y0, y1, y2 = tibial[i, 0], tibial[i, 1], tibial[i, 2]
+        p0 = R[0] * y0 + R[1] * y1 + R[2] * y2
+        p1 = R[3] * y0 + R[4] * y1 + R[5] * y2
+        p2 = R[6] * y0 + R[7] * y1 + R[8] * y2
+        e0 = p0 + t[0] - femoral[i, 0]
+        e1 = p1 + t[1] - femoral[i, 1]
+        e2 = p2 + t[2] - femoral[i, 2]
+        length = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        strain = length * (1.0 + properties[i, 1]) / properties[i, 2] - 1.0
+        force, slope, _ = tension(strain, 1.0, properties[i, 3])
+        by_strain = properties[i, 0] * slope / properties[i, 2]
+        force /= length
+        m0, m1, m2 = p1 * e2 - p2 * e1, p2 * e0 - p0 * e2, p0 * e1 - p1 * e0
+        for a in range(5):
+            if a < 2:
+                along = axes[a, 0] * m0 + axes[a, 1] * m1 + axes[a, 2] * m2
+            else:
+                along = axes[a, 0] * e0 + axes[a, 1] * e1 + axes[a, 2] * e2
+            columns[a, i] = force * along
+            columns[a, m + i] = by_strain * along
