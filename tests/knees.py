@@ -94,6 +94,11 @@ class PoseEnergy:
         energy = evaluate(self.flexion, pose, self.load, *self._arrays, self._work, g, H, h)
         return float(energy), g, H, h
 
+    @property
+    def n_touching(self) -> int:
+        """Contact points that may touch the femur at the pose evaluated last."""
+        return int(self._work[3][1])
+
     def loaded(self, flexion: float, load: Array) -> Callable[[Array], tuple[float, Array, Array]]:
         """`at` under another flexion and load, sharing this one's memory."""
 

@@ -1,8 +1,9 @@
 """`identknee simulate`: the laxity of a knee under a protocol."""
 
+import math
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -45,6 +46,10 @@ Correlation = Annotated[
 StudentDegrees = Annotated[
     float | None, typer.Option(help="Degrees of freedom of heavy-tailed noise; normal without.")
 ]
+Contact = Annotated[
+    Literal["field", "mesh"],
+    typer.Option(help="A smooth field, or the paper's law between triangles, which is slow."),
+]
 
 
 def simulate(
@@ -56,6 +61,7 @@ def simulate(
     noise_correlation: Correlation = 0.0,
     noise_student: StudentDegrees = None,
     continuation: Continuation = "continuation",
+    contact: Contact = "field",
     out: Out = Path("identknee-simulate"),
     seed: Seed = 0,
     workers: Workers = 1,
@@ -73,7 +79,7 @@ def simulate(
     recording = record("simulate", context.params, {"subject": knee_digest(knee)}, seed)
     warm_up(knee, trials)
     simulation, seconds = timed(
-        lambda: ik.simulate(knee, trials, chosen, continuation=continuation)
+        lambda: ik.simulate(knee, trials, chosen, continuation=continuation, contact=contact)
     )
     laxity = simulation.laxity
     if noisy is not None:
@@ -126,8 +132,9 @@ def _lines(simulation: "ik.Simulation", out: Path) -> list[str]:
     prediction = simulation.prediction
     n, converged = simulation.model.protocol.n, int(prediction.is_converged.sum())
     lines = [f"{converged} of {n} trials converged: {out / LAXITY_FILE}"]
-    if converged:
-        margin = prediction.margins[prediction.is_converged].min()
+    margins = prediction.margins[prediction.is_converged]
+    # The mesh law has no second derivatives and no margins.
+    if margins.size and math.isfinite(margin := margins.min()):
         lines.append(f"Lowest stability margin {margin:.3g} N/mm.")
     if converged < n:
         failed = Counter(x for x in prediction.outcomes if x is not ik.Outcome.CONVERGED)

@@ -20,8 +20,8 @@ def contact_points(
 
     A surface with more vertices than that is clustered into patches of nearly equal size (Lloyd's
     iteration, as in [1]_), each represented by its centroid and its whole area, so that the depth
-    of a patch is right to second order. Where there are no more vertices than asked for, or `number` is
-    None, the points are the vertices, each with a third of the triangles around it.
+    of a patch is right to second order. Where there are no more vertices than asked for, or
+    `number` is None, the points are the vertices, each with a third of the triangles around it.
 
     Parameters
     ----------
@@ -85,9 +85,11 @@ def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Arra
     centroid = pieces[seeds]
     for _ in range(ROUNDS):
         nearest = cKDTree(centroid).query(pieces)[1]
-        total: Array = np.bincount(nearest, weight, len(centroid))
-        sums = [np.bincount(nearest, weight * pieces[:, k], len(centroid)) for k in range(3)]
-        moment: Array = np.stack(sums, axis=1)[total > 0.0]
+        total, *sums = (
+            np.asarray(np.bincount(nearest, values, len(centroid)), np.float64)
+            for values in (weight, *(weight * pieces.T))
+        )
+        moment = np.stack(sums, axis=1)[total > 0.0]
         area = total[total > 0.0]
         centroid = moment / area[:, None]
     return centroid, area

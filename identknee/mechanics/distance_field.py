@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
 from identknee.mechanics.elements import IS_NEAR, NEAR_CELLS
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, IntArray
 
 ReachArray = NDArray[np.uint16]
 
@@ -39,6 +39,13 @@ class DistanceField:
     origin: Array
     spacing: float
 
+    def __post_init__(self) -> None:
+        # The compiler makes another version of its code for arrays that can be written to.
+        for name in ("coefficients", "reach", "origin"):
+            array = np.ascontiguousarray(getattr(self, name))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
     def arrays(self) -> tuple[Array, ReachArray, Array, Array, IntArray]:
         """The field as the kernel takes it."""
         return (
@@ -67,9 +74,9 @@ def build_field(
     values = distance(nodes).reshape(shape)
     coefficients = spline_filter(values, order=3, mode="mirror")
     return DistanceField(
-        coefficients=frozen(coefficients, None, None, None, name="coefficients"),
+        coefficients=coefficients,
         reach=_reach(coefficients),
-        origin=frozen(origin, 3, name="origin"),
+        origin=origin,
         spacing=spacing,
     )
 
@@ -92,7 +99,6 @@ def _reach(coefficients: Array) -> ReachArray:
     reach = np.zeros(coefficients.shape, np.uint16)
     near = maximum_filter(np.pad(holds > 0, 1), size=2 * NEAR_CELLS + 1)[1:-1, 1:-1, 1:-1]
     reach[inner] = holds + IS_NEAR * near
-    reach.flags.writeable = False
     return reach
 
 

@@ -70,6 +70,11 @@ class Lines:
     tibial: Array
     reference_length: Array
 
+    def __post_init__(self) -> None:
+        m = len(self.femoral)
+        for name, shape in (("femoral", (m, 3)), ("tibial", (m, 3)), ("reference_length", (m,))):
+            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+
     def arrays(self, stiffness: Array, reference_strain: Array) -> tuple[Array, Array, Array]:
         """The ligaments with stiffness [N] and reference strain, as the kernel takes them."""
         transition = np.full(len(self.reference_length), TRANSITION_STRAIN)
@@ -135,8 +140,8 @@ def solve(
     centres = np.zeros((n, contact.n_compartments, 7))
     kernel.simulate_path(
         (paths.flexion, paths.loads, paths.parent),
-        np.asarray(start, float),
-        np.zeros((n, 5)) if guesses is None else guesses,
+        np.array(start, float),
+        np.zeros((n, 5)) if guesses is None else np.array(guesses),
         guesses is not None,
         contact.arrays(),
         field.arrays(),

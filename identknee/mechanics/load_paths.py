@@ -1,8 +1,8 @@
 """The tree of load paths that a set of trials is solved along.
 
 The path to a trial depends on that trial alone, not on the others of its protocol: from the
-scanned pose in steps of flexion, then along a straight line from no load to the full one. Trials share the
-nodes their paths have in common.
+scanned pose in steps of flexion, then along a straight line from no load to the full one. Trials
+share the nodes their paths have in common.
 """
 
 from dataclasses import dataclass

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.load_paths import Continuation
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import Contact, LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.subject.knee import Knee
 
@@ -53,6 +53,7 @@ def simulate(
     values: Mapping[str, float] | None = None,
     *,
     continuation: Continuation = "continuation",
+    contact: Contact = "field",
 ) -> Simulation:
     """The simulated laxity of a knee, with parameters by name and the subject's own for the rest.
 
@@ -62,8 +63,8 @@ def simulate(
         The subject and its trials.
     values
         For example ``{"ACL.stiffness_kN": 9.5}``.
-    continuation
-        ``"continuation"`` follows the load, ``"single-step"`` applies it at once as the paper did.
+    continuation, contact
+        As in `LaxityModel`.
 
     Raises
     ------
@@ -71,6 +72,6 @@ def simulate(
         If a name is no parameter's or a value is out of range. A trial without equilibrium is not
         an error: it has an outcome.
     """
-    model = LaxityModel(knee=knee, protocol=protocol, continuation=continuation)
+    model = LaxityModel(knee=knee, protocol=protocol, continuation=continuation, contact=contact)
     theta = model.parameters.vector(values or {})
     return Simulation(model=model, prediction=model.predict(theta, derivatives=False))

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from identknee.laxity.published import PublishedLaxity
@@ -293,6 +294,7 @@ def _profile(axes: Axes, flexion: Array, moments: Array, rotation: Array) -> Non
             color=COLOURS[k],
             label=f"{angle:g} deg",
         )
+    axes.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10], integer=True))
     axes.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
     axes.axvline(0.0, color="0.8", linewidth=0.8, zorder=0)
     _bare(axes)

@@ -242,6 +242,7 @@ def profile(knee_name: str) -> Row:
     """Coordinates, tensions and margins at the truth, and the names that go with all arrays."""
     its = setting(knee_name)
     protocol = its.model.protocol
+    tensions = its.model.tensions(its.at_truth)
     row: Row = rounded(
         {
             "parameters": its.model.parameters.names,
@@ -255,7 +256,12 @@ def profile(knee_name: str) -> Row:
             "flexion_deg": protocol.flexion_deg,
             "loads": protocol.loads,
             "at_truth": its.at_truth.coordinates,
-            "tension_N": its.model.tensions(its.at_truth),
+            "largest_tension_by_flexion_N": largest_by(
+                tensions, protocol.flexion_deg.tolist(), angles(protocol)
+            ),
+            "largest_tension_by_scenario_N": largest_by(
+                tensions, load_scenarios(protocol), SCENARIOS
+            ),
             "margin_N_per_mm": its.at_truth.margins,
         }
     )

@@ -120,6 +120,20 @@ def test_a_single_step_is_another_way_to_the_same_place(tmp_path: Path) -> None:
     assert both.any()
 
 
+def test_the_mesh_law_can_be_chosen(tmp_path: Path) -> None:
+    trial = "format = 1\n[[trials]]\nflexion_deg = 0\nvarus_moment_Nm = 2\n"
+    (tmp_path / "one.toml").write_text(trial, encoding="utf-8")
+    words = ["simulate", "reference", "--protocol", tmp_path / "one.toml", "--out"]
+    meshes = run(*words, tmp_path / "mesh", "--contact", "mesh")
+    assert meshes.exit_code == 0, meshes.output
+    assert "margin" not in meshes.stdout
+    run(*words, tmp_path / "field")
+    mesh, field = (ik.read_laxity(tmp_path / x / "laxity.csv") for x in ("mesh", "field"))
+    # The laws differ by a fraction of a millimetre or degree, not by nothing and not by much.
+    difference = np.abs(mesh.coordinates - field.coordinates).max()
+    assert 0.0 < difference < 1.0
+
+
 def test_wrong_words_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     short = short_protocol(tmp_path)
     out = tmp_path / "out"

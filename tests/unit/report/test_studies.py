@@ -27,6 +27,8 @@ def load(study: str, name: str) -> ModuleType:
 def test_figures_are_drawn_from_the_committed_record(
     study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # A script finds the modules beside it.
+    monkeypatch.syspath_prepend(STUDIES / study)
     module = load(study, "figures")
     page = tmp_path / "README.md"
     page.write_text((STUDIES / study / "README.md").read_text(encoding="utf-8"), encoding="utf-8")

@@ -1,0 +1,88 @@
+"""Time of 63 trials with their eight sensitivities on one core, and the work in them."""
+
+import argparse
+import time
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from knees import DEFAULT, model
+from rows import Measure, Row, median_of
+
+from identknee.mechanics import kernel
+from identknee.model.laxity_model import LaxityModel
+
+RUNS = 100
+STATED_LIMIT = 1.0  # ms
+# Milliseconds allowed with the default points and with every vertex.
+BARS = {DEFAULT: 5.0, None: 10.0}
+
+
+def measure(options: argparse.Namespace) -> Row:
+    """Median over the runs, by the clock on the wall and by the processor's."""
+    measures: list[Measure] = []
+    notes = []
+    for name in ("reference", "lenhart2015_stable"):
+        for n_points, bar in BARS.items():
+            subject = model(name, n_points)
+            n = len(subject.joint.contact.points)
+            label = f"{name}, {'all' if n_points is None else 'default'} {n:,} points"
+            wall, busy = times(subject)
+            measures += [
+                median_of(label, wall, "ms", bar=bar),
+                median_of(f"{label}, processor time", busy, "ms"),
+                median_of(f"{label}, ratio to {STATED_LIMIT:g} ms", wall / STATED_LIMIT, ""),
+            ]
+            solves, evaluations, listings = work_in(subject)
+            notes.append(
+                f"{label}: {evaluations} evaluations of energy, gradient and Hessian in {solves} "
+                f"searches for {len(subject.paths.flexion)} nodes, {listings} listings, "
+                f"{1000 * np.median(busy) / evaluations:.1f} us of processor time an evaluation"
+            )
+    return Row(
+        line="63 trials + 8 sensitivities, one core: median <= 5 ms (default points), <= 10 ms "
+        "(all vertices), then toward ~1 ms",
+        measures=measures,
+        notes=notes,
+    )
+
+
+def times(subject: LaxityModel, runs: int = RUNS) -> tuple[np.ndarray, np.ndarray]:
+    """Milliseconds of each prediction: on the wall, and of this thread's processor."""
+    theta = subject.parameters.center
+    prediction = subject.predict(theta)
+    if not prediction.all_converged or prediction.jacobian is None:
+        raise AssertionError
+    found = []
+    for _ in range(runs):
+        wall, busy = time.perf_counter(), time.process_time()
+        subject.predict(theta)
+        found.append((time.perf_counter() - wall, time.process_time() - busy))
+    wall_ms, busy_ms = 1000.0 * np.array(found).T
+    return wall_ms, busy_ms
+
+
+def work_in(subject: LaxityModel) -> tuple[int, int, int]:
+    """Searches, evaluations and listings of candidates in one prediction."""
+    made: list[Any] = []
+    allocate = kernel.workspace
+
+    def remembered(*sizes: int) -> Any:
+        made.append(allocate(*sizes))
+        return made[-1]
+
+    # The outermost function as plain Python; all it calls stays compiled.
+    plain = kernel.simulate_path.py_func  # type: ignore[attr-defined]
+    seen = []
+
+    def solved(*arguments: Any) -> None:
+        plain(*arguments)
+        seen.append(int(arguments[-1][7].sum()))
+
+    with (
+        mock.patch.object(kernel, "workspace", remembered),
+        mock.patch.object(kernel, "simulate_path", solved),
+    ):
+        subject.predict(subject.parameters.center)
+    counts = made[-1][3]
+    return seen[-1], int(counts[2]), int(counts[3])

@@ -1,0 +1,22 @@
+"""Measure speed and memory: ``python tests/benchmarks/run_benchmarks.py [--only ROW ...]``."""
+
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+from rows import run
+
+MODULES = {
+    "kernel": "bench_kernel",
+    "opensim": "bench_opensim",
+    "trimesh_root": "bench_trimesh_root",
+    "first_answer": "bench_first_answer",
+    "field": "bench_field",
+    "complex_fit": "bench_complex_fit",
+    "least_squares_fit": "bench_least_squares_fit",
+    "memory": "bench_memory",
+}
+
+if __name__ == "__main__":
+    raise SystemExit(run("benchmarks", MODULES, "tests/benchmarks/run_benchmarks.py"))

@@ -1,0 +1,79 @@
+"""Options, hypothesis profiles and the knees that many tests share."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from identknee.laxity.protocol import load_protocol
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
+from identknee.subject.knee import Knee
+from identknee.subject.reference import reference_knee
+
+# The same examples every time, and none kept on disk: what passes here passes elsewhere.
+settings.register_profile(
+    "ci",
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile(
+    "deep", max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="run the slow tests too")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    settings.load_profile("deep" if config.getoption("--slow") else "ci")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--slow"):
+        return
+    skip = pytest.mark.skip(reason="slow; run with --slow")
+    for item in items:
+        if "slow" in item.keywords:
+            item.add_marker(skip)
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of shared data."""
+    path = os.environ.get("IDENTKNEE_SHARED")
+    if path is None or not Path(path).is_dir():
+        pytest.skip("the shared data are not here: IDENTKNEE_SHARED names no folder")
+    return Path(path)
+
+
+@pytest.fixture(scope="session")
+def reference() -> Knee:
+    """The reference knee at its default resolution."""
+    return reference_knee()
+
+
+@pytest.fixture(scope="session")
+def reference_model(reference: Knee) -> LaxityModel:
+    """The reference knee under the 63 trials."""
+    return LaxityModel(knee=reference, protocol=load_protocol("seed63"))
+
+
+@pytest.fixture(scope="session")
+def reference_prediction(reference_model: LaxityModel) -> Prediction:
+    """Its prediction at the subject's own parameters, with derivatives."""
+    return reference_model.predict(reference_model.parameters.center)
+
+
+@pytest.fixture(scope="session")
+def stable_model(shared: Path) -> LaxityModel:
+    """The real knee whose four-line model is well posed, under the 63 trials."""
+    from identknee.subject.folder import read_subject
+
+    knee = read_subject(shared / "data" / "lenhart2015_stable")
+    return LaxityModel(knee=knee, protocol=load_protocol("seed63"))

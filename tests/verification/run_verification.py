@@ -1,0 +1,23 @@
+"""Verify at length: ``python tests/verification/run_verification.py [--only ROW ...]``."""
+
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+from rows import run
+
+MODULES = {
+    "derivatives": "verify_derivatives",
+    "sensitivities": "verify_sensitivities",
+    "mesh_law": "verify_mesh_law",
+    "residual": "verify_residual",
+    "outcomes": "verify_outcomes",
+    "cold_warm": "verify_cold_warm",
+    "recovery": "verify_recovery",
+    "complex_regression": "verify_complex_regression",
+    "points": "verify_points",
+}
+
+if __name__ == "__main__":
+    raise SystemExit(run("verification", MODULES, "tests/verification/run_verification.py"))
