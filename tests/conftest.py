@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, settings
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
+from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
 
@@ -32,6 +33,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("deep" if config.getoption("--slow") else "ci")
+    # A failing example names its arguments, whole models among them.
+    config.addinivalue_line("filterwarnings", "ignore:Generating overly large repr")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -73,7 +76,5 @@ def reference_prediction(reference_model: LaxityModel) -> Prediction:
 @pytest.fixture(scope="session")
 def stable_model(shared: Path) -> LaxityModel:
     """The real knee whose four-line model is well posed, under the 63 trials."""
-    from identknee.subject.folder import read_subject
-
     knee = read_subject(shared / "data" / "lenhart2015_stable")
     return LaxityModel(knee=knee, protocol=load_protocol("seed63"))

@@ -84,7 +84,7 @@ def field_values(field: DistanceField, places: Array) -> Array:
 def femoral_places(flexion: float, pose: Array, points: Array) -> Array:
     """Tibial points (n, 3) in femoral axes."""
     origin = rotation_matrix(flexion, 0.0, 0.0) @ pose[2:]
-    return points @ rotation_matrix(flexion, pose[0], pose[1]).T + origin
+    return np.asarray(points @ rotation_matrix(flexion, pose[0], pose[1]).T + origin)
 
 
 def depths(joint: Joint, flexion: float, pose: Array) -> Array:
@@ -132,7 +132,9 @@ def random_parameters(
     """Theta near the subject's own: stiffnesses within a share, reference strains within pct."""
     m = model.parameters.n // 2
     factor, shift = rng.uniform(1.0 - share, 1.0 + share, m), rng.uniform(-pct, pct, m)
-    return np.r_[model.parameters.center[:m] * factor, model.parameters.center[m:] + shift]
+    return np.concatenate(
+        [model.parameters.center[:m] * factor, model.parameters.center[m:] + shift]
+    )
 
 
 def central_difference(

@@ -163,13 +163,17 @@ def rendered() -> str:
     parts = [
         "# What was reached",
         "",
-        "Written by the two runners from `record.json` and `../verification/verdict.json`; do not "
-        "edit. A value with a range is the median of that many runs and their smallest and largest, "
-        "unless it says so.",
+        (
+            "Written by the two runners from `record.json` and `../verification/verdict.json`; do "
+            "not edit. A value with a range is the median of that many runs and their smallest and "
+            "largest, unless it says so."
+        ),
     ]
     for tier in RECORDS:
         parts += ["", f"## {tier.capitalize()}", ""]
-        parts += ["| row | what must be reached | measured | met | date, commit, machine, command |"]
+        parts += [
+            "| row | what must be reached | measured | met | date, commit, machine, command |"
+        ]
         parts += ["| --- | --- | --- | --- | --- |"]
         parts += [_rendered_row(name, entry) for name, entry in _rows(tier).items()]
     return "\n".join(parts) + "\n"

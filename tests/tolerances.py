@@ -8,7 +8,8 @@ DERIVATIVE = 1e-11
 DIFFERENCE = 1e-5
 # Largest gradient left at an equilibrium [N], moments divided by 40 mm.
 RESIDUAL_N = 1e-6
-# Poses solved along different ways [mm, rad], and the least stability margin that promises it [N/mm].
+# Poses solved along different ways [mm, angles times 40 mm], and the stability margin from which
+# on that is promised [N/mm].
 SAME_POSE = 1e-9
 SAME_MARGIN = 0.5
 # Poses of the throw-away solver that calibrated the reference knee, kept to 4 decimals.

@@ -30,7 +30,7 @@ Budget = Annotated[int, typer.Option(min=1, help="Simulations allowed in each ru
 
 def demo(
     context: typer.Context,
-    runs: Runs = 3,
+    runs: Runs = 2,
     budget: Budget = 2500,
     out: Out = Path("identknee-demo"),
     seed: Seed = 0,

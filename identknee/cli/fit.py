@@ -21,7 +21,7 @@ from identknee.cli.command import (
 )
 from identknee.cli.values import named_bounds
 from identknee.runs.files import digest, prepare_folder
-from identknee.runs.record import record
+from identknee.runs.record import Recording, record
 
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]
@@ -95,17 +95,25 @@ def fit(
     )
     fitted = ik.Simulation(model=model, prediction=model.predict(found.theta, derivatives=False))
     error = ik.laxity_rmse(fitted.laxity, laxity)
-    # xarray takes a second to load.
-    from identknee.report.groups import fit_groups
-    from identknee.report.result_files import write_result
-
-    groups = fit_groups(found, fitted, laxity)
-    summary = write_result(out, _summary(found, error, start), groups, recording.finish())
+    summary = _write(out, _summary(found, error, start), (found, fitted, laxity), recording)
     show(summary, _lines(found, error, out), as_json=as_json)
     if found.outcome is ik.Outcome.START_FAILED:
         raise NotComputed(
             f"{found.message} Choose another --start, or see: identknee subject check {subject}"
         )
+
+
+def _write(
+    out: Path,
+    summary: dict[str, Any],
+    results: "tuple[ik.Fit, ik.Simulation, ik.Laxity]",
+    recording: Recording,
+) -> dict[str, Any]:
+    # xarray takes longer to load than most fits take.
+    from identknee.report.groups import fit_groups
+    from identknee.report.result_files import write_result
+
+    return write_result(out, summary, fit_groups(*results), recording.finish())
 
 
 def _summary(found: "ik.Fit", error: "ik.LaxityError", start: str) -> dict[str, Any]:

@@ -99,10 +99,8 @@ def simulate(
     groups = simulation_groups(simulation, None if noisy is None else laxity)
     summary = write_result(out, _summary(simulation, seconds), groups, recording.finish())
     show(summary, _lines(simulation, out), as_json=as_json)
-    if not simulation.prediction.is_converged.any():
-        raise NotComputed(
-            f"none of the {trials.n} trials has an equilibrium; see {out}/result.json"
-        )
+    if not summary["n_converged"]:
+        raise NotComputed(f"none of the {trials.n} trials has an equilibrium; see {out}")
 
 
 def _summary(simulation: "ik.Simulation", seconds: float) -> dict[str, Any]:

@@ -14,6 +14,7 @@ ReachArray = NDArray[np.uint16]
 
 SPACING = 0.75  # mm
 PADDING = 5  # cells around the surface: room for the candidate list and the spline's support
+STRAIGHT = 8  # nodes; what the filter does at an end decays by 0.27 a node
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,7 +73,11 @@ def build_field(
     axes = [origin[i] + spacing * np.arange(shape[i]) for i in range(3)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     values = distance(nodes).reshape(shape)
-    coefficients = spline_filter(values, order=3, mode="mirror")
+    # The filter mirrors what it is given, which bends a distance at the grid's faces; continued
+    # straight for a few nodes, the spline is right to fourth order up to there.
+    wide = np.pad(values, STRAIGHT, mode="reflect", reflect_type="odd")
+    inner = (slice(STRAIGHT, -STRAIGHT),) * 3
+    coefficients = spline_filter(wide, order=3, mode="mirror")[inner]
     return DistanceField(
         coefficients=coefficients,
         reach=_reach(coefficients),
@@ -91,11 +96,11 @@ def _reach(coefficients: Array) -> ReachArray:
     highest = maximum_filter(coefficients, size=4, origin=-1)[inner]
     holds = np.where(highest < 0.0, 255, 0)
     undecided = np.nonzero((lowest < 0.0) & (highest >= 0.0))
-    corners = support[undecided]
+    corners = support[undecided].reshape(-1, 64)
     for eighth in range(8):
-        halves = (_HALVES[eighth >> 2 & 1], _HALVES[eighth >> 1 & 1], _HALVES[eighth & 1])
-        bezier = np.einsum("ai,bj,ck,nijk->nabc", *halves, corners, optimize=True)
-        holds[undecided] |= (bezier.min(axis=(1, 2, 3)) < 0.0) << eighth
+        x, y, z = (_HALVES[eighth >> axis & 1] for axis in (2, 1, 0))
+        bezier = corners @ np.kron(x, np.kron(y, z)).T
+        holds[undecided] |= (bezier.min(axis=1) < 0.0) << eighth
     reach = np.zeros(coefficients.shape, np.uint16)
     near = maximum_filter(np.pad(holds > 0, 1), size=2 * NEAR_CELLS + 1)[1:-1, 1:-1, 1:-1]
     reach[inner] = holds + IS_NEAR * near

@@ -1,12 +1,13 @@
 """The mechanical joint of a knee: surfaces and ligaments as arrays in femoral and tibial axes."""
 
 import hashlib
-import os
-import tempfile
+import io
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -18,9 +19,11 @@ from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.pose import start_pose
 from identknee.mechanics.rims import RimMap, map_rims
 from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.errors import InputError
+from identknee.runs.files import prepare_folder, write_atomically
 from identknee.subject.knee import Knee
 
-FIELD_FORMAT = b"field 2"
+FIELD_FORMAT = b"field 3"
 Sheet = tuple[Array, IntArray]
 
 
@@ -115,31 +118,28 @@ def _field(knee: Knee, femoral: Array) -> DistanceField:
 
 
 def _read_field(path: Path) -> DistanceField | None:
+    """The field kept at `path`; None where there is none or it is damaged."""
     try:
-        with np.load(path) as stored:
+        with path.open("rb") as file, np.load(file) as stored:
             return DistanceField(
                 coefficients=stored["coefficients"],
                 reach=stored["reach"],
                 origin=stored["origin"],
                 spacing=float(stored["spacing"]),
             )
-    except (OSError, KeyError, ValueError):
+    except (OSError, KeyError, ValueError, EOFError, BadZipFile):
         return None
 
 
 def _keep_field(path: Path, field: DistanceField) -> None:
     """Write the field to the cache; a cache that cannot be written is no failure."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".npz")
-        with os.fdopen(handle, "wb") as file:
-            np.savez(
-                file,
-                coefficients=field.coefficients,
-                reach=field.reach,
-                origin=field.origin,
-                spacing=field.spacing,
-            )
-        Path(name).replace(path)
-    except OSError:
-        return
+    stored = io.BytesIO()
+    np.savez(
+        stored,
+        coefficients=field.coefficients,
+        reach=field.reach,
+        origin=field.origin,
+        spacing=field.spacing,
+    )
+    with suppress(InputError):
+        write_atomically(prepare_folder(path.parent) / path.name, stored.getvalue())

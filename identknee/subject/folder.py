@@ -158,19 +158,23 @@ def _ligament(table: Table) -> Ligament:
 
 
 def _made(table: Table, make: Callable[[], Made]) -> Made:
-    """What `make` makes; the values it refuses are a mistake in the table's file."""
+    """What `make` makes; the values it refuses are a mistake in the table's file.
+
+    A message "what is wrong; what to do" is told as sentence and remedy.
+    """
     try:
         return make()
     except InputError:
         raise
     except ValueError as error:
-        table.refuse("", str(error), "")
+        why, _, remedy = str(error).partition("; ")
+        table.refuse("", why, f"{remedy[:1].upper()}{remedy[1:] or 'Correct the value'}.")
 
 
 def _text(knee: Knee, surfaces: Iterable[str]) -> str:
     """The subject.toml of a knee whose surfaces are files of these names."""
     lines = [
-        "# A subject of identknee. Lengths in mm; x anterior, y superior, z to the subject's right.",
+        "# A subject of identknee. Lengths in mm; frames: x anterior, y superior, z to the right.",
         f"format = {FORMAT}",
         f"name = {_toml(knee.name)}",
         f"side = {_toml(knee.side)}",

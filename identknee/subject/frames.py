@@ -49,8 +49,8 @@ class Frame:
         error = float(np.abs(axes @ axes.T - np.eye(3)).max())
         if error > ROUNDING:
             raise ValueError(
-                "the axes of a frame must be unit vectors at right angles, one a row; their "
-                f"products are off by {error:.2g}"
+                "the axes of a frame must be unit vectors at right angles, one a row, but their "
+                f"products are off by {error:.2g}; normalise them"
             )
         if np.linalg.det(axes) < 0.0:
             raise ValueError(
@@ -117,9 +117,9 @@ def frames_from_landmarks(
     hip = landmarks.get("hip_centre")
     if centre is None or ankle is None or hip is None:
         raise ValueError(
-            "frames need the landmarks hip_centre, medial_epicondyle, lateral_epicondyle and "
-            "either ankle_centre or both malleoli; "
-            f"given are {', '.join(landmarks) or 'none'}"
+            f"the landmarks given ({', '.join(landmarks) or 'none'}) define no frames; give "
+            "hip_centre, medial_epicondyle, lateral_epicondyle and either ankle_centre or both "
+            "malleoli, or the frames themselves"
         )
     across = landmarks["lateral_epicondyle"] - landmarks["medial_epicondyle"]
     right = -across if is_left else across
@@ -146,7 +146,7 @@ def _midpoint(landmarks: Mapping[str, Array], one: str, other: str) -> Array | N
 
 def _frame(origin: Array, up: Array, right: Array) -> Frame:
     length = np.linalg.norm(up)
-    if length == 0.0 or np.linalg.norm(np.cross(up, right)) < 0.1 * length * np.linalg.norm(right):
+    if length == 0.0 or np.linalg.norm(np.cross(up, right)) <= 0.1 * length * np.linalg.norm(right):
         raise ValueError(
             "the landmarks define no frame: the epicondyles coincide or lie on the long axis of "
             "the bone; check their coordinates"

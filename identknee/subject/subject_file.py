@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
+
+from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, suggestion
 from identknee.runs.files import PathLike, check_readable
 
@@ -59,16 +62,16 @@ class Table:
         """The finite number at `key`."""
         return self._number(key, self.values[key])
 
-    def point(self, key: str) -> list[float]:
-        """The three numbers at `key`."""
-        return self._three(key, self.values[key])
+    def point(self, key: str) -> Array:
+        """The three numbers at `key`, shape ``(3,)``."""
+        return np.array(self._three(key, self.values[key]))
 
-    def axes(self, key: str) -> list[list[float]]:
-        """The three rows of three numbers at `key`."""
+    def axes(self, key: str) -> Array:
+        """The three rows of three numbers at `key`, shape ``(3, 3)``."""
         rows = self.values[key]
         if not isinstance(rows, list) or len(rows) != 3:
             self.refuse(key, "three rows are wanted", f"Write {_EXAMPLES['axes']}.")
-        return [self._three(key, row) for row in rows]
+        return np.array([self._three(key, row) for row in rows])
 
     def table(self, key: str, place: str | None = None) -> "Table":
         """The table at `key`."""

@@ -4,10 +4,12 @@ import io
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
+from trimesh.exchange.stl import export_stl
 
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 from identknee.runs.errors import InputError
@@ -137,7 +139,7 @@ def read_surface(path: PathLike) -> Surface:
             "Repair the mesh and export it again.",
         )
     try:
-        return Surface(**_merged(vertices, faces))
+        return _merged(vertices, faces)
     except ValueError as error:
         raise InputError(file, "", str(error), "Repair the mesh and export it again.") from error
 
@@ -163,7 +165,8 @@ def write_surface(surface: Surface, path: PathLike) -> Path:
     if kind == ".obj":
         return write_atomically(target, _obj(surface))
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    return write_atomically(target, bytes(mesh.export(file_type="stl")))
+    binary: bytes = export_stl(mesh)
+    return write_atomically(target, binary)
 
 
 def _check(vertices: Array, faces: IntArray) -> None:
@@ -183,7 +186,7 @@ def _parsed(file: Path) -> tuple[Array, IntArray]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            mesh = trimesh.load_mesh(
+            mesh: Any = trimesh.load_mesh(
                 io.BytesIO(file.read_bytes()),
                 file_type=file.suffix[1:].lower(),
                 process=False,
@@ -205,8 +208,9 @@ def _parsed(file: Path) -> tuple[Array, IntArray]:
     return vertices, faces
 
 
-def _merged(vertices: Array, faces: IntArray) -> dict[str, Array | IntArray]:
-    """Vertices used by some triangle, each place once in order of first use, and their faces."""
+def _merged(vertices: Array, faces: IntArray) -> Surface:
+    """The surface of the vertices that triangles use, each place once, in order of appearance."""
+    _check(vertices, faces)
     # Adding zero turns -0.0, which sorts apart, into 0.0.
     used, inverse = np.unique(vertices[faces.ravel()] + 0.0, axis=0, return_inverse=True)
     first = np.full(len(used), len(vertices))
@@ -214,7 +218,7 @@ def _merged(vertices: Array, faces: IntArray) -> dict[str, Array | IntArray]:
     order = np.argsort(first, kind="stable")
     rank = np.empty(len(used), np.int64)
     rank[order] = np.arange(len(used))
-    return {"vertices": used[order], "faces": rank[inverse].reshape(-1, 3)}
+    return Surface(vertices=used[order], faces=rank[inverse].reshape(-1, 3))
 
 
 def _ply(surface: Surface) -> bytes:

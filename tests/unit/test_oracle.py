@@ -79,7 +79,7 @@ def test_one_point_behind_a_plane_stores_half_p_a_d_squared() -> None:
 
 def test_one_point_behind_a_plane_is_pushed_along_its_normal() -> None:
     size = 10.0 * 1.7 * (0.6 * 1.2 + 0.8 * 0.4 - 0.5)
-    # Varus turns y towards z: the point's place slides by (0, -0.4, 1.2); internal by (0.4, 0, -0.3).
+    # Varus moves the point by (0, -0.4, 1.2) mm a radian, internal rotation by (0.4, 0, -0.3).
     expected = [size * (-0.6 * 0.4 + 0.8 * 1.2), -size * 0.8 * 0.3, 0.0, 0.6 * size, 0.8 * size]
     found = oracle.gradient(_plane(), UNLOADED, NO_LOAD)
     assert found == pytest.approx(expected, rel=CLOSED_FORM)
@@ -193,7 +193,7 @@ def _parameters() -> dict[str, oracle.Vector]:
 
 
 def test_independent_minimum_of_a_quadratic() -> None:
-    """A plate of nine points on three springs of the field itself has its minimum in closed form."""
+    """A plate of nine points, held in its plane by long lines, sinks in as a spring would."""
     _, y, _ = _nodes()
     points = [[float(i), 0.0, float(k)] for i in (-2, 0, 2) for k in (-2, 0, 2)]
     knee = OracleKnee(
@@ -209,32 +209,30 @@ def test_independent_minimum_of_a_quadratic() -> None:
     )
     state = State(
         flexion=0.0,
-        load=[0.0, 0.0, 140.0, 45.0, 70.0],
+        load=[0.0, 140.0, 140.0, 45.0, 70.0],
         stiffness=[1000.0, 1000.0, 1000.0],
         strain=[0.1, 0.1, 0.1],
     )
     pose, residual = oracle.independent_minimum(knee, state, [0.0, 0.0, 0.2, 0.2, 0.2])
     assert residual < 1e-6
-    # 45 N on nine points of 10 N/mm; the lines at rest pull 70 N each and are almost parallel.
-    assert pose[3] == pytest.approx(0.5, abs=2e-4)
+    # 45 N on nine points of 10 N/mm; across them a line of 70 N and 1000 mm adds 0.07 N/mm.
+    assert pose[3] == pytest.approx(45.0 / (90.0 + 3 * 0.07), rel=1e-6)
     assert pose[[0, 1, 2, 4]] == pytest.approx(np.zeros(4), abs=2e-3)
 
 
 def test_sensitivities_are_slopes_of_the_minimum() -> None:
-    """Lines alone, held by a field that is a paraboloid: the minimum solved again nearby."""
+    """Four taut lines press four points into a bowl; the minimum is found again nearby."""
     x, y, z = _nodes()
     third = SPACING**2 / 3.0
-    bowl = -4.0 - 1.0 * y + 0.05 * ((x**2 - third) + (z**2 - third))
-    lines = _lines()
     knee = OracleKnee(
-        coefficients=_field(bowl),
+        coefficients=_field(-4.0 - y - 0.05 * ((x**2 - third) + (z**2 - third))),
         origin=ORIGIN,
         spacing=SPACING,
-        points=[[2.0, -3.0, 2.0], [-2.0, -3.0, 2.0], [2.0, -3.0, -2.0], [-2.0, -3.0, -2.0]],
+        points=[[2.0, -3.0, 0.0], [-2.0, -3.0, 0.0], [0.0, -3.0, 2.0], [0.0, -3.0, -2.0]],
         areas=[20.0] * 4,
-        femoral=lines.femoral,
-        tibial=lines.tibial,
-        reference_length=lines.reference_length,
+        femoral=[[10.0, 10.0, 3.0], [-10.0, 10.0, 3.0], [-2.0, 10.0, 30.0], [2.0, 10.0, -30.0]],
+        tibial=[[8.0, -20.0, 0.0], [-8.0, -20.0, 0.0], [0.0, -30.0, 25.0], [0.0, -30.0, -25.0]],
+        reference_length=[30.0, 30.0, 40.0, 40.0],
     )
     state = State(flexion=0.0, load=NO_LOAD, **_parameters())
     pose, residual = oracle.independent_minimum(knee, state, NO_LOAD, tolerance=1e-9)

@@ -1,4 +1,4 @@
-"""The kernel's gradient, Hessian and slope with flexion against complex steps of the slow oracle."""
+"""The kernel's gradient, Hessian and slope with flexion against complex steps of the oracle."""
 
 import argparse
 
@@ -27,13 +27,11 @@ def measure(options: argparse.Namespace) -> Row:
                 errors[kind].append(error)
     return Row(
         line="gradient and Hessian against complex-step differences: 1e-8 relative",
-        measures=[
-            largest_of(kind, values, "relative", bar=BAR) for kind, values in errors.items()
-        ],
+        measures=[largest_of(kind, values, "relative", bar=BAR) for kind, values in errors.items()],
         notes=[
-            f"{min(touching)} to {max(touching)} contact points; an imaginary step of 1e-30 "
-            "crosses neither a cell's face nor a contact's onset; the largest entry's error over "
-            "the largest entry, angles times 40 mm"
+            f"{min(touching)} to {max(touching)} contact points",
+            "an imaginary step of 1e-30 crosses neither a cell's face nor a contact's onset",
+            "the largest error of an entry over the largest entry, angles times 40 mm",
         ],
     )
 

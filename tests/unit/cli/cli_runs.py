@@ -1,11 +1,15 @@
 """Verbs run in this process, on a protocol of few trials."""
 
+from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 from typer.testing import CliRunner, Result
 
+import identknee as ik
 from identknee.cli.app import app
 
+_READ_SUBJECT = ik.read_subject
 SHORT_PROTOCOL = """
 format = 1
 name = "short"
@@ -22,10 +26,21 @@ values = [-4, 4]
 
 def run(*words: object) -> Result:
     """Result of the command with these words; what is no exit is raised."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
+    with patch.object(ik, "read_subject", _read_subject):
+        result = CliRunner().invoke(app, [str(word) for word in words])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result
+
+
+def _read_subject(subject: str) -> ik.Knee:
+    return _reference() if subject == "reference" else _READ_SUBJECT(subject)
+
+
+@cache
+def _reference() -> ik.Knee:
+    """The same knee for every run, whose maps of the surfaces are then made once."""
+    return _READ_SUBJECT("reference")
 
 
 def refused(*words: object) -> str:

@@ -1,5 +1,7 @@
 """Signed distances against trimesh, and past a rim against the rule."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,12 +11,16 @@ from identknee.mechanics.closest_point import mesh_distance
 from identknee.runs.arrays import Array, IntArray
 from identknee.subject.reference import reference_knee
 
+# The way past a rim is the root of a difference: a rounding of 1e-16 becomes 1e-8.
+ROOT = 1e-7
+
 
 def _far_from_rim(mesh: trimesh.Trimesh, points: Array) -> tuple[Array, Array]:
     """Distance by trimesh, and whether the closest point lies off the rim."""
-    closest, distance, _ = trimesh.proximity.closest_point(mesh, points)
-    once = trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)
-    rim = mesh.vertices[mesh.edges_sorted[once]]
+    query: Any = trimesh.proximity.closest_point
+    closest, distance, _ = query(mesh, points)
+    edges, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    rim = mesh.vertices[edges[count == 1]]
     if len(rim) == 0:
         return distance, np.ones(len(points), bool)
     a, b = rim[:, 0], rim[:, 1] - rim[:, 0]
@@ -32,9 +38,8 @@ def sheet() -> trimesh.Trimesh:
 
 @pytest.fixture(scope="module")
 def ball() -> trimesh.Trimesh:
-    made = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
-    made.apply_scale([1.0, 1.4, 0.8])
-    return made
+    round_one = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
+    return trimesh.Trimesh(round_one.vertices * [1.0, 1.4, 0.8], round_one.faces)
 
 
 def _distance(mesh: trimesh.Trimesh, points: Array) -> Array:
@@ -64,7 +69,8 @@ def test_a_sheets_outer_side_is_positive(sheet: trimesh.Trimesh) -> None:
 def test_inside_of_a_closed_surface_is_negative(ball: trimesh.Trimesh) -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform(-14.0, 14.0, (400, 3))
-    expected = -trimesh.proximity.signed_distance(ball, points)
+    query: Any = trimesh.proximity.signed_distance
+    expected = -query(ball, points)
     assert (expected < 0.0).sum() > 50
     assert _distance(ball, points) == pytest.approx(expected, abs=SAME_POSE)
 
@@ -91,7 +97,7 @@ def test_past_a_rim_the_sheet_goes_on_as_its_tangent_plane() -> None:
     points = rng.uniform([-9, -3, -9], [9, 3, 9], (500, 3))
     past = np.maximum(np.abs(points[:, [0, 2]]) - 5.0, 0.0)
     expected = points[:, 1] + np.linalg.norm(past, axis=1)
-    assert distance(points) == pytest.approx(expected, abs=SAME_POSE)
+    assert distance(points) == pytest.approx(expected, abs=ROOT)
 
 
 def test_a_point_that_leaves_sideways_loses_contact_within_its_depth() -> None:
@@ -99,7 +105,7 @@ def test_a_point_that_leaves_sideways_loses_contact_within_its_depth() -> None:
     depth = 0.4
     along = np.array([[5.0 + x, -depth, 0.0] for x in (-0.1, 0.0, 0.39, 0.41)])
     assert (distance(along) < 0.0).tolist() == [True, True, True, False]
-    assert distance(along)[1] == pytest.approx(-depth, abs=SAME_POSE)
+    assert distance(along)[1] == pytest.approx(-depth, abs=ROOT)
 
 
 def test_the_order_of_the_points_does_not_matter(sheet: trimesh.Trimesh) -> None:

@@ -7,13 +7,11 @@ from evaluation import field_values
 from identknee.mechanics.distance_field import PADDING, DistanceField, build_field
 from identknee.mechanics.elements import IS_NEAR
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, IntArray
 
 RADIUS = 10.0
-# A cubic spline through a sphere's distance on a 0.75 mm grid, a few mm inside it.
-SPHERE_MM = 5e-5
-# Near the grid's own faces, where the spline is mirrored, its error falls slowly.
-FACE_MM = 5e-4
+# A cubic spline through a sphere's distance on a 0.75 mm grid, from 3 mm inside to 1 mm outside.
+SPHERE_MM = 2e-5
 
 
 def _sphere(points: Array) -> Array:
@@ -45,17 +43,15 @@ def test_the_grid_has_room_around_the_surface(ball: DistanceField) -> None:
 def test_it_is_the_distance_to_a_sphere(ball: DistanceField) -> None:
     points = _shell(2000, seed=0)
     error = np.abs(field_values(ball, points) - _sphere(points))
-    assert error.max() < FACE_MM
-    off_faces = np.abs(points).max(axis=1) < RADIUS - 1.0
-    assert error[off_faces].max() < SPHERE_MM
+    assert error.max() < SPHERE_MM
 
 
-def test_it_reproduces_a_plane_away_from_the_faces() -> None:
+def test_it_reproduces_a_plane_up_to_the_faces() -> None:
     normal = np.array([0.6, 0.0, 0.8])
-    field = build_field(lambda p: p @ normal - 0.3, np.full(3, -15.0), np.full(3, 15.0))
+    field = build_field(lambda p: p @ normal - 0.3, np.full(3, -4.0), np.full(3, 4.0))
     points = np.random.default_rng(1).uniform(-4.0, 4.0, (200, 3))
-    # What the faces leave decays by 0.27 a node; 19 nodes are between.
-    assert field_values(field, points) == pytest.approx(points @ normal - 0.3, abs=1e-9)
+    # What is left of the mirror beyond the straight part decays by 0.27 a node; 13 are between.
+    assert field_values(field, points) == pytest.approx(points @ normal - 0.3, abs=1e-6)
 
 
 def test_its_gradient_is_a_unit_vector(ball: DistanceField) -> None:
@@ -65,10 +61,10 @@ def test_its_gradient_is_a_unit_vector(ball: DistanceField) -> None:
         (field_values(ball, points + move) - field_values(ball, points - move)) / (2 * step)
         for move in step * np.eye(3)
     ]
-    assert np.linalg.norm(slopes, axis=0) == pytest.approx(np.ones(500), abs=2e-3)
+    assert np.linalg.norm(slopes, axis=0) == pytest.approx(np.ones(500), abs=1e-3)
 
 
-def _cells(field: DistanceField, n: int, seed: int, near: float) -> tuple[Array, Array]:
+def _cells(field: DistanceField, n: int, seed: int, near: float) -> tuple[IntArray, Array]:
     """Random places in cells close to contact: cell numbers and places in grid units."""
     rng = np.random.default_rng(seed)
     inner = field.coefficients[1:-2, 1:-2, 1:-2]
@@ -77,7 +73,7 @@ def _cells(field: DistanceField, n: int, seed: int, near: float) -> tuple[Array,
     return cells, cells + rng.random((n, 3))
 
 
-def _bits(field: DistanceField, cells: Array, places: Array) -> Array:
+def _bits(field: DistanceField, cells: IntArray, places: Array) -> IntArray:
     half = np.floor(2.0 * (places - cells)).astype(int)
     eighth = 4 * half[:, 0] + 2 * half[:, 1] + half[:, 2]
     return np.asarray(field.reach[tuple(cells.T)].astype(int) >> eighth & 1)

@@ -24,7 +24,7 @@ def _square() -> tuple[Array, IntArray]:
 
 
 def _from_edge(points: Array) -> Array:
-    return HALF - np.abs(points[:, [0, 2]]).max(axis=1)
+    return np.asarray(HALF - np.abs(points[:, [0, 2]]).max(axis=1))
 
 
 def test_vertices_know_their_distance_to_the_rim() -> None:

@@ -1,0 +1,342 @@
+"""What looks wrong with a knee's geometry, each finding one sentence with its remedy."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from identknee.mechanics.pose import angles_of
+from identknee.runs.arrays import Array
+from identknee.subject import sheets
+from identknee.subject.frames import (
+    Frame,
+    angle_between,
+    ankle_centre,
+    frames_from_landmarks,
+    joint_centre,
+)
+from identknee.subject.knee import Knee
+from identknee.subject.surface import Surface
+
+Severity = Literal["error", "warning", "info"]
+
+# Lengths in mm below which a knee's dimensions can only be metres.
+METRES = 1.0
+# A leg seen from hip to ankle, in metres, is shorter than this many mm; no two landmarks are.
+LEG_IN_METRES = 2.0
+FEMUR_EXTENT = (40.0, 200.0)
+LIGAMENT_LENGTH = (5.0, 200.0)
+WIDEST_GAP = 3.0
+DEEPEST_OVERLAP = 4.0
+FARTHEST_ORIGIN = 150.0
+LANDMARK_ANGLE = 5.0
+NEAR_DUPLICATE = 1e-4
+SLIVER = 1e-3
+# Flexion, varus and internal rotation [deg] of a scanned knee lie within these.
+SCANNED_ANGLES = {"flexion": (-20.0, 150.0), "varus": (-20.0, 20.0), "internal": (-45.0, 45.0)}
+# The condyles curl up behind, the trochlea does not curl up in front: normals this much upward
+# have their centre of area behind that of the whole surface.
+UPWARD = 0.5
+LEAST_UPWARD_SHARE = 0.005
+FORWARD_SHARE = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """Something a check found.
+
+    Attributes
+    ----------
+    severity
+        ``"error"`` where no result would mean anything, ``"warning"`` where one might not.
+    subject
+        What it is about, such as a surface or a ligament.
+    sentence
+        What was found.
+    remedy
+        What to do about it; empty where there is nothing to do.
+    """
+
+    severity: Severity
+    subject: str
+    sentence: str
+    remedy: str
+
+
+def check_geometry(knee: Knee) -> tuple[Finding, ...]:
+    """Everything found about surfaces, their contact, ligaments and frames; errors first."""
+    findings = [
+        *unusable(knee),
+        *(x for name, surface in _surfaces(knee) for x in _surface_findings(name, surface)),
+        *_contact_findings(knee),
+        *_ligament_findings(knee),
+        *_frame_findings(knee),
+        *_landmark_findings(knee),
+    ]
+    rank = ("error", "warning", "info")
+    return tuple(sorted(findings, key=lambda x: rank.index(x.severity)))
+
+
+def unusable(knee: Knee) -> tuple[Finding, ...]:
+    """The errors that forbid any use of the knee; quick enough for every reading."""
+    # Metres make the other tests meaningless, and so does a wrong side.
+    return tuple(_metres(knee)) or tuple(_wrong_side(knee)) or tuple(_flipped(knee))
+
+
+def _surfaces(knee: Knee) -> tuple[tuple[str, Surface], ...]:
+    medial, lateral = knee.tibia
+    return (("femur", knee.femur), ("tibia_medial", medial), ("tibia_lateral", lateral))
+
+
+def _metres(knee: Knee) -> Iterator[Finding]:
+    multiply = "If these are metres, multiply by 1000."
+    for name, surface in _surfaces(knee):
+        size = sheets.extent(surface)
+        if size < METRES:
+            yield _error(
+                name, f"The surface is only {size:.3g} mm across; lengths are in mm.", multiply
+            )
+    for ligament in knee.ligaments:
+        if ligament.length < METRES:
+            yield _error(
+                f"ligament {ligament.name}",
+                f"It is only {ligament.length:.3g} mm long; lengths are in mm.",
+                multiply,
+            )
+    apart = [
+        float(np.linalg.norm(a.position - b.position)) for a, b in combinations(knee.landmarks, 2)
+    ]
+    if apart and max(apart) < LEG_IN_METRES:
+        yield _error(
+            "landmarks",
+            f"They are at most {max(apart):.3g} mm apart; lengths are in mm.",
+            multiply,
+        )
+
+
+def _wrong_side(knee: Knee) -> Iterator[Finding]:
+    other = "left" if knee.side == "right" else "right"
+    medial, lateral = knee.tibia
+    across = (lateral.centroid - medial.centroid) @ knee.tibia_frame.axes[2]
+    if across <= 0.0:
+        yield _error(
+            "side",
+            f"For a {knee.side} knee, tibia_medial lies {-across:.1f} mm to the lateral side of "
+            "tibia_lateral.",
+            f'Write side = "{other}" if it is a {other} knee; else exchange the two files or '
+            "correct the axes of the tibial frame.",
+        )
+    elif _curls_up_in_front(knee):
+        yield _error(
+            "side",
+            f"For a {knee.side} knee, the rear of the femoral condyles lies in front.",
+            f'Write side = "{other}" if it is a {other} knee; else exchange the medial and lateral '
+            "landmarks or turn the femoral axes, x forwards and z to the subject's right.",
+        )
+
+
+def _curls_up_in_front(knee: Knee) -> bool:
+    """Whether the part of the femur that faces upward lies in front of the rest."""
+    femur, axes = knee.femur, knee.femur_frame.axes
+    # The test must hold for normals that all point inward, too: the next test finds these.
+    normals = femur.normals * np.sign(-_facing_up(knee.femur, knee.tibia, axes[1]))
+    upward = normals @ axes[1] > UPWARD
+    area = femur.areas[upward].sum()
+    if area < LEAST_UPWARD_SHARE * femur.areas.sum():
+        return False
+    centres = femur.vertices[femur.faces].mean(axis=1) @ axes[0]
+    offset = femur.areas[upward] @ centres[upward] / area - femur.centroid @ axes[0]
+    return bool(offset > FORWARD_SHARE * np.ptp(femur.vertices @ axes[0]))
+
+
+def _facing_up(surface: Surface, others: Iterable[Surface], superior: Array) -> float:
+    """Mean upward component of a surface's normals where it is closest to the others."""
+    return float(np.mean([sheets.facing_normals(surface, x) @ superior for x in others]))
+
+
+def _flipped(knee: Knee) -> Iterator[Finding]:
+    """Where the bones face each other, the femur looks down and the tibia up."""
+    superior = knee.tibia_frame.axes[1]
+    up = {"femur": -_facing_up(knee.femur, knee.tibia, superior)}
+    for name, surface in _surfaces(knee)[1:]:
+        up[name] = _facing_up(surface, [knee.femur], superior)
+    for name, component in up.items():
+        if component < 0.0:
+            yield _error(
+                name,
+                "Its normals point into the bone where it faces the joint.",
+                "Flip the normals of the surface (reverse its triangles), or correct the superior "
+                "axis of the tibial frame.",
+            )
+
+
+def _surface_findings(name: str, surface: Surface) -> Iterator[Finding]:
+    if surface.is_closed:
+        yield _warning(
+            name,
+            "The surface is closed: it has a bone side as well.",
+            "Keep the articular side only: force must keep growing with penetration.",
+        )
+    if n := sheets.count_turned_edges(surface):
+        yield _warning(
+            name,
+            f"At {n} edges neighbouring triangles face opposite ways.",
+            "Make the winding consistent and all normals point outward.",
+        )
+    if n := sheets.count_shared_edges(surface):
+        yield _warning(
+            name, f"{n} edges belong to more than two triangles.", "Remove inner or doubled sheets."
+        )
+    if n := sheets.count_near_duplicates(surface, NEAR_DUPLICATE):
+        yield _warning(
+            name,
+            f"{n} pairs of vertices are closer than {NEAR_DUPLICATE:g} mm but not the same.",
+            "Merge vertices within a small tolerance.",
+        )
+    if n := sheets.count_slivers(surface, SLIVER):
+        yield _warning(
+            name,
+            f"{n} triangles are degenerate: they have hardly any area.",
+            "Collapse them or remesh the surface.",
+        )
+
+
+def _contact_findings(knee: Knee) -> Iterator[Finding]:
+    for name, surface in _surfaces(knee)[1:]:
+        gap = sheets.gap_between(knee.femur, surface)
+        if gap > WIDEST_GAP:
+            yield _warning(
+                name,
+                f"In the scanned pose it is {gap:.1f} mm away from the femur.",
+                "Use cartilage surfaces, not bone, and check that both bones are in one frame.",
+            )
+            continue
+        depth = _depth(knee, surface)
+        if depth > DEEPEST_OVERLAP:
+            yield _warning(
+                name,
+                f"In the scanned pose it reaches {depth:.1f} mm into the femur.",
+                "Check that both bones are in one frame and the pose is the scanned one.",
+            )
+        else:
+            state = f"overlaps the femur by {depth:.2f} mm" if depth > 0 else f"is {gap:.2f} mm off"
+            yield Finding(
+                severity="info",
+                subject=name,
+                sentence=f"In the scanned pose it {state}.",
+                remedy="",
+            )
+
+
+def _depth(knee: Knee, surface: Surface) -> float:
+    """How far a tibial surface reaches into the femur [mm]."""
+    if knee.femur_distance is not None:
+        return max(float(-knee.femur_distance(surface.vertices).min()), 0.0)
+    return sheets.overlap_of(surface, knee.femur)
+
+
+def _ligament_findings(knee: Knee) -> Iterator[Finding]:
+    shortest, longest = LIGAMENT_LENGTH
+    for ligament in knee.ligaments:
+        subject = f"ligament {ligament.name}"
+        if not shortest <= ligament.length <= longest:
+            yield _warning(
+                subject,
+                f"It is {ligament.length:.1f} mm long in the scanned pose.",
+                "Check its insertions: both are points of the common frame in mm.",
+            )
+        if ligament.stiffness_kN > 100.0:
+            yield _warning(
+                subject,
+                f"Its stiffness is {ligament.stiffness_kN:g} kN per unit strain.",
+                "If this is N per unit strain, divide by 1000.",
+            )
+        elif ligament.stiffness_kN == 0.0:
+            yield _warning(
+                subject,
+                "Its stiffness is zero, so that it carries nothing.",
+                "Give it a stiffness or remove it.",
+            )
+    strains = np.abs([x.reference_strain_pct for x in knee.ligaments])
+    if strains.any() and strains.max() <= 0.2:
+        yield _warning(
+            "ligaments",
+            f"No reference strain exceeds {strains.max():g} %.",
+            "If these are fractions, multiply by 100.",
+        )
+
+
+def _frame_findings(knee: Knee) -> Iterator[Finding]:
+    size = sheets.extent(knee.femur)
+    least, most = FEMUR_EXTENT
+    if not least <= size <= most:
+        yield _warning(
+            "femur",
+            f"The surface is {size:.0f} mm across, unlike the articular surface of a knee.",
+            "Check the units (cm, inch) and that it is the articular surface.",
+        )
+    rotation = knee.femur_frame.axes @ knee.tibia_frame.axes.T
+    angles = np.degrees(angles_of(rotation))
+    for (name, (low, high)), angle in zip(SCANNED_ANGLES.items(), angles, strict=True):
+        if not low <= angle <= high:
+            yield _warning(
+                "frames",
+                f"In the scanned pose the {name} angle is {angle:.0f} deg.",
+                "Check that both frames have rows anterior, superior and to the subject's right.",
+            )
+    for bone, frame, surface in (
+        ("femur", knee.femur_frame, knee.femur),
+        ("tibia", knee.tibia_frame, knee.tibia[0]),
+    ):
+        away = float(np.linalg.norm(frame.origin - surface.centroid))
+        if away > FARTHEST_ORIGIN:
+            yield _warning(
+                f"{bone} frame",
+                f"Its origin is {away:.0f} mm away from the joint surface.",
+                "Put the origin in the joint: forces act there and translations are those of it.",
+            )
+
+
+def _landmark_findings(knee: Knee) -> Iterator[Finding]:
+    for bone, axis, angle in _landmark_angles(knee):
+        if angle > LANDMARK_ANGLE:
+            yield _warning(
+                f"{bone} frame",
+                f"Its {axis} axis is {angle:.1f} deg off the one that the landmarks define.",
+                "The frame is used; correct it or the landmarks.",
+            )
+
+
+def _landmark_angles(knee: Knee) -> Iterator[tuple[str, str, float]]:
+    """Bone, axis and its angle [deg] to what the landmarks say, as far as they say it."""
+    places = {x.name: x.position for x in knee.landmarks}
+    frames = {"femur": knee.femur_frame, "tibia": knee.tibia_frame}
+    try:
+        defined = frames_from_landmarks(places)
+    except ValueError:
+        yield from _long_axis_angles(places, frames)
+        return
+    for (bone, given), made in zip(frames.items(), defined, strict=True):
+        for row, axis in ((1, "superior"), (2, "lateral")):
+            yield bone, axis, angle_between(given.axes[row], made.axes[row])
+
+
+def _long_axis_angles(
+    places: dict[str, Array], frames: dict[str, Frame]
+) -> Iterator[tuple[str, str, float]]:
+    """The same for the long axes alone, seen from the origins where the epicondyles are missing."""
+    centre, ankle = joint_centre(places), ankle_centre(places)
+    for bone, far, sign in (("femur", places.get("hip_centre"), 1.0), ("tibia", ankle, -1.0)):
+        if far is not None:
+            near = frames[bone].origin if centre is None else centre
+            yield bone, "superior", angle_between(frames[bone].axes[1], sign * (far - near))
+
+
+def _error(subject: str, sentence: str, remedy: str) -> Finding:
+    return Finding(severity="error", subject=subject, sentence=sentence, remedy=remedy)
+
+
+def _warning(subject: str, sentence: str, remedy: str) -> Finding:
+    return Finding(severity="warning", subject=subject, sentence=sentence, remedy=remedy)

@@ -1,0 +1,120 @@
+"""Modules are small, documented, and import no more than their part needs."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import identknee
+
+ROOT = Path(identknee.__file__).parent
+MODULES = sorted(ROOT.rglob("*.py"))
+MOST_LINES, MOST_LINES_OF_FUNCTION = 400, 50
+# Longer, each for its reason.
+LONG_MODULES: dict[str, str] = {}
+LONG_FUNCTIONS = {
+    "mechanics/elements.py:sum_elements": "sums in scalars, which the compiler keeps in registers",
+    "mechanics/kernel.py:find_minimum": "compiled: one loop with its own memory",
+}
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
+
+
+def _public(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tuple[str, Definition]]:
+    """Public functions, classes and methods."""
+    for node in tree.body:
+        if isinstance(node, Definition) and not node.name.startswith("_"):
+            yield prefix + node.name, node
+            if isinstance(node, ast.ClassDef):
+                yield from _public(node, f"{prefix}{node.name}.")
+
+
+def test_no_module_is_long_without_a_reason() -> None:
+    lengths = {_name(x): len(x.read_text(encoding="utf-8").splitlines()) for x in MODULES}
+    long = {name for name, length in lengths.items() if length > MOST_LINES}
+    assert long == set(LONG_MODULES)
+
+
+def test_no_function_is_long_without_a_reason() -> None:
+    """From its name to its last line, docstring left out."""
+    long = set()
+    for path in MODULES:
+        for node in ast.walk(_tree(path)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                first = node.body[1 if ast.get_docstring(node) and len(node.body) > 1 else 0]
+                if (node.end_lineno or 0) - first.lineno + 1 > MOST_LINES_OF_FUNCTION:
+                    long.add(f"{_name(path)}:{node.name}")
+    assert long == set(LONG_FUNCTIONS)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=_name)
+def test_everything_public_has_a_docstring(path: Path) -> None:
+    tree = _tree(path)
+    assert ast.get_docstring(tree)
+    bare = [
+        name
+        for name, node in _public(tree)
+        if not ast.get_docstring(node) and not _is_overload_or_override(node)
+    ]
+    assert bare == []
+
+
+def _is_overload_or_override(node: Definition) -> bool:
+    return any(
+        isinstance(x, ast.Name) and x.id in ("overload", "override") for x in node.decorator_list
+    )
+
+
+@pytest.mark.parametrize("path", [x for x in MODULES if x.name == "__init__.py"], ids=_name)
+def test_packages_hold_their_docstring_only(path: Path) -> None:
+    if path.parent != ROOT:
+        assert len(_tree(path).body) == 1
+
+
+def test_no_module_has_a_name_that_says_nothing() -> None:
+    stems = {x.stem for x in MODULES}
+    assert not stems & {"utils", "util", "helpers", "common", "misc", "constants", "base"}
+
+
+def test_plotting_is_imported_by_the_report_alone() -> None:
+    """Not even through another module: a program that fits needs no figures."""
+    parts = ("runs", "mechanics", "subject", "laxity", "model", "calibrate")
+    modules = [
+        f"identknee.{_name(x)[:-3].replace('/', '.').removesuffix('.__init__')}"
+        for x in MODULES
+        if x.relative_to(ROOT).parts[0] in parts
+    ]
+    code = (
+        f"import importlib, sys\nfor x in {modules}: importlib.import_module(x)\n"
+        "print([x for x in ('matplotlib', 'plotly', 'identknee.report') if x in sys.modules])"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    )
+    assert answer.stdout.strip() == "[]"
+
+
+def test_names_of_test_files_differ() -> None:
+    """There are no packages among the tests, so two of one name would hide one another."""
+    names = [x.name for x in Path(__file__).parents[1].rglob("*.py")]
+    assert sorted(names) == sorted(set(names))
+
+
+def test_nothing_names_the_place_it_was_written_at() -> None:
+    root = ROOT.parent
+    folders = [ROOT, *(root / x for x in ("tests", "studies", "docs"))]
+    files = [x for folder in folders for x in folder.rglob("*.py")]
+    place = str(root) + "/"
+    assert [str(x) for x in files if place in x.read_text(encoding="utf-8")] == []

@@ -1,0 +1,179 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from posed_knees import posed_reference
+from scipy.spatial.transform import Rotation
+
+from identknee.runs.arrays import IntArray
+from identknee.subject.check import Finding, check_geometry, unusable
+from identknee.subject.folder import read_subject
+from identknee.subject.frames import Frame
+from identknee.subject.knee import Knee, Landmark
+from identknee.subject.reference import reference_knee
+from identknee.subject.surface import Surface, joined
+
+
+@pytest.fixture(scope="module")
+def knee() -> Knee:
+    return reference_knee(3.0, femur_edge_mm=2.0)
+
+
+def alarming(findings: tuple[Finding, ...]) -> list[Finding]:
+    for finding in findings:
+        assert finding.sentence.endswith(".")
+        assert finding.remedy.endswith(".") or finding.severity == "info"
+    return [x for x in findings if x.severity != "info"]
+
+
+def test_sound_knees_raise_no_alarm(knee: Knee) -> None:
+    for sound in (knee, posed_reference(1), posed_reference(2, side="right")):
+        assert alarming(check_geometry(sound)) == []
+        assert {x.subject for x in check_geometry(sound)} == {"tibia_medial", "tibia_lateral"}
+
+
+def test_shared_knees_raise_no_alarm(shared: Path) -> None:
+    for name in ("lenhart2015", "lenhart2015_stable"):
+        findings = check_geometry(read_subject(shared / "data" / name))
+        assert alarming(findings) == []
+        assert {x.sentence for x in findings} == {
+            "In the scanned pose it overlaps the femur by 0.41 mm.",
+            "In the scanned pose it overlaps the femur by 0.36 mm.",
+        }
+
+
+def _closed(surface: Surface) -> Surface:
+    below = surface.moved(np.eye(3), [0.0, -3.0, 0.0])
+    n = len(surface.vertices)
+    rim = np.array([e for e in surface.edges if _is_rim(surface, e)])
+    walls = np.r_[
+        np.c_[rim[:, 1], rim[:, 0], rim[:, 0] + n], np.c_[rim[:, 1], rim[:, 0] + n, rim[:, 1] + n]
+    ]
+    return Surface(
+        vertices=np.vstack([surface.vertices, below.vertices]),
+        faces=np.vstack([surface.faces, below.faces[:, ::-1] + n, walls]),
+    )
+
+
+def _is_rim(surface: Surface, edge: IntArray) -> bool:
+    return any((np.sort(edge) == x).all() for x in surface.boundary_edges)
+
+
+def _turned(surface: Surface) -> Surface:
+    faces = np.array(surface.faces)
+    faces[3] = faces[3, ::-1]
+    return Surface(vertices=surface.vertices, faces=faces)
+
+
+def _with_sliver(surface: Surface) -> Surface:
+    a, b = surface.vertices[surface.boundary_edges[0]]
+    sliver = Surface(vertices=np.array([a, b, (a + b) / 2]), faces=np.array([[0, 1, 2]]))
+    return joined(surface, sliver.moved(np.eye(3), [0.0, 0.001, 0.0]))
+
+
+def _doubled(surface: Surface) -> Surface:
+    return joined(surface, surface.moved(np.eye(3), [0.0, 1e-6, 0.0]))
+
+
+def _finned(surface: Surface) -> Surface:
+    a, b, c = surface.faces[0]
+    vertices = np.vstack([surface.vertices, surface.vertices[c] - [0.0, 2.0, 0.0]])
+    return Surface(vertices=vertices, faces=np.vstack([surface.faces, [[b, a, len(vertices) - 1]]]))
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (_closed, "The surface is closed"),
+        (_turned, "neighbouring triangles face opposite ways"),
+        (_with_sliver, "1 triangles are degenerate"),
+        (_doubled, "are closer than"),
+        (_finned, "belong to more than two triangles"),
+        (lambda x: x.moved(np.eye(3), [0.0, -12.0, 0.0]), "mm away from the femur"),
+        (lambda x: x.moved(np.eye(3), [0.0, 9.0, 0.0]), "mm into the femur"),
+    ],
+)
+def test_damaged_plateau(knee: Knee, damage: Callable[[Surface], Surface], said: str) -> None:
+    damaged = replace(knee, tibia=(damage(knee.tibia[0]), knee.tibia[1]))
+    found = [x for x in alarming(check_geometry(damaged)) if said in x.sentence]
+    assert [x.subject for x in found] == ["tibia_medial"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"tibia": [2.0, -5.0, 9.0]}, "mm long in the scanned pose"),
+        ({"tibia": [2.0, -305.0, 9.0]}, "mm long in the scanned pose"),
+        ({"stiffness_kN": 10_000.0}, "Its stiffness is 10000 kN"),
+        ({"stiffness_kN": 0.0}, "carries nothing"),
+    ],
+)
+def test_odd_ligament(knee: Knee, changes: dict[str, object], said: str) -> None:
+    odd = replace(knee.ligaments[0], **changes)  # type: ignore[arg-type]
+    findings = alarming(check_geometry(knee.with_ligaments([odd, *knee.ligaments[1:]])))
+    assert [x.subject for x in findings] == ["ligament ACL"]
+    assert said in findings[0].sentence
+
+
+def test_strains_as_fractions(knee: Knee) -> None:
+    lines = [replace(x, reference_strain_pct=x.reference_strain_pct / 100) for x in knee.ligaments]
+    findings = alarming(check_geometry(knee.with_ligaments(lines)))
+    assert [x.remedy for x in findings] == ["If these are fractions, multiply by 100."]
+
+
+def turned(axis: tuple[float, float, float], degrees: float) -> Frame:
+    axes = Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix()
+    return Frame(origin=np.zeros(3), axes=axes)
+
+
+def test_frames_that_fit_no_scan(knee: Knee) -> None:
+    for axis, name in (((0.0, 1.0, 0.0), "internal"), ((1.0, 0.0, 0.0), "varus")):
+        findings = alarming(check_geometry(replace(knee, femur_frame=turned(axis, 60.0))))
+        assert any(f"the {name} angle is" in x.sentence for x in findings), name
+    away = Frame(origin=np.array([0.0, 400.0, 0.0]), axes=np.eye(3))
+    findings = alarming(check_geometry(replace(knee, femur_frame=away)))
+    assert [x.subject for x in findings] == ["femur frame"]
+
+
+def test_size_of_no_knee(knee: Knee) -> None:
+    inches = replace(knee, femur=knee.femur.scaled(1 / 25.4))
+    assert any("unlike the articular surface" in x.sentence for x in check_geometry(inches))
+
+
+def test_landmarks_against_frames(knee: Knee) -> None:
+    places = {
+        "hip_centre": [0.0, 400.0, 0.0],
+        "ankle_centre": [60.0, -400.0, 0.0],
+        "medial_epicondyle": [0.0, 0.0, -40.0],
+        "lateral_epicondyle": [8.0, 0.0, 40.0],
+    }
+
+    def marked(*names: str) -> list[tuple[str, str]]:
+        marks = tuple(Landmark(name=x, position=np.array(places[x])) for x in names)
+        findings = alarming(check_geometry(replace(knee, landmarks=marks)))
+        return [(x.subject, x.sentence.split()[1]) for x in findings]
+
+    assert marked(*places) == [
+        ("femur frame", "lateral"),
+        ("tibia frame", "superior"),
+        ("tibia frame", "lateral"),
+    ]
+    assert marked("hip_centre", "ankle_centre") == [("tibia frame", "superior")]
+    assert marked("hip_centre") == []
+    assert marked("medial_epicondyle") == []
+
+
+def test_errors_come_first_and_forbid_use(knee: Knee) -> None:
+    femur = Surface(vertices=knee.femur.vertices, faces=knee.femur.faces[:, ::-1])
+    odd = replace(knee.ligaments[0], stiffness_kN=0.0)
+    wrong = replace(knee, femur=femur, ligaments=(odd,))
+    findings = check_geometry(wrong)
+    assert [x.severity for x in findings[:2]] == ["error", "warning"]
+    assert unusable(wrong) == findings[:1]
+    assert findings[0].subject == "femur"
+
+
+def test_exchanged_plateaus(knee: Knee) -> None:
+    assert [x.subject for x in unusable(replace(knee, tibia=knee.tibia[::-1]))] == ["side"]
