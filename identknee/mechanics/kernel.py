@@ -23,6 +23,8 @@ SMALLEST_STEP = 1.0 / 1024.0  # of the way from one node of the load path to the
 LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has left the branch
 BRANCH_ABSOLUTE = 0.1  # mm; disagreement of a step with its end tangents that is always allowed
 BRANCH_RELATIVE = 0.25  # the same, as a share of the step's length
+# A guess must agree so much better with its neighbour that a search without one ends there too.
+GUESS_TOLERANCE = 0.25
 FLOOR_MARGIN = 1e-3  # N/mm; below this stiffness a pose is not unique
 SLACK_RESIDUAL = 1e-3  # N; with less than this and no stiffness, the search would creep on for ever
 MOST_ITERATIONS = 200
@@ -109,7 +111,7 @@ def tangent(H, h, load_change, flexion_change, L, right, step):
 
 
 @compiled
-def off_branch(before, after, tangent_before, tangent_after, share):
+def off_branch(before, after, tangent_before, tangent_after, share, tolerance):
     """Whether a step disagrees with the tangents at its ends more than a smooth branch would.
 
     The disagreement is weighed against the way the tangents explain, of which a jump is no part.
@@ -122,7 +124,7 @@ def off_branch(before, after, tangent_before, tangent_after, share):
         length += (change * scale_of(i)) ** 2
         explained += (mean * scale_of(i)) ** 2
     allowed = BRANCH_ABSOLUTE + BRANCH_RELATIVE * math.sqrt(min(length, explained))
-    return math.sqrt(off) > allowed
+    return math.sqrt(off) > tolerance * allowed
 
 
 @compiled
@@ -170,7 +172,8 @@ def follow(path, q, H, h, guess, guessed, contact, field, ligaments, work, g):
             )
             solves += 1
             tangent(H_new, h_new, change, flexion_change, L, minus_g, after)
-        if outcome == CONVERGED and not off_branch(q, q_new, before, after, share):
+        tolerance = GUESS_TOLERANCE if guessed else 1.0
+        if outcome == CONVERGED and not off_branch(q, q_new, before, after, share, tolerance):
             copy_state(q_new, H_new, h_new, after, q, H, h, before)
             reached = goal
             share *= 2.0

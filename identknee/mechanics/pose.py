@@ -13,7 +13,8 @@ def rotation_matrix(flexion: float, varus: float, internal: float) -> Array:
     about_z = np.array([[ca, sa, 0.0], [-sa, ca, 0.0], [0.0, 0.0, 1.0]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cv, -sv], [0.0, sv, cv]])
     about_y = np.array([[ci, 0.0, si], [0.0, 1.0, 0.0], [-si, 0.0, ci]])
-    return about_z @ about_x @ about_y
+    rotation: Array = about_z @ about_x @ about_y
+    return rotation
 
 
 def angles_of(rotation: Array) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from identknee.mechanics.contact_points import DEFAULT_NUMBER, contact_points
 from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
 from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.pose import start_pose
-from identknee.mechanics.rims import RimMap, map_rims
+from identknee.mechanics.rims import Rim, rim_of
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder, write_atomically
@@ -39,8 +39,8 @@ class Joint:
         Points of the tibia that carry contact, in tibial axes.
     lines
         The ligaments.
-    femoral_rims, tibial_rims
-        How far places on the surfaces are from their rims; one map a tibial surface.
+    femoral_rim, tibial_rims
+        The rims of the surfaces, one a tibial surface.
     start_flexion, start
         The scanned pose: flexion [rad] and (varus, internal [rad], x, y, z [mm]), ``(5,)``.
     """
@@ -48,8 +48,8 @@ class Joint:
     field: DistanceField
     contact: ContactPoints
     lines: Lines
-    femoral_rims: RimMap
-    tibial_rims: tuple[RimMap, ...]
+    femoral_rim: Rim
+    tibial_rims: tuple[Rim, ...]
     start_flexion: float
     start: Array
 
@@ -75,8 +75,8 @@ def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
             tibial=knee.tibia_frame.to_local(tibial_insertions),
             reference_length=knee.reference_lengths,
         ),
-        femoral_rims=map_rims(femoral, knee.femur.faces),
-        tibial_rims=tuple(map_rims(vertices, faces) for vertices, faces in sheets),
+        femoral_rim=rim_of(femoral, knee.femur.faces),
+        tibial_rims=tuple(rim_of(vertices, faces) for vertices, faces in sheets),
         start_flexion=flexion,
         start=frozen(start, 5, name="start"),
     )

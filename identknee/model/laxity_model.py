@@ -155,10 +155,12 @@ class LaxityModel:
             )
         m = self.parameters.n // 2
         stiffness, strain = theta[:m] * _PER_KN, theta[m:] * _PER_PCT
-        if not (np.isfinite(theta).all() and (stiffness >= 0.0).all() and (strain > -1.0).all()):
+        allowed = np.isfinite(theta) & np.r_[stiffness >= 0.0, strain > -1.0]
+        if not allowed.all():
+            worst = int(np.flatnonzero(~allowed)[0])
             raise ValueError(
-                "stiffness must be finite and >= 0 kN, reference strain finite and above -100 %; "
-                f"got {dict(zip(self.parameters.names, theta.tolist(), strict=True))}"
+                f"{self.parameters.names[worst]} is {theta[worst]:g}: stiffness must be finite and "
+                "at least 0 kN, reference strain finite and above -100 %"
             )
         return stiffness, strain
 
@@ -217,7 +219,8 @@ class LaxityModel:
         too_close = np.zeros(len(centres), bool)
         for c, tibial in enumerate(self.joint.tibial_rims):
             margin = np.minimum(
-                tibial.at(centres[:, c, 1:4]), self.joint.femoral_rims.at(centres[:, c, 4:7])
+                tibial.distance(centres[:, c, 1:4]),
+                self.joint.femoral_rim.distance(centres[:, c, 4:7]),
             )
             too_close |= (centres[:, c, 0] > 0.0) & (margin < RIM_MARGIN)
         return too_close

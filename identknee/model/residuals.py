@@ -1,5 +1,6 @@
 """The difference between a model's prediction and measured laxity, as residuals for calibration."""
 
+import threading
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -41,8 +42,9 @@ class LaxityResiduals:
     laxity: Laxity
     weighting: Weighting = "unit"
     _whitening: Array = field(init=False, repr=False)
-    # The prediction made last: where the Jacobian is wanted after the residuals it starts there.
-    _last: list[Prediction] = field(init=False, repr=False, default_factory=list)
+    # The prediction each thread made last: where the Jacobian is wanted after the residuals it
+    # starts there.
+    _last: dict[int, Prediction] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self.model.with_protocol(self.laxity.protocol))
@@ -60,7 +62,7 @@ class LaxityResiduals:
         All are infinite where a trial with data has no equilibrium at theta.
         """
         prediction = self.model.predict(theta, derivatives=False)
-        self._last[:] = [prediction]
+        self._last[threading.get_ident()] = prediction
         measured = self.laxity.is_measured
         if not prediction.is_converged[measured.any(axis=1)].all():
             return np.full(int(measured.sum()), np.inf)
@@ -69,7 +71,8 @@ class LaxityResiduals:
 
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite."""
-        near = next((x for x in self._last if np.array_equal(x.theta, theta)), None)
+        last = self._last.get(threading.get_ident())
+        near = last if last is not None and np.array_equal(last.theta, theta) else None
         prediction = self.model.predict(theta, near=near)
         if prediction.jacobian is None:  # pragma: no cover - predict was asked for it
             raise AssertionError

@@ -42,7 +42,6 @@ def compared(record: dict[str, Any], flexion_deg: float, bar: float) -> list[Mea
     seconds = np.array([x["seconds"] for x in solved])
     model = LaxityModel(knee=knee(SUBJECT), protocol=_protocol(at_angle))
     own = _seconds_a_trial(model)
-    name = record["peer"]
     where = f"{flexion_deg:g} deg"
     measures = [
         median_of(
@@ -52,16 +51,14 @@ def compared(record: dict[str, Any], flexion_deg: float, bar: float) -> list[Mea
             bar=bar,
             at_least=True,
         ),
-        median_of(f"{name} {record['version']}, seconds a trial solved at {where}", seconds, "s"),
+        median_of(f"{record['version']}, seconds a trial solved at {where}", seconds, "s"),
         Measure(what="ours, a trial", value=1000.0 * own, unit="ms", count=RUNS),
-        Measure(
-            what=f"{name}, trials solved at {where}", value=len(solved), unit=f"of {len(at_angle)}"
-        ),
+        Measure(what=f"trials solved at {where}", value=len(solved), unit=f"of {len(at_angle)}"),
     ]
     for angle, group in record["by_flexion_deg"].items():
         if float(angle) != flexion_deg:
             failed = group["trials"] - group["solved"]
-            what = f"{name}, trials not solved at {angle} deg"
+            what = f"trials not solved at {angle} deg"
             measures.append(Measure(what=what, value=failed, unit=f"of {group['trials']}"))
     return measures
 

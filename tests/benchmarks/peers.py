@@ -233,6 +233,7 @@ def write_record(
         "triangles": {name: len(sheet.faces) for name, sheet in subject.meshes.items()},
         "n_trials": len(solutions),
         "n_solved": len(solved),
+        "n_solved_to_1e-6_N": sum(s.residual <= ENOUGH_N for s in solved),
         "median_seconds_solved": float(np.median([s.seconds for s in solved])) if solved else None,
         "total_seconds": sum(s.seconds for s in solutions),
         "by_flexion_deg": by_flexion,

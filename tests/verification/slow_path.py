@@ -1,7 +1,7 @@
 """A trial's load path followed in small steps by an independent minimiser."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from knees import SCALE, PoseEnergy
@@ -25,12 +25,13 @@ Function = Callable[[Array], tuple[float, Array, Array]]
 @dataclass(frozen=True, kw_only=True)
 class End:
     """How far along its path a trial got (1 the unloaded knee in flexion, 2 the full load), why
-    not farther, and its pose in mm under the full load.
+    not farther, and its pose in mm under the full load or the length of the jump there [mm].
     """
 
     reached: float
     reason: str
     place: Array | None = None
+    jump: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,28 +68,31 @@ def follow_slowly(energy: PoseEnergy) -> End:
     if place is None:
         return End(reached=0.0, reason="no unique pose at the start")
     for index, leg in enumerate(legs):
-        place, share, reason = _follow(energy, leg, place)
+        place, end = _follow(energy, leg, place)
         if place is None:
-            return End(reached=index + share, reason=reason)
+            return replace(end, reached=index + end.reached)
     return End(reached=2.0, reason="reached the full load", place=place)
 
 
-def _follow(energy: PoseEnergy, leg: Leg, place: Array) -> tuple[Array | None, float, str]:
+def _follow(energy: PoseEnergy, leg: Leg, place: Array) -> tuple[Array | None, End]:
     reached, step, halvings = 0.0, leg.step, 0
     for _ in range(MOST_STEPS):
         if reached >= 1.0:
-            return place, 1.0, ""
+            return place, End(reached=1.0, reason="")
         goal = min(1.0, reached + step)
         found = _minimum(energy.loaded(*leg.at(goal)), place, radius=0.05)
-        if found is not None and np.linalg.norm(found - place) <= LARGEST_MOVE:
+        move = np.inf if found is None else float(np.linalg.norm(found - place))
+        if found is not None and move <= LARGEST_MOVE:
             place, reached = found, goal
             if halvings:
                 step, halvings = 2.0 * step, halvings - 1
         elif halvings < MOST_HALVINGS:
             step, halvings = 0.5 * step, halvings + 1
+        elif found is None:
+            return None, End(reached=reached, reason="no unique pose")
         else:
-            return None, reached, "no unique pose" if found is None else "the pose jumps"
-    return None, reached, "too many steps"
+            return None, End(reached=reached, reason="the pose jumps", jump=move)
+    return None, End(reached=reached, reason="too many steps")
 
 
 def _minimum(function: Function, start: Array, radius: float) -> Array | None:

@@ -202,7 +202,10 @@ def _controlled(places: list[Place]) -> tuple[list[Measure], list[str]]:
         if change <= LARGEST_CONTROL_CHANGE:
             changes.append(change)
         else:
-            other.append(f"control that ended elsewhere ({end.reason}): {place.described}")
+            other.append(
+                f"control that ended elsewhere ({end.reason} by {end.jump:.2f} mm, "
+                f"{end.reached:.4f} of 2 legs): {place.described}"
+            )
     share = Measure(
         what="control: converged trials that the slow way finds at the same pose",
         value=100.0 * len(changes) / CONTROLS,

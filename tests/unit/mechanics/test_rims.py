@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from identknee.mechanics.rims import PADDING, SPACING, map_rims, rim_distance
+from identknee.mechanics.rims import rim_of
 from identknee.runs.arrays import Array, IntArray
 
 HALF, EDGE = 10.0, 0.5
-# The place looked up lies up to half a cell's diagonal off, its nearest vertex half an edge's.
-LOOK_UP = 0.5 * np.sqrt(3.0) * SPACING + 0.5 * np.sqrt(2.0) * EDGE
 
 
 def _square() -> tuple[Array, IntArray]:
@@ -23,32 +21,23 @@ def _square() -> tuple[Array, IntArray]:
     return vertices, faces
 
 
-def _from_edge(points: Array) -> Array:
-    return np.asarray(HALF - np.abs(points[:, [0, 2]]).max(axis=1))
+def test_the_rim_of_a_square_is_its_outline() -> None:
+    rim = rim_of(*_square()).vertices
+    assert len(rim) == 4 * 2 * HALF / EDGE
+    assert np.abs(rim).max(axis=1) == pytest.approx(HALF)
 
 
-def test_vertices_know_their_distance_to_the_rim() -> None:
-    vertices, faces = _square()
-    assert rim_distance(vertices, faces) == pytest.approx(_from_edge(vertices), abs=1e-12)
-
-
-def test_places_near_the_sheet_are_looked_up() -> None:
+def test_distance_is_to_the_nearest_place_of_the_outline() -> None:
     rng = np.random.default_rng(0)
-    points = rng.uniform([-9, -2, -9], [9, 2, 9], (500, 3))
-    found = map_rims(*_square()).at(points)
-    assert np.abs(found - _from_edge(points)).max() <= LOOK_UP
-
-
-def test_far_from_the_sheet_is_past_the_rim() -> None:
-    far = np.array([[0.0, PADDING + 2.0, 0.0], [HALF + PADDING + 2.0, 0.0, 0.0]])
-    rims = map_rims(*_square())
-    assert rims.at(far).tolist() == [0.0, 0.0]
-    # Beside the sheet, the nearest vertex is on the rim.
-    assert rims.at(np.array([[HALF + 2.0, 0.0, 0.0]])).tolist() == [0.0]
+    points = rng.uniform([-9, 0, -9], [9, 0, 9], (500, 3))
+    exact = HALF - np.abs(points[:, [0, 2]]).max(axis=1)
+    found = rim_of(*_square()).distance(points)
+    # The nearest vertex lies at most half an edge along the outline.
+    assert (found >= exact - 1e-12).all()
+    assert (found <= np.hypot(exact, EDGE / 2) + 1e-12).all()
 
 
 def test_a_closed_surface_has_no_rim() -> None:
     ball = trimesh.creation.icosphere(subdivisions=2, radius=5.0)
     vertices, faces = np.array(ball.vertices), np.array(ball.faces)
-    assert np.isinf(rim_distance(vertices, faces)).all()
-    assert np.isinf(map_rims(vertices, faces).at(vertices)).all()
+    assert np.isinf(rim_of(vertices, faces).distance(vertices)).all()
