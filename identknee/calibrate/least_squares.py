@@ -18,6 +18,8 @@ INSIDE = 1e-3
 RELATIVE_STEP = 1e-10
 RELATIVE_START = 1e-9
 MAX_WAYS = 30
+# Of the objective: what a step that cannot be made may promise at a minimum on a kink.
+KINK_SHARE = 1e-6
 
 
 def minimise_by_least_squares(
@@ -26,7 +28,8 @@ def minimise_by_least_squares(
     """How bounded least squares from `start` ended on `objective`.
 
     scipy's trust-region reflective method does the descent. It ends where the Gauss-Newton step
-    within the bounds vanishes (`minimum`); where it cannot go on because every longer step has no
+    within the bounds vanishes, or where no step goes down any more and none promises a millionth of
+    the objective, as at a minimum on a kink (`minimum`); where it cannot go on because every longer step has no
     prediction it tries to get around (`identknee.calibrate.cliff`) and goes on from there, or ends
     (`cliff`). A start outside the bounds is moved just inside.
     """
@@ -69,7 +72,7 @@ def _descend(objective: Objective, theta: Array) -> Outcome:
             raise
         outcome = end.outcome
     else:
-        outcome = Outcome.VALLEY
+        outcome = Outcome.MINIMUM if _is_on_a_kink(objective) else Outcome.VALLEY
     if outcome is Outcome.MINIMUM:
         _settle(objective)
     return outcome
@@ -104,6 +107,18 @@ class _Watch:
             raise Ended(Outcome.MINIMUM)
         self._accepted = np.array(theta)
         return jacobian
+
+
+def _is_on_a_kink(objective: Objective) -> bool:
+    """Whether the derivatives promise next to nothing where the search could not go on.
+
+    Where a contact point just touches, the derivatives of both sides differ and may point at each
+    other: the lowest place is there, and no derivative vanishes at it.
+    """
+    theta = _best(objective)
+    residuals, jacobian = objective.residuals(theta), objective.jacobian(theta)
+    step = gauss_newton(theta, residuals, jacobian, objective.parameters)
+    return bool(step.reduction <= KINK_SHARE * objective.value(theta))
 
 
 def _settle(objective: Objective) -> None:

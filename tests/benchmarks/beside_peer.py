@@ -86,8 +86,8 @@ def agreement(record: dict[str, Any], flexion_deg: float) -> str:
 def _protocol(trials: list[dict[str, Any]]) -> Protocol:
     flexion = np.array([x["trial"]["flexion_deg"] for x in trials])
     loads = np.zeros((len(trials), len(LOADS)))
-    loads[:, LOADS.index("varus_moment_Nm")] = [x["trial"]["varus_Nm"] for x in trials]
-    loads[:, LOADS.index("internal_moment_Nm")] = [x["trial"]["internal_Nm"] for x in trials]
+    loads[:, LOADS.index("varus_moment_Nm")] = [x["trial"]["varus"] for x in trials]
+    loads[:, LOADS.index("internal_moment_Nm")] = [x["trial"]["internal"] for x in trials]
     names = tuple(
         trial_name(angle, row.tolist()) for angle, row in zip(flexion, loads, strict=True)
     )

@@ -12,6 +12,7 @@ import contextlib
 import math
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,9 @@ from scipy.optimize import least_squares
 CONTACT_STIFFNESS = 1e10  # Pa/m, the paper's 10 GN/m3
 TRANSITION_STRAIN = 0.06  # where the toe ends: twice the paper's epsilon_1
 THICKNESS = 3.0  # mm; Simbody needs closed surfaces, so the open sheets are extruded back
-DIFFERENCE_STEP = 1e-4  # mm; far above rounding, far below a facet
+# mm; far above rounding and far below a facet. A search that stalls because a facet's jump falls
+# within the step, and is no solution yet, is taken up again with the coarser one.
+DIFFERENCE_STEPS = (1e-4, 1e-2)
 FLEXION_STEP = 10.0  # deg
 METRES = 1e-3
 COORDINATES = ("flexion", "varus", "internal", "x", "y", "z")
@@ -175,13 +178,20 @@ def solve(knee: OpenSimKnee, trial: Trial, start: Array, limit_s: float) -> Time
     """Search the trial's equilibrium from `start`; the best point found is in the result."""
     timed = Timed(lambda x: knee.residual(trial.flexion_deg, trial.load, x), limit_s)
 
-    def slopes(x: Array) -> Array:
+    def slopes(x: Array, step: float) -> Array:
         here = timed(x)
-        columns = [timed(x + DIFFERENCE_STEP * e) - here for e in np.eye(5)]
-        return np.stack(columns, axis=1) / DIFFERENCE_STEP
+        columns = [timed(x + step * e) - here for e in np.eye(5)]
+        return np.stack(columns, axis=1) / step
 
-    with contextlib.suppress(SearchEndedError):
-        least_squares(timed, start, jac=slopes, xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=80)
+    x = start
+    for step in DIFFERENCE_STEPS:
+        with contextlib.suppress(SearchEndedError):
+            jacobian = partial(slopes, step=step)
+            tight = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12, "max_nfev": 80}
+            least_squares(timed, x, jac=jacobian, **tight)
+        if timed.best_size <= peers.SOLVED_N:
+            break
+        x = timed.best
     return timed
 
 

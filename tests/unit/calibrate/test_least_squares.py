@@ -9,6 +9,7 @@ from problems import (
     Cliff,
     active_bounds,
     linear,
+    plain_parameters,
     rosenbrock,
     sloppy_springs,
     wall_before_the_minimum,
@@ -148,3 +149,22 @@ def test_derivatives_that_are_not_finite_end_in_a_valley() -> None:
     end = fit(Broken(), problem.start)
     assert end.outcome is Outcome.VALLEY
     assert end.gradient_norm is None
+
+
+def test_a_minimum_on_a_kink_is_a_minimum() -> None:
+    """As where a contact point just touches: the slopes of both sides point at each other."""
+
+    class Kinked:
+        parameters = plain_parameters(1)
+
+        def residuals(self, theta: Array) -> Array:
+            return np.array([1.0 + 0.01 * abs(theta[0]), 30.0 * theta[0]])
+
+        def jacobian(self, theta: Array) -> Array:
+            return np.array([[0.01 if theta[0] > 0 else -0.01], [30.0]])
+
+    end = fit(Kinked(), np.array([0.7]))
+    assert end.outcome is Outcome.MINIMUM
+    assert abs(end.theta[0]) < 2e-5
+    assert end.gradient_norm is not None
+    assert end.gradient_norm > 1e-3
