@@ -77,7 +77,7 @@ def agreement(record: dict[str, Any], flexion_deg: float) -> str:
         f"{record['peer']}'s poses differ from ours by {np.median(angles):.2f} deg and "
         f"{np.median(lengths):.2f} mm in the median of the trials solved at {flexion_deg:g} deg, "
         f"by {angles.max():.2f} deg and {lengths.max():.2f} mm at most; its residuals there are at "
-        f"most {max(x['residual_N'] for x in solved):.2g} N; {SUBJECT}, {MESH} meshes "
+        f"most {max(x['residual'] for x in solved):.2g} N; {SUBJECT}, {MESH} meshes "
         f"({sum(record['triangles'].values()):,} triangles), ours "
         f"{len(model.joint.contact.points):,} contact points"
     )

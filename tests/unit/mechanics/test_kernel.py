@@ -215,15 +215,22 @@ def test_a_tangent_where_there_is_none_is_zero() -> None:
 def test_a_step_along_its_tangents_is_on_the_branch(bend: float) -> None:
     before, slope = np.zeros(5), np.array([0.02, 0.05, 1.0, -0.5, 0.3])
     after = slope * (1.0 + bend)
-    assert not off_branch(before, after, slope, slope * (1.0 + 2 * bend), 1.0)
+    assert not off_branch(before, after, slope, slope * (1.0 + 2 * bend), 1.0, 1.0)
 
 
 def test_a_jump_is_off_the_branch() -> None:
     before, slope = np.zeros(5), np.array([0.02, 0.05, 1.0, -0.5, 0.3])
     jump = slope + np.array([0.0, 0.2, 0.0, 0.0, 0.0])
-    assert off_branch(before, jump, slope, slope, 1.0)
+    assert off_branch(before, jump, slope, slope, 1.0, 1.0)
     # However small the step, the jump stays.
-    assert off_branch(before, 0.001 * slope + jump - slope, slope, slope, 0.001)
+    assert off_branch(before, 0.001 * slope + jump - slope, slope, slope, 0.001, 1.0)
+
+
+def test_a_guess_must_agree_better_than_a_step_of_the_search() -> None:
+    before, slope = np.zeros(5), np.array([0.02, 0.05, 1.0, -0.5, 0.3])
+    beside = slope + np.array([0.0, 0.01, 0.0, 0.0, 0.0])
+    assert not off_branch(before, beside, slope, slope, 1.0, 1.0)
+    assert off_branch(before, beside, slope, slope, 1.0, kernel.GUESS_TOLERANCE)
 
 
 def test_children_of_a_lost_state_are_lost_with_it(reference_model: LaxityModel) -> None:
