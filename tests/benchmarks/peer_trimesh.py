@@ -85,7 +85,7 @@ def placement(flexion_deg: float, x: Array) -> tuple[Array, Array, tuple[Array, 
         turn_about(0, varus),
         turn_about(1, internal),
     )
-    cross_x, cross_y = np.cross(np.eye(3), [-1.0, 0, 0]), np.cross(np.eye(3), [0, -1.0, 0])
+    cross_x, cross_y = np.cross(np.eye(3), [1.0, 0, 0]), np.cross(np.eye(3), [0, 1.0, 0])
     turns = (flexed @ cross_x @ about_x @ about_y, flexed @ about_x @ cross_y @ about_y)
     return flexed @ about_x @ about_y, flexed @ x[2:], turns
 
