@@ -40,21 +40,26 @@ def list_candidates(R, t, contact, field, work):
     """Copy the points that may touch the femur at this pose or within a cell's width of it."""
     points, stiffness = contact[0], contact[2]
     reach, shape = field[1], field[4]
-    listed, which, counts, listed_pose, moved = work[2], work[13], work[3], work[4], work[14]
+    listed, which, counts, listed_pose = work[2], work[13], work[3], work[4]
+    moved, cells = work[14], work[5]
     nx, ny, nz = shape[0], shape[1], shape[2]
     place_points(points.shape[1], points, R, t, field, moved)
     last_x, last_y, last_z = nx - 1.0, ny - 1.0, nz - 1.0
-    n = 0
-    # Without branches: whether a point is near cannot be predicted. Cells at the grid's faces are
-    # not, so that points beyond them may be looked up there.
+    # Cells at the grid's faces are not near, so that points beyond them may be looked up there.
     for i in range(points.shape[1]):
         ix = int(min(max(moved[3, i], 0.0), last_x))
         iy = int(min(max(moved[4, i], 0.0), last_y))
         iz = int(min(max(moved[5, i], 0.0), last_z))
-        listed[0, n], listed[1, n], listed[2, n] = points[0, i], points[1, i], points[2, i]
-        listed[3, n] = stiffness[i]
+        cells[i] = (ix * ny + iy) * nz + iz
+    n = 0
+    # Without branches: whether a point is near cannot be predicted.
+    for i in range(points.shape[1]):
         which[n] = i
-        n += reach[(ix * ny + iy) * nz + iz] >= IS_NEAR
+        n += reach[cells[i]] >= IS_NEAR
+    for j in range(n):
+        i = which[j]
+        listed[0, j], listed[1, j], listed[2, j] = points[0, i], points[1, i], points[2, i]
+        listed[3, j] = stiffness[i]
     counts[0] = n
     counts[3] += 1
     for j in range(9):
