@@ -5,6 +5,7 @@ import importlib
 import json
 import math
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from identknee.report.study_records import commit, processor
+from identknee.report.study_records import processor
 from identknee.runs.files import write_atomically, write_json
 
 TESTS = Path(__file__).parent
@@ -140,10 +141,24 @@ def _entry(row: Row, command: str, seconds: float) -> dict[str, Any]:
         "notes": list(row.notes),
         "command": command,
         "date": datetime.now(UTC).date().isoformat(),
-        "commit": commit(),
+        "commit": _commit(),
         "machine": {"cores": os.cpu_count(), "processor": processor()},
         "seconds": round(seconds, 1),
     }
+
+
+def _commit() -> str:
+    """The commit checked out, "dirty" if code differs from it; records do not count."""
+    head = ["git", "rev-parse", "--short", "HEAD"]
+    changes = ["git", "status", "--porcelain", "--", "identknee", "tests/*.py"]
+    try:
+        found, changed = (
+            subprocess.run(x, cwd=TESTS.parent, capture_output=True, text=True, check=True).stdout
+            for x in (head, changes)
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return found.strip() + (" dirty" if changed.strip() else "")
 
 
 def _record(tier: str, order: Sequence[str], name: str, entry: Mapping[str, Any]) -> None:

@@ -29,9 +29,9 @@ def minimise_by_least_squares(
 
     scipy's trust-region reflective method does the descent. It ends where the Gauss-Newton step
     within the bounds vanishes, or where no step goes down any more and none promises a millionth of
-    the objective, as at a minimum on a kink (`minimum`); where it cannot go on because every longer step has no
-    prediction it tries to get around (`identknee.calibrate.cliff`) and goes on from there, or ends
-    (`cliff`). A start outside the bounds is moved just inside.
+    the objective, as at a minimum on a kink (`minimum`). Where it cannot go on because every longer
+    step has no prediction it tries to get around (`identknee.calibrate.cliff`) and goes on from
+    there, or ends (`cliff`). A start outside the bounds is moved just inside.
     """
     theta = _inside(start, objective.parameters)
     if not np.isfinite(objective.value(theta)):
