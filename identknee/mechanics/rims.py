@@ -9,29 +9,37 @@ from identknee.runs.arrays import Array, IntArray, frozen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rim:
-    """The rim of a sheet.
+class RimDistance:
+    """Distance from the rim of a sheet, known at its vertices.
 
     Attributes
     ----------
     vertices
-        Its vertices [mm], shape ``(n, 3)``; none where the surface is closed.
+        Vertices of the sheet [mm], shape ``(n, 3)``.
+    distances
+        Straight distance of each to the nearest vertex of the rim [mm], shape ``(n,)``; infinite
+        where the surface is closed.
     """
 
     vertices: Array
+    distances: Array
     _tree: cKDTree = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", frozen(self.vertices, None, 3, name="vertices"))
+        n = len(self.vertices)
+        object.__setattr__(self, "distances", frozen(self.distances, n, name="distances"))
         object.__setattr__(self, "_tree", cKDTree(self.vertices))
 
-    def distance(self, places: Array) -> Array:
-        """Straight distance [mm] of `places` (n, 3) [mm] to the rim; infinite without a rim."""
-        return np.asarray(self._tree.query(places)[0], np.float64)
+    def at(self, places: Array) -> Array:
+        """Distance from the rim [mm] of the vertex nearest each of `places` (n, 3) [mm]."""
+        found: Array = self.distances[self._tree.query(places)[1]]
+        return found
 
 
-def rim_of(vertices: Array, faces: IntArray) -> Rim:
-    """The rim of a triangle mesh: vertices ``(n, 3)`` [mm], faces ``(m, 3)``."""
+def rim_distance(vertices: Array, faces: IntArray) -> RimDistance:
+    """Distance from the rim of a triangle mesh: vertices ``(n, 3)`` [mm], faces ``(m, 3)``."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
-    return Rim(vertices=vertices[np.unique(unique[count == 1])])
+    rim = vertices[np.unique(unique[count == 1])]
+    return RimDistance(vertices=vertices, distances=cKDTree(rim).query(vertices)[0])

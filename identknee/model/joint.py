@@ -17,7 +17,7 @@ from identknee.mechanics.contact_points import DEFAULT_NUMBER, contact_points
 from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
 from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.pose import start_pose
-from identknee.mechanics.rims import Rim, rim_of
+from identknee.mechanics.rims import RimDistance, rim_distance
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder, write_atomically
@@ -40,7 +40,7 @@ class Joint:
     lines
         The ligaments.
     femoral_rim, tibial_rims
-        The rims of the surfaces, one a tibial surface.
+        How far places on the surfaces are from their rims, one a tibial surface.
     start_flexion, start
         The scanned pose: flexion [rad] and (varus, internal [rad], x, y, z [mm]), ``(5,)``.
     """
@@ -48,8 +48,8 @@ class Joint:
     field: DistanceField
     contact: ContactPoints
     lines: Lines
-    femoral_rim: Rim
-    tibial_rims: tuple[Rim, ...]
+    femoral_rim: RimDistance
+    tibial_rims: tuple[RimDistance, ...]
     start_flexion: float
     start: Array
 
@@ -75,8 +75,8 @@ def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
             tibial=knee.tibia_frame.to_local(tibial_insertions),
             reference_length=knee.reference_lengths,
         ),
-        femoral_rim=rim_of(femoral, knee.femur.faces),
-        tibial_rims=tuple(rim_of(vertices, faces) for vertices, faces in sheets),
+        femoral_rim=rim_distance(femoral, knee.femur.faces),
+        tibial_rims=tuple(rim_distance(vertices, faces) for vertices, faces in sheets),
         start_flexion=flexion,
         start=frozen(start, 5, name="start"),
     )

@@ -219,8 +219,8 @@ class LaxityModel:
         too_close = np.zeros(len(centres), bool)
         for c, tibial in enumerate(self.joint.tibial_rims):
             margin = np.minimum(
-                tibial.distance(centres[:, c, 1:4]),
-                self.joint.femoral_rim.distance(centres[:, c, 4:7]),
+                tibial.at(centres[:, c, 1:4]),
+                self.joint.femoral_rim.at(centres[:, c, 4:7]),
             )
             too_close |= (centres[:, c, 0] > 0.0) & (margin < RIM_MARGIN)
         return too_close

@@ -80,7 +80,7 @@ def rim_distances(model: LaxityModel) -> Array:
     rim = np.empty(len(joint.contact.points))
     for c, rims in enumerate(joint.tibial_rims):
         chosen = joint.contact.compartment == c
-        rim[chosen] = rims.distance(joint.contact.points[chosen])
+        rim[chosen] = rims.at(joint.contact.points[chosen])
     distance = model.knee.femur_distance
     if distance is None:
         raise AssertionError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from identknee.mechanics.rims import rim_of
+from identknee.mechanics.rims import rim_distance
 from identknee.runs.arrays import Array, IntArray
 
 HALF, EDGE = 10.0, 0.5
@@ -21,23 +21,27 @@ def _square() -> tuple[Array, IntArray]:
     return vertices, faces
 
 
-def test_the_rim_of_a_square_is_its_outline() -> None:
-    rim = rim_of(*_square()).vertices
-    assert len(rim) == 4 * 2 * HALF / EDGE
-    assert np.abs(rim).max(axis=1) == pytest.approx(HALF)
+def test_vertices_know_their_distance_from_the_outline() -> None:
+    vertices, faces = _square()
+    exact = HALF - np.abs(vertices[:, [0, 2]]).max(axis=1)
+    assert rim_distance(vertices, faces).distances == pytest.approx(exact, abs=1e-12)
 
 
-def test_distance_is_to_the_nearest_place_of_the_outline() -> None:
+def test_a_place_has_the_distance_of_the_nearest_vertex() -> None:
     rng = np.random.default_rng(0)
-    points = rng.uniform([-9, 0, -9], [9, 0, 9], (500, 3))
-    exact = HALF - np.abs(points[:, [0, 2]]).max(axis=1)
-    found = rim_of(*_square()).distance(points)
-    # The nearest vertex lies at most half an edge along the outline.
-    assert (found >= exact - 1e-12).all()
-    assert (found <= np.hypot(exact, EDGE / 2) + 1e-12).all()
+    places = rng.uniform([-9, -2, -9], [9, 2, 9], (500, 3))
+    exact = HALF - np.abs(places[:, [0, 2]]).max(axis=1)
+    found = rim_distance(*_square()).at(places)
+    # The nearest vertex lies at most half an edge's diagonal away along the sheet.
+    assert np.abs(found - exact).max() <= np.sqrt(0.5) * EDGE
+
+
+def test_a_place_beside_the_sheet_is_on_the_rim() -> None:
+    beside = np.array([[HALF + 5.0, 0.0, 0.0], [0.0, 3.0, -HALF - 4.0]])
+    assert rim_distance(*_square()).at(beside).tolist() == [0.0, 0.0]
 
 
 def test_a_closed_surface_has_no_rim() -> None:
     ball = trimesh.creation.icosphere(subdivisions=2, radius=5.0)
     vertices, faces = np.array(ball.vertices), np.array(ball.faces)
-    assert np.isinf(rim_of(vertices, faces).distance(vertices)).all()
+    assert np.isinf(rim_distance(vertices, faces).at(vertices)).all()

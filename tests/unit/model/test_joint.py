@@ -149,6 +149,6 @@ def test_rims_are_those_of_the_surfaces() -> None:
     joint = joint_of(knee)
     middle: Array = np.array([[CENTRES[0, 0], BOTTOM[0], CENTRES[0, 2]]])
     # The dish is a square of half width 7.8 mm, its rim raised by the dish's depth.
-    assert joint.tibial_rims[0].distance(middle)[0] == pytest.approx(7.8, abs=1.2)
-    assert joint.femoral_rim.distance(middle)[0] > 5.0
+    assert joint.tibial_rims[0].at(middle)[0] == pytest.approx(7.8, abs=1.2)
+    assert joint.femoral_rim.at(middle)[0] > 5.0
     assert reference_knee().femur.boundary_edges.size > 0
