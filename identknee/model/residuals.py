@@ -11,7 +11,7 @@ from identknee.laxity.unloaded import from_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, IntArray
 
 Weighting = Literal["unit", "noise"]
 
@@ -42,8 +42,8 @@ class LaxityResiduals:
     laxity: Laxity
     weighting: Weighting = "unit"
     _whitening: Array = field(init=False, repr=False)
-    # The prediction each thread made last: where the Jacobian is wanted after the residuals it
-    # starts there.
+    # The prediction each thread made last, with its derivatives: they cost next to nothing there,
+    # and the Jacobian is mostly wanted where the residuals were.
     _last: dict[int, Prediction] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -56,12 +56,18 @@ class LaxityResiduals:
         """The parameters of the model."""
         return self.model.parameters
 
+    @property
+    def units(self) -> IntArray:
+        """Unit of the coordinate behind each residual, shape ``(m,)``: 0 for mm, 1 for deg."""
+        by_coordinate = np.array([int(name.endswith("_deg")) for name in COORDINATES])
+        return np.broadcast_to(by_coordinate, (self.laxity.n, 5))[self.laxity.is_measured]
+
     def residuals(self, theta: Array) -> Array:
         """Predicted less measured coordinates, weighted, shape ``(m,)``.
 
         All are infinite where a trial with data has no equilibrium at theta.
         """
-        prediction = self.model.predict(theta, derivatives=False)
+        prediction = self.model.predict(theta, derivatives=self.model.contact == "field")
         self._last[threading.get_ident()] = prediction
         measured = self.laxity.is_measured
         if not prediction.is_converged[measured.any(axis=1)].all():
@@ -72,8 +78,8 @@ class LaxityResiduals:
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite."""
         last = self._last.get(threading.get_ident())
-        near = last if last is not None and np.array_equal(last.theta, theta) else None
-        prediction = self.model.predict(theta, near=near)
+        is_there = last is not None and np.array_equal(last.theta, theta)
+        prediction = last if last is not None and is_there else self.model.predict(theta)
         if prediction.jacobian is None:  # pragma: no cover - predict was asked for it
             raise AssertionError
         return self._weighted(self._relative(prediction.jacobian))

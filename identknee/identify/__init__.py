@@ -1,0 +1,1 @@
+"""What a calibration can know: sweeps, profiles, posterior, sensitivity, equivalents, design."""

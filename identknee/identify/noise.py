@@ -1,0 +1,146 @@
+"""Noise of unknown size: one standard deviation for each group of residuals, from the fit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import Problem
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, IntArray, frozen
+
+TOLERANCE = 1e-10
+MAX_ROUNDS = 50
+# Of the largest residual that can be told from rounding.
+SMALLEST_SD = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scaled:
+    """A problem whose residuals are divided by the standard deviation of their noise.
+
+    Attributes
+    ----------
+    problem
+        The problem in the units of its data.
+    sd
+        Standard deviation of every residual, shape ``(m,)``.
+    """
+
+    problem: Problem
+    sd: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sd", frozen(self.sd, None, name="sd"))
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the problem."""
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals in units of their noise, shape ``(m,)``."""
+        return np.asarray(self.problem.residuals(theta) / self.sd)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Their derivatives, shape ``(m, n)``."""
+        return np.asarray(self.problem.jacobian(theta) / self.sd[:, None])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EstimatedNoise:
+    """A problem with the noise that its best fit leaves.
+
+    Attributes
+    ----------
+    problem
+        The problem, its residuals in units of that noise.
+    sds
+        Standard deviation of each group, shape ``(k,)``, in the units of the data.
+    degrees_of_freedom
+        Residuals less parameters they determine: the denominator of an F threshold.
+    theta
+        The best fit, shape ``(n,)``.
+    """
+
+    problem: Problem
+    sds: Array
+    degrees_of_freedom: int
+    theta: Array
+
+
+def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> EstimatedNoise:
+    """The problem in units of its noise, estimated from what the best fit leaves.
+
+    The weighted fit and the standard deviations are repeated until neither changes. Each group's
+    variance is its sum of squares over its own degrees of freedom: its residuals less its share of
+    the fitted parameters, which is the trace of its block of the projection on the Jacobian.
+
+    Parameters
+    ----------
+    problem
+        Its residuals in the units of the data.
+    groups
+        The group of each residual, 0 to k - 1, shape ``(m,)``.
+    start
+        Where the fit begins, shape ``(n,)``.
+
+    Raises
+    ------
+    ValueError
+        If a group has no more residuals than the parameters it determines, if the fit leaves
+        nothing to estimate a noise from, or if the model has no prediction at the start.
+
+    References
+    ----------
+    H. D. Patterson and R. Thompson, Recovery of inter-block information when block sizes are
+    unequal, Biometrika 58 (1971) 545-554, doi:10.1093/biomet/58.3.545.
+    """
+    sizes = np.bincount(groups)
+    sds = np.ones(len(sizes))
+    theta = np.asarray(start, dtype=np.float64)
+    for _ in range(MAX_ROUNDS):
+        scaled = Scaled(problem=problem, sd=sds[groups])
+        found = fit(scaled, theta)
+        if not np.isfinite(found.objective):
+            raise ValueError(
+                "the noise cannot be estimated because the model has no prediction at the start; "
+                "start elsewhere or state the noise in the columns sd_<coordinate>"
+            )
+        theta = found.theta
+        shares, rank = _parameters_determined(scaled.jacobian(theta), groups)
+        new = _sds(problem.residuals(theta), groups, sizes - shares)
+        settled = bool(np.all(np.abs(new - sds) <= TOLERANCE * new))
+        sds = new
+        if settled:
+            break
+    return EstimatedNoise(
+        problem=Scaled(problem=problem, sd=sds[groups]),
+        sds=frozen(sds, None, name="sds"),
+        degrees_of_freedom=int(sizes.sum()) - rank,
+        theta=frozen(theta, None, name="theta"),
+    )
+
+
+def _sds(residuals: Array, groups: IntArray, degrees: Array) -> Array:
+    """Standard deviation of each group from its sum of squares and degrees of freedom."""
+    if np.any(degrees < 1.0):
+        raise ValueError(
+            "there are too few measured values to estimate their noise beside the parameters; "
+            "state the noise in the columns sd_<coordinate>, measure more or fix parameters"
+        )
+    sds = np.sqrt(np.bincount(groups, weights=residuals**2) / degrees)
+    if np.any(sds < SMALLEST_SD):
+        raise ValueError(
+            "the model fits the data exactly, so there is no noise to estimate; state it in the "
+            "columns sd_<coordinate> or with --noise, for example --noise 0.5mm,0.5deg"
+        )
+    return np.asarray(sds)
+
+
+def _parameters_determined(jacobian: Array, groups: IntArray) -> tuple[Array, int]:
+    """How many parameters each group determines, shape ``(k,)``, and how many all of them do."""
+    left, size, _ = np.linalg.svd(jacobian, full_matrices=False)
+    rank = int(np.sum(size > size[0] * 1e-10))
+    leverage = np.sum(left[:, :rank] ** 2, axis=1)
+    return np.bincount(groups, weights=leverage).astype(np.float64), rank

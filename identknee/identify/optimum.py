@@ -1,0 +1,75 @@
+"""The best fit that all questions of identifiability start from."""
+
+import numpy as np
+from scipy.stats import qmc
+
+from identknee.calibrate.fit import Fit, fit, fit_many
+from identknee.calibrate.problem import Problem
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array
+from identknee.runs.executors import Executor, serial
+
+N_STARTS = 16
+# How many prior standard deviations around the subject's values the other starts lie in.
+REACH = 2.0
+
+
+def best_fit(
+    problem: Problem, *, start: Array | None = None, seed: int = 0, executor: Executor = serial
+) -> Fit:
+    """The lowest of seventeen least-squares fits: one from `start`, sixteen from around it.
+
+    Parameters
+    ----------
+    problem
+        Its residuals in units of their noise.
+    start
+        Where the first fit begins and what the others lie around (Sobol points within two prior
+        standard deviations), shape ``(n,)``; the centre of the parameters if None.
+    seed
+        Of the Sobol points' scrambling and of the fits.
+    executor
+        Anything with an ordered ``map``.
+
+    Raises
+    ------
+    ValueError
+        If the start lies outside the bounds, or no fit found a point with a prediction.
+    """
+    parameters = problem.parameters
+    first = parameters.center if start is None else np.asarray(start, dtype=np.float64)
+    check_inside(first, parameters)
+    around = fit_many(problem, _around(first, parameters, seed), seed=seed, executor=executor)
+    best = min([fit(problem, first, seed=seed), *around], key=lambda found: found.objective)
+    if not np.isfinite(best.objective):
+        raise ValueError(
+            f"the model has no prediction at any of {N_STARTS + 1} starts; "
+            "see: identknee subject check"
+        )
+    return best
+
+
+def check_inside(theta: Array, parameters: Parameters) -> None:
+    """Refuse a theta outside the bounds.
+
+    Raises
+    ------
+    ValueError
+        Naming the first parameter that is outside.
+    """
+    for name, value, low, high in zip(
+        parameters.names, theta, parameters.lower, parameters.upper, strict=True
+    ):
+        if not low <= value <= high:
+            raise ValueError(
+                f"the start of {name} is {value:g}, outside its bounds {low:g} to {high:g}; "
+                "start inside them or widen them with --bounds"
+            )
+
+
+def _around(first: Array, parameters: Parameters, seed: int) -> Array:
+    """Sobol points within two prior standard deviations of `first`, and within the bounds."""
+    unit = 2.0 * qmc.Sobol(parameters.n, seed=seed).random(N_STARTS) - 1.0
+    steps = REACH * parameters.prior_sd * unit
+    points = np.where(parameters.is_log, first * np.exp(steps), first + steps)
+    return np.asarray(np.clip(points, parameters.lower, parameters.upper))
