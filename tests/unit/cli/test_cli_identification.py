@@ -1,0 +1,93 @@
+"""The set-up of the verbs of identifiability: noise stated or estimated, and what is said of it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identknee.cli.identification import identification
+from identknee.laxity.noise import add_noise
+from identknee.laxity.table import Laxity, write_laxity
+from identknee.model.laxity_model import LaxityModel
+
+
+@pytest.fixture(scope="module")
+def measured(reference_model: LaxityModel) -> Laxity:
+    """The reference knee measured with an error of 0.2 mm and 0.4 deg, which the file states."""
+    simulated = reference_model.simulate(reference_model.parameters.center)
+    return add_noise(simulated, sd_mm=0.2, sd_deg=0.4, seed=3)
+
+
+def written(laxity: Laxity, folder: Path) -> Path:
+    path = folder / "laxity.csv"
+    write_laxity(laxity, path)
+    return path
+
+
+def test_stated_noise_gives_residuals_of_variance_one(measured: Laxity, tmp_path: Path) -> None:
+    setup = identification("reference", written(measured, tmp_path))
+    residuals = setup.problem.residuals(setup.problem.parameters.center)
+    # The mean square of 315 standard normal residuals has sd sqrt(2 / 315); 4 of them.
+    assert np.mean(residuals**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 315))
+    assert setup.degrees_of_freedom is None
+    assert setup.assumptions == ()
+
+
+def test_unstated_noise_is_estimated_and_said(measured: Laxity, tmp_path: Path) -> None:
+    setup = identification("reference", written(replace(measured, sd=None), tmp_path))
+    assert setup.degrees_of_freedom == 315 - 8
+    (sentence,) = setup.assumptions
+    assert "state no noise" in sentence
+    residuals = setup.problem.residuals(setup.problem.parameters.center)
+    assert np.mean(residuals**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 315))
+
+
+def test_noise_on_the_command_line_replaces_that_of_the_file(
+    measured: Laxity, tmp_path: Path
+) -> None:
+    setup = identification("reference", written(measured, tmp_path), noise="0.4mm,0.8deg")
+    assert setup.laxity.sd is not None
+    np.testing.assert_array_equal(setup.laxity.sd[0], [0.4, 0.4, 0.4, 0.8, 0.8])
+
+
+def test_fixed_parameters_keep_their_value(measured: Laxity, tmp_path: Path) -> None:
+    setup = identification("reference", written(measured, tmp_path), fixed=["PCL.stiffness_kN"])
+    names = setup.model.parameters.names
+    assert setup.problem.parameters.names == tuple(n for n in names if n != "PCL.stiffness_kN")
+    several = np.arange(14.0).reshape(2, 7)
+    whole = setup.whole(several)
+    kept = setup.model.parameters.index("PCL.stiffness_kN")
+    np.testing.assert_array_equal(whole[:, kept], setup.start[kept])
+    np.testing.assert_array_equal(np.delete(whole, kept, axis=1), several)
+
+
+def test_blank_columns_and_few_values_are_said(measured: Laxity, tmp_path: Path) -> None:
+    coordinates = np.full_like(measured.coordinates, np.nan)
+    coordinates[:5, 1] = measured.coordinates[:5, 1]
+    few = replace(measured, coordinates=coordinates)
+    setup = identification("reference", written(few, tmp_path))
+    said = " ".join(setup.assumptions)
+    assert "varus_deg was not measured" in said
+    assert "5 measured values cannot determine 8 parameters" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"noise": "0mm,0.5deg"}, "both must be more than 0"),
+        ({"noise": "0.5"}, "this is not a size of noise"),
+        ({"fixed": ["ACL.stifness_kN"]}, "there is no parameter 'ACL.stifness_kN'"),
+    ],
+)
+def test_wrong_options_are_refused(
+    measured: Laxity, tmp_path: Path, change: dict[str, str], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        identification("reference", written(measured, tmp_path), **change)  # type: ignore[arg-type]
+
+
+def test_data_without_a_value_are_refused(measured: Laxity, tmp_path: Path) -> None:
+    blank = replace(measured, coordinates=np.full_like(measured.coordinates, np.nan), sd=None)
+    with pytest.raises(ValueError, match="no coordinate was measured"):
+        identification("reference", written(blank, tmp_path))
