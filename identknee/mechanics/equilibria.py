@@ -1,6 +1,7 @@
 """Equilibria of a set of trials: the kernel's door for the rest of the package."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -139,13 +140,13 @@ def solve(
     residuals, reached, flexed = np.zeros(n), np.zeros(n), np.zeros((n, 5))
     centres = np.zeros((n, contact.n_compartments, 7))
     kernel.simulate_path(
-        (paths.flexion, paths.loads, paths.parent),
+        _read_only(paths.flexion, paths.loads, paths.parent),
         np.array(start, float),
         np.zeros((n, 5)) if guesses is None else np.array(guesses),
         guesses is not None,
-        contact.arrays(),
-        field.arrays(),
-        ligaments,
+        _read_only(*contact.arrays()),
+        _read_only(*field.arrays()),
+        _read_only(*ligaments),
         derivatives,
         (poses, hessians, slopes, codes, residuals, reached, flexed, solves, centres),
     )
@@ -158,6 +159,23 @@ def solve(
         centres=centres,
         solves=solves,
     )
+
+
+def _read_only(*values: Any) -> tuple[Any, ...]:
+    """The same values, arrays as views that cannot be written to.
+
+    The compiler takes arrays that can be written to for another type, and pickling makes read-only
+    arrays writable: without this a model sent to another process would be compiled once more, and
+    might differ in the last bit.
+    """
+    views = []
+    for value in values:
+        view = value
+        if isinstance(value, np.ndarray):
+            view = value.view()
+            view.flags.writeable = False
+        views.append(view)
+    return tuple(views)
 
 
 def stability_margins(hessians: Array) -> Array:

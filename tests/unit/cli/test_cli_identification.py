@@ -84,7 +84,7 @@ def test_wrong_options_are_refused(
     measured: Laxity, tmp_path: Path, change: dict[str, str], sentence: str
 ) -> None:
     with pytest.raises(ValueError, match=sentence):
-        identification("reference", written(measured, tmp_path), **change)  # type: ignore[arg-type]
+        identification("reference", written(measured, tmp_path), **change)
 
 
 def test_data_without_a_value_are_refused(measured: Laxity, tmp_path: Path) -> None:
