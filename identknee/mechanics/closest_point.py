@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled
+from identknee.mechanics.compiled import compiled, compiled_apart
 from identknee.runs.arrays import Array, BoolArray, IntArray
 
 LEAF_SIZE = 4
@@ -162,7 +162,7 @@ def box_distance(p0, p1, p2, box):
     return x * x + y * y + z * z
 
 
-@compiled
+@compiled_apart
 def signed_distances(points, triangles, boxes, spans, normals, on_rim, result):
     """Write the signed distance of every point to the mesh into `result`."""
     stack = np.zeros(128, np.int64)

@@ -3,18 +3,31 @@
 numba's own cache looks at one file only: a caller of an edited function in another file is not
 recompiled and may crash the interpreter. Here the cache folder's name is a digest of every source
 in this package and of the versions involved, so an edit or an upgrade starts a fresh folder.
+
+A process that compiles also runs other machine code than one that loads what was kept: its linker
+takes an inner function from where that was compiled alone, not from the optimised whole, and sums
+come out different in their last bits. A run begun by the one and resumed by the other would not
+repeat itself, so what Python calls is compiled in a process of its own and then always loaded.
 """
 
 import hashlib
+import importlib
 import os
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding
 import numba
 import numpy as np
 from platformdirs import user_cache_path
+
+from identknee.runs.errors import InputError
+from identknee.runs.files import write_atomically
 
 Function = Callable[..., Any]
 
@@ -49,3 +62,54 @@ def compiled(function: Function) -> Function:
     finally:
         numba.config.CACHE_DIR = previous
     return result
+
+
+def compiled_apart(function: Function) -> Function:
+    """`function` compiled for Python to call: the same machine code in every process.
+
+    The first process that calls it has another one compile it and loads the result. Where that is
+    not possible, because no cache can be written, every process compiles for itself.
+    """
+    dispatcher: Any = compiled(function)
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        if not dispatcher.overloads:
+            _have_compiled(function, tuple(numba.typeof(x) for x in arguments))
+        return dispatcher(*arguments)
+
+    call.compile = dispatcher.compile  # type: ignore[attr-defined]
+    return call
+
+
+def _have_compiled(function: Function, signature: tuple[Any, ...]) -> None:
+    """Compile in another process, unless that was done before."""
+    place = _compiled_folder() / f"{_name_of(function, signature)}.done"
+    if place.exists():
+        return
+    code = "from identknee.mechanics.compiled import _compile_here as f; f()"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    try:
+        _compiled_folder().mkdir(parents=True, exist_ok=True)
+        subprocess.run(
+            [sys.executable, "-c", code],
+            input=pickle.dumps((function.__module__, function.__name__, signature)),
+            env=environment,
+            check=True,
+            capture_output=True,
+        )
+        write_atomically(place, "")
+    except (OSError, InputError, subprocess.SubprocessError):
+        return  # Then it is compiled here.
+
+
+def _compile_here() -> None:
+    module, name, signature = pickle.loads(sys.stdin.buffer.read())
+    getattr(importlib.import_module(module), name).compile(signature)
+
+
+def _name_of(function: Function, signature: tuple[Any, ...]) -> str:
+    """Name of what is compiled, by its argument types and the processor."""
+    processor = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features()
+    text = f"{signature} {processor[0]} {processor[1].flatten()}"
+    return f"{function.__name__}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"

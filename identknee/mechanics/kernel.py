@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled
+from identknee.mechanics.compiled import compiled, compiled_apart
 from identknee.mechanics.elements import contact_centres
 from identknee.mechanics.energy import evaluate, motion_axes, parameter_columns, place_tibia
 from identknee.mechanics.small_matrices import (
@@ -256,7 +256,7 @@ def workspace(n_points, n_ligaments):
     )
 
 
-@compiled
+@compiled_apart
 def simulate_path(
     nodes, start, guesses, has_guess, contact, field, ligaments, derivatives, results
 ):

@@ -12,11 +12,10 @@ from identknee.mechanics.contact_points import DEFAULT_NUMBER
 from identknee.mechanics.equilibria import Equilibria, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
-from identknee.mechanics.ligament_wrench import ligament_wrench
+from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
-from identknee.mechanics.placement import place
 from identknee.model.joint import Joint, joint_of, sheets_of
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.model.prediction import LEFT_GEOMETRY, Prediction
@@ -138,13 +137,41 @@ class LaxityModel:
 
         NaN in trials that did not converge.
         """
-        parameters = self._unpacked(prediction.theta)
-        tensions = np.full((self.protocol.n, len(self.knee.ligaments)), np.nan)
-        for trial in np.flatnonzero(prediction.is_converged):
-            flexion = float(np.radians(self.protocol.flexion_deg[trial]))
-            placement = place(flexion, prediction.poses[trial])
-            tensions[trial] = ligament_wrench(placement, self.joint.lines, *parameters).tensions
+        tensions = np.array(self._ligaments(prediction).tensions)
+        tensions[~prediction.is_converged] = np.nan
         return tensions
+
+    def tension_jacobian(self, prediction: Prediction) -> Array:
+        """Exact derivatives of `tensions` by theta [N per kN, N per %], ``(n, n_ligaments, p)``.
+
+        A parameter changes a tension directly and by moving the tibia. NaN in trials that did not
+        converge.
+
+        Raises
+        ------
+        ValueError
+            If the prediction was made without derivatives.
+        """
+        if prediction.jacobian is None:
+            raise ValueError("tensions have derivatives only where the prediction has them")
+        found = self._ligaments(prediction)
+        pose_jacobian = np.linalg.solve(
+            coordinate_jacobian(prediction.poses), np.nan_to_num(prediction.jacobian)
+        )
+        jacobian: Array = found.by_pose @ pose_jacobian
+        own, m = np.arange(found.tensions.shape[1]), self.parameters.n // 2
+        jacobian[:, own, own] += _PER_KN * found.by_stiffness
+        jacobian[:, own, m + own] += _PER_PCT * found.by_strain
+        jacobian[~prediction.is_converged] = np.nan
+        return jacobian
+
+    def _ligaments(self, prediction: Prediction) -> LigamentTensions:
+        return ligament_tensions(
+            self.joint.lines,
+            np.radians(self.protocol.flexion_deg),
+            prediction.poses,
+            *self._unpacked(prediction.theta),
+        )
 
     def _unpacked(self, theta: Array) -> tuple[Array, Array]:
         theta = np.asarray(theta, float)

@@ -5,16 +5,24 @@ will do. The results do not depend on the choice, bit for bit, because each task
 seed and shares nothing.
 """
 
+import hashlib
 import multiprocessing
 import os
+import pickle
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+
+from identknee.runs.files import write_atomically
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -26,6 +34,10 @@ class Executor(Protocol):
     def map(self, function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterable[Result]:
         """Results of `function` for each of `items`, in their order."""
         ...
+
+
+class WorkerDied(RuntimeError):  # noqa: N818 - said to a person as a sentence
+    """Raised where a worker process ended before its task: killed, or out of memory."""
 
 
 class SerialExecutor:
@@ -44,13 +56,18 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
     """Executor over `n_workers` new Python processes; `n_workers` = 1 stays in this one.
 
     Workers start afresh (spawn) on every system, so the function must live at the top of a module,
-    and a script that opens a pool needs ``if __name__ == "__main__":``. Ctrl-C reaches this process
-    alone: tasks not yet begun are dropped. Workers end when this process dies.
+    and a script that opens a pool needs ``if __name__ == "__main__":``. The function goes to each
+    worker once, however many items it gets, so it may hold a large model. Ctrl-C reaches this
+    process alone: tasks not yet begun are dropped. Workers end when this process dies.
 
     Raises
     ------
     ValueError
         If `n_workers` is less than 1.
+    WorkerDied
+        By the map, if a worker ends before its task.
+    InputError
+        By the map, if there is no room for the function in the folder of temporary files.
     """
     _check_workers(n_workers)
     if n_workers == 1:
@@ -59,10 +76,43 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
     pool = ProcessPoolExecutor(
         n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
     )
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    with tempfile.TemporaryDirectory(prefix="identknee-", ignore_cleanup_errors=True) as folder:
+        try:
+            yield _Processes(pool, Path(folder))
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Processes:
+    """A process pool that leaves the function in a file, where each worker picks it up once."""
+
+    def __init__(self, pool: ProcessPoolExecutor, folder: Path) -> None:
+        self._pool = pool
+        self._folder = folder
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
+        """Results of `function` for each of `items`, in their order."""
+        content = pickle.dumps(function, protocol=pickle.HIGHEST_PROTOCOL)
+        path = self._folder / hashlib.sha256(content).hexdigest()
+        if not path.exists():
+            write_atomically(path, content)
+        try:
+            yield from self._pool.map(partial(_apply, str(path)), items)
+        except BrokenProcessPool as error:
+            raise WorkerDied(
+                "a worker process died before its task was done, perhaps for want of memory; "
+                "try fewer workers"
+            ) from error
+
+
+def _apply(path: str, item: Any) -> Any:
+    return _function_in(path)(item)
+
+
+@lru_cache(maxsize=4)
+def _function_in(path: str) -> Callable[[Any], Any]:
+    function: Callable[[Any], Any] = pickle.loads(Path(path).read_bytes())
+    return function
 
 
 @contextmanager

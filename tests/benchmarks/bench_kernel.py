@@ -72,7 +72,7 @@ def work_in(subject: LaxityModel) -> tuple[int, int, int]:
         return made[-1]
 
     # The outermost function as plain Python; all it calls stays compiled.
-    plain = kernel.simulate_path.py_func  # type: ignore[attr-defined]
+    plain = kernel.simulate_path.__wrapped__  # type: ignore[attr-defined]
     seen = []
 
     def solved(*arguments: Any) -> None:

@@ -1,0 +1,176 @@
+"""The linear least-squares step within bounds and across one linear constraint."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.runs.arrays import Array, BoolArray, IntArray
+
+# Singular values below this part of the largest one are rounding, not information.
+RANK_TOLERANCE = 1e-12
+ROUNDS_PER_PARAMETER = 10
+NEGLIGIBLE = 1e-14
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """The lowest point of a linear model, and what holds it there.
+
+    Attributes
+    ----------
+    step
+        Shape ``(n,)``.
+    multiplier
+        Derivative of half the sum of squares by the constraint's right-hand side.
+    is_held
+        Which components a bound keeps from going lower, shape ``(n,)``.
+    """
+
+    step: Array
+    multiplier: float
+    is_held: BoolArray
+
+
+def bounded_step(
+    matrix: Array, data: Array, bounds: tuple[Array, Array], constraint: tuple[Array, float] | None
+) -> Step:
+    """The step d that makes ``|matrix d + data|`` least within bounds and on a plane.
+
+    A primal active-set method: from a point within the bounds and on the plane it goes to the
+    lowest point over the components that are free, holds the first component that meets a bound on
+    the way, and lets go of the one that pulls hardest inward when nothing else is left to do.
+    Along directions that change nothing it stays where it is.
+
+    Parameters
+    ----------
+    matrix, data
+        Shapes ``(m, n)`` and ``(m,)``.
+    bounds
+        Lower and upper bounds of d, shapes ``(n,)``; zero lies between them.
+    constraint
+        Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is brought into the range
+        that the bounds allow.
+
+    References
+    ----------
+    J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. (2006), algorithm 16.3,
+    doi:10.1007/978-0-387-40065-5.
+    """
+    orthogonal, triangle = np.linalg.qr(matrix)
+    return _ActiveSet(triangle, orthogonal.T @ data, bounds, constraint).solve()
+
+
+def attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
+    """The number nearest to `wanted` that ``normal d`` can be within the bounds."""
+    has_say = normal != 0.0
+    ends = np.array([normal[has_say] * bounds[0][has_say], normal[has_say] * bounds[1][has_say]])
+    return float(np.clip(wanted, ends.min(axis=0).sum(), ends.max(axis=0).sum()))
+
+
+def point_on_plane(normal: Array, bounds: tuple[Array, Array], wanted: float) -> Array:
+    """A point within the bounds at which ``normal d`` is `wanted`, which they must allow.
+
+    It is the point of the shortest way along the normal, cut off at the bounds.
+    """
+    step = np.zeros(normal.size)
+    is_free = normal != 0.0
+    # Each round either arrives or stops one more component at its bound.
+    for _ in range(normal.size):
+        missing = wanted - normal @ step
+        length = float(normal[is_free] @ normal[is_free])
+        if length == 0.0 or abs(missing) <= NEGLIGIBLE * max(abs(wanted), 1e-300):
+            break
+        tried = step + is_free * normal * (missing / length)
+        step = np.clip(tried, *bounds)
+        is_free &= step == tried
+    return step
+
+
+class _ActiveSet:
+    """The state of one search: where it is and which components are held."""
+
+    def __init__(
+        self,
+        matrix: Array,
+        data: Array,
+        bounds: tuple[Array, Array],
+        constraint: tuple[Array, float] | None,
+    ) -> None:
+        n = matrix.shape[1]
+        self._matrix, self._data = matrix, data
+        self._lower, self._upper = bounds
+        self._normal = None if constraint is None else constraint[0]
+        self._held = np.zeros(n, dtype=np.bool_)
+        if constraint is None:
+            self._at = np.zeros(n)
+        else:
+            normal, wanted = constraint
+            self._at = point_on_plane(normal, bounds, attainable(normal, bounds, wanted))
+
+    def solve(self) -> Step:
+        for _ in range(ROUNDS_PER_PARAMETER * len(self._at)):
+            if not self._go_to_lowest():
+                continue
+            if not self._let_go():
+                break
+        multiplier, _ = self._forces()
+        return Step(step=self._at, multiplier=multiplier, is_held=self._held)
+
+    def _go_to_lowest(self) -> bool:
+        """Move over the free components; False if a bound was met on the way."""
+        free = np.flatnonzero(~self._held)
+        move = np.zeros(len(self._at))
+        move[free] = self._free_move(free)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(move > 0, self._upper - self._at, self._lower - self._at) / move
+        room[move == 0.0] = np.inf
+        first = int(np.argmin(room))
+        if room[first] >= 1.0:
+            self._at = np.clip(self._at + move, self._lower, self._upper)
+            return True
+        self._at = np.clip(self._at + max(room[first], 0.0) * move, self._lower, self._upper)
+        self._at[first] = self._upper[first] if move[first] > 0 else self._lower[first]
+        self._held[first] = True
+        return False
+
+    def _free_move(self, free: IntArray) -> Array:
+        matrix = self._matrix[:, free]
+        missing = self._matrix @ self._at + self._data
+        basis = _null_space(None if self._normal is None else self._normal[free], len(free))
+        if basis.shape[1] == 0:
+            return np.zeros(len(free))
+        amounts = np.linalg.lstsq(matrix @ basis, -missing, rcond=RANK_TOLERANCE)[0]
+        return np.asarray(basis @ amounts)
+
+    def _let_go(self) -> bool:
+        """Free the held component that pulls hardest inward; False if none does."""
+        _, force = self._forces()
+        inward = np.where(self._at >= self._upper, force, -force)
+        inward[~self._held | (self._lower == self._upper)] = 0.0
+        hardest = int(np.argmax(inward))
+        size = float(np.max(np.abs(self._matrix.T @ self._data), initial=0.0))
+        if inward[hardest] <= RANK_TOLERANCE * size:
+            return False
+        self._held[hardest] = False
+        return True
+
+    def _forces(self) -> tuple[float, Array]:
+        """Multiplier of the constraint, and the derivatives that it leaves, shape ``(n,)``."""
+        slope = self._matrix.T @ (self._matrix @ self._at + self._data)
+        if self._normal is None:
+            return 0.0, slope
+        normal = np.where(self._held, 0.0, self._normal)
+        if not normal.any():
+            normal = self._normal
+        size = float(normal @ normal)
+        multiplier = float(normal @ slope) / size if size > 0 else 0.0
+        return multiplier, slope - multiplier * self._normal
+
+
+def _null_space(normal: Array | None, n: int) -> Array:
+    """Orthonormal directions across `normal`, as columns; all directions where it is None."""
+    if normal is None or not normal.any():
+        return np.eye(n)
+    if np.count_nonzero(normal) == 1:
+        return np.delete(np.eye(n), int(np.flatnonzero(normal)[0]), axis=1)
+    return np.linalg.qr(normal[:, None], mode="complete")[0][:, 1:]

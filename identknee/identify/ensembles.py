@@ -1,0 +1,199 @@
+"""One ensemble of walkers: where it starts, and how it goes on for a block of steps."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import emcee
+import numpy as np
+
+from identknee.calibrate.fit import fit
+from identknee.identify.evaluation import evaluate
+from identknee.identify.moves import MOVES
+from identknee.identify.posterior import (
+    LogPosterior,
+    from_working,
+    inside,
+    newton_kernel,
+    prior_draws,
+    to_working,
+)
+from identknee.runs.arrays import Array
+
+# Walkers start around an optimum with this many times the spread that its curvature promises; less
+# only where too few of them would have a prediction.
+OVERDISPERSION = (2.0, 1.0, 0.5, 0.25)
+TRIES = 5
+START_DRAWS = 20
+Block = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ensemble:
+    """What one ensemble of a sample is asked to do, the same for all of its blocks.
+
+    Attributes
+    ----------
+    density
+        The posterior.
+    n_walkers
+        How many walkers it has.
+    steps
+        Steps of a block.
+    moves
+        A key of `identknee.identify.moves.MOVES`.
+    seed
+        Of the sample.
+    """
+
+    density: LogPosterior
+    n_walkers: int
+    steps: int
+    moves: str
+    seed: int
+
+
+def optimum_near_prior(task: Ensemble, number: int) -> Block:
+    """Theta of the highest posterior density uphill from a draw of the prior; None without one.
+
+    A least-squares fit from the first draw with a prediction; it is the mode in working
+    coordinates.
+    """
+    generator = _generator(task.seed, 0, number)
+    n_simulations = 0
+    for start in prior_draws(task.density.parameters, START_DRAWS, generator):
+        n_simulations += 1
+        if evaluate(task.density.problem, start).is_finite:
+            found = fit(task.density.problem, start, priors=True)
+            n_simulations += found.n_simulations
+            return {"theta": found.theta, "n_simulations": n_simulations}
+    return {"theta": None, "n_simulations": n_simulations}
+
+
+def started(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
+    """The first state of an ensemble, its walkers spread widely around the optima.
+
+    Every second walker starts around the optimum of the ensemble's own turn, the others around all
+    in turn: ensembles begin apart, and each knows of every basin.
+
+    Parameters
+    ----------
+    task
+        What the ensemble is asked to do.
+    item
+        Number of the ensemble, and the optima, shape ``(n,)`` each.
+
+    Returns
+    -------
+    block
+        As of `advanced`, without steps; its positions are None where too few walkers found a
+        prediction.
+    """
+    number, optima = item
+    parameters = task.density.parameters
+    generator = _generator(task.seed, 1, number)
+    walk = _Walk(task.density)
+    rows: list[Array] = []
+    for walker in range(task.n_walkers):
+        own = number if walker % 2 == 0 else walker // 2
+        optimum = to_working(np.asarray(optima[own % len(optima)]), parameters)
+        row = _near(walk, optimum, generator)
+        if row is None:
+            return {"positions": None, "n_simulations": walk.n_simulations}
+        rows.append(row)
+    state = np.array(rows)
+    n = parameters.n
+    return {
+        "positions": state[:, :n],
+        "log_density": state[:, n],
+        "blobs": state[:, n + 1 :],
+        "n_simulations": walk.n_simulations,
+    }
+
+
+def advanced(task: Ensemble, item: tuple[int, int, Block]) -> Block:
+    """The next block of steps of an ensemble.
+
+    Parameters
+    ----------
+    task
+        What the ensemble is asked to do.
+    item
+        Number of the ensemble, number of the block, and the block before.
+
+    Returns
+    -------
+    block
+        ``positions`` in working coordinates, ``log_density`` and ``blobs`` of the walkers at its
+        end; ``chain``, shape ``(walkers, steps, n)``, and ``chain_log_density`` of all its steps;
+        ``n_simulations``.
+    """
+    number, block, before = item
+    walk = _Walk(task.density)
+    blobs = np.asarray(before["blobs"], dtype=np.float64)
+    state = emcee.State(
+        np.asarray(before["positions"], dtype=np.float64),
+        log_prob=np.asarray(before["log_density"], dtype=np.float64),
+        blobs=blobs,
+        # A block's random numbers follow from its place alone, so that nothing else need be kept.
+        random_state=_random_state(task.seed, number, block),
+    )
+    n_walkers, n = state.coords.shape
+    sampler = emcee.EnsembleSampler(
+        n_walkers, n, walk, moves=MOVES[task.moves](), vectorize=True, blobs_dtype=np.float64
+    )
+    end = sampler.run_mcmc(state, task.steps, skip_initial_state_check=True)
+    return {
+        "positions": end.coords,
+        "log_density": end.log_prob,
+        "blobs": end.blobs,
+        "chain": sampler.get_chain().transpose(1, 0, 2),
+        "chain_log_density": sampler.get_log_prob().T,
+        "n_simulations": walk.n_simulations,
+    }
+
+
+class _Walk:
+    """The density for emcee: each row is the log density, then the Newton kernel as a blob."""
+
+    def __init__(self, density: LogPosterior) -> None:
+        self._density = density
+        self.n_simulations = 0
+
+    def __call__(self, working: Array) -> Array:
+        return np.array([self.row(point) for point in working])
+
+    def row(self, working: Array) -> Array:
+        parameters = self._density.parameters
+        theta = from_working(working, parameters)
+        if not inside(theta, parameters):
+            return np.r_[-np.inf, np.zeros(parameters.n * (parameters.n + 1))]
+        self.n_simulations += 1
+        kernel = newton_kernel(evaluate(self._density.problem, theta), parameters)
+        return np.r_[kernel.log_density, kernel.center, kernel.factor.ravel()]
+
+
+def _near(walk: _Walk, optimum: Array, generator: np.random.Generator) -> Array | None:
+    """A point around the optimum that has a prediction: its place, then its row; None if none."""
+    n = len(optimum)
+    row = walk.row(optimum)
+    if not np.isfinite(row[0]):
+        return None
+    factor = row[n + 1 :].reshape(n, n)
+    for spread in OVERDISPERSION:
+        for _ in range(TRIES):
+            step = np.linalg.solve(factor.T, generator.standard_normal(n))
+            point = optimum + spread * step
+            found = walk.row(point)
+            if np.isfinite(found[0]):
+                return np.r_[point, found]
+    return None
+
+
+def _generator(seed: int, purpose: int, number: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purpose, number)))
+
+
+def _random_state(seed: int, number: int, block: int) -> Any:
+    sequence = np.random.SeedSequence(seed, spawn_key=(2, number, block))
+    return np.random.RandomState(np.random.MT19937(sequence)).get_state()

@@ -1,0 +1,230 @@
+"""The one gate at which sampling stops, every number of it kept."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum, unique
+
+import numpy as np
+
+from identknee.identify.chains import (
+    autocorrelation_time,
+    bulk_draws,
+    mean_error,
+    split_rhat,
+    tail_draws,
+)
+from identknee.runs.arrays import Array, BoolArray, frozen
+
+ACCEPTANCE_HINT = (0.15, 0.5)
+STUCK_ACCEPTANCE = 0.05
+# A walker that has not moved for fewer steps than this may be unlucky.
+STUCK_STEPS = 200
+BURN_IN = 0.2
+
+
+@unique
+class SampleOutcome(Enum):
+    """How sampling ended; the value is the word written to files."""
+
+    CONVERGED = "converged"
+    BUDGET = "budget"
+    STUCK = "stuck"
+    START_FAILED = "start_failed"
+
+    @property
+    def sentence(self) -> str:
+        """What happened, as a full sentence."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    SampleOutcome.CONVERGED: "Every condition of the gate is met.",
+    SampleOutcome.BUDGET: "The budget of simulations was used up before the gate was reached.",
+    SampleOutcome.STUCK: "A walker hardly ever moves, so the sample cannot be trusted.",
+    SampleOutcome.START_FAILED: "The model has no prediction around the places to start from.",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StopRule:
+    """What a sample must reach, all of it, before sampling stops.
+
+    Attributes
+    ----------
+    autocorrelation_times
+        Steps after burn-in, in the largest autocorrelation time.
+    drift
+        Largest change of an autocorrelation time since the check before, relative; the checks are
+        one autocorrelation time apart or more.
+    rhat
+        Largest R-hat between the halves of the ensembles.
+    effective_draws
+        Fewest effective draws, of the bulk and of the tails, over all ensembles.
+    effective_draws_each
+        Fewest of one ensemble.
+    mean_error
+        Largest Monte Carlo standard error of a mean, relative to the standard deviation.
+    """
+
+    autocorrelation_times: float = 50.0
+    drift: float = 0.01
+    rhat: float = 1.01
+    effective_draws: float = 400.0
+    effective_draws_each: float = 100.0
+    mean_error: float = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Gate:
+    """The numbers the stop rule looks at, after some steps.
+
+    Attributes
+    ----------
+    rule
+        The stop rule.
+    steps
+        Steps of every walker so far, those of burn-in included.
+    burn_in
+        How many of them, at the beginning, are left out of everything.
+    tau
+        Autocorrelation time of each parameter [steps], shape ``(n,)``.
+    drift
+        Largest relative change of one since the check at least one autocorrelation time before;
+        infinite at the first.
+    rhat
+        By parameter, shape ``(n,)``.
+    bulk, tail
+        Effective draws by parameter and ensemble, shape ``(n, ensembles)``.
+    mean_error
+        Monte Carlo standard error of each mean over the standard deviation, shape ``(n,)``.
+    acceptance
+        Part of the steps in which a walker moved, shape ``(ensembles, walkers)``.
+    """
+
+    rule: StopRule
+    steps: int
+    burn_in: int
+    tau: Array
+    drift: float
+    rhat: Array
+    bulk: Array
+    tail: Array
+    mean_error: Array
+    acceptance: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.tau)
+        for name in ("tau", "rhat", "mean_error"):
+            object.__setattr__(self, name, frozen(getattr(self, name), n, name=name))
+        for name in ("bulk", "tail"):
+            object.__setattr__(self, name, frozen(getattr(self, name), n, None, name=name))
+        acceptance = frozen(self.acceptance, None, None, name="acceptance")
+        object.__setattr__(self, "acceptance", acceptance)
+
+    @property
+    def kept(self) -> int:
+        """Steps after burn-in."""
+        return self.steps - self.burn_in
+
+    @property
+    def conditions(self) -> dict[str, tuple[float, float, bool]]:
+        """By name of the condition: the number, its bar, and whether it is met."""
+        rule = self.rule
+        longest = float(np.max(self.tau))
+        fewest = float(min(self.bulk.sum(axis=1).min(), self.tail.sum(axis=1).min()))
+        fewest_each = float(min(self.bulk.min(), self.tail.min()))
+        at_least = {
+            "steps_per_tau": (self.kept / longest, rule.autocorrelation_times),
+            "effective_draws": (fewest, rule.effective_draws),
+            "effective_draws_each": (fewest_each, rule.effective_draws_each),
+        }
+        at_most = {
+            "tau_drift": (self.drift, rule.drift),
+            "rhat": (float(np.max(self.rhat)), rule.rhat),
+            "mean_error": (float(np.max(self.mean_error)), rule.mean_error),
+        }
+        return {name: (value, bar, value >= bar) for name, (value, bar) in at_least.items()} | {
+            name: (value, bar, value <= bar) for name, (value, bar) in at_most.items()
+        }
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether all conditions are met."""
+        return all(met for _, _, met in self.conditions.values())
+
+    @property
+    def stuck(self) -> BoolArray:
+        """Which walkers moved in fewer than one step in twenty, of 200 or more."""
+        is_stuck = (self.acceptance < STUCK_ACCEPTANCE) & (self.kept >= STUCK_STEPS)
+        return np.asarray(is_stuck)
+
+    def __str__(self) -> str:
+        lines = [f"{self.steps} steps of every walker, the first {self.burn_in} left out."]
+        for name, (value, bar, met) in self.conditions.items():
+            sign = ">=" if name in _AT_LEAST else "<="
+            mark = "met" if met else "not met"
+            lines.append(f"{_WORDS[name]}: {value:.4g}, wanted {sign} {bar:g}: {mark}.")
+        mean = float(self.acceptance.mean())
+        low, high = ACCEPTANCE_HINT
+        lines.append(
+            f"Acceptance {mean:.2f}, lowest of a walker {self.acceptance.min():.2f} (differential "
+            f"evolution usually has {low:g} to {high:g}, Newton proposals more)."
+        )
+        return "\n".join(lines)
+
+
+_AT_LEAST = {"steps_per_tau", "effective_draws", "effective_draws_each"}
+_WORDS = {
+    "steps_per_tau": "Steps in the longest autocorrelation time",
+    "tau_drift": "Change of an autocorrelation time between checks",
+    "rhat": "Largest R-hat between half ensembles",
+    "effective_draws": "Fewest effective draws of bulk or tail",
+    "effective_draws_each": "Fewest of one ensemble",
+    "mean_error": "Largest Monte Carlo error of a mean, in standard deviations",
+}
+
+
+def check(samples: Array, moved: BoolArray, rule: StopRule, before: Sequence[Gate]) -> Gate:
+    """The numbers of the gate for the steps so far; the first fifth counts as burn-in.
+
+    Parameters
+    ----------
+    samples
+        In any coordinates, shape ``(ensembles, walkers, steps, n)``.
+    moved
+        Whether a walker moved in a step, shape ``(ensembles, walkers, steps)``.
+    rule
+        The stop rule.
+    before
+        The checks before, oldest first, for the drift of the autocorrelation times.
+    """
+    steps = samples.shape[2]
+    burn_in = int(BURN_IN * steps)
+    kept = [samples[:, :, burn_in:, i] for i in range(samples.shape[3])]
+    tau = _each(autocorrelation_time, kept)
+    return Gate(
+        rule=rule,
+        steps=steps,
+        burn_in=burn_in,
+        tau=tau,
+        drift=_drift(tau, steps, before),
+        rhat=_each(split_rhat, kept),
+        bulk=_each(bulk_draws, kept),
+        tail=_each(tail_draws, kept),
+        mean_error=_each(mean_error, kept),
+        acceptance=moved[:, :, burn_in:].mean(axis=2),
+    )
+
+
+def _each(function: Callable[[Array], Array | float], values: Sequence[Array]) -> Array:
+    """What the function finds for each parameter."""
+    return np.array([function(one) for one in values])
+
+
+def _drift(tau: Array, steps: int, before: Sequence[Gate]) -> float:
+    """Largest change since the latest check that is one autocorrelation time back or more."""
+    longest = float(np.max(tau))
+    for gate in reversed(before):
+        if steps - gate.steps >= longest:
+            return float(np.max(np.abs(tau / gate.tau - 1.0)))
+    return np.inf

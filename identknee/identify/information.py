@@ -1,0 +1,281 @@
+"""What the data say about the parameters at one point: the Fisher information, taken apart."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from identknee.calibrate.problem import Problem
+from identknee.calibrate.scales import typical_steps
+from identknee.identify.evaluation import Evaluator
+from identknee.identify.jacobian_noise import JacobianNoise, jacobian_noise
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, frozen
+
+Scaling = Literal["typical", "prior"]
+# A share of a parameter in a direction that is not worth naming.
+NEGLIGIBLE_SHARE = 0.1
+# A share below this, squared, is rounding: the parameter has no part in an undetermined direction.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Information:
+    """The Fisher information of n parameters at one theta, in scaled units.
+
+    A scaled unit of a parameter is its entry in `scales`: moving one unit along eigenvector i
+    raises the deviance by ``eigenvalues[i]`` (to second order), so that the data know the
+    combination to ``1 / sqrt(eigenvalues[i])`` units.
+
+    Attributes
+    ----------
+    parameters
+        The parameters, in the order of theta.
+    theta
+        Where, shape ``(n,)``.
+    scaling
+        What a scaled unit is: ``"typical"`` for a typical step (3 kN, 2 %, a prior sd for other
+        units), ``"prior"`` for the prior's standard deviation, in which an eigenvalue of 1 means
+        that the data say as much as the prior.
+    scales
+        One scaled unit of each parameter, shape ``(n,)``.
+    jacobian
+        Derivatives of the residuals, in units of their noise, by the scaled parameters, ``(m, n)``.
+    eigenvalues
+        From large (stiff) to small (sloppy), shape ``(n,)``.
+    eigenvectors
+        One a column in the same order, shape ``(n, n)``; the largest component is positive.
+    floors
+        Eigenvalue that the error of the derivatives alone would give in each direction, ``(n,)``.
+    noise
+        How that error was measured.
+    n_simulations
+        Simulations made, most of them for the noise.
+    """
+
+    parameters: Parameters
+    theta: Array
+    scaling: Scaling
+    scales: Array
+    jacobian: Array
+    eigenvalues: Array
+    eigenvectors: Array
+    floors: Array
+    noise: JacobianNoise
+    n_simulations: int
+
+    def __post_init__(self) -> None:
+        n = self.parameters.n
+        for name in ("theta", "scales", "eigenvalues", "floors"):
+            object.__setattr__(self, name, frozen(getattr(self, name), n, name=name))
+        object.__setattr__(self, "jacobian", frozen(self.jacobian, None, n, name="jacobian"))
+        vectors = frozen(self.eigenvectors, n, n, name="eigenvectors")
+        object.__setattr__(self, "eigenvectors", vectors)
+
+    @property
+    def matrix(self) -> Array:
+        """The information in kN, % and the other units of theta, shape ``(n, n)``."""
+        plain = self.jacobian / self.scales
+        return np.asarray(plain.T @ plain)
+
+    @property
+    def n_above_noise(self) -> int:
+        """How many eigenvalues are larger than the errors of the derivatives would make them."""
+        return int(np.sum(self.eigenvalues > self.floors))
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest eigenvalue; infinite if the smallest is not above the noise."""
+        if self.n_above_noise < self.parameters.n:
+            return np.inf
+        return float(self.eigenvalues[0] / self.eigenvalues[-1])
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of each parameter by the linear model, in its own unit, ``(n,)``.
+
+        Infinite where the parameter has a part in a direction that is not above the noise.
+        """
+        known, loose = self._spread()
+        return np.where(np.diag(loose) > ROUNDING, np.inf, self.scales * np.sqrt(np.diag(known)))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation of the parameters by the linear model, shape ``(n, n)``.
+
+        Where standard deviations are infinite it is the limit of those of a direction that gets
+        ever less determined.
+        """
+        known, loose = self._spread()
+        is_loose = np.diag(loose) > ROUNDING
+        one_loose = is_loose[:, None] != is_loose
+        covariance = np.where(is_loose[:, None] & is_loose, loose, np.where(one_loose, 0.0, known))
+        sd = np.sqrt(np.diag(covariance))
+        return np.asarray(covariance / np.outer(sd, sd))
+
+    def combination(self, i: int) -> str:
+        """Eigenvector i by the names of the parameters, in scaled units, largest share first.
+
+        For example ``"+0.80 PCL.stiffness_kN -0.57 PCL.reference_strain_pct"``; shares below 0.1
+        are left out.
+        """
+        return combination(self.parameters, self.eigenvectors[:, i])
+
+    def collinearity(self, names: Sequence[str] | None = None) -> float:
+        """How nearly a change of one of the parameters can be undone by the others named.
+
+        One over the least length of a unit combination of their columns, each of length 1: 1 for
+        columns at right angles, infinite for dependent ones. From 10 to 15 on, changes of one
+        parameter can be made up for by the others to within 10 to 7 % (all parameters if None).
+
+        References
+        ----------
+        R. Brun, P. Reichert and H. R. Kuensch, Practical identifiability analysis of large
+        environmental simulation models, Water Resour. Res. 37 (2001) 1015-1030, equation 10,
+        doi:10.1029/2000WR900350.
+        """
+        chosen = range(self.parameters.n) if names is None else map(self.parameters.index, names)
+        return _collinearity(self.jacobian[:, list(chosen)])
+
+    def collinear_sets(self, size: int) -> tuple[tuple[tuple[str, ...], float], ...]:
+        """All sets of `size` parameters with their collinearity, from large to small.
+
+        Raises
+        ------
+        ValueError
+            If the size is not between 2 and the number of parameters.
+        """
+        n = self.parameters.n
+        if not 2 <= size <= n:
+            raise ValueError(f"a set must hold 2 to {n} parameters, got {size}")
+        sets = [
+            (
+                tuple(self.parameters.names[i] for i in chosen),
+                _collinearity(self.jacobian[:, chosen]),
+            )
+            for chosen in map(list, combinations(range(n), size))
+        ]
+        return tuple(sorted(sets, key=lambda pair: -pair[1]))
+
+    def _spread(self) -> tuple[Array, Array]:
+        """Scaled covariance within the directions above the noise, projector on the others."""
+        is_known = self.eigenvalues > self.floors
+        known, loose = self.eigenvectors[:, is_known], self.eigenvectors[:, ~is_known]
+        return known / self.eigenvalues[is_known] @ known.T, loose @ loose.T
+
+
+def information(
+    problem: Problem, theta: Array, *, scaling: Scaling = "typical", seed: int = 0
+) -> Information:
+    """The Fisher information of the parameters at `theta`, with the errors of the derivatives.
+
+    Parameters
+    ----------
+    problem
+        Its residuals in units of their noise. `WithPriors` of it gives the information of data
+        and priors together.
+    theta
+        Where, within the bounds, shape ``(n,)``; usually the best fit.
+    scaling
+        What to count parameters in, which eigenvalues and eigenvectors depend on: ``"typical"``
+        steps or ``"prior"`` standard deviations.
+    seed
+        Of the perturbations that show the solver's noise.
+
+    Raises
+    ------
+    ValueError
+        If the model has no prediction at `theta`, or `theta` lies outside the bounds.
+
+    References
+    ----------
+    J. J. Waterfall et al., Sloppy-model universality class and the Vandermonde matrix, Phys. Rev.
+    Lett. 97 (2006) 150601, doi:10.1103/PhysRevLett.97.150601.
+    """
+    parameters, evaluator = problem.parameters, Evaluator(problem)
+    scales = scaled_units(parameters, scaling)
+    evaluation = evaluator(np.asarray(theta, dtype=np.float64))
+    if not evaluation.is_finite:
+        raise ValueError(
+            "the model has no prediction at this theta, so nothing is known of its derivatives; "
+            "give another theta, for example the best fit"
+        )
+    noise = jacobian_noise(evaluator, evaluation, scales, seed=seed)
+    jacobian = evaluation.jacobian * scales
+    eigenvalues, eigenvectors = spectrum(jacobian)
+    return Information(
+        parameters=parameters,
+        theta=evaluation.theta,
+        scaling=scaling,
+        scales=scales,
+        jacobian=jacobian,
+        eigenvalues=eigenvalues,
+        eigenvectors=eigenvectors,
+        floors=np.maximum(noise.floors(eigenvectors), _rounding(jacobian) ** 2),
+        noise=noise,
+        n_simulations=evaluator.n_simulations,
+    )
+
+
+def scaled_units(parameters: Parameters, scaling: Scaling) -> Array:
+    """One scaled unit of each parameter, shape ``(n,)``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such scaling.
+    """
+    if scaling == "typical":
+        return typical_steps(parameters)
+    if scaling == "prior":
+        relative = np.where(parameters.is_log, np.abs(parameters.center), 1.0)
+        return np.asarray(parameters.prior_sd * relative)
+    raise ValueError(f"there is no scaling {scaling!r}; the scalings are typical, prior")
+
+
+def spectrum(jacobian: Array) -> tuple[Array, Array]:
+    """Eigenvalues of ``jacobian.T @ jacobian`` from large to small, eigenvectors as columns.
+
+    From the singular values, so that small eigenvalues keep their digits; the largest component of
+    an eigenvector is positive.
+
+    Examples
+    --------
+    >>> spectrum(np.diag([1.0, 3.0]))[0].tolist()
+    [9.0, 1.0]
+    """
+    n = jacobian.shape[1]
+    _, sizes, rows = np.linalg.svd(np.vstack([jacobian, np.zeros((n, n))]), full_matrices=False)
+    vectors = rows.T
+    largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(n)]
+    return sizes**2, vectors * np.sign(largest)
+
+
+def combination(parameters: Parameters, direction: Array) -> str:
+    """A direction of length 1 in scaled units by the names of the parameters.
+
+    Shares below 0.1 are left out, the largest comes first.
+    """
+    order = np.argsort(-np.abs(direction), kind="stable")
+    return " ".join(
+        f"{direction[i]:+.2f} {parameters.names[i]}"
+        for i in order
+        if abs(direction[i]) >= NEGLIGIBLE_SHARE
+    )
+
+
+def _rounding(jacobian: Array) -> float:
+    """What rounding alone does to the singular values."""
+    return float(max(jacobian.shape) * np.finfo(np.float64).eps * np.linalg.norm(jacobian, 2))
+
+
+def _collinearity(columns: Array) -> float:
+    lengths = np.linalg.norm(columns, axis=0)
+    if not lengths.all():
+        return np.inf
+    least = np.linalg.svd(columns / lengths, compute_uv=False)[-1]
+    if len(columns) < columns.shape[1] or least <= np.finfo(np.float64).eps:
+        return np.inf
+    return float(1.0 / least)

@@ -1,0 +1,137 @@
+"""Moves of an ensemble of walkers, for emcee's sampler."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from emcee.moves import DEMove, Move, StretchMove
+from emcee.moves.red_blue import RedBlueMove
+from emcee.state import State
+from scipy.special import logsumexp
+
+from identknee.runs.arrays import Array
+
+SNOOKER_RANGE = (1.2, 2.2)
+
+
+class NewtonMove(Move):  # type: ignore[misc]
+    """Proposals from the Gauss-Newton kernels of the other half of the walkers.
+
+    Each walker carries, as its blob, the normal density that approximates the posterior as seen
+    from where it stands (`identknee.identify.posterior.NewtonKernel`). One half of the walkers
+    moves at a time: a proposal is drawn from the mixture of the other half's kernels, whatever the
+    place of the walker that moves, and is accepted by the rule of Metropolis and Hastings with the
+    density of that mixture. Where the residuals are linear every proposal is accepted and the draws
+    are independent; where walkers stand in several basins, proposals lead from one to another.
+
+    The densities are exact and the other half stands still meanwhile, so the posterior is
+    invariant.
+
+    References
+    ----------
+    J. Martin et al., A stochastic Newton MCMC method for large-scale statistical inverse problems,
+    SIAM J. Sci. Comput. 34 (2012) A1460-A1487, doi:10.1137/110845598: the kernel of one point.
+    """
+
+    def propose(self, model: Any, state: State) -> tuple[State, Array]:
+        """The state after each half has moved, and which walkers did."""
+        n_walkers = len(state.coords)
+        accepted = np.zeros(n_walkers, dtype=bool)
+        half = model.random.permutation(n_walkers) % 2
+        for side in (0, 1):
+            moving = half == side
+            mixture = KernelMixture(state.blobs[~moving])
+            proposed = mixture.draw(int(moving.sum()), model.random)
+            log_prob, blobs = model.compute_log_prob_fn(proposed)
+            correction = mixture.log_density(state.coords[moving]) - mixture.log_density(proposed)
+            gain = log_prob - state.log_prob[moving] + correction
+            accepted[moving] = np.log(model.random.rand(len(proposed))) < gain
+            new = State(proposed, log_prob=log_prob, blobs=blobs)
+            state = self.update(state, new, accepted, moving)
+        return state, accepted
+
+
+class KernelMixture:
+    """Equal mixture of normal densities, given as walkers' blobs.
+
+    Parameters
+    ----------
+    blobs
+        For each density its centre, then the Cholesky factor of its precision row by row, shape
+        ``(k, n + n * n)``.
+    """
+
+    def __init__(self, blobs: Array) -> None:
+        k = len(blobs)
+        n = int(np.sqrt(blobs.shape[1] + 0.25) - 0.5 + 1e-9)
+        self.centers = np.asarray(blobs[:, :n])
+        self.factors = np.asarray(blobs[:, n:].reshape(k, n, n))
+        diagonal = np.einsum("kii->ki", self.factors)
+        self._log_weights = np.sum(np.log(diagonal), axis=1) - np.log(k)
+
+    def draw(self, count: int, random: np.random.RandomState) -> Array:
+        """So many draws, shape ``(count, n)``."""
+        chosen = random.randint(len(self.centers), size=count)
+        standard = random.standard_normal((count, self.centers.shape[1]))
+        transposed = self.factors[chosen].transpose(0, 2, 1)
+        steps = np.linalg.solve(transposed, standard[:, :, None])[:, :, 0]
+        return np.asarray(self.centers[chosen] + steps)
+
+    def log_density(self, points: Array) -> Array:
+        """Log density of points, shape ``(count, n)``, without a constant; shape ``(count,)``."""
+        differences = points[:, None, :] - self.centers
+        scaled = np.einsum("kji,pkj->pki", self.factors, differences)
+        exponents = self._log_weights - 0.5 * np.sum(scaled**2, axis=2)
+        return np.asarray(logsumexp(exponents, axis=1))
+
+
+class SnookerMove(RedBlueMove):  # type: ignore[misc]
+    """Steps along the line through another walker, as long as two more are apart along it.
+
+    emcee 3.1.6 has a snooker move too, but scales its line by the square root of its length where
+    its length is meant, so that it samples another density than asked for (a normal one of variance
+    1 with variance 0.8; mended after that release, https://github.com/dfm/emcee/pull/531).
+
+    References
+    ----------
+    C. J. F. ter Braak and J. A. Vrugt, Differential evolution Markov chain with snooker updater and
+    fewer chains, Stat. Comput. 18 (2008) 435-446, doi:10.1007/s11222-008-9104-9.
+    """
+
+    def get_proposal(
+        self, sample: Array, complement: list[Array], random: np.random.RandomState
+    ) -> tuple[Array, Array]:
+        """Proposals, shape ``(k, n)``, and the logarithm of their correction, shape ``(k,)``."""
+        others = np.concatenate(complement)
+        triples = np.array([random.choice(len(others), 3, replace=False) for _ in sample])
+        origin, one, two = (others[triples[:, i]] for i in range(3))
+        line = sample - origin
+        length = np.linalg.norm(line, axis=1)
+        direction = line / length[:, None]
+        along = np.sum(direction * (one - two), axis=1)
+        step = random.uniform(*SNOOKER_RANGE, size=len(sample)) * along
+        proposed = sample + step[:, None] * direction
+        new_length = np.linalg.norm(proposed - origin, axis=1)
+        return proposed, (sample.shape[1] - 1) * np.log(new_length / length)
+
+
+def newton_moves() -> list[tuple[Move, float]]:
+    """The default: mostly Newton, and one step in ten that needs no derivatives."""
+    return [(NewtonMove(), 0.9), (DEMove(), 0.08), (SnookerMove(), 0.02)]
+
+
+def difference_moves() -> list[tuple[Move, float]]:
+    """Differential evolution for four steps in five and snooker for the fifth; no derivatives."""
+    return [(DEMove(), 0.8), (SnookerMove(), 0.2)]
+
+
+def stretch_moves() -> list[tuple[Move, float]]:
+    """The stretch move, emcee's default, for comparison."""
+    return [(StretchMove(), 1.0)]
+
+
+MOVES: dict[str, Callable[[], list[tuple[Move, float]]]] = {
+    "newton": newton_moves,
+    "difference": difference_moves,
+    "stretch": stretch_moves,
+}

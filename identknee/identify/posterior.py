@@ -1,0 +1,237 @@
+"""The posterior density of the parameters, in their own units and in those it is sampled in."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import beta, norm
+
+from identknee.calibrate.problem import Problem
+from identknee.identify.evaluation import Evaluation, evaluate
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, BoolArray
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LogPosterior:
+    """Natural logarithm of the posterior density of a problem's parameters.
+
+    It is the log likelihood (minus half the deviance, without the constant that depends on the
+    noise alone) plus the log prior density: lognormal or normal for each parameter, cut off at the
+    bounds and scaled so that its integral within them is 1. The likelihood is 0 where the model
+    has no prediction.
+
+    Attributes
+    ----------
+    problem
+        Its residuals in units of their noise.
+    """
+
+    problem: Problem
+    _log_mass: float = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        parameters = self.problem.parameters
+        is_log = np.array(parameters.is_log)
+        if np.any(parameters.prior_sd <= 0) or np.any(parameters.center[is_log] <= 0):
+            raise ValueError(
+                "a prior needs a standard deviation above 0, and a lognormal one a centre above 0; "
+                f"got {parameters.prior_sd.tolist()} around {parameters.center.tolist()}"
+            )
+        log_mass = float(np.sum(_log_masses(parameters)))
+        if not np.isfinite(log_mass):
+            raise ValueError(
+                "the prior has no mass within the bounds; widen the bounds or move the prior"
+            )
+        object.__setattr__(self, "_log_mass", log_mass)
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the problem."""
+        return self.problem.parameters
+
+    def __call__(self, theta: Array) -> float:
+        """Log density at `theta`, shape ``(n,)``; -inf beyond the bounds or without prediction."""
+        prior = float(self.log_prior(theta))
+        if not np.isfinite(prior):
+            return -np.inf
+        return prior - 0.5 * evaluate(self.problem, theta).deviance
+
+    def log_prior(self, theta: Array) -> Array:
+        """Log prior density of one or many thetas, shape ``(..., n)``; -inf beyond the bounds."""
+        parameters = self.parameters
+        theta = np.asarray(theta, dtype=np.float64)
+        is_inside = inside(theta, parameters)
+        working = to_working(np.where(is_inside[..., None], theta, parameters.center), parameters)
+        log_density = (
+            np.sum(_log_normal(working, parameters), axis=-1)
+            - np.sum(working[..., np.array(parameters.is_log)], axis=-1)
+            - self._log_mass
+        )
+        return np.where(is_inside, log_density, -np.inf)
+
+    @property
+    def mass_within_bounds(self) -> float:
+        """What part of the priors, were they not cut off, lies within the bounds."""
+        return float(np.exp(self._log_mass))
+
+
+def inside(theta: Array, parameters: Parameters) -> BoolArray:
+    """Whether thetas, shape ``(..., n)``, are within the bounds and lognormal ones above 0."""
+    is_log = np.array(parameters.is_log)
+    within = (theta >= parameters.lower) & (theta <= parameters.upper)
+    return np.asarray(np.all(within & ((theta > 0) | ~is_log), axis=-1))
+
+
+def to_working(theta: Array, parameters: Parameters) -> Array:
+    """Thetas, shape ``(..., n)``, with the logarithm of those whose prior is lognormal.
+
+    In these coordinates every prior is normal, and the density is nearer to a normal one.
+    """
+    is_log = np.array(parameters.is_log)
+    return np.where(is_log, np.log(np.where(is_log, theta, 1.0)), theta)
+
+
+def from_working(working: Array, parameters: Parameters) -> Array:
+    """Thetas from their working coordinates, shape ``(..., n)``."""
+    is_log = np.array(parameters.is_log)
+    # Beyond e^700 a number overflows; such a theta is out of any bounds.
+    return np.where(is_log, np.exp(np.minimum(np.where(is_log, working, 0.0), 700.0)), working)
+
+
+def log_prior_working(working: Array, parameters: Parameters) -> Array:
+    """Log prior density of working coordinates, shape ``(..., n)``, without regard to bounds."""
+    return np.asarray(np.sum(_log_normal(working, parameters), axis=-1))
+
+
+def working_center(parameters: Parameters) -> Array:
+    """Centre of the normal priors in working coordinates, shape ``(n,)``."""
+    return to_working(parameters.center, parameters)
+
+
+def prior_quantiles(parameters: Parameters, probabilities: Array) -> Array:
+    """Theta at so much of each prior within its bounds, shape ``(..., n)`` as `probabilities`."""
+    low, high = _working_bounds(parameters)
+    center, sd = working_center(parameters), parameters.prior_sd
+    first, last = norm.cdf((low - center) / sd), norm.cdf((high - center) / sd)
+    working = center + sd * norm.ppf(first + probabilities * (last - first))
+    theta = from_working(working, parameters)
+    return np.asarray(np.clip(theta, parameters.lower, parameters.upper))
+
+
+def prior_draws(parameters: Parameters, n: int, generator: np.random.Generator) -> Array:
+    """Draws of theta from the priors within the bounds, shape ``(n, p)``."""
+    return prior_quantiles(parameters, generator.uniform(size=(n, parameters.n)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExcludedMass:
+    """How much of the prior the posterior cannot reach.
+
+    Attributes
+    ----------
+    beyond_bounds
+        Part of the priors that the bounds cut off, exact.
+    without_prediction
+        Part of the prior within the bounds where the model has no prediction, estimated.
+    low, high
+        95 % confidence limits of that estimate, by Clopper and Pearson.
+    n_draws
+        How many draws of the prior were simulated for it.
+    """
+
+    beyond_bounds: float
+    without_prediction: float
+    low: float
+    high: float
+    n_draws: int
+
+    def __str__(self) -> str:
+        return (
+            f"Excluded from the prior: {100 * self.beyond_bounds:.2g} % by the bounds; of the rest "
+            f"{100 * self.without_prediction:.2g} % has no prediction "
+            f"({100 * self.low:.2g} to {100 * self.high:.2g} % at 95 % confidence, "
+            f"{self.n_draws} draws)."
+        )
+
+
+def excluded_mass(density: LogPosterior, is_predicted: BoolArray) -> ExcludedMass:
+    """The excluded prior mass, from whether draws of the prior have a prediction, shape ``(n,)``.
+
+    References
+    ----------
+    C. J. Clopper and E. S. Pearson, The use of confidence or fiducial limits illustrated in the
+    case of the binomial, Biometrika 26 (1934) 404-413, doi:10.1093/biomet/26.4.404.
+    """
+    n, failed = len(is_predicted), int(np.sum(~is_predicted))
+    tail = 0.5 * (1.0 - LEVEL)
+    return ExcludedMass(
+        beyond_bounds=max(0.0, 1.0 - density.mass_within_bounds),
+        without_prediction=failed / n,
+        low=float(beta.ppf(tail, failed, n - failed + 1)) if failed else 0.0,
+        high=float(beta.ppf(1.0 - tail, failed + 1, n - failed)) if failed < n else 1.0,
+        n_draws=n,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NewtonKernel:
+    """The density at a point and the normal density that a Gauss-Newton step from there proposes.
+
+    Attributes
+    ----------
+    log_density
+        Of the posterior in working coordinates, without a constant; -inf where there is none.
+    center
+        End of the Gauss-Newton step, shape ``(n,)``.
+    factor
+        Lower Cholesky factor of the precision there, shape ``(n, n)``.
+    """
+
+    log_density: float
+    center: Array
+    factor: Array
+
+
+def newton_kernel(evaluation: Evaluation, parameters: Parameters) -> NewtonKernel:
+    """The kernel of a point from its simulation; one with zeros if it has no prediction.
+
+    The precision is that of the linearised residuals and the priors, so that the kernel is the
+    posterior itself where the residuals are linear in the working coordinates.
+    """
+    n = parameters.n
+    if not evaluation.is_finite:
+        return NewtonKernel(log_density=-np.inf, center=np.zeros(n), factor=np.zeros((n, n)))
+    working = to_working(evaluation.theta, parameters)
+    slope = np.where(parameters.is_log, evaluation.theta, 1.0)
+    jacobian = evaluation.jacobian * slope
+    precision = 1.0 / parameters.prior_sd**2
+    gradient = jacobian.T @ evaluation.residuals + precision * (working - working_center(parameters))
+    information = jacobian.T @ jacobian + np.diag(precision)
+    factor = np.linalg.cholesky(information)
+    log_density = -0.5 * evaluation.deviance + float(log_prior_working(working, parameters))
+    center = working - np.linalg.solve(information, gradient)
+    return NewtonKernel(log_density=log_density, center=center, factor=factor)
+
+
+def _log_normal(working: Array, parameters: Parameters) -> Array:
+    sd = parameters.prior_sd
+    z = (working - working_center(parameters)) / sd
+    return np.asarray(-0.5 * z**2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
+
+
+def _working_bounds(parameters: Parameters) -> tuple[Array, Array]:
+    is_log = np.array(parameters.is_log)
+    bounds = (parameters.lower, parameters.upper)
+    with np.errstate(divide="ignore"):
+        low, high = (np.where(is_log, np.log(np.maximum(x, 0.0)), x) for x in bounds)
+    return low, high
+
+
+def _log_masses(parameters: Parameters) -> Array:
+    """Logarithm of the part of each prior within its bounds, shape ``(n,)``."""
+    low, high = _working_bounds(parameters)
+    center, sd = working_center(parameters), parameters.prior_sd
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(norm.cdf((high - center) / sd) - norm.cdf((low - center) / sd)))

@@ -1,0 +1,132 @@
+"""The profile of a parameter or of any other quantity: which of its values the data allow."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+from numpy.typing import ArrayLike
+
+from identknee.calibrate.problem import Problem
+from identknee.identify.constrained import Constrained, minimise
+from identknee.identify.evaluation import Evaluator
+from identknee.identify.profile_result import Profile
+from identknee.identify.profile_search import Branch, find_branches, walk_branch
+from identknee.identify.profile_verdict import assembled
+from identknee.identify.profile_walk import BetterFound, Walk, as_point
+from identknee.identify.quantity import Quantity
+from identknee.runs.arrays import Array
+from identknee.runs.outcome import Outcome
+
+BUDGET = 1000
+MOST_RESTARTS = 5
+# Of the deviance: what the optimum may still promise.
+OPTIMUM_TOLERANCE = 1e-6
+
+
+def profile(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    quantity: Quantity,
+    *,
+    level: float = 0.95,
+    threshold: float | None = None,
+    budget: int = BUDGET,
+    starts: ArrayLike = (),
+) -> Profile:
+    """The best fit at each value of a quantity, and the set of values that the data do not exclude.
+
+    The optimum is polished first. From it the profile is walked outward on both sides; then a fit
+    far beyond each end looks for another valley and approaches the end from there. A better fit
+    met anywhere starts everything over from it, at most five times.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise.
+    optimum_theta
+        The best fit known, shape ``(n,)``.
+    quantity
+        What to profile: a parameter or any function of theta.
+    level
+        Confidence level of the set.
+    threshold
+        Rise of the deviance that bounds it; that of the chi-squared law if None. See
+        `identknee.identify.thresholds` for unknown noise and for few data.
+    budget
+        Simulations allowed.
+    starts
+        Other local optima, or places to look for them from, shape ``(k, n)``: for example the
+        basins of a sweep. Where one is likely, its own path counts too.
+
+    Raises
+    ------
+    ValueError
+        If the level, the threshold or the budget is not one possible, or the model has no
+        prediction at the optimum.
+    """
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"the level must be between 0 and 1, got {level:g}")
+    if threshold is None:
+        threshold = float(scipy.stats.chi2.ppf(level, 1))
+    if not 0.0 < threshold < np.inf:
+        raise ValueError(f"the threshold must be positive and finite, got {threshold:g}")
+    if budget < 1:
+        raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
+    run = _Run(
+        evaluator=Evaluator(problem, budget=budget),
+        quantity=quantity,
+        level=level,
+        threshold=threshold,
+        starts=np.reshape(np.asarray(starts, dtype=np.float64), (-1, problem.parameters.n)),
+    )
+    theta = np.asarray(optimum_theta, dtype=np.float64)
+    return run.profile(theta)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Run:
+    """The settings of one profile."""
+
+    evaluator: Evaluator
+    quantity: Quantity
+    level: float
+    threshold: float
+    starts: Array
+
+    def profile(self, theta: Array) -> Profile:
+        better: Array | None = None
+        for n_restarts in range(MOST_RESTARTS + 1):
+            optimum = self._optimum(theta)
+            walk = Walk(
+                self.evaluator, self.quantity, self.threshold, optimum.evaluation.deviance
+            )
+            is_last = n_restarts == MOST_RESTARTS
+            walk.is_final = is_last
+            try:
+                branches = self._branches(walk, optimum)
+            except BetterFound as found:
+                theta = better = found.theta
+                continue
+            return assembled(
+                walk,
+                branches,
+                level=self.level,
+                better_optimum=None if better is None else optimum.evaluation.theta,
+                n_restarts=n_restarts,
+            )
+        raise AssertionError  # pragma: no cover - the last round meets nothing better
+
+    def _optimum(self, theta: Array) -> Constrained:
+        optimum = minimise(self.evaluator, theta, tolerance=OPTIMUM_TOLERANCE)
+        if optimum.outcome is Outcome.START_FAILED:
+            raise ValueError(
+                "the model has no prediction at the optimum given; fit it first, or profile from "
+                "another parameter set"
+            )
+        return optimum
+
+    def _branches(self, walk: Walk, optimum: Constrained) -> list[Branch]:
+        theta = optimum.evaluation.theta
+        value, _ = self.quantity.evaluate(theta)
+        origin = as_point(walk.solve(value, theta, tolerance=np.inf))
+        return find_branches(walk, walk_branch(walk, origin), self.starts)

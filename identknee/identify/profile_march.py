@@ -1,0 +1,307 @@
+"""One side of a profile: constrained fits outward from an optimum until the set ends."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.identify.constrained import Constrained
+from identknee.identify.hermite import crossings
+from identknee.identify.profile_result import Side, SideStatus
+from identknee.identify.profile_walk import Point, Walk, as_point, step_to
+from identknee.runs.arrays import Array
+from identknee.runs.outcome import Outcome
+
+POINTS_PER_SIDE = 5
+MOST_POINTS = 80
+LONGER = 2.5
+# A side of the box is crossed in at least so many steps, lest one jumps over what stands there.
+STEPS_ACROSS = 6
+# Of the deviance, as parts of the threshold: what a fit on the curve and at an end may leave.
+ON_CURVE, AT_END = 1e-3, 1e-4
+# Of the signed root at the threshold, and of the distance to the optimum.
+END_TOLERANCE = 1e-4
+CLIFF_TOLERANCE = 3e-4
+# Of the threshold: what a flat side may still rise by going as far again.
+FLAT = 1e-2
+# An unbounded side is flat where it is over so many first steps.
+FAR = 1e4
+# Of the threshold, what tells a jump to another local fit from a bend: how far from where it was
+# expected, in squared standard deviations, and how much higher or lower than the slopes say.
+JUMP = 0.25
+MISMATCH = 0.02
+MOST_RETRIES = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Leg:
+    """One side walked.
+
+    Attributes
+    ----------
+    points
+        In the order found, the origin first.
+    side
+        How it ended.
+    """
+
+    points: tuple[Point, ...]
+    side: Side
+
+
+def march(walk: Walk, origin: Point, direction: int, blocked: float | None = None) -> Leg:
+    """The profile on one side of an optimum, until its deviance has risen by the threshold.
+
+    Steps aim at equal rises of the deviance's root, by the parabola through the last point with its
+    exact slope and Gauss-Newton curvature; theta is expected along the path's tangent and bend.
+    The end is solved for: once a point lies beyond it, the cubic between the two nearest points
+    gives the next, until the root is right to 1e-4 of it.
+
+    Parameters
+    ----------
+    walk
+        The quantity and the threshold.
+    origin
+        Where to begin.
+    direction
+        1 for growing values, -1 for falling ones.
+    blocked
+        A value on the way known to have no prediction.
+    """
+    return _March(walk, origin, direction, blocked).run()
+
+
+class _March:
+    """The state of one walk outward."""
+
+    def __init__(
+        self, walk: Walk, origin: Point, direction: int, blocked: float | None
+    ) -> None:
+        self._walk = walk
+        self._direction = direction
+        self._points = [origin]
+        self._inside = origin
+        self._outside: Point | None = None
+        self._blocked = blocked
+        self._is_cliff = blocked is not None
+        self._bound = walk.limits[1 if direction > 0 else 0]
+        self._root = float(np.sqrt(walk.threshold))
+        self._n_refined = self._n_retries = 0
+        self._unit = self._first_step(origin)
+
+    def run(self) -> Leg:
+        for _ in range(MOST_POINTS):
+            side = self._ended()
+            if side is None:
+                side = self._go_on()
+            if side is not None:
+                return Leg(points=tuple(self._points), side=side)
+        return Leg(points=tuple(self._points), side=self._open(SideStatus.OPEN_BUDGET))
+
+    def _first_step(self, origin: Point) -> float:
+        rise = self._walk.threshold / POINTS_PER_SIDE**2
+        step = step_to(rise, 0.0, origin.curvature)
+        low, high = self._walk.limits
+        if step < high - low:
+            return step
+        room = abs(self._bound - origin.value)
+        return room / STEPS_ACROSS if np.isfinite(room) else max(abs(origin.value), 1.0)
+
+    # Where to go.
+
+    def _go_on(self) -> Side | None:
+        value = self._next_value()
+        start = self._walk.start(value, self._inside, self._behind())
+        is_near_end = self._outside is not None or self._is_near_end(value)
+        tolerance = self._walk.threshold * (AT_END if is_near_end else ON_CURVE)
+        solved = self._walk.solve(value, start, tolerance=tolerance)
+        if solved.outcome is Outcome.START_FAILED:
+            solved = self._walk.solve(value, self._inside.evaluation.theta, tolerance=tolerance)
+        if solved.outcome is Outcome.BUDGET:
+            return self._open(SideStatus.OPEN_BUDGET)
+        if not np.isfinite(solved.evaluation.deviance):
+            self._blocked, self._is_cliff = value, True
+            return None
+        if not solved.is_on_target:
+            return self._missed(value, solved)
+        self._take(as_point(solved), start, is_settled=solved.outcome is not Outcome.CLIFF)
+        return None
+
+    def _behind(self) -> Point | None:
+        """The accepted point before the last, or the one beyond the end."""
+        if self._outside is not None:
+            return self._outside
+        return self._points[-2] if len(self._points) > 1 else None
+
+    def _is_near_end(self, value: float) -> bool:
+        step = abs(value - self._inside.value)
+        at = self._inside
+        slope = self._direction * at.slope
+        rise = slope * step + at.curvature * step**2
+        return self._walk.delta(at) + rise > 0.9 * self._walk.threshold
+
+    def _next_value(self) -> float:
+        if self._outside is not None:
+            return self._refined(self._outside)
+        at = self._inside
+        root = self._z(at)
+        spacing = self._root / POINTS_PER_SIDE
+        goal = self._root if root + 1.4 * spacing > self._root else root + spacing
+        slope = self._direction * at.slope
+        step = step_to(goal**2 - self._walk.delta(at), slope, at.curvature)
+        value = at.value + self._direction * self._limited(step)
+        if self._blocked is not None and self._direction * (value - self._blocked) >= 0:
+            return 0.5 * (at.value + self._blocked)
+        return value if self._direction * (self._bound - value) > 0 else self._bound
+
+    def _limited(self, step: float) -> float:
+        last = self._unit
+        if len(self._points) > 1:
+            last = max(LONGER * abs(self._points[-1].value - self._points[-2].value), self._unit)
+        room = abs(self._bound - self._points[0].value) / STEPS_ACROSS
+        return max(min(step, last, room), END_TOLERANCE * self._distance())
+
+    def _refined(self, outside: Point) -> float:
+        self._n_refined += 1
+        pair = sorted((self._inside, outside), key=lambda x: x.value)
+        if self._n_refined % 4 == 0:
+            return 0.5 * (pair[0].value + pair[1].value)
+        found = crossings(
+            np.array([x.value for x in pair]),
+            np.array([self._walk.delta(x) for x in pair]),
+            np.array([x.slope for x in pair]),
+            self._walk.threshold,
+        )
+        return found[0]
+
+    # What came back.
+
+    def _missed(self, value: float, solved: Constrained) -> Side | None:
+        """Take a fit that is not on target: the end of the range, a cliff or a failure."""
+        if solved.outcome is Outcome.MINIMUM:
+            point = as_point(solved)
+            self._bound = point.value
+            if self._direction * (point.value - self._inside.value) > 0:
+                self._accept(point)
+            else:
+                return self._at_bound()
+            return None
+        self._blocked = value
+        self._is_cliff = solved.outcome is Outcome.CLIFF
+        return None
+
+    def _take(self, point: Point, start: Array, *, is_settled: bool) -> None:
+        mismatch = self._mismatch(point, start)
+        limit = MISMATCH * self._walk.threshold
+        if mismatch > limit and self._n_retries < MOST_RETRIES and self._outside is None:
+            self._n_retries += 1
+            self._blocked = point.value
+            return
+        self._n_retries = 0
+        if not self._is_cliff:
+            self._blocked = None
+        if mismatch < -limit:
+            self._repair(point)
+        self._accept(point)
+        self._is_cliff = self._is_cliff or (not is_settled and self._outside is point)
+
+    def _accept(self, point: Point) -> None:
+        self._points.append(point)
+        if self._walk.delta(point) >= self._walk.threshold:
+            self._outside = point
+        else:
+            self._inside = point
+
+    def _mismatch(self, point: Point, start: Array) -> float:
+        """How much higher a point is than the slopes say, where it is not where it was expected."""
+        at = self._inside
+        moved = point.evaluation.jacobian @ (point.evaluation.theta - start)
+        if float(moved @ moved) < JUMP * self._walk.threshold:
+            return 0.0
+        step = point.value - at.value
+        expected = 0.5 * step * (at.slope + point.slope)
+        return point.evaluation.deviance - at.evaluation.deviance - expected
+
+    def _repair(self, point: Point) -> None:
+        """Walk back from a point that jumped down, and replace points that lie above this path."""
+        last, other = point, None
+        for k in range(len(self._points) - 1, 0, -1):
+            old = self._points[k]
+            start = self._walk.start(old.value, last, other)
+            solved = self._walk.solve(old.value, start, tolerance=ON_CURVE * self._walk.threshold)
+            gain = old.evaluation.deviance - solved.evaluation.deviance
+            if not solved.is_on_target or gain < ON_CURVE * self._walk.threshold:
+                break
+            self._points[k] = as_point(solved)
+            last, other = self._points[k], last
+
+    # How it ended.
+
+    def _ended(self) -> Side | None:
+        at, outside = self._inside, self._outside
+        if at.value == self._bound:
+            return self._at_bound()
+        for point in (outside, at):
+            if point is not None and abs(self._z(point) - self._root) <= END_TOLERANCE * self._root:
+                return self._closed(point, self._error(point))
+        if outside is not None:
+            width = abs(outside.value - at.value)
+            if width <= END_TOLERANCE * self._distance():
+                return self._closed(at, width)
+        elif self._blocked is not None:
+            width = abs(self._blocked - at.value)
+            if width <= CLIFF_TOLERANCE * self._distance():
+                if not self._is_cliff:
+                    return self._open(SideStatus.FAILED)
+                return self._closed(at, width)
+        if not np.isfinite(self._bound) and self._is_flat_far_out():
+            return self._open(SideStatus.OPEN_FLAT)
+        return None
+
+    def _at_bound(self) -> Side:
+        flat = self._is_flat()
+        return self._open(SideStatus.OPEN_FLAT if flat else SideStatus.OPEN_AT_BOUND)
+
+    def _is_flat(self) -> bool:
+        at = self._inside
+        distance = abs(at.value - self._points[0].value)
+        # Right beside an optimum every deviance is flat.
+        if distance < self._unit:
+            return False
+        return self._direction * at.slope * distance <= FLAT * self._walk.threshold
+
+    def _is_flat_far_out(self) -> bool:
+        return self._distance() > FAR * self._unit and self._is_flat()
+
+    def _z(self, point: Point) -> float:
+        return float(np.sqrt(max(self._walk.delta(point), 0.0)))
+
+    def _distance(self) -> float:
+        return max(abs(self._inside.value - self._points[0].value), self._unit)
+
+    def _error(self, point: Point) -> float:
+        """What the root is off, and what the fit may have left, as a length of the value."""
+        missing = abs(self._walk.delta(point) - self._walk.threshold)
+        slope = max(abs(point.slope), 1e-300)
+        return float((missing + AT_END * self._walk.threshold) / slope)
+
+    def _closed(self, point: Point, error: float) -> Side:
+        return self._side(SideStatus.CLOSED, point, error)
+
+    def _open(self, status: SideStatus) -> Side:
+        return self._side(status, self._inside, np.nan)
+
+    def _side(self, status: SideStatus, point: Point, error: float) -> Side:
+        parameters = self._walk.evaluator.parameters
+        theta = point.evaluation.theta
+        on_bound = (theta <= parameters.lower) | (theta >= parameters.upper)
+        names = np.array(parameters.names)[on_bound].tolist()
+        is_closed = status is SideStatus.CLOSED
+        return Side(
+            status=status,
+            end=point.value if is_closed else None,
+            error=error,
+            is_cliff=is_closed and self._is_cliff,
+            reached=point.value,
+            max_deviance=max(self._walk.delta(x) for x in self._points),
+            at_bounds=tuple(x for x in names if x != self._walk.quantity.name),
+        )

@@ -1,0 +1,207 @@
+"""Looking for other valleys that a profile walked from one optimum would miss."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.identify.constrained import minimise
+from identknee.identify.profile_march import AT_END, JUMP, Leg, march
+from identknee.identify.profile_walk import Point, Walk, as_point
+from identknee.identify.quantity import ParameterQuantity
+from identknee.runs.arrays import Array
+
+MOST_BRANCHES = 12
+# A fit that looks around takes so many steps before it must have come near.
+GLANCE_STEPS = 8
+# Of the threshold: what a glance may leave, and how near a fit must have come to be followed.
+GLANCE_TOLERANCE = 2e-2
+NEAR = 10.0
+# In widths of the set: how far out to look where there is no bound.
+WIDTHS = 1.0
+# In widths of the set: a gap narrower than this is not looked into.
+NARROW = 0.05
+# How far beyond a cliff to look, in distances to the optimum.
+GAP_WIDTHS = (0.02, 0.1, 0.3, 1.0)
+
+Region = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Branch:
+    """The profile walked from one local optimum, downward and upward."""
+
+    lower: Leg
+    upper: Leg
+
+    @property
+    def origin(self) -> Point:
+        """The optimum."""
+        return self.lower.points[0]
+
+    @property
+    def points(self) -> list[Point]:
+        """All points from low to high values."""
+        both = [*self.lower.points, *self.upper.points[1:]]
+        return sorted(both, key=lambda x: x.value)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lower and upper end of the likely values, infinite where open."""
+        low, high = self.lower.side.end, self.upper.side.end
+        return (-np.inf if low is None else low), (np.inf if high is None else high)
+
+    def nearest(self, value: float) -> Point:
+        """The point whose value is nearest."""
+        return min(self.points, key=lambda x: abs(x.value - value))
+
+
+def walk_branch(walk: Walk, origin: Point) -> Branch:
+    """The profile from an optimum downward and upward."""
+    return Branch(lower=march(walk, origin, -1), upper=march(walk, origin, 1))
+
+
+def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
+    """The optimum's branch and those of other likely optima, as far as found.
+
+    Fits without a constraint start from the middle of what lies beyond each closed end, from the
+    optimum's mirror image in the box, and from each of `starts`. Where one ends at a likely optimum
+    that is not on a path walked before, its own branch is walked, and the gaps that it leaves are
+    looked into in their turn.
+
+    Parameters
+    ----------
+    walk
+        The quantity and the threshold.
+    main
+        The optimum's branch.
+    starts
+        Where else to look for optima, shape ``(k, n)``.
+    """
+    branches = [main]
+    regions = _beside(main, walk.limits)
+    while regions and len(branches) < MOST_BRANCHES:
+        region = regions.pop(0)
+        start = _into(walk, main, region)
+        branch = None if start is None else _branch_from(walk, branches, start)
+        if branch is not None:
+            branches.append(branch)
+            regions += _beside(branch, region)
+    for leg, direction in ((main.lower, -1), (main.upper, 1)):
+        branch = _across_the_gap(walk, leg, direction)
+        if branch is not None and not _is_known(walk, branches, branch.origin):
+            branches.append(branch)
+    for start in [*_mirrored(walk, main), *starts]:
+        branch = _branch_from(walk, branches, start)
+        if branch is not None and len(branches) < MOST_BRANCHES:
+            branches.append(branch)
+    return branches
+
+
+def _beside(branch: Branch, region: Region) -> list[Region]:
+    """What a branch leaves of a region, below and above."""
+    low, high = branch.limits
+    below, above = (region[0], low), (high, region[1])
+    return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]
+
+
+def _into(walk: Walk, main: Branch, region: Region) -> Array | None:
+    """The optimum's theta moved into a region, shape ``(n,)``; None if that is too narrow."""
+    low, high = main.limits
+    reach = [x for x in (low, high) if np.isfinite(x)] + [main.origin.value]
+    width = max(reach) - min(reach)
+    if region[1] - region[0] < NARROW * width:
+        return None
+    if np.isinf(region[0]):
+        value = region[1] - WIDTHS * width
+    elif np.isinf(region[1]):
+        value = region[0] + WIDTHS * width
+    else:
+        value = 0.5 * (region[0] + region[1])
+    theta = np.array(main.origin.evaluation.theta)
+    if isinstance(walk.quantity, ParameterQuantity):
+        theta[walk.quantity.index] = value
+        return theta
+    tolerance = GLANCE_TOLERANCE * walk.threshold
+    solved = walk.solve(value, theta, tolerance=tolerance, most_steps=GLANCE_STEPS)
+    return solved.evaluation.theta if solved.evaluation.is_finite else None
+
+
+def _across_the_gap(walk: Walk, leg: Leg, direction: int) -> Branch | None:
+    """The likely values beyond a cliff, None where there are none near."""
+    side = leg.side
+    end = side.end
+    if not side.is_cliff or end is None:
+        return None
+    last = min(leg.points, key=lambda x: abs(x.value - end))
+    blocked = end + direction * side.error
+    for width in GAP_WIDTHS:
+        value = end + direction * width * abs(end - leg.points[0].value)
+        solved = walk.solve(
+            value,
+            last.evaluation.theta,
+            tolerance=GLANCE_TOLERANCE * walk.threshold,
+            most_steps=GLANCE_STEPS,
+        )
+        if solved.is_on_target and solved.evaluation.is_finite:
+            point = as_point(solved)
+            if walk.delta(point) >= walk.threshold:
+                return None
+            inward = march(walk, point, -direction, blocked)
+            outward = march(walk, point, direction)
+            lower, upper = (inward, outward) if direction > 0 else (outward, inward)
+            return Branch(lower=lower, upper=upper)
+        blocked = value
+    return None
+
+
+def _mirrored(walk: Walk, main: Branch) -> list[Array]:
+    """The optimum on the other side of the middle of the box, where all bounds are finite."""
+    parameters = walk.evaluator.parameters
+    if not np.isfinite(parameters.upper - parameters.lower).all():
+        return []
+    return [parameters.lower + parameters.upper - main.origin.evaluation.theta]
+
+
+def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch | None:
+    """The branch of the optimum that `start` leads to, if that is likely and not known."""
+    glance = minimise(
+        walk.evaluator,
+        start,
+        tolerance=GLANCE_TOLERANCE * walk.threshold,
+        most_steps=GLANCE_STEPS,
+    )
+    if glance.evaluation.deviance - walk.lowest > NEAR * walk.threshold:
+        return None
+    point = _point(walk, glance.evaluation.theta)
+    if point is None or _is_known(walk, branches, point):
+        return None
+    found = minimise(walk.evaluator, glance.evaluation.theta, tolerance=AT_END * walk.threshold)
+    walk.note(found.evaluation)
+    point = _point(walk, found.evaluation.theta)
+    if point is None or walk.delta(point) >= walk.threshold or _is_known(walk, branches, point):
+        return None
+    return walk_branch(walk, point)
+
+
+def _point(walk: Walk, theta: Array) -> Point | None:
+    """The point of a profile at theta, no fit being made; None where there is no prediction."""
+    value, _ = walk.quantity.evaluate(theta)
+    if not np.isfinite(value):
+        return None
+    solved = walk.solve(value, theta, tolerance=np.inf)
+    return as_point(solved) if solved.evaluation.is_finite else None
+
+
+def _is_known(walk: Walk, branches: Sequence[Branch], point: Point) -> bool:
+    """Whether a point lies on the path of one of the branches, or near its optimum."""
+    for branch in branches:
+        low, high = branch.limits
+        if not low <= point.value <= high:
+            continue
+        near = branch.nearest(point.value)
+        expected = walk.start(point.value, near, None)
+        moved = point.evaluation.jacobian @ (point.evaluation.theta - expected)
+        if float(moved @ moved) < JUMP * walk.threshold:
+            return True
+    return False

@@ -1,0 +1,148 @@
+"""What the walked branches of a profile say together."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import scipy.stats
+
+from identknee.calibrate.scales import typical_steps
+from identknee.identify.hermite import cubic
+from identknee.identify.profile_march import AT_END, FLAT
+from identknee.identify.profile_result import Interval, Profile, Side, SideStatus, Verdict
+from identknee.identify.profile_search import Branch
+from identknee.identify.profile_walk import Point, Walk
+from identknee.runs.arrays import Array
+
+# Singular values below this part of the largest, parameters in typical steps, are none.
+RANK_TOLERANCE = 1e-9
+# Of the quantity's gradient: what may lie in directions that the data do not see.
+UNSEEN = 1e-3
+UNDECIDED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
+
+
+def assembled(
+    walk: Walk,
+    branches: Sequence[Branch],
+    *,
+    level: float,
+    better_optimum: Array | None,
+    n_restarts: int,
+) -> Profile:
+    """The profile that the branches make together: their lower envelope and their union.
+
+    Parameters
+    ----------
+    walk
+        The quantity and the threshold.
+    branches
+        That of the optimum first.
+    level
+        Confidence level that the threshold stands for.
+    better_optimum, n_restarts
+        The optimum, where it is not the one given, and how often the profile was started over.
+    """
+    origin = branches[0].origin
+    intervals = _union([x.limits for x in branches])
+    sides = (
+        min(branches, key=lambda x: x.limits[0]).lower.side,
+        max(branches, key=lambda x: x.limits[1]).upper.side,
+    )
+    curve = _envelope(walk, branches)
+    return Profile(
+        name=walk.quantity.name,
+        unit=walk.quantity.unit,
+        level=level,
+        threshold=walk.threshold,
+        optimum=origin.evaluation.theta,
+        optimum_value=origin.value,
+        deviance=walk.lowest,
+        values=np.array([x.value for x, _ in curve]),
+        thetas=np.array([x.evaluation.theta for x, _ in curve]),
+        deltas=np.array([walk.delta(x) for x, _ in curve]),
+        slopes=np.array([x.slope for x, _ in curve]),
+        branches=np.array([k for _, k in curve]),
+        intervals=intervals,
+        lower_side=sides[0],
+        upper_side=sides[1],
+        verdict=_verdict(walk, origin, sides, intervals),
+        practical_level=min(_level(x, level, walk.threshold) for x in sides),
+        n_simulations=walk.evaluator.n_simulations,
+        better_optimum=better_optimum,
+        n_restarts=n_restarts,
+    )
+
+
+def _union(limits: Sequence[tuple[float, float]]) -> tuple[Interval, ...]:
+    merged: list[tuple[float, float]] = []
+    for low, high in sorted(limits):
+        if merged and low <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(merged[-1][1], high))
+        else:
+            merged.append((low, high))
+    return tuple(
+        (low if np.isfinite(low) else None, high if np.isfinite(high) else None)
+        for low, high in merged
+    )
+
+
+def _envelope(walk: Walk, branches: Sequence[Branch]) -> list[tuple[Point, int]]:
+    """Points from low to high values with their branch, without those above another branch."""
+    kept: list[tuple[Point, int]] = []
+    for k, branch in enumerate(branches):
+        others = [x for x in branches if x is not branch]
+        for point in branch.points:
+            height = walk.delta(point) - AT_END * walk.threshold
+            if all(_height(walk, other, point.value) >= height for other in others):
+                kept.append((point, k))
+    kept.sort(key=lambda x: x[0].value)
+    places = [x[0].value for x in kept]
+    return [x for i, x in enumerate(kept) if i == 0 or places[i] > places[i - 1]]
+
+
+def _height(walk: Walk, branch: Branch, value: float) -> float:
+    """Rise of the deviance of a branch at a value, infinite outside of what was walked."""
+    for left, right in pairwise(branch.points):
+        if left.value <= value <= right.value and left.value < right.value:
+            return cubic(
+                value,
+                (left.value, walk.delta(left), left.slope),
+                (right.value, walk.delta(right), right.slope),
+            )
+    return np.inf
+
+
+def _verdict(
+    walk: Walk, origin: Point, sides: tuple[Side, Side], intervals: tuple[Interval, ...]
+) -> Verdict:
+    if len(intervals) > 1:
+        return Verdict.MULTIMODAL
+    if any(x.status in UNDECIDED for x in sides):
+        return Verdict.UNDETERMINED
+    n_closed = sum(x.status is SideStatus.CLOSED for x in sides)
+    if n_closed == 2:
+        return Verdict.IDENTIFIABLE
+    if n_closed == 1:
+        return Verdict.ONE_SIDED
+    is_flat = all(x.max_deviance <= FLAT * walk.threshold for x in sides)
+    if is_flat and _is_unseen(walk, origin):
+        return Verdict.STRUCTURALLY_SUSPECT
+    return Verdict.PRACTICALLY_NONIDENTIFIABLE
+
+
+def _is_unseen(walk: Walk, origin: Point) -> bool:
+    """Whether the quantity changes along a direction in which no residual does."""
+    scales = typical_steps(walk.evaluator.parameters)
+    gradient = walk.quantity.evaluate(origin.evaluation.theta)[1] * scales
+    matrix = origin.evaluation.jacobian * scales
+    padded = np.vstack([matrix, np.zeros((matrix.shape[1], matrix.shape[1]))])
+    _, size, directions = np.linalg.svd(padded, full_matrices=False)
+    unseen = directions[size <= RANK_TOLERANCE * max(size[0], 1e-300)] @ gradient
+    return bool(np.linalg.norm(unseen) > UNSEEN * np.linalg.norm(gradient))
+
+
+def _level(side: Side, level: float, threshold: float) -> float:
+    if side.status is SideStatus.CLOSED:
+        return level
+    law = scipy.stats.chi2(1)
+    return float(law.cdf(side.max_deviance * law.ppf(level) / threshold))

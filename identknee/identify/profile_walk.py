@@ -1,0 +1,170 @@
+"""The points of a profile, and what one tells of the next."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.identify.constrained import MAX_STEPS, TOLERANCE, Constrained, solve_constrained
+from identknee.identify.evaluation import Evaluation, Evaluator
+from identknee.identify.quantity import ParameterQuantity, Quantity
+from identknee.runs.arrays import Array, BoolArray
+
+# Of the threshold: a lower deviance than the optimum's by more than this starts a profile over.
+BETTER = 1e-4
+# How much farther than the last step the path may be extended by its curvature.
+FARTHEST = 2.5
+
+
+class BetterFound(Exception):  # noqa: N818 - not an error: a profile met a better fit
+    """Raised where a profile meets a point clearly lower than its optimum."""
+
+    def __init__(self, theta: Array) -> None:
+        super().__init__(theta)
+        self.theta = theta
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Point:
+    """One constrained fit on a profile.
+
+    Attributes
+    ----------
+    value
+        The quantity.
+    evaluation
+        The simulation there.
+    slope
+        Derivative of the lowest deviance by the value.
+    tangent
+        Derivative of theta by the value, shape ``(n,)``.
+    is_held
+        Parameters on a bound, shape ``(n,)``.
+    """
+
+    value: float
+    evaluation: Evaluation
+    slope: float
+    tangent: Array
+    is_held: BoolArray
+
+    @property
+    def curvature(self) -> float:
+        """Half the second derivative of the deviance by the value, by Gauss and Newton."""
+        change = self.evaluation.jacobian @ self.tangent
+        return float(change @ change)
+
+
+class Walk:
+    """What all points of a profile share: the quantity, the threshold and the lowest deviance.
+
+    Parameters
+    ----------
+    evaluator
+        Of residuals in units of their noise.
+    quantity
+        What is profiled.
+    threshold
+        Rise of the deviance that bounds the set.
+    lowest
+        Deviance at the optimum; a slightly lower one met later takes its place.
+    """
+
+    def __init__(
+        self, evaluator: Evaluator, quantity: Quantity, threshold: float, lowest: float
+    ) -> None:
+        self.evaluator = evaluator
+        self.quantity = quantity
+        self.threshold = threshold
+        self.lowest = lowest
+        self.is_final = False
+        parameters = evaluator.parameters
+        self.limits = (-np.inf, np.inf)
+        if isinstance(quantity, ParameterQuantity):
+            i = quantity.index
+            self.limits = (float(parameters.lower[i]), float(parameters.upper[i]))
+
+    def delta(self, point: Point) -> float:
+        """How far the deviance of a point is above the lowest."""
+        return point.evaluation.deviance - self.lowest
+
+    def solve(
+        self,
+        value: float,
+        start: Array,
+        *,
+        tolerance: float = TOLERANCE,
+        most_steps: int = MAX_STEPS,
+    ) -> Constrained:
+        """The constrained fit at a value.
+
+        Raises
+        ------
+        BetterFound
+            If it is clearly better than the optimum.
+        """
+        solved = solve_constrained(
+            self.evaluator,
+            start,
+            quantity=self.quantity,
+            target=value,
+            tolerance=tolerance,
+            most_steps=most_steps,
+        )
+        self.note(solved.evaluation)
+        return solved
+
+    def note(self, evaluation: Evaluation) -> None:
+        """Compare a fit with the optimum.
+
+        Raises
+        ------
+        BetterFound
+            If it is clearly better.
+        """
+        if not self.is_final and evaluation.deviance < self.lowest - BETTER * self.threshold:
+            raise BetterFound(evaluation.theta)
+        self.lowest = min(self.lowest, evaluation.deviance)
+
+    def start(self, value: float, last: Point, other: Point | None) -> Array:
+        """Theta expected at a value: along the tangent of `last`, bent toward `other`, (n,)."""
+        step = value - last.value
+        theta = last.evaluation.theta + last.tangent * step
+        if other is not None and abs(step) <= FARTHEST * abs(other.value - last.value):
+            back = other.value - last.value
+            bend = other.evaluation.theta - last.evaluation.theta - last.tangent * back
+            theta = theta + bend * (step / back) ** 2
+        parameters = self.evaluator.parameters
+        return np.asarray(np.clip(theta, parameters.lower, parameters.upper))
+
+
+def as_point(solved: Constrained) -> Point:
+    """The point of a profile that a constrained fit is."""
+    return Point(
+        value=solved.value,
+        evaluation=solved.evaluation,
+        slope=solved.multiplier,
+        tangent=solved.tangent,
+        is_held=solved.is_held,
+    )
+
+
+def step_to(rise: float, slope: float, curvature: float) -> float:
+    """How far a parabola goes before it has risen; infinite where it never does.
+
+    Parameters
+    ----------
+    rise
+        How much higher, > 0.
+    slope, curvature
+        First derivative, and half the second, >= 0.
+
+    Examples
+    --------
+    >>> step_to(4.0, 0.0, 1.0)
+    2.0
+    """
+    root = np.sqrt(slope**2 + 4.0 * curvature * rise)
+    # The form without a difference of nearly equal numbers.
+    if slope >= 0:
+        return float(2.0 * rise / (slope + root)) if slope + root > 0 else np.inf
+    return float((root - slope) / (2.0 * curvature)) if curvature > 0 else np.inf

@@ -1,0 +1,159 @@
+"""Profiles of several quantities, resumable and on any executor."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from functools import partial
+from typing import Any, TypedDict, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.calibrate.problem import Problem
+from identknee.identify.profile import profile
+from identknee.identify.profile_result import Profile, Side, SideStatus, Verdict
+from identknee.identify.quantity import ParameterQuantity, Quantity
+from identknee.runs.arrays import Array
+from identknee.runs.executors import Executor, serial
+from identknee.runs.resume import resumable_map
+from identknee.runs.store import Store
+
+MOST_ROUNDS = 3
+
+
+class ProfileSettings(TypedDict, total=False):
+    """What is passed on to each `profile`, by the same names."""
+
+    level: float
+    threshold: float | None
+    budget: int
+    starts: ArrayLike
+
+
+def profile_parameters(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    names: Sequence[str] | None = None,
+    *,
+    executor: Executor = serial,
+    store: Store | None = None,
+    **settings: Unpack[ProfileSettings],
+) -> tuple[Profile, ...]:
+    """One profile for each parameter, in their order.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise; picklable if `executor` runs processes.
+    optimum_theta
+        The best fit known, shape ``(n,)``.
+    names
+        Which parameters; all if None.
+    executor
+        Anything with an ordered ``map``.
+    store
+        Where finished profiles are kept; from `identknee.runs.resume.open_work`.
+    settings
+        Those of `profile`: ``level, threshold, budget, starts``.
+
+    Raises
+    ------
+    ValueError
+        If a name is not a parameter's, or as `profile` does.
+    """
+    parameters = problem.parameters
+    chosen = parameters.names if names is None else names
+    quantities = [ParameterQuantity(parameters=parameters, name=name) for name in chosen]
+    return profile_quantities(
+        problem, optimum_theta, quantities, executor=executor, store=store, **settings
+    )
+
+
+def profile_quantities(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    quantities: Sequence[Quantity],
+    *,
+    executor: Executor = serial,
+    store: Store | None = None,
+    **settings: Unpack[ProfileSettings],
+) -> tuple[Profile, ...]:
+    """One profile for each quantity, in their order, all from the same optimum.
+
+    Where one of them meets a better fit, all are walked again from the best that was met, at most
+    three times.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise; picklable, as the quantities, if `executor` runs
+        processes.
+    optimum_theta
+        The best fit known, shape ``(n,)``.
+    quantities
+        What to profile, over the same parameters.
+    executor
+        Anything with an ordered ``map``.
+    store
+        Where finished profiles are kept; from `identknee.runs.resume.open_work`.
+    settings
+        Those of `profile`: ``level, threshold, budget, starts``.
+    """
+    theta = np.asarray(optimum_theta, dtype=np.float64)
+    found: tuple[Profile, ...] = ()
+    for round_ in range(MOST_ROUNDS if quantities else 0):
+        kept = resumable_map(
+            partial(_profiled, problem, theta, settings),
+            list(quantities),
+            executor=executor,
+            store=store,
+            name=f"profile round {round_}",
+            description="profiling",
+        )
+        found = tuple(profile_from_plain(x) for x in kept)
+        better = _better_of_all(found)
+        if better is None:
+            break
+        theta = better
+    return found
+
+
+def profile_to_plain(of: Profile) -> dict[str, Any]:
+    """A profile in types that JSON has, for `profile_from_plain`."""
+    plain = {x.name: getattr(of, x.name) for x in fields(of)}
+    for name in ("lower_side", "upper_side"):
+        side: Side = plain[name]
+        plain[name] = {x.name: getattr(side, x.name) for x in fields(side)}
+        plain[name]["status"] = side.status.value
+    return {**plain, "verdict": of.verdict.value}
+
+
+def profile_from_plain(plain: Mapping[str, Any]) -> Profile:
+    """The profile that `profile_to_plain` took apart, after a way through JSON."""
+    whole = dict(plain)
+    for name in ("lower_side", "upper_side"):
+        side = dict(whole[name])
+        side["status"] = SideStatus(side["status"])
+        side["at_bounds"] = tuple(side["at_bounds"])
+        whole[name] = Side(**side)
+    whole["verdict"] = Verdict(whole["verdict"])
+    whole["intervals"] = tuple((low, high) for low, high in whole["intervals"])
+    better = whole["better_optimum"]
+    whole["better_optimum"] = None if better is None else np.array(better)
+    return Profile(**whole)
+
+
+def _profiled(
+    problem: Problem, theta: Array, settings: ProfileSettings, quantity: Quantity
+) -> dict[str, Any]:
+    return profile_to_plain(profile(problem, theta, quantity, **settings))
+
+
+def _better_of_all(found: Sequence[Profile]) -> Array | None:
+    """The lowest of the better optima met; None if none was or all profiles stand on it."""
+    lowest = min(found, key=lambda x: x.deviance)
+    if lowest.better_optimum is None:
+        return None
+    # A hundredth of what would start one profile over.
+    if all(x.deviance <= lowest.deviance + 1e-6 * lowest.threshold for x in found):
+        return None
+    return np.array(lowest.better_optimum)

@@ -1,0 +1,438 @@
+"""The posterior by sampling: independent ensembles of walkers, until one gate is passed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.calibrate.problem import Problem
+from identknee.identify.chains import autocorrelation, quantile_error
+from identknee.identify.ensembles import (
+    Block,
+    Ensemble,
+    advanced,
+    optimum_near_prior,
+    started,
+)
+from identknee.identify.evaluation import evaluate
+from identknee.identify.gate import Gate, SampleOutcome, StopRule, check
+from identknee.identify.moves import MOVES
+from identknee.identify.posterior import (
+    ExcludedMass,
+    LogPosterior,
+    excluded_mass,
+    from_working,
+    inside,
+    log_prior_working,
+    prior_draws,
+)
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.executors import Executor, serial
+from identknee.runs.record import Record, record
+from identknee.runs.resume import resumable_map
+from identknee.runs.store import Store
+
+BUDGET = 400_000
+STEPS = 25
+PRIOR_DRAWS = 400
+PRIOR_CHUNK = 50
+QUANTILES = (0.025, 0.5, 0.975)
+# Draws further apart than the lag where the autocorrelation falls below this count as independent.
+INDEPENDENT = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Posterior:
+    """A sample of the posterior, with all that says whether it can be trusted.
+
+    Attributes
+    ----------
+    parameters
+        The parameters, in the order of theta.
+    samples
+        Theta of every step of every walker, burn-in included, shape
+        ``(ensembles, walkers, steps, n)``.
+    log_likelihood
+        Minus half the deviance, shape ``(ensembles, walkers, steps)``.
+    gates
+        The numbers of every check, in their order; the last one decided.
+    outcome
+        How sampling ended.
+    prior
+        Draws of the prior within the bounds, shape ``(draws, n)``.
+    excluded
+        How much of the prior the posterior cannot reach.
+    optima
+        What the walkers started around, shape ``(k, n)``.
+    n_simulations
+        All simulations: fits, starts, steps, and the draws of the prior.
+    n_walk_simulations
+        Those of the steps alone.
+    seed
+        Of all random numbers.
+    record
+        The call, its settings and the time.
+    """
+
+    parameters: Parameters
+    samples: Array
+    log_likelihood: Array
+    gates: tuple[Gate, ...]
+    outcome: SampleOutcome
+    prior: Array
+    excluded: ExcludedMass
+    optima: Array
+    n_simulations: int
+    n_walk_simulations: int
+    seed: int
+    record: Record
+
+    def __post_init__(self) -> None:
+        n = self.parameters.n
+        samples = frozen(self.samples, None, None, None, n, name="samples")
+        object.__setattr__(self, "samples", samples)
+        likelihood = frozen(self.log_likelihood, *samples.shape[:3], name="log_likelihood")
+        object.__setattr__(self, "log_likelihood", likelihood)
+        object.__setattr__(self, "prior", frozen(self.prior, None, n, name="prior"))
+        object.__setattr__(self, "optima", frozen(self.optima, None, n, name="optima"))
+
+    @property
+    def gate(self) -> Gate:
+        """The last check.
+
+        Raises
+        ------
+        ValueError
+            If sampling never began.
+        """
+        if not self.gates:
+            raise ValueError(f"there is no sample: {self.outcome.sentence}")
+        return self.gates[-1]
+
+    @property
+    def kept(self) -> Array:
+        """Samples after burn-in, shape ``(ensembles, walkers, steps, n)``."""
+        return self.samples[:, :, self.gate.burn_in :]
+
+    @property
+    def mean(self) -> Array:
+        """Posterior mean of each parameter, shape ``(n,)``."""
+        return np.asarray(self.kept.mean(axis=(0, 1, 2)))
+
+    @property
+    def sd(self) -> Array:
+        """Posterior standard deviation of each parameter, shape ``(n,)``."""
+        return np.asarray(self.kept.std(axis=(0, 1, 2), ddof=1))
+
+    def quantiles(self, probabilities: ArrayLike = QUANTILES) -> Array:
+        """Posterior quantiles of each parameter, shape ``(n, k)``."""
+        return np.asarray(np.quantile(self.kept, np.asarray(probabilities), axis=(0, 1, 2)).T)
+
+    def quantile_errors(self, probabilities: Sequence[float] = QUANTILES) -> Array:
+        """Monte Carlo standard errors of the quantiles, shape ``(n, k)``."""
+        each = [self.kept[..., i] for i in range(self.parameters.n)]
+        return np.array([[quantile_error(x, p) for p in probabilities] for x in each])
+
+    def independent(self, n_draws: int) -> IntArray:
+        """Places (ensemble, walker, kept step) of draws as good as independent, ``(n_draws, 3)``.
+
+        They are spread over all ensembles and walkers and lie so many steps apart that the
+        autocorrelation of every parameter has fallen below 0.05.
+
+        Raises
+        ------
+        ValueError
+            If the sample is too short to hold so many.
+        """
+        kept = self.kept
+        n_ensembles, n_walkers, n_steps = kept.shape[:3]
+        apart = max(_spacing(kept[..., i]) for i in range(self.parameters.n))
+        steps = np.arange(n_steps - 1, -1, -apart)
+        places = np.array(
+            [
+                (ensemble, walker, step)
+                for step in steps
+                for walker in range(n_walkers)
+                for ensemble in range(n_ensembles)
+            ]
+        )
+        if len(places) < n_draws:
+            raise ValueError(
+                f"the sample holds {len(places)} independent draws, fewer than the {n_draws} asked "
+                "for; sample longer or ask for fewer"
+            )
+        return np.asarray(places[np.linspace(0, len(places) - 1, n_draws).round().astype(int)])
+
+    def __str__(self) -> str:
+        if not self.gates:
+            return self.outcome.sentence
+        width = max(len(name) for name in self.parameters.names)
+        lines = [f"{'':{width}}  {'mean':>9}  {'sd':>8}  {'2.5 %':>9}  {'97.5 %':>9}"]
+        quantiles = self.quantiles((0.025, 0.975))
+        for i, name in enumerate(self.parameters.names):
+            numbers = f"{self.mean[i]:9.4f}  {self.sd[i]:8.4f}  {quantiles[i, 0]:9.4f}"
+            lines.append(f"{name:{width}}  {numbers}  {quantiles[i, 1]:9.4f}")
+        return "\n".join(
+            [
+                *lines,
+                self.outcome.sentence,
+                str(self.gate),
+                str(self.excluded),
+                f"{self.n_simulations} simulations.",
+            ]
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ensembles:
+    """How many walkers go how far, and how.
+
+    Attributes
+    ----------
+    n_ensembles
+        Independent ensembles, at least 4 for a sample that is to be trusted.
+    n_walkers
+        Walkers of each; twice the parameters, and at least 8, if None.
+    steps
+        Steps between two checks.
+    moves
+        ``"newton"`` uses the exact Jacobian, ``"difference"`` (differential evolution and snooker)
+        and ``"stretch"`` do without.
+    """
+
+    n_ensembles: int = 4
+    n_walkers: int | None = None
+    steps: int = STEPS
+    moves: str = "newton"
+
+    def __post_init__(self) -> None:
+        if self.n_ensembles < 2:
+            raise ValueError(
+                f"at least 2 ensembles are needed to compare them, got {self.n_ensembles}"
+            )
+        if self.steps < 1:
+            raise ValueError(f"a block needs at least 1 step, got {self.steps}")
+        if self.moves not in MOVES:
+            known = ", ".join(sorted(MOVES))
+            raise ValueError(f"there are no moves {self.moves!r}; known are {known}")
+
+    def walkers_for(self, n: int) -> int:
+        """Walkers of an ensemble for so many parameters.
+
+        Raises
+        ------
+        ValueError
+            If fewer than twice the parameters, or an odd number, was asked for.
+        """
+        fewest = max(8, 2 * n)
+        if self.n_walkers is None:
+            return fewest
+        if self.n_walkers < fewest or self.n_walkers % 2:
+            raise ValueError(
+                f"{n} parameters need an even number of at least {fewest} walkers, "
+                f"got {self.n_walkers}"
+            )
+        return self.n_walkers
+
+
+def sample(
+    problem: Problem,
+    *,
+    optima: ArrayLike | None = None,
+    ensembles: Ensembles | None = None,
+    rule: StopRule | None = None,
+    budget: int = BUDGET,
+    seed: int = 0,
+    executor: Executor = serial,
+    store: Store | None = None,
+) -> Posterior:
+    """The posterior of a problem's parameters, sampled until the gate is passed.
+
+    Independent ensembles of walkers start overdispersed around the optima and go on in blocks of
+    steps. After each block one stop rule looks at all of them. Interrupted, the same call with the
+    same store goes on and gives the same sample bit for bit, with any number of workers.
+
+    Parameters
+    ----------
+    problem
+        Its residuals in units of their noise; picklable if `executor` runs processes.
+    optima
+        Where to start: thetas of a basin map, shape ``(k, n)``. If None, the ends of one fit with
+        priors for each ensemble, from draws of the prior.
+    ensembles
+        How many ensembles and walkers, and their moves.
+    rule
+        What the sample must reach.
+    budget
+        Simulations after which sampling ends anyway, at the end of a block.
+    seed
+        Of all random numbers.
+    executor
+        Anything with an ordered ``map``; ensembles are its tasks.
+    store
+        Where finished blocks are kept, from `identknee.runs.resume.open_work`.
+
+    Raises
+    ------
+    ValueError
+        If the optima have the wrong shape or lie outside the bounds, or a setting is out of range.
+        That the model has no prediction around them is not an error: the outcome says it.
+    """
+    ensembles, rule = ensembles or Ensembles(), rule or StopRule()
+    if budget < 1:
+        raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
+    density = LogPosterior(problem=problem)
+    task = Ensemble(
+        density=density,
+        n_walkers=ensembles.walkers_for(density.parameters.n),
+        steps=ensembles.steps,
+        moves=ensembles.moves,
+        seed=seed,
+    )
+    given = None if optima is None else _checked(optima, density.parameters)
+    run = _Run(task, ensembles.n_ensembles, executor, store)
+    recording = record("sample", run.settings(rule, budget), {}, seed)
+    prior, excluded = run.prior()
+    places = run.optima() if given is None else given
+    is_begun = bool(len(places)) and run.begin(places)
+    outcome = run.walk(rule, budget) if is_begun else SampleOutcome.START_FAILED
+    return Posterior(
+        parameters=density.parameters,
+        **run.arrays(),
+        gates=tuple(run.gates),
+        outcome=outcome,
+        prior=prior,
+        excluded=excluded,
+        optima=places,
+        n_simulations=run.n_simulations,
+        n_walk_simulations=run.n_walk_simulations,
+        seed=seed,
+        record=recording.finish(),
+    )
+
+
+class _Run:
+    """The ensembles under way; every part of the work is a resumable map over them."""
+
+    def __init__(
+        self, task: Ensemble, n_ensembles: int, executor: Executor, store: Store | None
+    ) -> None:
+        self._task = task
+        self._n_ensembles = n_ensembles
+        self._executor = executor
+        self._store = store
+        self._states: list[Block] = []
+        shape = (n_ensembles, task.n_walkers, 0)
+        self._chain = np.empty((*shape, task.density.parameters.n))
+        self._log_density = np.empty(shape)
+        self._moved = np.empty(shape, bool)
+        self.gates: list[Gate] = []
+        self.n_simulations = 0
+        self.n_walk_simulations = 0
+
+    def settings(self, rule: StopRule, budget: int) -> dict[str, Any]:
+        return {
+            "n_ensembles": self._n_ensembles,
+            "n_walkers": self._task.n_walkers,
+            "moves": self._task.moves,
+            "block_steps": self._task.steps,
+            "rule": {name: getattr(rule, name) for name in StopRule.__slots__},
+            "budget": budget,
+        }
+
+    def prior(self) -> tuple[Array, ExcludedMass]:
+        """Draws of the prior, and how many have no prediction."""
+        density = self._task.density
+        sequence = np.random.SeedSequence(self._task.seed, spawn_key=(3,))
+        draws = prior_draws(density.parameters, PRIOR_DRAWS, np.random.default_rng(sequence))
+        chunks = np.split(draws, PRIOR_DRAWS // PRIOR_CHUNK)
+        parts = self._map(partial(_are_predicted, density), chunks, "prior")
+        self.n_simulations += PRIOR_DRAWS
+        return draws, excluded_mass(density, np.concatenate(parts).astype(bool))
+
+    def optima(self) -> Array:
+        """Ends of one fit for each ensemble; none where no draw of the prior has a prediction."""
+        numbers = list(range(self._n_ensembles))
+        found = self._map(partial(optimum_near_prior, self._task), numbers, "optima")
+        self.n_simulations += sum(x["n_simulations"] for x in found)
+        thetas = [x["theta"] for x in found if x["theta"] is not None]
+        return np.array(thetas, dtype=np.float64).reshape(-1, self._task.density.parameters.n)
+
+    def begin(self, optima: Array) -> bool:
+        """Whether all walkers of all ensembles found a place to start from."""
+        items = [(number, list(optima)) for number in range(self._n_ensembles)]
+        self._states = self._map(partial(started, self._task), items, "start")
+        self.n_simulations += sum(x["n_simulations"] for x in self._states)
+        return all(x["positions"] is not None for x in self._states)
+
+    def walk(self, rule: StopRule, budget: int) -> SampleOutcome:
+        while True:
+            self._advance(len(self.gates))
+            gate = check(self._chain, self._moved, rule, self.gates)
+            self.gates.append(gate)
+            if gate.is_passed:
+                return SampleOutcome.CONVERGED
+            if gate.stuck.any():
+                return SampleOutcome.STUCK
+            if self.n_simulations >= budget:
+                return SampleOutcome.BUDGET
+
+    def arrays(self) -> dict[str, Array]:
+        parameters = self._task.density.parameters
+        return {
+            "samples": from_working(self._chain, parameters),
+            "log_likelihood": self._log_density - log_prior_working(self._chain, parameters),
+        }
+
+    def _advance(self, block: int) -> None:
+        items = [(number, block, state) for number, state in enumerate(self._states)]
+        found = self._map(partial(advanced, self._task), items, f"block {block:05d}")
+        before = np.array([state["positions"] for state in self._states])
+        chain = np.array([x["chain"] for x in found])
+        path = np.concatenate([before[:, :, None], chain], axis=2)
+        moved = np.any(np.diff(path, axis=2) != 0.0, axis=3)
+        log_density = np.array([x["chain_log_density"] for x in found])
+        self._chain = np.concatenate([self._chain, chain], axis=2)
+        self._log_density = np.concatenate([self._log_density, log_density], axis=2)
+        self._moved = np.concatenate([self._moved, moved], axis=2)
+        self._states = found
+        spent = sum(x["n_simulations"] for x in found)
+        self.n_simulations += spent
+        self.n_walk_simulations += spent
+
+    def _map(self, function: Any, items: Sequence[Any], name: str) -> list[Any]:
+        return resumable_map(
+            function,
+            items,
+            executor=self._executor,
+            store=self._store,
+            name=f"sample {name}",
+            description=f"sampling, {name}",
+        )
+
+
+def _are_predicted(density: LogPosterior, thetas: Array) -> list[bool]:
+    return [evaluate(density.problem, theta).is_finite for theta in thetas]
+
+
+def _checked(optima: ArrayLike, parameters: Parameters) -> Array:
+    places = frozen(optima, None, parameters.n, name="optima")
+    if not len(places):
+        raise ValueError("there are no optima to start from; leave them out to find some")
+    outside = np.flatnonzero(~inside(places, parameters))
+    if outside.size:
+        raise ValueError(
+            f"optimum {int(outside[0])} lies outside the bounds or has no prior density: "
+            f"{places[outside[0]].tolist()}"
+        )
+    return places
+
+
+def _spacing(values: Array) -> int:
+    """Lag at which the autocorrelation has fallen below 0.05."""
+    below = np.flatnonzero(autocorrelation(values) < INDEPENDENT)
+    return int(below[0]) if below.size else values.shape[2]

@@ -1,0 +1,359 @@
+"""Which parameters the outputs of a model depend on, over a box or over given draws."""
+
+import base64
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from identknee.identify.sensitivity_designs import (
+    Box,
+    box_draws,
+    morris_trajectories,
+    saltelli_blocks,
+)
+from identknee.identify.sensitivity_estimators import (
+    Index,
+    levels_of,
+    morris_indices,
+    sobol_indices,
+)
+from identknee.identify.sensitivity_given import (
+    FEWEST_DRAWS,
+    METHODS,
+    converging_indices,
+    leading_component,
+)
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.executors import Executor, serial
+from identknee.runs.resume import resumable_map
+from identknee.runs.store import Store
+
+Method = Literal["morris", "sobol", "delta", "pawn", "hdmr", "shapley"]
+FAILURE = "failure"
+TARGET = 0.02
+DEFAULT_SAMPLES = {"sobol": 1024, "morris": 256}
+DEFAULT_DRAWS = 2048
+RULES = {
+    "sobol": (
+        "an output without a prediction takes its mean over the simulations that have one; "
+        "`complete` uses only blocks without any failure of the output"
+    ),
+    "morris": (
+        "every pair of neighbours that both have a prediction counts; `complete` uses only "
+        "trajectories without any failure of the output"
+    ),
+    "given": "the indices of a group use the draws at which all its outputs have a prediction",
+}
+
+
+class Outputs(Protocol):
+    """What an analysis asks of a model: numbers that follow from theta, in groups."""
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters, in the order of theta."""
+        ...
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The group of each output, shape ``(m,)``; the outputs of a group share their unit."""
+        ...
+
+    def evaluate(self, theta: Array) -> Array:
+        """The outputs at `theta`, shape ``(m,)``; NaN where one has no prediction."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sensitivity:
+    """What a global sensitivity analysis found.
+
+    The last group is ``"failure"``: 1 where any output has no prediction, 0 elsewhere, analysed as
+    an output of its own.
+
+    Attributes
+    ----------
+    method
+        ``"morris"``, ``"sobol"``, ``"delta"``, ``"pawn"``, ``"hdmr"`` or ``"shapley"``.
+    parameters
+        The parameters.
+    groups
+        Names of the groups of outputs, ``"failure"`` last.
+    indices
+        By name: ``S1`` and ``ST``, ``mu_star``, ``mu`` and ``sigma``, ``delta``, ``pawn``, ``Sa``,
+        ``Sb`` and ``ST``, or ``shapley``.
+    failed_share
+        Share of the simulations in which an output of the group has no prediction, shape ``(g,)``.
+    complete_share
+        Share of the blocks, trajectories or draws without such a failure, shape ``(g,)``.
+    component_share
+        Share of the variance of each group's outputs that its analysed leading component has,
+        shape ``(g,)``; 1 for Morris and Sobol, which use all outputs.
+    n_samples
+        Blocks, trajectories or draws.
+    n_simulations
+        Parameter vectors simulated.
+    box
+        Where; None for given draws.
+    seed
+        Of the design and the resampling.
+    """
+
+    method: Method
+    parameters: Parameters
+    groups: tuple[str, ...]
+    indices: Mapping[str, Index]
+    failed_share: Array
+    complete_share: Array
+    component_share: Array
+    n_samples: int
+    n_simulations: int
+    box: Box | None
+    seed: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "indices", MappingProxyType(dict(self.indices)))
+        for name in ("failed_share", "complete_share", "component_share"):
+            values = frozen(getattr(self, name), len(self.groups), name=name)
+            object.__setattr__(self, name, values)
+
+    # A mapping proxy cannot be pickled.
+    def __reduce__(self) -> tuple[Any, ...]:  # type: ignore[explicit-override]
+        """How to pickle a result."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return _from_dict, ({**values, "indices": dict(self.indices)},)
+
+    @property
+    def rule(self) -> str:
+        """What was done about simulations without a prediction."""
+        return RULES.get(self.method, RULES["given"])
+
+    @property
+    def largest_half_width(self) -> Array:
+        """Largest half-width of any index of a group, shape ``(g,)``.
+
+        For Morris as a part of the group's largest mean absolute effect. Infinite for a group whose
+        indices are unknown.
+        """
+        widths = [x.final_half_widths.max(axis=1) for x in self.indices.values()]
+        largest = np.max(np.where(np.isnan(widths), np.inf, widths), axis=0)
+        if self.method != "morris":
+            return np.asarray(largest)
+        size = self.indices["mu_star"].final.max(axis=1)
+        return np.asarray(np.where(size == 0.0, 0.0, largest / np.where(size > 0, size, 1.0)))
+
+    def more_simulations(self, target: float = TARGET) -> Array:
+        """Simulations still missing to a half-width of `target`, shape ``(g,)``.
+
+        Half-widths shrink with the root of the number of samples. Infinite for a group whose
+        indices are unknown.
+
+        Raises
+        ------
+        ValueError
+            If `target` is not above 0.
+        """
+        if not target > 0:
+            raise ValueError(f"the half-width aimed at must be above 0, got {target:g}")
+        times = np.maximum((self.largest_half_width / target) ** 2 - 1.0, 0.0)
+        return np.asarray(np.ceil(self.n_simulations * times))
+
+
+def sensitivity(
+    outputs: Outputs,
+    over: Box | Array,
+    *,
+    method: Method = "sobol",
+    n_samples: int | None = None,
+    seed: int = 0,
+    executor: Executor = serial,
+    store: Store | None = None,
+) -> Sensitivity:
+    """Sensitivity of every group of outputs to every parameter, all from one set of simulations.
+
+    Parameters
+    ----------
+    outputs
+        The model; picklable if `executor` runs processes.
+    over
+        A box, or draws of theta, shape ``(n, p)``, for example from a posterior: thinned, in any
+        order. Morris and Sobol need a box.
+    method
+        ``"morris"``: mean and spread of elementary effects, n (p + 1) simulations. ``"sobol"``:
+        shares of variance, n (p + 2) simulations. ``"delta"`` and ``"pawn"``: distances between
+        distributions. ``"hdmr"`` and ``"shapley"``: shares of variance among correlated parameters.
+        The last four take n simulations and analyse the leading component of each group.
+    n_samples
+        Trajectories (256 if None), blocks (1,024) or draws from the box (2,048). With a larger
+        number the same store goes on from what it holds. Given draws are all used.
+    seed
+        Of design, order and resampling.
+    executor
+        Anything with an ordered ``map``; the result does not depend on it.
+    store
+        Where finished simulations are kept; without one nothing is resumed.
+
+    Raises
+    ------
+    ValueError
+        If the method does not exist or does not fit `over`, there are too few draws, or the number
+        of blocks is not a power of 2. Simulations without a prediction are no error.
+    """
+    given = _checked(outputs, over, method)
+    if isinstance(over, Box) and method in DEFAULT_SAMPLES:
+        n = DEFAULT_SAMPLES[method] if n_samples is None else n_samples
+        design = saltelli_blocks if method == "sobol" else morris_trajectories
+        points = design(over, n, seed)
+    elif isinstance(over, Box):
+        n = DEFAULT_DRAWS if n_samples is None else n_samples
+        points = _enough(box_draws(over, n, seed))[:, None]
+    else:
+        # Draws of a chain come in its order; parts of them should be parts of the whole.
+        points = np.random.default_rng(seed).permutation(_enough(given))[:, None]
+    values = _simulated(outputs, points, method, executor, store)
+    names, groups = _numbered(outputs.groups)
+    found: dict[str, Index]
+    shares = np.ones(len(names))
+    if method == "sobol":
+        found = sobol_indices(values, groups, seed)
+    elif method == "morris" and isinstance(over, Box):
+        unit = (points - over.lower) / (over.upper - over.lower)
+        found = morris_indices(unit, values, groups, seed)
+    else:
+        scores, shares = _scores(values[:, 0], groups)
+        found = _given_indices(
+            partial(converging_indices, method, points[:, 0], seed=seed),
+            scores,
+            executor=executor,
+            store=store,
+            name=f"{method} of {len(points)} draws",
+        )
+    lost = _lost(values, groups)
+    return Sensitivity(
+        method=method,
+        parameters=outputs.parameters,
+        groups=names,
+        indices=found,
+        failed_share=lost.mean(axis=(0, 1)),
+        complete_share=1.0 - lost.any(axis=1).mean(axis=0),
+        component_share=shares,
+        n_samples=len(points),
+        n_simulations=points.shape[0] * points.shape[1],
+        box=over if isinstance(over, Box) else None,
+        seed=seed,
+    )
+
+
+def _checked(outputs: Outputs, over: Box | Array, method: str) -> Array:
+    """Given draws, checked; none for a box."""
+    known = (*DEFAULT_SAMPLES, *METHODS)
+    if method not in known:
+        raise ValueError(f"there is no method {method!r}; the methods are {', '.join(known)}")
+    p = outputs.parameters.n
+    if not isinstance(over, Box):
+        if method in DEFAULT_SAMPLES:
+            raise ValueError(
+                f'"{method}" varies parameters independently and needs a box, not draws; use '
+                f"one of {', '.join(METHODS)} for draws"
+            )
+        return frozen(over, None, p, name="draws")
+    if over.n != p:
+        raise ValueError(f"the box has {over.n} parameters, the model {p}: give one range for each")
+    return np.empty((0, p))
+
+
+def _enough(draws: Array) -> Array:
+    if len(draws) < FEWEST_DRAWS:
+        raise ValueError(
+            f"{len(draws)} draws are too few for distributions: give at least {FEWEST_DRAWS}"
+        )
+    return draws
+
+
+def _simulated(
+    outputs: Outputs, points: Array, method: str, executor: Executor, store: Store | None
+) -> Array:
+    """Outputs at points (n, k, p), shape ``(n, k, m + 1)``, with 1 for a failure in the last."""
+    texts = resumable_map(
+        partial(_packed_outputs, outputs),
+        list(points),
+        executor=executor,
+        store=store,
+        name=method if method in DEFAULT_SAMPLES else "draws",
+        description="simulating",
+    )
+    flat = np.frombuffer(b"".join(base64.b64decode(x) for x in texts), dtype="<f8")
+    values = flat.reshape(*points.shape[:2], len(outputs.groups))
+    failed = ~np.isfinite(values).all(axis=2, keepdims=True)
+    return np.concatenate([np.where(np.isfinite(values), values, np.nan), failed], axis=2)
+
+
+def _packed_outputs(outputs: Outputs, thetas: Array) -> str:
+    """Outputs at each theta as the text of their bytes, a third of the size of their digits."""
+    values = np.array([outputs.evaluate(theta) for theta in thetas], dtype="<f8")
+    return base64.b64encode(values.tobytes()).decode("ascii")
+
+
+def _numbered(groups: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
+    """Names of the groups in order of appearance, and the group of every output and of failure."""
+    names = (*dict.fromkeys(groups), FAILURE)
+    place = {name: i for i, name in enumerate(names)}
+    return names, np.array([*(place[name] for name in groups), len(names) - 1])
+
+
+def _lost(values: Array, groups: IntArray) -> Array:
+    """Whether a simulation lost an output of a group, shape ``(n, k, g)``; any, for failure."""
+    missing = np.isnan(values[:, :, :-1])
+    by_group = [missing[:, :, groups[:-1] == g].any(axis=2) for g in range(int(groups.max()))]
+    return np.stack([*by_group, values[:, :, -1] > 0], axis=2)
+
+
+def _scores(values: Array, groups: IntArray) -> tuple[Array, Array]:
+    """Leading component of each group, shape ``(n, g)``, and its share of the variance."""
+    found = [leading_component(values[:, groups == g]) for g in range(int(groups.max()) + 1)]
+    return np.column_stack([x for x, _ in found]), np.array([share for _, share in found])
+
+
+def _given_indices(
+    indices: Callable[..., Mapping[str, Any]],
+    scores: Array,
+    *,
+    executor: Executor,
+    store: Store | None,
+    name: str,
+) -> dict[str, Index]:
+    """Indices of each column of scores (n, g), a column a task."""
+    levels = levels_of(len(scores), FEWEST_DRAWS)
+    rows = resumable_map(
+        partial(indices, levels=levels),
+        list(scores.T),
+        executor=executor,
+        store=store,
+        name=name,
+        description=name,
+    )
+    found = {}
+    for kind, first in rows[0].items():
+        values, half_widths = (
+            np.stack([np.array(row[kind][part]) for row in rows], axis=1)
+            for part in ("values", "half_widths")
+        )
+        floor = [row[kind]["noise_floor"] for row in rows] if "noise_floor" in first else None
+        found[kind] = Index(
+            levels=levels,
+            values=values,
+            half_widths=half_widths,
+            complete=values[-1],
+            complete_half_widths=half_widths[-1],
+            noise_floor=None if floor is None else np.array(floor),
+        )
+    return found
+
+
+def _from_dict(values: Mapping[str, Any]) -> Sensitivity:
+    return Sensitivity(**values)

@@ -1,0 +1,297 @@
+"""Sensitivity indices from draws as they are, whose parameters may depend on one another.
+
+A posterior's parameters are correlated, and Sobol indices mean nothing there. These indices need no
+design, only draws with their outputs: delta and PAWN compare whole distributions, HDMR splits a
+parameter's share of variance into its own and what it shares with others, and Shapley effects share
+out the variance, shared parts included, so that they add up to what is explained.
+"""
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import combinations
+from math import factorial
+
+import numpy as np
+
+from identknee.identify.sensitivity_estimators import half_width
+from identknee.runs.arrays import Array, IntArray
+
+RESAMPLES = 25
+# The least number of draws that all methods take.
+FEWEST_DRAWS = 300
+DENSITY_POINTS = 100
+PAWN_SLICES = 10
+# Shapley effects need a regression for each of 2^p subsets.
+MOST_SHAPLEY_PARAMETERS = 14
+RIDGE = 1e-10
+GivenIndex = Callable[[Array, Array, int], Mapping[str, Array]]
+
+
+def converging_indices(
+    method: str, draws: Array, scores: Array, levels: IntArray, seed: int
+) -> dict[str, dict[str, Array]]:
+    """Indices of one output at increasing numbers of draws, with half-widths.
+
+    Parameters
+    ----------
+    method
+        One of `METHODS`.
+    draws
+        Parameter vectors, shape ``(n, p)``, in random order.
+    scores
+        The output at each, shape ``(n,)``; NaN where it has none, and these draws are left out.
+    levels
+        Numbers of draws, ascending.
+    seed
+        Of the resampling.
+
+    Returns
+    -------
+    indices
+        By name ``{"values", "half_widths"}``, shape ``(n_levels, p)`` each, and ``"noise_floor"``,
+        the value of an input without influence, where the method has one.
+    """
+    generator = np.random.default_rng(seed)
+    has_floor = method in WITH_NOISE_FLOOR
+    if has_floor:
+        draws = np.column_stack([draws, generator.random(len(draws))])
+    known = np.isfinite(scores)
+    rows: dict[str, list[tuple[Array, Array]]] = {}
+    for level in levels:
+        used = np.flatnonzero(known[:level])
+        for name, pair in _with_half_widths(method, draws[used], scores[used], generator).items():
+            rows.setdefault(name, []).append(pair)
+    found: dict[str, dict[str, Array]] = {}
+    for name, pairs in rows.items():
+        values, half_widths = (np.array(x) for x in zip(*pairs, strict=True))
+        found[name] = {"values": values, "half_widths": half_widths}
+        if has_floor:
+            found[name] = {
+                "values": values[:, :-1],
+                "half_widths": half_widths[:, :-1],
+                "noise_floor": values[-1, -1],
+            }
+    return found
+
+
+def leading_component(outputs: Array) -> tuple[Array, float]:
+    """The one number that tells most of a group of outputs, and its share of their variance.
+
+    Parameters
+    ----------
+    outputs
+        Shape ``(n, m)``, all in one unit; a row with a value that is not finite counts as unknown.
+
+    Returns
+    -------
+    scores
+        The first principal component, shape ``(n,)``, larger where the outputs are larger on the
+        whole; NaN for unknown rows.
+    share
+        Its variance over the sum of the outputs' variances; 1 where nothing varies.
+    """
+    known = np.isfinite(outputs).all(axis=1)
+    scores = np.full(len(outputs), np.nan)
+    if not known.any():
+        return scores, 1.0
+    centred = outputs[known] - outputs[known].mean(axis=0)
+    _, size, right = np.linalg.svd(centred, full_matrices=False)
+    direction = right[0] * (1.0 if right[0].sum() >= 0 else -1.0)
+    scores[known] = centred @ direction
+    total = float(np.sum(size**2))
+    return scores, float(size[0] ** 2) / total if total > 0 else 1.0
+
+
+def delta_index(draws: Array, scores: Array, _seed: int) -> dict[str, Array]:
+    """Borgonovo's delta of every parameter, shape ``(p,)``.
+
+    Half the area between the density of the output and its density given the parameter, on
+    average; 0 without influence, 1 where the parameter decides everything.
+
+    References
+    ----------
+    E. Borgonovo, Reliability Engineering & System Safety 92 (2007) 771-784,
+    doi:10.1016/j.ress.2006.04.015. E. Plischke, E. Borgonovo, C. L. Smith, European Journal of
+    Operational Research 226 (2013) 536-550, equation 26, doi:10.1016/j.ejor.2012.11.047.
+    """
+    from SALib.analyze import delta
+
+    n = len(scores)
+    power = 2.0 / (7.0 + np.tanh((1500.0 - n) / 500.0))
+    edges = np.linspace(0, n, min(int(np.ceil(n**power)), 48) + 1)
+    if len(np.unique(scores)) == 2:
+        return {"delta": np.array([_two_valued_delta(x, scores, edges) for x in draws.T])}
+    grid = np.linspace(scores.min(), scores.max(), DENSITY_POINTS)
+    values = [delta.calc_delta(scores, grid, column, edges) for column in draws.T]
+    return {"delta": np.array(values)}
+
+
+def pawn_index(draws: Array, scores: Array, _seed: int) -> dict[str, Array]:
+    """The PAWN index of every parameter, shape ``(p,)``.
+
+    The median over slices of a parameter of the Kolmogorov-Smirnov distance between the output's
+    distribution and that within the slice.
+
+    References
+    ----------
+    F. Pianosi, T. Wagener, Environmental Modelling & Software 108 (2018) 197-207,
+    doi:10.1016/j.envsoft.2018.07.019.
+    """
+    from SALib.analyze import pawn
+
+    found = pawn.analyze(_description(draws), draws, scores, S=PAWN_SLICES)
+    return {"pawn": np.array(found["median"])}
+
+
+def hdmr_index(draws: Array, scores: Array, seed: int) -> dict[str, Array]:
+    """Shares of variance of every parameter, shape ``(p,)``, from an expansion in its functions.
+
+    ``"Sa"`` is its own, ``"Sb"`` what it shares with correlated parameters (may be negative), and
+    ``"ST"`` their sum with all interactions.
+
+    References
+    ----------
+    G. Li et al., Journal of Physical Chemistry A 114 (2010) 6022-6032, doi:10.1021/jp9096919.
+    Y. Gao, A. Sahin, J. A. Vrugt, Water Resources Research 59 (2023) e2022WR032834,
+    doi:10.1029/2022WR032834.
+    """
+    from SALib.analyze import enhanced_hdmr
+
+    p = draws.shape[1]
+    found = enhanced_hdmr.analyze(
+        _description(draws), draws, scores, bootstrap=1, subset=len(scores), seed=1 + seed
+    )
+    return {name: np.array(found[name][:p], dtype=np.float64) for name in ("Sa", "Sb", "ST")}
+
+
+def shapley_index(draws: Array, scores: Array, _seed: int) -> dict[str, Array]:
+    """Shapley effects of every parameter, shape ``(p,)``, whatever their correlations.
+
+    The variance that a subset of parameters explains is that of the best quadratic function of
+    them, adjusted for the number of its terms. The effects are exact for linear functions of
+    Gaussian parameters; their sum says how much of the variance quadratic functions explain.
+
+    Raises
+    ------
+    ValueError
+        If there are more than 14 parameters: the number of subsets is 2^p.
+
+    References
+    ----------
+    A. B. Owen, SIAM/ASA Journal on Uncertainty Quantification 2 (2014) 245-251,
+    doi:10.1137/130936233. B. Iooss, C. Prieur, International Journal for Uncertainty Quantification
+    9 (2019) 493-514, doi:10.1615/Int.J.UncertaintyQuantification.2019028372.
+    """
+    p = draws.shape[1]
+    if p > MOST_SHAPLEY_PARAMETERS:
+        raise ValueError(
+            f"Shapley effects of {p} parameters need 2^{p} regressions; hold some fixed so that at "
+            f'most {MOST_SHAPLEY_PARAMETERS} remain, or use "delta"'
+        )
+    explained = _explained_by_subset(draws, scores)
+    effects = np.zeros(p)
+    for subset in explained:
+        for i in set(range(p)) - set(subset):
+            weight = factorial(len(subset)) * factorial(p - len(subset) - 1) / factorial(p)
+            joined = tuple(sorted((*subset, i)))
+            effects[i] += weight * (explained[joined] - explained[subset])
+    return {"shapley": effects}
+
+
+METHODS: Mapping[str, GivenIndex] = {
+    "delta": delta_index,
+    "pawn": pawn_index,
+    "hdmr": hdmr_index,
+    "shapley": shapley_index,
+}
+# Distances between distributions estimated from few draws are never zero.
+WITH_NOISE_FLOOR = ("delta", "pawn")
+# Whose bootstrap says how much too large the estimate is (Plischke 2013, equation 30).
+BIAS_REDUCED = ("delta",)
+
+
+def _with_half_widths(
+    method: str, draws: Array, scores: Array, generator: np.random.Generator
+) -> dict[str, tuple[Array, Array]]:
+    """Index and half-width by name, shape ``(p,)`` each; zero where the output is constant."""
+    n, index = len(scores), METHODS[method]
+    seeds = generator.integers(2**31, size=1 + RESAMPLES)
+    rows = generator.integers(max(n, 1), size=(RESAMPLES, n))
+    if n < FEWEST_DRAWS or np.ptp(scores) == 0.0:
+        # An output that never changes depends on nothing; the names come from any output.
+        dummy = np.random.default_rng(0).random((FEWEST_DRAWS, 1 + draws.shape[1]))
+        nothing = np.full(draws.shape[1], 0.0 if n >= FEWEST_DRAWS else np.nan)
+        with _quiet():
+            names = tuple(index(dummy[:, 1:], dummy[:, 0], 0))
+        return dict.fromkeys(names, (nothing, nothing))
+    with _quiet():
+        found = index(draws, scores, int(seeds[0]))
+        again = [
+            index(draws[chosen], scores[chosen], int(seed))
+            for chosen, seed in zip(rows, seeds[1:], strict=True)
+        ]
+    pairs = {}
+    for name, values in found.items():
+        resampled = np.array([x[name] for x in again])
+        if method in BIAS_REDUCED:
+            values = 2.0 * values - resampled.mean(axis=0)
+        pairs[name] = (np.asarray(values), half_width(resampled))
+    return pairs
+
+
+def _two_valued_delta(column: Array, scores: Array, edges: Array) -> float:
+    """Delta of an output that is one of two values, whose densities are shares."""
+    is_high = scores == scores.max()
+    rank = np.argsort(np.argsort(column, kind="stable"), kind="stable") + 1
+    classes = np.searchsorted(edges, rank, side="left") - 1
+    count = np.bincount(classes, minlength=len(edges) - 1)
+    high = np.bincount(classes, weights=is_high, minlength=len(edges) - 1)
+    apart = np.abs(high / np.maximum(count, 1) - is_high.mean())
+    return float(np.sum(count * apart) / len(scores))
+
+
+def _explained_by_subset(draws: Array, scores: Array) -> dict[tuple[int, ...], float]:
+    """Share of the variance explained by a quadratic function of each subset of parameters."""
+    n, p = draws.shape
+    standard = (draws - draws.mean(axis=0)) / draws.std(axis=0)
+    pairs = [(i, j) for i in range(p) for j in range(i, p)]
+    terms = np.column_stack([standard, *(standard[:, i] * standard[:, j] for i, j in pairs)])
+    terms -= terms.mean(axis=0)
+    centred = scores - scores.mean()
+    total = float(centred @ centred)
+    gram, projected = terms.T @ terms / n, terms.T @ centred / n
+    gram[np.diag_indices_from(gram)] *= 1.0 + RIDGE
+    owners = [{i} for i in range(p)] + [{i, j} for i, j in pairs]
+    explained: dict[tuple[int, ...], float] = {(): 0.0}
+    for size in range(1, p + 1):
+        for subset in combinations(range(p), size):
+            of = [k for k, owner in enumerate(owners) if owner <= set(subset)]
+            weights = np.linalg.solve(gram[np.ix_(of, of)], projected[of])
+            share = n * float(projected[of] @ weights) / total
+            explained[subset] = 1.0 - (1.0 - share) * (n - 1) / (n - 1 - len(of))
+    return explained
+
+
+def _description(draws: Array) -> dict[str, object]:
+    """What SALib wants to know, fresh each time because it writes into it."""
+    p = draws.shape[1]
+    return {
+        "num_vars": p,
+        "names": [f"x{i}" for i in range(p)],
+        "bounds": [[float(x.min()), float(x.max())] for x in draws.T],
+    }
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """SALib's warnings and its seeding of numpy's global generator kept from the caller."""
+    state = np.random.get_state()  # noqa: NPY002 - to put it back
+    formatting = warnings.formatwarning
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        warnings.formatwarning = formatting
+        np.random.set_state(state)  # noqa: NPY002

@@ -1,0 +1,64 @@
+"""A share counted in a sample, with its exact confidence limits."""
+
+from dataclasses import dataclass
+
+from scipy.stats import binomtest
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Share:
+    """A share of a sample, with Clopper-Pearson limits of the share of all.
+
+    Attributes
+    ----------
+    count, n
+        How many of how many.
+    lower, upper
+        Limits at 95 % confidence; 0 and 1 where the sample is empty.
+    """
+
+    count: int
+    n: int
+    lower: float
+    upper: float
+
+    @property
+    def value(self) -> float:
+        """The share in the sample; NaN where that is empty."""
+        return self.count / self.n if self.n else float("nan")
+
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """Count and limits, for people."""
+        if not self.n:
+            return "none of none"
+        limits = f"95 %: {100 * self.lower:.1f} to {100 * self.upper:.1f} %"
+        return f"{self.count} of {self.n}, {100 * self.value:.1f} % ({limits})"
+
+
+def share(count: int, n: int) -> Share:
+    """The share `count` of `n`, with its limits.
+
+    Raises
+    ------
+    ValueError
+        If `count` is not from 0 to `n`.
+
+    References
+    ----------
+    .. [1] Clopper and Pearson (1934), Biometrika 26(4), 404-413.
+           https://doi.org/10.1093/biomet/26.4.404
+
+    Examples
+    --------
+    >>> print(share(0, 100))
+    0 of 100, 0.0 % (95 %: 0.0 to 3.6 %)
+    """
+    if not 0 <= count <= n:
+        raise ValueError(f"a share must be from 0 to {n} of {n}, got {count}")
+    if n == 0:
+        return Share(count=0, n=0, lower=0.0, upper=1.0)
+    limits = binomtest(count, n).proportion_ci(LEVEL, method="exact")
+    return Share(count=count, n=n, lower=float(limits.low), upper=float(limits.high))

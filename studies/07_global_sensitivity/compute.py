@@ -1,0 +1,221 @@
+"""Slow part of the study: global sensitivity of laxity over a box and over a posterior.
+
+Writes ``records/global_sensitivity.json``. Finished simulations are kept in stores outside the
+checkout, so that the same command resumes where it was stopped.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import platformdirs
+
+from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import WithPriors
+from identknee.calibrate.starts import named_start
+from identknee.identify.sensitivity import Method, Sensitivity, sensitivity
+from identknee.identify.sensitivity_designs import Box, box_around
+from identknee.laxity.noise import add_noise
+from identknee.laxity.protocol import load_protocol
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_outputs import LaxityOutputs
+from identknee.model.residuals import LaxityResiduals
+from identknee.report.sensitivity_groups import laxity_groups
+from identknee.report.study_records import (
+    knee_digest,
+    record_head,
+    rounded,
+    study_knee,
+    write_record,
+)
+from identknee.runs.arrays import Array
+from identknee.runs.executors import Executor, process_pool
+from identknee.runs.files import digest
+from identknee.runs.resume import open_work
+from identknee.subject.knee import Knee
+
+HERE = Path(__file__).parent
+RECORD = HERE / "records" / "global_sensitivity.json"
+COMMAND = "python studies/07_global_sensitivity/compute.py"
+TRUTH = "IG1"  # Table 1 of the paper: its first initial guess is the reference itself.
+# Blocks, trajectories, draws: in full on the reference knee, a fifth or so on the real one.
+KNEES = {
+    "reference": {"sobol": 8192, "morris": 512, "draws": 2000},
+    "lenhart2015_stable": {"sobol": 2048, "morris": 128, "draws": 1000},
+}
+QUICK = {"sobol": 32, "morris": 8, "draws": 300}
+OVER_BOX: tuple[Method, ...] = ("sobol", "morris")
+OVER_POSTERIOR: tuple[Method, ...] = ("delta", "pawn", "hdmr", "shapley")
+NOISE_MM, NOISE_DEG = 0.5, 0.5
+SEED = 7
+DIGITS = 4
+Row = dict[str, Any]
+
+
+def main() -> None:
+    """Compute what the stores do not hold yet and write the record."""
+    options = parsed_options()
+    knees = {name: knee for name in KNEES if (knee := study_knee(name)) is not None}
+    if options.quick:
+        knees = {"reference": knees["reference"]}
+    numbers = {name: QUICK if options.quick else KNEES[name] for name in knees}
+    record: Row = {
+        "head": record_head(
+            COMMAND + (" --quick" if options.quick else ""),
+            settings={
+                "numbers": numbers,
+                "noise_mm": NOISE_MM,
+                "noise_deg": NOISE_DEG,
+                "seed": SEED,
+                "workers": options.workers,
+            },
+            inputs={name: knee_digest(knee) for name, knee in knees.items()},
+        ),
+        "missing_knees": sorted(set(KNEES) - set(knees)),
+        "knees": {},
+    }
+    with process_pool(options.workers) as executor:
+        for name, knee in knees.items():
+            record["knees"][name] = {}
+            for row in analysed(knee, numbers[name], options.store, executor):
+                record["knees"][name].update(row)
+                write_record(options.record, record)
+    say(f"written: {options.record.name}")
+
+
+def parsed_options() -> argparse.Namespace:
+    """What was asked for on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    store = platformdirs.user_cache_path("identknee") / "studies" / "global_sensitivity"
+    parser.add_argument("--store", type=Path, default=store, help="folder of finished simulations")
+    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--quick", action="store_true", help="few simulations of one knee")
+    return parser.parse_args()
+
+
+def analysed(knee: Knee, numbers: dict[str, int], folder: Path, executor: Executor) -> Any:
+    """Parts of the record of one knee, as they are done."""
+    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    truth = named_start(TRUTH, model.parameters)
+    outputs = LaxityOutputs(
+        model=model,
+        groups=laxity_groups(model.protocol),
+        free=tuple(range(model.parameters.n)),
+        at=truth,
+    )
+    box = box_around(model.parameters, truth)
+    yield {
+        "parameters": list(model.parameters.names),
+        "box": rounded({"lower": box.lower, "upper": box.upper}),
+    }
+    draws = posterior_draws(model, truth, numbers["draws"])
+    yield {"posterior": posterior_row(draws)}
+    about = {"knee": knee_digest(knee), "truth": truth, "seed": SEED}
+    for method in (*OVER_BOX, *OVER_POSTERIOR):
+        over: Box | Array = box if method in OVER_BOX else draws
+        began = time.perf_counter()
+        with open_work(folder / f"{knee.name}_{kind(over)}.sqlite", work(about, over)) as store:
+            found = sensitivity(
+                outputs,
+                over,
+                method=method,
+                n_samples=numbers.get(method),
+                seed=SEED,
+                executor=executor,
+                store=store,
+            )
+        say(f"{knee.name} {method}: {time.perf_counter() - began:.0f} s")
+        yield {method: row_of(found, time.perf_counter() - began)}
+
+
+def kind(over: Box | Array) -> str:
+    """What to call the place analysed."""
+    return "box" if isinstance(over, Box) else "posterior"
+
+
+def work(about: Row, over: Box | Array) -> Row:
+    """What the finished simulations of a store depend on."""
+    if isinstance(over, Box):
+        return {**about, "lower": over.lower, "upper": over.upper}
+    return {**about, "draws": digest(np.ascontiguousarray(over).tobytes())}
+
+
+def posterior_draws(model: LaxityModel, truth: Array, n: int) -> Array:
+    """Draws from the Gaussian approximation to the posterior of noisy data, shape ``(n, p)``.
+
+    It is centred at the point of highest density, has the inverse of the information there, data
+    and prior, as its covariance, and is cut off at the bounds.
+    """
+    laxity = add_noise(model.simulate(truth), sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=SEED)
+    residuals = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
+    problem = WithPriors(problem=residuals)
+    best = fit(problem, truth).theta
+    problem.residuals(best)
+    jacobian = problem.jacobian(best)
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    generator = np.random.default_rng(SEED)
+    draws = np.empty((0, model.parameters.n))
+    while len(draws) < n:
+        more = generator.multivariate_normal(best, covariance, n)
+        inside = (more >= model.parameters.lower) & (more <= model.parameters.upper)
+        draws = np.vstack([draws, more[inside.all(axis=1)]])
+    return draws[:n]
+
+
+def posterior_row(draws: Array) -> Row:
+    """What the draws look like."""
+    row: Row = rounded(
+        {
+            "n": len(draws),
+            "mean": draws.mean(axis=0),
+            "sd": draws.std(axis=0, ddof=1),
+            "correlation": np.corrcoef(draws.T),
+        },
+        DIGITS,
+    )
+    return row
+
+
+def row_of(found: Sensitivity, seconds: float) -> Row:
+    """An analysis in the record."""
+    last = {
+        name: {
+            "value": index.final,
+            "half_width": index.final_half_widths,
+            "complete": index.complete,
+            "complete_half_width": index.complete_half_widths,
+            "noise_floor": index.noise_floor,
+            "largest_half_width_by_level": index.half_widths.max(axis=2),
+        }
+        for name, index in found.indices.items()
+    }
+    row: Row = rounded(
+        {
+            "groups": list(found.groups),
+            "n_samples": found.n_samples,
+            "n_simulations": found.n_simulations,
+            "levels": next(iter(found.indices.values())).levels.tolist(),
+            "failed_share": found.failed_share,
+            "complete_share": found.complete_share,
+            "component_share": found.component_share,
+            "largest_half_width": found.largest_half_width,
+            "more_simulations": found.more_simulations(),
+            "failures": found.rule,
+            "indices": last,
+            "seconds": seconds,
+        },
+        DIGITS,
+    )
+    return row
+
+
+def say(text: str) -> None:
+    """Tell how far it is."""
+    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

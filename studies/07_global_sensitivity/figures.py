@@ -1,0 +1,269 @@
+"""Fast part of the study: draws the figures and fills the tables of the page from the record."""
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from identknee.report.picture import png
+from identknee.report.sensitivity_figures import (
+    effects_figure,
+    map_figure,
+    methods_figure,
+    shares_figure,
+)
+from identknee.report.tables import Cell, Column, Table, filled
+from identknee.runs.arrays import Array
+from identknee.runs.files import prepare_folder, write_atomically
+
+HERE = Path(__file__).parent
+RECORD = HERE / "records" / "global_sensitivity.json"
+FIGURES = HERE / "figures"
+PAGE = HERE / "README.md"
+KNEE = "reference"
+# What a clinician turns the knee by, at its middle angle.
+SHOWN = (
+    "internal_deg, 30 deg, internal moment",
+    "internal_deg, 30 deg, external moment",
+    "varus_deg, 30 deg, varus moment",
+    "varus_deg, 30 deg, valgus moment",
+)
+FAILURE = "failure"
+# Of each method over the posterior, the index drawn.
+OVER_POSTERIOR = {"delta": "delta", "pawn": "pawn", "hdmr": "ST", "shapley": "shapley"}
+Row = Mapping[str, Any]
+
+
+def main() -> None:
+    """Draw all figures and fill the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--record", type=Path, default=RECORD)
+    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
+    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
+    options = parser.parse_args()
+    record = json.loads(options.record.read_text(encoding="utf-8"))
+    prepare_folder(options.out)
+    for name, draw in FIGURE_OF.items():
+        write_atomically(options.out / f"{name}.png", png(draw(record["knees"][KNEE])))
+    page = options.page.read_text(encoding="utf-8")
+    write_atomically(options.page, filled(page, tables(record)))
+
+
+def figure_1(part: Row) -> Figure:
+    """Total Sobol indices of every group."""
+    row = part["sobol"]
+    values = array(row["indices"]["ST"]["value"])
+    rows: dict[str, list[tuple[str, Array]]] = {}
+    for name, line in zip(row["groups"], values, strict=True):
+        coordinate, _, where = name.partition(", ")
+        if name != FAILURE:
+            rows.setdefault(coordinate, []).append((where, line))
+    ordered = {
+        coordinate: ([name for name, _ in lines], np.array([line for _, line in lines]))
+        for coordinate, lines in rows.items()
+    }
+    return map_figure(ordered, part["parameters"], "total Sobol index, ST")
+
+
+def figure_2(part: Row) -> Figure:
+    """Sobol indices of the rotations along their moments, and of failure."""
+    row = part["sobol"]
+    first, total = row["indices"]["S1"], row["indices"]["ST"]
+    panels = {
+        name: tuple(
+            array(index[kind])[row["groups"].index(name)]
+            for index in (first, total)
+            for kind in ("value", "half_width")
+        )
+        for name in (*SHOWN, FAILURE)
+    }
+    per_block = row["n_simulations"] / row["n_samples"]
+    widths = np.maximum(
+        array(first["largest_half_width_by_level"]), array(total["largest_half_width_by_level"])
+    )
+    levels = per_block * np.array(row["levels"])
+    return shares_figure(panels, part["parameters"], (levels, widths[:, :-1]))
+
+
+def figure_3(part: Row) -> Figure:
+    """Elementary effects on the same rotations."""
+    row = part["morris"]
+    star, sigma = row["indices"]["mu_star"], row["indices"]["sigma"]
+    panels = {}
+    for name in SHOWN:
+        at = row["groups"].index(name)
+        panels[f"{name} [deg]"] = (
+            array(star["value"])[at],
+            array(star["half_width"])[at],
+            array(sigma["value"])[at],
+        )
+    return effects_figure(panels, part["parameters"])
+
+
+def figure_4(part: Row) -> Figure:
+    """Over the posterior: four methods for correlated parameters."""
+    panels = {}
+    for name in SHOWN:
+        panels[name] = {}
+        for method, index in OVER_POSTERIOR.items():
+            row = part[method]
+            at = row["groups"].index(name)
+            found = row["indices"][index]
+            panels[name][method] = (array(found["value"])[at], array(found["half_width"])[at])
+    return methods_figure(panels, part["parameters"])
+
+
+FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
+    "figure_1_total_indices": figure_1,
+    "figure_2_sobol": figure_2,
+    "figure_3_morris": figure_3,
+    "figure_4_posterior": figure_4,
+}
+
+
+def tables(record: Row) -> dict[str, Table]:
+    """Tables of the page by name."""
+    return {
+        "shares": shares_table(record),
+        "failures": failures_table(record),
+        "convergence": convergence_table(record),
+        "posterior": posterior_table(record),
+    }
+
+
+def shares_table(record: Row) -> Table:
+    """Mean total index over the groups of each coordinate, by parameter."""
+    rows: list[tuple[Cell, ...]] = []
+    for knee, part in record["knees"].items():
+        row = part["sobol"]
+        values = array(row["indices"]["ST"]["value"])
+        coordinates = [name.partition(", ")[0] for name in row["groups"]]
+        for coordinate in dict.fromkeys(coordinates):
+            chosen = values[[x == coordinate for x in coordinates]]
+            rows.append((knee, coordinate, *map(float, chosen.mean(axis=0))))
+    parameters = first_part(record)["parameters"]
+    return Table(
+        title="Total Sobol index ST over the box, mean over flexion angles and loads",
+        columns=(Column(name="knee"), Column(name="output"), *map(short, parameters)),
+        rows=tuple(rows),
+    )
+
+
+def failures_table(record: Row) -> Table:
+    """How much failed, and how far the two rules about it are apart."""
+    rows: list[tuple[Cell, ...]] = []
+    for knee, part in record["knees"].items():
+        for method, index in (("morris", "mu_star"), ("sobol", "ST")):
+            row = part[method]
+            found = row["indices"][index]
+            apart = np.abs(array(found["value"]) - array(found["complete"]))[:-1]
+            width = array(found["half_width"])[:-1] + array(found["complete_half_width"])[:-1]
+            rows.append(
+                (
+                    knee,
+                    method,
+                    row["n_simulations"],
+                    100.0 * row["failed_share"][-1],
+                    100.0 * max(row["failed_share"][:-1]),
+                    100.0 * min(row["complete_share"][:-1]),
+                    100.0 * float(np.mean(apart > width)),
+                )
+            )
+    return Table(
+        title="Simulations without a prediction, and what they change",
+        columns=(
+            Column(name="knee"),
+            Column(name="method"),
+            Column(name="simulations", decimals=0),
+            Column(name="any trial failed", unit="%", decimals=1),
+            Column(name="worst group failed", unit="%", decimals=1),
+            Column(name="its complete samples", unit="%", decimals=1),
+            Column(name="indices that differ between the rules", unit="%", decimals=1),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def convergence_table(record: Row) -> Table:
+    """Half-widths, and what is missing to 0.02."""
+    rows: list[tuple[Cell, ...]] = []
+    for knee, part in record["knees"].items():
+        for method in ("morris", "sobol", *OVER_POSTERIOR):
+            row = part[method]
+            widths = array(row["largest_half_width"])[:-1]
+            missing = array(row["more_simulations"])[:-1]
+            known = np.isfinite(widths)
+            rows.append(
+                (
+                    knee,
+                    method,
+                    row["n_simulations"],
+                    float(np.median(widths[known])),
+                    float(widths[known].max()),
+                    float(np.median(missing[known])),
+                    float(missing[known].max()),
+                    row["seconds"],
+                )
+            )
+    return Table(
+        title="Half-width of the 95 % confidence interval (Morris: over the largest effect)",
+        columns=(
+            Column(name="knee"),
+            Column(name="method"),
+            Column(name="simulations", decimals=0),
+            Column(name="median group", decimals=3),
+            Column(name="worst group", decimals=3),
+            Column(name="missing to 0.02, median", decimals=0),
+            Column(name="missing to 0.02, worst", decimals=0),
+            Column(name="time", unit="s", decimals=0),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def posterior_table(record: Row) -> Table:
+    """Mean index over all groups of each method over the posterior, by parameter."""
+    rows: list[tuple[Cell, ...]] = []
+    for knee, part in record["knees"].items():
+        for method, index in OVER_POSTERIOR.items():
+            found = part[method]["indices"][index]
+            mean = np.nanmean(array(found["value"])[:-1], axis=0)
+            floor = found["noise_floor"]
+            noise = None if floor is None else float(np.nanmean(array(floor)[:-1]))
+            rows.append((knee, f"{method}, {index}", *map(float, mean), noise))
+    parameters = first_part(record)["parameters"]
+    return Table(
+        title="Over the posterior, correlated parameters: mean index over all groups",
+        columns=(
+            Column(name="knee"),
+            Column(name="index"),
+            *map(short, parameters),
+            Column(name="no influence"),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def array(values: Any) -> Array:
+    """Numbers of the record; what JSON has as null is NaN."""
+    return np.array(values, dtype=np.float64)
+
+
+def first_part(record: Row) -> Row:
+    """The part of the first knee."""
+    part: Row = next(iter(record["knees"].values()))
+    return part
+
+
+def short(parameter: str) -> Column:
+    """Column of a parameter."""
+    owner, _, kind = parameter.rpartition(".")
+    return Column(name=f"{owner} {'k' if kind.endswith('_kN') else 'eps_r'}")
+
+
+if __name__ == "__main__":
+    main()

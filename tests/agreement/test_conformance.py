@@ -1,0 +1,14 @@
+"""identknee's own profiles on the conformance suite: all right."""
+
+import pytest
+
+from identknee.identify.conformance.score import Grade, conformance_cases, run_conformance
+from identknee.identify.conformance.tool import identknee_tool
+
+CASES = {case.name: case for case in conformance_cases()}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_answer_is_right(name: str) -> None:
+    report = run_conformance(identknee_tool, [CASES[name]])
+    assert report.graded[0].grade is Grade.RIGHT, str(report)

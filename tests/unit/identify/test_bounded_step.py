@@ -1,0 +1,71 @@
+"""The active-set step against scipy and against what defines a minimum."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from identknee.identify.bounded_step import attainable, bounded_step, point_on_plane
+
+# Linear algebra of condition 100 at most.
+CLOSE = 1e-9
+SEEDS = range(25)
+
+
+def _problem(seed: int) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    matrix, data = rng.normal(size=(9, 5)), 3.0 * rng.normal(size=9)
+    return matrix, data, -rng.exponential(size=5), rng.exponential(size=5), rng.normal(size=5)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_without_a_plane_it_is_bounded_least_squares(seed: int) -> None:
+    matrix, data, low, high, _ = _problem(seed)
+    step = bounded_step(matrix, data, (low, high), None).step
+    peer = scipy.optimize.lsq_linear(matrix, -data, (low, high), method="bvls", tol=1e-14).x
+    np.testing.assert_allclose(step, peer, atol=CLOSE)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_on_a_plane_the_forces_balance(seed: int) -> None:
+    """Karush, Kuhn and Tucker: the derivatives are the plane's, or push against a bound."""
+    matrix, data, low, high, normal = _problem(seed)
+    wanted = attainable(normal, (low, high), 0.4)
+    found = bounded_step(matrix, data, (low, high), (normal, wanted))
+    assert normal @ found.step == pytest.approx(wanted, abs=CLOSE)
+    assert np.all((low <= found.step) & (found.step <= high))
+    left = matrix.T @ (matrix @ found.step + data) - found.multiplier * normal
+    free = ~found.is_held
+    np.testing.assert_allclose(left[free], 0.0, atol=CLOSE)
+    assert np.all(left[~free & (found.step == low)] >= -CLOSE)
+    assert np.all(left[~free & (found.step == high)] <= CLOSE)
+
+
+def test_the_multiplier_is_the_derivative_by_the_plane() -> None:
+    matrix, data, low, high, normal = _problem(3)
+
+    def half(wanted: float) -> float:
+        step = bounded_step(matrix, data, (low, high), (normal, wanted)).step
+        return 0.5 * float(np.sum((matrix @ step + data) ** 2))
+
+    found = bounded_step(matrix, data, (low, high), (normal, 0.2))
+    # Central differences of a parabola are exact but for rounding.
+    assert found.multiplier == pytest.approx((half(0.201) - half(0.199)) / 0.002, rel=1e-8)
+
+
+def test_directions_that_change_nothing_stay() -> None:
+    matrix = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    found = bounded_step(matrix, np.array([-2.0, 1.0]), (-np.full(3, 9.0), np.full(3, 9.0)), None)
+    np.testing.assert_allclose(found.step, [2.0, 0.0, 0.0], atol=CLOSE)
+
+
+def test_a_plane_out_of_reach_is_approached() -> None:
+    normal, bounds = np.array([1.0, -2.0]), (np.zeros(2) - 1.0, np.ones(2))
+    assert attainable(normal, bounds, 10.0) == 3.0
+    assert attainable(normal, bounds, -10.0) == -3.0
+    np.testing.assert_allclose(point_on_plane(normal, bounds, 3.0), [1.0, -1.0])
+
+
+def test_unbounded_components_are_welcome() -> None:
+    infinite = (np.full(2, -np.inf), np.full(2, np.inf))
+    found = bounded_step(np.eye(2), np.zeros(2), infinite, (np.array([0.0, 1.0]), 3.0))
+    np.testing.assert_allclose(found.step, [0.0, 3.0])

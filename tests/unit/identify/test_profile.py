@@ -1,0 +1,276 @@
+"""Profiles whose ends are known in closed form, and what they say of themselves."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from problems import Cliff, ClosedForm, linear, plain_parameters, sloppy_springs
+
+from identknee.calibrate.bounded import with_bounds
+from identknee.calibrate.problem import Problem
+from identknee.identify.evaluation import Evaluator
+from identknee.identify.constrained import minimise
+from identknee.identify.profile import profile
+from identknee.identify.profile_result import Profile, SideStatus, Verdict
+from identknee.identify.quantity import ParameterQuantity, UserQuantity
+from identknee.runs.arrays import Array
+
+Z_95 = 1.959963984540054
+# Of a closed end, as a share of the half-width: the tolerance of its root and of its fit.
+END = 2e-4
+
+
+def _first(problem: Problem) -> ParameterQuantity:
+    parameters = problem.parameters
+    return ParameterQuantity(parameters=parameters, name=parameters.names[0])
+
+
+def _single(residual: Callable[[float], float], slope: Callable[[float], float]) -> ClosedForm:
+    return ClosedForm(
+        name="single",
+        parameters=plain_parameters(1),
+        start=np.zeros(1),
+        minimum=np.zeros(1),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([residual(float(x[0]))]),
+        jacobian_at=lambda x: np.array([[slope(float(x[0]))]]),
+    )
+
+
+def _springs() -> tuple[ClosedForm, Array]:
+    problem = sloppy_springs(noise=0.02)
+    scaled = ClosedForm(
+        name="springs",
+        parameters=problem.parameters,
+        start=problem.start,
+        minimum=problem.minimum,
+        lowest=0.0,
+        residuals_at=lambda theta: problem.residuals(theta) / 0.02,
+        jacobian_at=lambda theta: problem.jacobian(theta) / 0.02,
+    )
+    return scaled, minimise(Evaluator(scaled), problem.minimum).evaluation.theta
+
+
+def test_a_parabola_closes_at_1_96_standard_deviations() -> None:
+    """The deviance is twice the log likelihood: no factor of two is lost."""
+    problem = linear()
+    found = profile(problem, problem.minimum, _first(problem))
+    sd = np.sqrt(np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0])
+    assert found.lower == pytest.approx(problem.minimum[0] - Z_95 * sd, abs=END * Z_95 * sd)
+    assert found.upper == pytest.approx(problem.minimum[0] + Z_95 * sd, abs=END * Z_95 * sd)
+    assert found.verdict is Verdict.IDENTIFIABLE
+    assert found.practical_level == 0.95
+
+
+def test_the_error_of_an_end_is_within_its_estimate() -> None:
+    problem = linear()
+    found = profile(problem, problem.minimum, _first(problem))
+    sd = np.sqrt(np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0])
+    for end, side, sign in ((found.lower, found.lower_side, -1), (found.upper, found.upper_side, 1)):
+        assert end is not None
+        assert abs(end - problem.minimum[0] - sign * Z_95 * sd) <= side.error < END * Z_95 * sd
+
+
+def test_the_curve_is_smooth_and_cheap() -> None:
+    """Eight parameters: ten points or more, fifty simulations or fewer, z growing throughout."""
+    problem, best = _springs()
+    for name in problem.parameters.names:
+        found = profile(problem, best, ParameterQuantity(parameters=problem.parameters, name=name))
+        assert found.n_simulations <= 50
+        assert len(found.values) >= 10
+        assert np.all(np.diff(found.z) > 0)
+        assert np.all(np.diff(found.values) > 0)
+
+
+def test_every_point_is_a_constrained_minimum() -> None:
+    problem, best = _springs()
+    quantity = ParameterQuantity(parameters=problem.parameters, name="PCL.reference_strain_pct")
+    found = profile(problem, best, quantity)
+    for value, theta, delta in zip(found.values, found.thetas, found.deltas, strict=True):
+        assert quantity.evaluate(theta)[0] == pytest.approx(value, abs=1e-12)
+        held = np.array(theta)
+        deviance = float(np.sum(problem.residuals(held) ** 2))
+        assert deviance - found.deviance == pytest.approx(delta, abs=1e-9)
+
+
+def test_a_function_of_the_parameters_has_the_profile_of_its_linear_map() -> None:
+    problem = linear()
+    weights = np.array([1.0, -2.0, 0.5])
+    mixed = UserQuantity(name="mixed", unit="%", function=lambda x: float(weights @ x))
+    found = profile(problem, problem.minimum, mixed)
+    matrix = problem.jacobian(problem.minimum)
+    sd = float(np.sqrt(weights @ np.linalg.solve(matrix.T @ matrix, weights)))
+    assert found.upper == pytest.approx(weights @ problem.minimum + Z_95 * sd, abs=END * Z_95 * sd)
+    assert found.unit == "%"
+
+
+def test_an_open_side_has_no_end_and_says_why() -> None:
+    problem = with_bounds(linear(), {"x0.value_pct": (-10.0, linear().minimum[0] + 0.01)})
+    found = profile(problem, linear().minimum, _first(problem))
+    assert found.upper is None
+    assert found.upper_status is SideStatus.OPEN_AT_BOUND
+    assert found.verdict is Verdict.ONE_SIDED
+    assert found.upper_side.reached == problem.parameters.upper[0]
+    assert 0.0 < found.practical_level < 0.95
+    assert "upper" not in str(found)
+    assert "open" in str(found)
+
+
+def test_other_parameters_at_bounds_are_named() -> None:
+    """The profile rises only because the second parameter may not follow."""
+    ridge = ClosedForm(
+        name="ridge",
+        parameters=plain_parameters(2, -3.0, 3.0),
+        start=np.zeros(2),
+        minimum=np.zeros(2),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([5.0 * (x[0] / 2 - x[1]), 0.1 * x[0]]),
+        jacobian_at=lambda _: np.array([[2.5, -5.0], [0.1, 0.0]]),
+    )
+    bounded = with_bounds(ridge, {"x1.value_pct": (-3.0, 1.0)})
+    found = profile(bounded, np.zeros(2), _first(bounded))
+    assert found.upper_side.at_bounds == ("x1.value_pct",)
+    assert found.upper is not None
+    # 25 (x / 2 - 1)^2 + x^2 / 100 = 3.84.
+    expected = np.roots([25 / 4 + 0.01, -25.0, 25.0 - Z_95**2]).max()
+    assert found.upper == pytest.approx(expected, abs=END * expected)
+
+
+def test_a_set_in_two_parts_is_two_intervals() -> None:
+    wells = _single(lambda x: x * x - 4, lambda x: 2 * x)
+    found = profile(wells, np.array([2.0]), _first(wells))
+    near, far = np.sqrt(4 - Z_95), np.sqrt(4 + Z_95)
+    ends = [end for interval in found.intervals for end in interval]
+    np.testing.assert_allclose(np.array(ends, float), [-far, -near, near, far], atol=END)
+    assert found.verdict is Verdict.MULTIMODAL
+    assert set(found.branches.tolist()) == {0, 1}
+
+
+def test_a_better_optimum_starts_it_over() -> None:
+    wells = _single(lambda x: (x * x - 4) * (1 + 0.1 * (x - 2)) , lambda x: 2 * x)
+    tilted = ClosedForm(
+        name="tilted",
+        parameters=plain_parameters(1),
+        start=np.zeros(1),
+        minimum=np.array([2.0]),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([x[0] ** 2 - 4.0, x[0] - 2.0]),
+        jacobian_at=lambda x: np.array([[2.0 * x[0]], [1.0]]),
+    )
+    del wells
+    found = profile(tilted, np.array([-1.9]), _first(tilted))
+    assert found.better_optimum is not None
+    np.testing.assert_allclose(found.better_optimum, [2.0], atol=1e-5)
+    assert found.n_restarts == 1
+    assert found.deltas.min() >= -1e-6
+    assert np.all(found.values > 0)
+
+
+def test_a_start_elsewhere_adds_its_branch() -> None:
+    """Far from the middle of every gap, and told of."""
+    narrow = _single(lambda x: 20 * np.tanh((x + 7) * 3) * (x - 2) / 9, lambda x: _slope(x))
+    with_it = profile(narrow, np.array([2.0]), _first(narrow), starts=[[-7.0]])
+    assert len(with_it.intervals) == 2
+    low, high = with_it.intervals[0]
+    assert low is not None
+    assert high is not None
+    assert low < -7.0 < high
+
+
+def _slope(x: float) -> float:
+    t = np.tanh((x + 7) * 3)
+    return float(20 / 9 * (t + 3 * (1 - t**2) * (x - 2)))
+
+
+def _two_paths(height: float, pull: float) -> ClosedForm:
+    """A second parameter near 1 or -1; the path near 1 ends where the pull grows too strong."""
+    return ClosedForm(
+        name="two paths",
+        parameters=plain_parameters(2, -6.0, 6.0),
+        start=np.zeros(2),
+        minimum=np.zeros(2),
+        lowest=0.0,
+        residuals_at=lambda x: np.array(
+            [height * (x[1] ** 2 - 1), pull * (x[1] + x[0]), 0.25 * (x[0] + 1)]
+        ),
+        jacobian_at=lambda x: np.array(
+            [[0.0, 2 * height * x[1]], [pull, pull], [0.25, 0.0]]
+        ),
+    )
+
+
+@pytest.mark.parametrize(("height", "pull"), [(0.5, 0.6), (0.7, 0.6), (0.4, 0.9)])
+def test_a_jump_to_another_path_is_repaired(height: float, pull: float) -> None:
+    """The curve is the lowest over all values of the second parameter, tried on a grid."""
+    problem = _two_paths(height, pull)
+    start = minimise(Evaluator(problem), np.array([-1.0, 1.0])).evaluation.theta
+    found = profile(problem, start, _first(problem))
+    grid = np.linspace(-6.0, 6.0, 24001)
+    for value, delta in zip(found.values, found.deltas, strict=True):
+        rows = [height * (grid**2 - 1), pull * (grid + value), 0.25 * (value + 1) + 0 * grid]
+        lowest = float(np.min(np.sum(np.square(rows), axis=0)))
+        # The grid's own error, and what a fit on the curve may leave.
+        assert delta == pytest.approx(lowest - found.deviance, abs=5e-3)
+
+
+def test_the_set_ends_where_the_model_has_no_prediction() -> None:
+    wall = Cliff(problem=_single(lambda x: x, lambda _: 1.0), beyond=lambda x: x[0] - 1.0)
+    found = profile(wall, np.zeros(1), _first(wall))
+    assert found.upper_status is SideStatus.CLOSED
+    assert found.upper_side.is_cliff
+    assert found.upper == pytest.approx(1.0, abs=found.upper_side.error)
+    assert found.upper_side.error < 1e-3
+
+
+def test_the_budget_leaves_a_side_open_and_claims_nothing() -> None:
+    problem, best = _springs()
+    found = profile(problem, best, _first(problem), budget=9)
+    assert found.n_simulations <= 9
+    assert found.upper_status is SideStatus.OPEN_BUDGET
+    assert found.verdict is Verdict.UNDETERMINED
+
+
+def test_lower_levels_are_read_off_the_curve() -> None:
+    problem = linear()
+    found = profile(problem, problem.minimum, _first(problem))
+    ((low, high),) = found.intervals_at(0.6826894921370859)
+    sd = np.sqrt(np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0])
+    assert low is not None
+    assert high is not None
+    # A cubic through a parabola is that parabola.
+    assert high - low == pytest.approx(2.0 * sd, rel=1e-4)
+    assert found.intervals_at(0.95) == found.intervals
+    with pytest.raises(ValueError, match="the level must be above 0 and at most"):
+        found.intervals_at(0.99)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"level": 1.0}, "the level must be between 0 and 1, got 1"),
+        ({"threshold": 0.0}, "the threshold must be positive and finite, got 0"),
+        ({"budget": 0}, "the budget must be at least 1 simulation, got 0"),
+    ],
+)
+def test_impossible_settings_are_refused(settings: dict[str, float], sentence: str) -> None:
+    problem = linear()
+    with pytest.raises(ValueError, match=sentence):
+        profile(problem, problem.minimum, _first(problem), **settings)  # type: ignore[arg-type]
+
+
+def test_an_optimum_without_a_prediction_is_refused() -> None:
+    nowhere = Cliff(problem=linear(), beyond=lambda _: 1.0)
+    with pytest.raises(ValueError, match="no prediction at the optimum"):
+        profile(nowhere, np.zeros(3), _first(nowhere))
+
+
+def test_all_sentences_are_there() -> None:
+    for word in (*SideStatus, *Verdict):
+        assert word.sentence.endswith(".")
+
+
+def test_a_profile_explains_itself() -> None:
+    problem = linear()
+    found: Profile = profile(problem, problem.minimum, _first(problem))
+    assert str(found).startswith("x0.value_pct: ")
+    assert "95% set" in str(found)
