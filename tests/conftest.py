@@ -3,6 +3,10 @@
 import os
 from pathlib import Path
 
+# Read when numpy is loaded; test processes with threads of their own get in each other's way.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import HealthCheck, settings
 

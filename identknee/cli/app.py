@@ -9,7 +9,11 @@ from identknee.cli import subject
 from identknee.cli.command import Verbs
 from identknee.cli.demo import demo
 from identknee.cli.fit import fit
+from identknee.cli.profile import profile
+from identknee.cli.sample import sample
+from identknee.cli.sensitivity import sensitivity
 from identknee.cli.simulate import simulate
+from identknee.cli.sweep import sweep
 
 app = typer.Typer(
     cls=Verbs,
@@ -48,3 +52,7 @@ app.command()(demo)
 app.add_typer(subject.app, name="subject")
 app.command()(simulate)
 app.command()(fit)
+app.command()(sweep)
+app.command()(profile)
+app.command()(sample)
+app.command()(sensitivity)

@@ -7,11 +7,16 @@ from types import FrameType
 
 INTERRUPTED = 130
 STOPPED = "identknee: stopped while starting"
+# Threads inside linear algebra on matrices of eight columns cost more than they bring, the more so
+# beside other processes. Libraries read these when they are loaded.
+LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def main() -> None:
     """Run the command and leave with its exit code."""
     signal.signal(signal.SIGINT, _stop)
+    for variable in LIBRARY_THREADS:
+        os.environ.setdefault(variable, "1")
     try:
         # Loaded here so that Ctrl-C during the start leaves no traceback either.
         from identknee.cli.app import app

@@ -1,5 +1,6 @@
 """`identknee sweep`: where many searches end, and why there."""
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -203,6 +204,11 @@ def _lines(found: "ik.Survey", cliffs: "ik.CliffMap | None") -> list[str]:
 def _radius(found: "ik.Survey", name: str, words: str) -> str:
     radius = found.radii[name]
     return (
-        f"A start within {radius.value:.2g} kN and % of the best end (95 %: {radius.lower:.2g} to "
-        f"{radius.upper:.2g}) brings {words} back within {found.within:g} in 95 of 100 searches."
+        f"Nine of ten starts within {_kN_and_pct(radius.value)} of the best end (95 %: "
+        f"{_kN_and_pct(radius.lower)} to {_kN_and_pct(radius.upper)}) lead {words} back to within "
+        f"{found.within:g} of it."
     )
+
+
+def _kN_and_pct(distance: float) -> str:  # noqa: N802 - the unit
+    return "any distance tried" if math.isinf(distance) else f"{distance:.2g} kN and %"

@@ -226,7 +226,7 @@ class _Search:
             wanted = self._target - point.value
             reachable = attainable(normal, box, wanted)
             constraint = normal, reachable
-            gap = abs(wanted) / size if size > 0 else np.inf
+            gap = abs(wanted) / size if size > 0 else (np.inf if wanted else 0.0)
             remaining = abs(wanted - reachable)
         step = bounded_step(matrix, at.residuals, box, constraint)
         change = matrix @ step.step

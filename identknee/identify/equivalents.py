@@ -184,20 +184,21 @@ def equivalents(
     parameters = region.problem.parameters
     own = [ParameterQuantity(parameters=parameters, name=name) for name in parameters.names]
     searches = Searches(region, [*own, *quantities], executor, store)
-    center, fit_values = searches.pool, searches.measured(searches.pool, "fit")[1]
-    searches.extremes(range(parameters.n), center, fit_values, "first extrema")
+    everything = range(len(own) + len(quantities))
+    fit = searches.pool
+    at_fit = searches.measured(fit, "fit")[1]
+    searches.extremes(range(parameters.n), fit, at_fit, "first extrema")
     searches.pairs(searches.axis_pairs() + searches.far_pairs(), "first pairs")
-    first, *seeds = spawn_seeds(seed, 1 + MOST_ROUNDS)
-    searches.rays(center, RAYS_PER_SET * n_sets, first, "rays")
-    starts = np.vstack([center, _spread(searches, n_sets)])
-    values = searches.measured(starts, "starts")[1]
-    searches.extremes(range(len(own) + len(quantities)), starts, values, "extrema")
-    chosen = center
-    for number, round_seed in enumerate(seeds):
-        searches.rays(searches.pool, RAYS_PER_SET * n_sets, round_seed, f"rays {number}")
+    chosen = origins = fit
+    for number, round_seed in enumerate(spawn_seeds(seed, MOST_ROUNDS)):
+        searches.rays(origins, RAYS_PER_SET * n_sets, round_seed, f"rays {number}")
+        starts = np.vstack([fit, _spread(searches, n_sets)])
+        values = searches.measured(starts, f"starts {number}")[1]
+        which = searches.doubtful() if number else everything
+        searches.extremes(which, starts, values, f"extrema {number}")
         searches.pairs(searches.far_pairs(), f"pairs {number}")
-        chosen = _spread(searches, n_sets)
-        if len(chosen) == n_sets:
+        chosen, origins = _spread(searches, n_sets), searches.pool
+        if number and len(chosen) == n_sets:
             break
     blocks, values = searches.measured(chosen, "sets")
     diameter, pair = searches.farthest_pair
@@ -213,7 +214,7 @@ def equivalents(
         diameter=diameter,
         pair=pair,
         pair_searches=searches.pair_distances,
-        extrema=_extrema(searches, [*own, *quantities], fit_values[0]),
+        extrema=_extrema(searches, [*own, *quantities], at_fit[0]),
         outcome=Completeness.COMPLETE if len(chosen) == n_sets else Completeness.FEWER,
         n_simulations=searches.n_simulations,
         seconds=time.perf_counter() - began,

@@ -66,15 +66,19 @@ class Extreme:
         The largest block over the limit, simulated there; at most 1 + 1e-6.
     end
         What stopped it.
+    path
+        The points inside that it came by, shape ``(n_points, n)``.
     """
 
     theta: Array
     value: float
     largest: float
     end: End
+    path: Array
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "theta", frozen(self.theta, None, name="theta"))
+        object.__setattr__(self, "path", frozen(self.path, None, self.theta.size, name="path"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -122,6 +126,7 @@ def extremise(inside: Inside, quantity: Quantity, start: Array, *, sign: float) 
         value=best.value,
         largest=best.blocks.largest,
         end=end if end in {End.CLIFF, End.BUDGET} else _what_holds(inside, best),
+        path=np.array(search.path).reshape(-1, best.theta.size),
     )
 
 
@@ -180,6 +185,7 @@ class _Search:
         self._sign = sign
         self._price = LOWEST_PRICE
         self._unit = 1.0
+        self.path: list[Array] = []
 
     def point(self, theta: Array) -> _Point | None:
         """The point, None where there is no prediction."""
@@ -206,6 +212,8 @@ class _Search:
             radius = _next_radius(radius, ratio, float(np.max(np.abs(step.step))))
             if there is not None and ratio > ACCEPTED:
                 here, met_cliff = there, False
+                if here.excess <= INSIDE_TOLERANCE:
+                    self.path.append(here.theta)
                 best = self._better(best, here)
                 continue
             met_cliff |= there is None

@@ -13,24 +13,18 @@ MOST_TRIALS = 6
 BOX_PART = 0.5
 
 
-def longest_axes(view: RegionView) -> Array:
-    """Semi-axes of the region's ellipsoid in the linear model, from the longest, ``(n, n)``.
+def longest_axes(view: RegionView, theta: Array) -> Array:
+    """Semi-axes of the ellipsoid that the region's linear model makes at a point, ``(n, n)``.
 
-    Along directions that the predictions do not depend on they reach as far as the box. Where
-    there are several blocks the ellipsoid is that of their sum.
+    They come from the longest to the shortest. Along directions that the predictions do not depend
+    on they reach as far as the box. Where there are several blocks the ellipsoid is that of their
+    sum.
     """
     steps = view.steps
-    slopes = view(view.region.center).slopes * steps
+    slopes = view(theta).slopes * steps
     _, size, right = np.linalg.svd(slopes.reshape(-1, steps.size), full_matrices=False)
     widest = BOX_PART * float(np.max((view.upper - view.lower) / steps))
     return np.asarray(steps * right / np.hypot(size, 1.0 / widest)[:, None])[::-1]
-
-
-def random_directions(view: RegionView, n: int, generator: np.random.Generator) -> Array:
-    """Directions uniform on that ellipsoid, shape ``(n, p)``."""
-    normal = generator.standard_normal((n, view.steps.size))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.asarray(normal @ longest_axes(view))
 
 
 def points_along(view: RegionView, origin: Array, direction: Array, share: float) -> list[Array]:

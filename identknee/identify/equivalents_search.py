@@ -16,7 +16,7 @@ from identknee.identify.equivalents_extremum import (
     extremise,
     farthest_pair,
 )
-from identknee.identify.equivalents_rays import longest_axes, points_along, random_directions
+from identknee.identify.equivalents_rays import longest_axes, points_along
 from identknee.identify.equivalents_region import Region, RegionView
 from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.runs.arrays import Array, frozen
@@ -146,7 +146,7 @@ class Searches:
             self._n_simulations += row["n_simulations"]
             ends = self._ends.setdefault((item["quantity"], item["sign"]), [])
             ends += [end for end in row["ends"] if end["largest"] <= 1.0 + INSIDE_TOLERANCE]
-            self._pool += [np.array(end["theta"]) for end in ends]
+            self._pool += [np.array(theta) for end in row["ends"] for theta in end["path"]]
 
     def pairs(self, starts: Sequence[Array], name: str) -> None:
         """Search the two points farthest apart, from pairs to start at, shape ``(2, n)`` each."""
@@ -154,16 +154,20 @@ class Searches:
             self._n_simulations += row["n_simulations"]
             if row["largest"] <= 1.0 + INSIDE_TOLERANCE:
                 self._pairs.append(row)
-                self._pool += list(np.array(row["theta"]).reshape(2, -1))
+            self._pool += list(np.array(row["path"]).reshape(-1, self.steps.size))
 
     def rays(self, origins: Array, n: int, seed: np.random.SeedSequence, name: str) -> None:
-        """Look along `n` random rays from points inside, drawn from `origins`."""
+        """Look along `n` random rays from points inside, drawn from `origins`.
+
+        Their directions are uniform on the ellipsoid of the linear model there.
+        """
         generator = np.random.default_rng(seed)
-        directions = random_directions(self._view, n, generator)
+        turns = generator.standard_normal((n, origins.shape[1]))
+        turns /= np.linalg.norm(turns, axis=1, keepdims=True)
         drawn = origins[generator.integers(len(origins), size=n)]
         shares = generator.uniform(size=n)
         items = [
-            {"origins": drawn[part], "directions": directions[part], "shares": shares[part]}
+            {"origins": drawn[part], "turns": turns[part], "shares": shares[part]}
             for part in np.array_split(np.arange(n), -(-n // RAYS_PER_TASK))
         ]
         for row in self._map(_search_rays, items, name, "looking along rays"):
@@ -181,7 +185,7 @@ class Searches:
         """Pairs to begin with: where the longest axes of the linear model leave the region."""
         center = self._region.center
         pairs = []
-        for axis in longest_axes(self._view)[:AXES]:
+        for axis in longest_axes(self._view, center)[:AXES]:
             ends = [points_along(self._view, center, x, 1.0) for x in (axis, -axis)]
             pair = np.array([found[0] if found else center for found in ends])
             if np.any(pair[0] != pair[1]):
@@ -201,6 +205,14 @@ class Searches:
                 used |= {int(i), j}
                 found.append(points[[i, j]])
         return found
+
+    def doubtful(self) -> list[int]:
+        """Places of the quantities of which only one search found an extremum."""
+        return [
+            i
+            for i in range(len(self._quantities))
+            if any(self.side(i, sign).n_agreeing < 2 for sign in SIGNS)
+        ]
 
     def side(self, quantity: int, sign: float) -> Side:
         """The smallest (sign -1) or largest (1) value that the searches found."""
@@ -256,10 +268,8 @@ def _search_rays(region: Region, _: tuple[Quantity, ...], item: Row) -> Row:
     view = RegionView(region)
     points = [
         found
-        for origin, direction, share in zip(
-            item["origins"], item["directions"], item["shares"], strict=True
-        )
-        for found in points_along(view, origin, direction, share)
+        for origin, turn, share in zip(item["origins"], item["turns"], item["shares"], strict=True)
+        for found in points_along(view, origin, turn @ longest_axes(view, origin), share)
     ]
     return {"points": points, "n_simulations": view.n_simulations}
 
@@ -277,4 +287,5 @@ def _as_row(extreme: Extreme) -> Row:
         "theta": extreme.theta,
         "largest": extreme.largest,
         "end": extreme.end.value,
+        "path": extreme.path,
     }

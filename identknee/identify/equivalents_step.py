@@ -9,10 +9,11 @@ from identknee.runs.arrays import Array
 
 # Of the best step's value, normalised to about 1.
 GAP = 1e-10
-SHRINK = 0.1
-MARGIN = 0.05
+SHRINK = 0.03
+MARGIN = 1e-3
+FIRST_EXCESS = 0.01
 MAX_NEWTON = 40
-NEWTON_DECREMENT = 1e-6
+NEWTON_DECREMENT = 1e-2
 HALVINGS = 40
 ARMIJO = 0.1
 ROUNDING = 1e-15
@@ -82,8 +83,10 @@ def best_step(model: Model, *, penalty: float) -> Step:
     barrier = _Barrier(model, penalty)
     room = MARGIN * (model.high - model.low)
     step = np.clip(np.zeros_like(model.low), model.low + room, model.high - room)
-    point = np.r_[step, max(barrier.values(step).max(), 1.0)]
-    weight = 1.0
+    excess = FIRST_EXCESS + 1.5 * max(float(barrier.values(step).max()) - 1.0, 0.0)
+    point = np.append(step, excess)
+    # As much as there is to gain: Newton's method is slow where the barriers count for little.
+    weight = max(1.0, penalty * excess)
     while weight * barrier.n_constraints > GAP:
         weight *= SHRINK
         point = barrier.lowest(point, weight)
@@ -147,11 +150,13 @@ class _Barrier:
         inverse = 1.0 / (1.0 + excess - np.sum(after**2, axis=1))
         from_low, from_high = 1.0 / (step - self._low), 1.0 / (self._high - step)
         # The excess widens every block.
-        rows = np.c_[tilt, -np.ones(len(tilt))] * inverse[:, None]
-        gradient = rows.sum(axis=0) + np.r_[from_high - from_low, -1.0 / excess]
+        rows = np.hstack([tilt * inverse[:, None], -inverse[:, None]])
+        gradient = rows.sum(axis=0)
+        gradient[:n] += from_high - from_low
+        gradient[n] -= 1.0 / excess
         hessian = rows.T @ rows
-        hessian[:n, :n] += np.einsum("b,bij->ij", inverse, self._curvature)
-        hessian[np.diag_indices(n + 1)] += np.r_[from_low**2 + from_high**2, 1.0 / excess**2]
+        hessian[:n, :n] += np.tensordot(inverse, self._curvature, axes=1)
+        hessian.flat[:: n + 2] += np.append(from_low**2 + from_high**2, 1.0 / excess**2)
         return self._cost + weight * gradient, weight * hessian
 
 
@@ -160,5 +165,5 @@ def _newton(gradient: Array, hessian: Array) -> Array:
     scale = 1.0 / np.sqrt(np.diag(hessian))
     scaled = scale[:, None] * hessian * scale
     # Rounding can cost a stiff barrier its last positive eigenvalue.
-    scaled[np.diag_indices_from(scaled)] += ROUNDING
+    scaled.flat[:: len(scaled) + 1] += ROUNDING
     return np.asarray(-scale * np.linalg.solve(scaled, scale * gradient))

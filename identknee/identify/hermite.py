@@ -2,7 +2,6 @@
 
 from itertools import pairwise
 
-import numpy as np
 import scipy.optimize
 
 from identknee.runs.arrays import Array

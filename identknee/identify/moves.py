@@ -7,11 +7,12 @@ import numpy as np
 from emcee.moves import DEMove, Move, StretchMove
 from emcee.moves.red_blue import RedBlueMove
 from emcee.state import State
-from scipy.special import logsumexp
+from scipy.special import gammaln, logsumexp
 
 from identknee.runs.arrays import Array
 
 SNOOKER_RANGE = (1.2, 2.2)
+HEAVY_PART, HEAVY_DEGREES = 0.1, 3.0
 
 
 class NewtonMove(Move):  # type: ignore[misc]
@@ -21,8 +22,8 @@ class NewtonMove(Move):  # type: ignore[misc]
     from where it stands (`identknee.identify.posterior.NewtonKernel`). One half of the walkers
     moves at a time: a proposal is drawn from the mixture of the other half's kernels, whatever the
     place of the walker that moves, and is accepted by the rule of Metropolis and Hastings with the
-    density of that mixture. Where the residuals are linear every proposal is accepted and the draws
-    are independent; where walkers stand in several basins, proposals lead from one to another.
+    density of that mixture. Where the residuals are linear nearly every proposal is accepted and the
+    draws are independent; where walkers stand in several basins, proposals lead from one to another.
 
     The densities are exact and the other half stands still meanwhile, so the posterior is
     invariant.
@@ -52,18 +53,26 @@ class NewtonMove(Move):  # type: ignore[misc]
 
 
 class KernelMixture:
-    """Equal mixture of normal densities, given as walkers' blobs.
+    """Equal mixture of kernels given as walkers' blobs, nine parts normal and one part heavy-tailed.
+
+    The heavy tails, of Student's t distribution with three degrees of freedom, are for walkers far
+    from all others: a normal mixture is so thin there that it would hardly ever let them go.
 
     Parameters
     ----------
     blobs
-        For each density its centre, then the Cholesky factor of its precision row by row, shape
+        For each kernel its centre, then the Cholesky factor of its precision row by row, shape
         ``(k, n + n * n)``.
+
+    References
+    ----------
+    T. Hesterberg, Weighted average importance sampling and defensive mixture distributions,
+    Technometrics 37 (1995) 185-194, doi:10.1080/00401706.1995.10484303.
     """
 
     def __init__(self, blobs: Array) -> None:
         k = len(blobs)
-        n = int(np.sqrt(blobs.shape[1] + 0.25) - 0.5 + 1e-9)
+        n = round(np.sqrt(blobs.shape[1] + 0.25) - 0.5)
         self.centers = np.asarray(blobs[:, :n])
         self.factors = np.asarray(blobs[:, n:].reshape(k, n, n))
         diagonal = np.einsum("kii->ki", self.factors)
@@ -73,16 +82,32 @@ class KernelMixture:
         """So many draws, shape ``(count, n)``."""
         chosen = random.randint(len(self.centers), size=count)
         standard = random.standard_normal((count, self.centers.shape[1]))
+        is_heavy = random.uniform(size=count) < HEAVY_PART
+        stretch = np.sqrt(HEAVY_DEGREES / random.chisquare(HEAVY_DEGREES, size=count))
+        standard *= np.where(is_heavy, stretch, 1.0)[:, None]
         transposed = self.factors[chosen].transpose(0, 2, 1)
         steps = np.linalg.solve(transposed, standard[:, :, None])[:, :, 0]
         return np.asarray(self.centers[chosen] + steps)
 
     def log_density(self, points: Array) -> Array:
-        """Log density of points, shape ``(count, n)``, without a constant; shape ``(count,)``."""
+        """Log density of points, shape ``(count, n)``; shape ``(count,)``."""
         differences = points[:, None, :] - self.centers
         scaled = np.einsum("kji,pkj->pki", self.factors, differences)
-        exponents = self._log_weights - 0.5 * np.sum(scaled**2, axis=2)
-        return np.asarray(logsumexp(exponents, axis=1))
+        squares = np.sum(scaled**2, axis=2)
+        return np.asarray(logsumexp(self._log_weights + _log_kernel(squares, points), axis=1))
+
+
+def _log_kernel(squares: Array, points: Array) -> Array:
+    """Log density of one kernel of unit precision, by squared distance from its centre."""
+    n, degrees = points.shape[1], HEAVY_DEGREES
+    normal = -0.5 * squares - 0.5 * n * np.log(2.0 * np.pi)
+    heavy = (
+        gammaln(0.5 * (degrees + n))
+        - gammaln(0.5 * degrees)
+        - 0.5 * n * np.log(degrees * np.pi)
+        - 0.5 * (degrees + n) * np.log1p(squares / degrees)
+    )
+    return np.logaddexp(np.log(1.0 - HEAVY_PART) + normal, np.log(HEAVY_PART) + heavy)
 
 
 class SnookerMove(RedBlueMove):  # type: ignore[misc]

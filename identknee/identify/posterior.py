@@ -1,6 +1,6 @@
 """The posterior density of the parameters, in their own units and in those it is sampled in."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import beta, norm
@@ -29,8 +29,6 @@ class LogPosterior:
     """
 
     problem: Problem
-    _log_mass: float = field(init=False, repr=False)
-
     def __post_init__(self) -> None:
         parameters = self.problem.parameters
         is_log = np.array(parameters.is_log)
@@ -39,12 +37,10 @@ class LogPosterior:
                 "a prior needs a standard deviation above 0, and a lognormal one a centre above 0; "
                 f"got {parameters.prior_sd.tolist()} around {parameters.center.tolist()}"
             )
-        log_mass = float(np.sum(_log_masses(parameters)))
-        if not np.isfinite(log_mass):
+        if mass_within_bounds(parameters) == 0:
             raise ValueError(
                 "the prior has no mass within the bounds; widen the bounds or move the prior"
             )
-        object.__setattr__(self, "_log_mass", log_mass)
 
     @property
     def parameters(self) -> Parameters:
@@ -53,28 +49,31 @@ class LogPosterior:
 
     def __call__(self, theta: Array) -> float:
         """Log density at `theta`, shape ``(n,)``; -inf beyond the bounds or without prediction."""
-        prior = float(self.log_prior(theta))
+        prior = float(log_prior(theta, self.parameters))
         if not np.isfinite(prior):
             return -np.inf
         return prior - 0.5 * evaluate(self.problem, theta).deviance
 
-    def log_prior(self, theta: Array) -> Array:
-        """Log prior density of one or many thetas, shape ``(..., n)``; -inf beyond the bounds."""
-        parameters = self.parameters
-        theta = np.asarray(theta, dtype=np.float64)
-        is_inside = inside(theta, parameters)
-        working = to_working(np.where(is_inside[..., None], theta, parameters.center), parameters)
-        log_density = (
-            np.sum(_log_normal(working, parameters), axis=-1)
-            - np.sum(working[..., np.array(parameters.is_log)], axis=-1)
-            - self._log_mass
-        )
-        return np.where(is_inside, log_density, -np.inf)
 
-    @property
-    def mass_within_bounds(self) -> float:
-        """What part of the priors, were they not cut off, lies within the bounds."""
-        return float(np.exp(self._log_mass))
+def log_prior(theta: Array, parameters: Parameters) -> Array:
+    """Log prior density of thetas, shape ``(..., n)``; -inf beyond the bounds.
+
+    Its integral within the bounds is 1.
+    """
+    theta = np.asarray(theta, dtype=np.float64)
+    is_inside = inside(theta, parameters)
+    working = to_working(np.where(is_inside[..., None], theta, parameters.center), parameters)
+    log_density = (
+        log_prior_working(working, parameters)
+        - np.sum(working[..., np.array(parameters.is_log)], axis=-1)
+        - np.sum(_log_masses(parameters))
+    )
+    return np.where(is_inside, log_density, -np.inf)
+
+
+def mass_within_bounds(parameters: Parameters) -> float:
+    """What part of the priors, were they not cut off, lies within the bounds."""
+    return float(np.exp(np.sum(_log_masses(parameters))))
 
 
 def inside(theta: Array, parameters: Parameters) -> BoolArray:
@@ -156,7 +155,7 @@ class ExcludedMass:
         )
 
 
-def excluded_mass(density: LogPosterior, is_predicted: BoolArray) -> ExcludedMass:
+def excluded_mass(parameters: Parameters, is_predicted: BoolArray) -> ExcludedMass:
     """The excluded prior mass, from whether draws of the prior have a prediction, shape ``(n,)``.
 
     References
@@ -167,7 +166,7 @@ def excluded_mass(density: LogPosterior, is_predicted: BoolArray) -> ExcludedMas
     n, failed = len(is_predicted), int(np.sum(~is_predicted))
     tail = 0.5 * (1.0 - LEVEL)
     return ExcludedMass(
-        beyond_bounds=max(0.0, 1.0 - density.mass_within_bounds),
+        beyond_bounds=max(0.0, 1.0 - mass_within_bounds(parameters)),
         without_prediction=failed / n,
         low=float(beta.ppf(tail, failed, n - failed + 1)) if failed else 0.0,
         high=float(beta.ppf(1.0 - tail, failed + 1, n - failed)) if failed < n else 1.0,

@@ -10,7 +10,12 @@ from identknee.calibrate.problem import Problem
 from identknee.identify.constrained import Constrained, minimise
 from identknee.identify.evaluation import Evaluator
 from identknee.identify.profile_result import Profile
-from identknee.identify.profile_search import Branch, find_branches, walk_branch
+from identknee.identify.profile_search import (
+    Branch,
+    branches_of_a_constant,
+    find_branches,
+    walk_branch,
+)
 from identknee.identify.profile_verdict import assembled
 from identknee.identify.profile_walk import BetterFound, Walk, as_point
 from identknee.identify.quantity import Quantity
@@ -97,9 +102,7 @@ class _Run:
         better: Array | None = None
         for n_restarts in range(MOST_RESTARTS + 1):
             optimum = self._optimum(theta)
-            walk = Walk(
-                self.evaluator, self.quantity, self.threshold, optimum.evaluation.deviance
-            )
+            walk = Walk(self.evaluator, self.quantity, self.threshold, optimum.evaluation.deviance)
             is_last = n_restarts == MOST_RESTARTS
             walk.is_final = is_last
             try:
@@ -127,6 +130,8 @@ class _Run:
 
     def _branches(self, walk: Walk, optimum: Constrained) -> list[Branch]:
         theta = optimum.evaluation.theta
-        value, _ = self.quantity.evaluate(theta)
+        value, gradient = self.quantity.evaluate(theta)
         origin = as_point(walk.solve(value, theta, tolerance=np.inf))
+        if not gradient.any():
+            return branches_of_a_constant(walk, origin)
         return find_branches(walk, walk_branch(walk, origin), self.starts)

@@ -73,9 +73,7 @@ def march(walk: Walk, origin: Point, direction: int, blocked: float | None = Non
 class _March:
     """The state of one walk outward."""
 
-    def __init__(
-        self, walk: Walk, origin: Point, direction: int, blocked: float | None
-    ) -> None:
+    def __init__(self, walk: Walk, origin: Point, direction: int, blocked: float | None) -> None:
         self._walk = walk
         self._direction = direction
         self._points = [origin]

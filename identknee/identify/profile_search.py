@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.calibrate.scales import typical_steps
 from identknee.identify.constrained import minimise
 from identknee.identify.profile_march import AT_END, JUMP, Leg, march
+from identknee.identify.profile_result import Side, SideStatus
 from identknee.identify.profile_walk import Point, Walk, as_point
 from identknee.identify.quantity import ParameterQuantity
 from identknee.runs.arrays import Array
@@ -23,6 +25,9 @@ WIDTHS = 1.0
 NARROW = 0.05
 # How far beyond a cliff to look, in distances to the optimum.
 GAP_WIDTHS = (0.02, 0.1, 0.3, 1.0)
+
+# Of the largest: eigenvalues of the information below this are none.
+RANK_TOLERANCE = 1e-10
 
 Region = tuple[float, float]
 
@@ -59,6 +64,57 @@ class Branch:
 def walk_branch(walk: Walk, origin: Point) -> Branch:
     """The profile from an optimum downward and upward."""
     return Branch(lower=march(walk, origin, -1), upper=march(walk, origin, 1))
+
+
+def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
+    """The branches of a quantity that does not change around the optimum, as a slack line's force.
+
+    Its set begins as that one value. Where it is another one at an end of the likely values of a
+    parameter, by the covariance at the optimum, the fit there with the largest and the smallest
+    value begin branches of their own.
+
+    Parameters
+    ----------
+    walk
+        The quantity and the threshold.
+    origin
+        The optimum.
+    """
+    side = Side(
+        status=SideStatus.CLOSED,
+        end=origin.value,
+        error=0.0,
+        is_cliff=False,
+        reached=origin.value,
+        max_deviance=0.0,
+        at_bounds=(),
+    )
+    leg = Leg(points=(origin,), side=side)
+    branches = [Branch(lower=leg, upper=leg)]
+    found = [(*walk.quantity.evaluate(theta), theta) for theta in _likely_ends(walk, origin)]
+    found = [x for x in found if np.isfinite(x[0]) and x[0] != origin.value and x[1].any()]
+    for value, _, theta in sorted(found, key=lambda x: x[0])[:: max(len(found) - 1, 1)]:
+        solved = walk.solve(value, theta, tolerance=GLANCE_TOLERANCE * walk.threshold)
+        if solved.is_on_target and solved.evaluation.deviance - walk.lowest < walk.threshold:
+            branches.append(walk_branch(walk, as_point(solved)))
+    return branches
+
+
+def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
+    """Theta with each parameter at either end of its likely values, the others following."""
+    parameters = walk.evaluator.parameters
+    at = origin.evaluation
+    scales = typical_steps(parameters)
+    inverse = np.linalg.pinv(at.information * np.outer(scales, scales), rcond=RANK_TOLERANCE)
+    covariance = inverse * np.outer(scales, scales)
+    sd = np.sqrt(np.diag(covariance))
+    known = sd > 0
+    moves = np.sqrt(walk.threshold) * (covariance[:, known] / sd[known]).T
+    return [
+        np.clip(at.theta + sign * move, parameters.lower, parameters.upper)
+        for move in moves
+        for sign in (-1.0, 1.0)
+    ]
 
 
 def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:

@@ -24,7 +24,7 @@ class ProfileSettings(TypedDict, total=False):
     """What is passed on to each `profile`, by the same names."""
 
     level: float
-    threshold: float | None
+    thresholds: ArrayLike | None
     budget: int
     starts: ArrayLike
 
@@ -53,7 +53,7 @@ def profile_parameters(
     store
         Where finished profiles are kept; from `identknee.runs.resume.open_work`.
     settings
-        Those of `profile`: ``level, threshold, budget, starts``.
+        Those of `profile`: ``level, budget, starts``, and ``thresholds``: one for all, or one each.
 
     Raises
     ------
@@ -96,14 +96,20 @@ def profile_quantities(
     store
         Where finished profiles are kept; from `identknee.runs.resume.open_work`.
     settings
-        Those of `profile`: ``level, threshold, budget, starts``.
+        Those of `profile`: ``level, budget, starts``, and ``thresholds``: one for all, or one each.
     """
     theta = np.asarray(optimum_theta, dtype=np.float64)
+    thresholds = settings.pop("thresholds", None)
+    each = (
+        [None] * len(quantities)
+        if thresholds is None
+        else np.broadcast_to(np.asarray(thresholds, float), len(quantities)).tolist()
+    )
     found: tuple[Profile, ...] = ()
     for round_ in range(MOST_ROUNDS if quantities else 0):
         kept = resumable_map(
-            partial(_profiled, problem, theta, settings),
-            list(quantities),
+            partial(_profiled, problem, theta, dict(settings)),
+            list(zip(quantities, each, strict=True)),
             executor=executor,
             store=store,
             name=f"profile round {round_}",
@@ -143,9 +149,13 @@ def profile_from_plain(plain: Mapping[str, Any]) -> Profile:
 
 
 def _profiled(
-    problem: Problem, theta: Array, settings: ProfileSettings, quantity: Quantity
+    problem: Problem,
+    theta: Array,
+    settings: dict[str, Any],
+    item: tuple[Quantity, float | None],
 ) -> dict[str, Any]:
-    return profile_to_plain(profile(problem, theta, quantity, **settings))
+    quantity, threshold = item
+    return profile_to_plain(profile(problem, theta, quantity, threshold=threshold, **settings))
 
 
 def _better_of_all(found: Sequence[Profile]) -> Array | None:

@@ -117,3 +117,39 @@ class UserQuantity:
         # With both sides the value in the middle drops out.
         low, high = (0, 1) if len(places) == 2 else (1, 2)
         return float((values[high] - values[low]) / (places[high] - places[low]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestrictedQuantity:
+    """A quantity of all parameters where only some of them move.
+
+    Attributes
+    ----------
+    quantity
+        Over all parameters.
+    free
+        Where the parameters that move stand in its theta.
+    at
+        Values of all its parameters, shape ``(p,)``; those not free keep theirs.
+    """
+
+    quantity: Quantity
+    free: tuple[int, ...]
+    at: Array
+
+    @property
+    def name(self) -> str:
+        """That of the quantity."""
+        return self.quantity.name
+
+    @property
+    def unit(self) -> str:
+        """That of the quantity."""
+        return self.quantity.unit
+
+    def evaluate(self, theta: Array) -> tuple[float, Array]:
+        """Value and gradient by the parameters that move, shape ``(n_free,)``."""
+        everything = np.array(self.at)
+        everything[list(self.free)] = theta
+        value, gradient = self.quantity.evaluate(everything)
+        return value, gradient[list(self.free)]

@@ -26,6 +26,7 @@ from identknee.identify.posterior import (
     excluded_mass,
     from_working,
     inside,
+    log_prior,
     log_prior_working,
     prior_draws,
 )
@@ -37,7 +38,7 @@ from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
 
 BUDGET = 400_000
-STEPS = 25
+STEPS = 10
 PRIOR_DRAWS = 400
 PRIOR_CHUNK = 50
 QUANTILES = (0.025, 0.5, 0.975)
@@ -119,6 +120,16 @@ class Posterior:
         return self.samples[:, :, self.gate.burn_in :]
 
     @property
+    def kept_log_likelihood(self) -> Array:
+        """Minus half the deviance after burn-in, shape ``(ensembles, walkers, steps)``."""
+        return self.log_likelihood[:, :, self.gate.burn_in :]
+
+    @property
+    def kept_log_prior(self) -> Array:
+        """Log prior density of theta after burn-in, shape ``(ensembles, walkers, steps)``."""
+        return log_prior(self.kept, self.parameters)
+
+    @property
     def mean(self) -> Array:
         """Posterior mean of each parameter, shape ``(n,)``."""
         return np.asarray(self.kept.mean(axis=(0, 1, 2)))
@@ -137,16 +148,23 @@ class Posterior:
         each = [self.kept[..., i] for i in range(self.parameters.n)]
         return np.array([[quantile_error(x, p) for p in probabilities] for x in each])
 
-    def independent(self, n_draws: int) -> IntArray:
+    def independent(self, n_draws: int, *, or_fewer: bool = False) -> IntArray:
         """Places (ensemble, walker, kept step) of draws as good as independent, ``(n_draws, 3)``.
 
         They are spread over all ensembles and walkers and lie so many steps apart that the
         autocorrelation of every parameter has fallen below 0.05.
 
+        Parameters
+        ----------
+        n_draws
+            How many.
+        or_fewer
+            Whether a sample too short to hold so many gives those it holds.
+
         Raises
         ------
         ValueError
-            If the sample is too short to hold so many.
+            If the sample is too short and fewer will not do.
         """
         kept = self.kept
         n_ensembles, n_walkers, n_steps = kept.shape[:3]
@@ -160,6 +178,8 @@ class Posterior:
                 for ensemble in range(n_ensembles)
             ]
         )
+        if len(places) < n_draws and or_fewer:
+            return places
         if len(places) < n_draws:
             raise ValueError(
                 f"the sample holds {len(places)} independent draws, fewer than the {n_draws} asked "
@@ -352,7 +372,7 @@ class _Run:
         chunks = np.split(draws, PRIOR_DRAWS // PRIOR_CHUNK)
         parts = self._map(partial(_are_predicted, density), chunks, "prior")
         self.n_simulations += PRIOR_DRAWS
-        return draws, excluded_mass(density, np.concatenate(parts).astype(bool))
+        return draws, excluded_mass(density.parameters, np.concatenate(parts).astype(bool))
 
     def optima(self) -> Array:
         """Ends of one fit for each ensemble; none where no draw of the prior has a prediction."""

@@ -204,17 +204,7 @@ def sensitivity(
         If the method does not exist or does not fit `over`, there are too few draws, or the number
         of blocks is not a power of 2. Simulations without a prediction are no error.
     """
-    given = _checked(outputs, over, method)
-    if isinstance(over, Box) and method in DEFAULT_SAMPLES:
-        n = DEFAULT_SAMPLES[method] if n_samples is None else n_samples
-        design = saltelli_blocks if method == "sobol" else morris_trajectories
-        points = design(over, n, seed)
-    elif isinstance(over, Box):
-        n = DEFAULT_DRAWS if n_samples is None else n_samples
-        points = _enough(box_draws(over, n, seed))[:, None]
-    else:
-        # Draws of a chain come in its order; parts of them should be parts of the whole.
-        points = np.random.default_rng(seed).permutation(_enough(given))[:, None]
+    points = _points(outputs, over, method, n_samples, seed)
     values = _simulated(outputs, points, method, executor, store)
     names, groups = _numbered(outputs.groups)
     found: dict[str, Index]
@@ -249,8 +239,10 @@ def sensitivity(
     )
 
 
-def _checked(outputs: Outputs, over: Box | Array, method: str) -> Array:
-    """Given draws, checked; none for a box."""
+def _points(
+    outputs: Outputs, over: Box | Array, method: str, n_samples: int | None, seed: int
+) -> Array:
+    """Parameter vectors to simulate, shape ``(n, k, p)``: n samples of k vectors."""
     known = (*DEFAULT_SAMPLES, *METHODS)
     if method not in known:
         raise ValueError(f"there is no method {method!r}; the methods are {', '.join(known)}")
@@ -261,10 +253,17 @@ def _checked(outputs: Outputs, over: Box | Array, method: str) -> Array:
                 f'"{method}" varies parameters independently and needs a box, not draws; use '
                 f"one of {', '.join(METHODS)} for draws"
             )
-        return frozen(over, None, p, name="draws")
+        draws = _enough(frozen(over, None, p, name="draws"))
+        # Draws of a chain come in its order; parts of them should be parts of the whole.
+        return np.random.default_rng(seed).permutation(draws)[:, None]
     if over.n != p:
         raise ValueError(f"the box has {over.n} parameters, the model {p}: give one range for each")
-    return np.empty((0, p))
+    n = DEFAULT_SAMPLES.get(method, DEFAULT_DRAWS) if n_samples is None else n_samples
+    if method == "sobol":
+        return saltelli_blocks(over, n, seed)
+    if method == "morris":
+        return morris_trajectories(over, n, seed)
+    return _enough(box_draws(over, n, seed))[:, None]
 
 
 def _enough(draws: Array) -> Array:

@@ -35,7 +35,7 @@ class Survey:
         How close to the target an end has to be to have recovered it, in kN and %.
     recoveries, radii
         How often that happens by the distance of the start, and how close a start must be for it
-        to happen 95 times of 100: of the optimizer's own ``"end"``, and of the ``"polished"`` one.
+        to happen nine times of ten: of the optimizer's own ``"end"`` and of the ``"polished"`` one.
         Empty without a target.
     """
 
@@ -77,7 +77,7 @@ def survey(
         for name in (END, POLISHED):
             is_back = is_recovered(sweep, middle, within=within, polished=name == POLISHED)
             recoveries[name] = recovery(away, is_back)
-            radii[name] = radius(away, is_back)
+            radii[name] = radius(recoveries[name])
     return Survey(
         sweep=sweep,
         basins=basins,

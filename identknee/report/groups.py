@@ -18,19 +18,19 @@ Groups = Mapping[str, xarray.Dataset]
 def simulation_groups(simulation: Simulation, noisy: Laxity | None = None) -> Groups:
     """Groups ``constant_data`` and ``predictions``; ``observed_data`` where there is noise."""
     groups = {
-        "constant_data": _constant_data(simulation.model.protocol),
+        "constant_data": constant_data(simulation.model.protocol),
         "predictions": _predictions(simulation),
     }
     if noisy is not None:
-        groups["observed_data"] = _observed_data(noisy)
+        groups["observed_data"] = observed_data(noisy)
     return groups
 
 
 def fit_groups(fit: Fit, fitted: Simulation, laxity: Laxity) -> Groups:
     """Groups ``constant_data``, ``observed_data``, ``predictions`` and ``optimization``."""
     return {
-        "constant_data": _constant_data(laxity.protocol),
-        "observed_data": _observed_data(laxity),
+        "constant_data": constant_data(laxity.protocol),
+        "observed_data": observed_data(laxity),
         "predictions": _predictions(fitted),
         "optimization": optimization(fit),
     }
@@ -87,7 +87,8 @@ def optimization(fit: Fit) -> xarray.Dataset:
     )
 
 
-def _constant_data(protocol: Protocol) -> xarray.Dataset:
+def constant_data(protocol: Protocol) -> xarray.Dataset:
+    """Dataset of a protocol: flexion and loads by trial."""
     return xarray.Dataset(
         {
             "flexion_deg": ("trial", protocol.flexion_deg),
@@ -98,7 +99,8 @@ def _constant_data(protocol: Protocol) -> xarray.Dataset:
     )
 
 
-def _observed_data(laxity: Laxity) -> xarray.Dataset:
+def observed_data(laxity: Laxity) -> xarray.Dataset:
+    """Dataset of measured laxity, with its noise where stated."""
     dims = ("trial", "coordinate")
     variables = {"coordinates": (dims, laxity.coordinates)}
     if laxity.sd is not None:

@@ -15,8 +15,9 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -58,7 +59,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
     Workers start afresh (spawn) on every system, so the function must live at the top of a module,
     and a script that opens a pool needs ``if __name__ == "__main__":``. The function goes to each
     worker once, however many items it gets, so it may hold a large model. Ctrl-C reaches this
-    process alone: tasks not yet begun are dropped. Workers end when this process dies.
+    process alone. Workers end with it, and where an exception leaves the context, busy or not.
 
     Raises
     ------
@@ -73,12 +74,22 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
     if n_workers == 1:
         yield serial
         return
+    context = multiprocessing.get_context("spawn")
+    # Nothing is ever sent: its end is the sign for workers to end, busy or not.
+    line, ours = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(
-        n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
+        n_workers, mp_context=context, initializer=_start_worker, initargs=(line,)
     )
-    with tempfile.TemporaryDirectory(prefix="identknee-", ignore_cleanup_errors=True) as folder:
+    with (
+        line,
+        ours,
+        tempfile.TemporaryDirectory(prefix="identknee-", ignore_cleanup_errors=True) as folder,
+    ):
         try:
             yield _Processes(pool, Path(folder))
+        except BaseException:
+            ours.close()
+            raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
@@ -159,14 +170,13 @@ def _check_workers(n_workers: int) -> None:
         raise ValueError(f"the number of workers must be at least 1, got {n_workers}")
 
 
-def _start_worker() -> None:
+def _start_worker(line: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with, args=(line,), daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    # An idle worker waits on a queue that stays open when the parent is killed.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _end_with(line: Connection) -> None:
+    # The other end is closed by the parent where its work is broken off, or by its death.
+    with suppress(EOFError, OSError):
+        line.recv_bytes()
+    os._exit(1)

@@ -7,6 +7,7 @@ checkout, so that the same command resumes where it was stopped.
 import argparse
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,27 @@ import platformdirs
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.starts import named_start
-from identknee.identify.starts_design import shell_starts, sobol_starts
-from identknee.identify.sweep import Sweep, sweep
+from identknee.identify.cliffs import map_cliffs, plane
+from identknee.identify.recovery import Recovery, is_recovered, radius, recovery
+from identknee.identify.starts_design import distance, shell_starts, sobol_starts, unit_groups
+from identknee.identify.survey import survey
+from identknee.identify.sweep import OUTCOMES, Sweep, sweep
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.model.residuals import LaxityResiduals
-from identknee.report.study_records import knee_digest, rounded, study_knee
+from identknee.report.study_records import (
+    knee_digest,
+    record_head,
+    rounded,
+    study_knee,
+    write_record,
+)
+from identknee.report.sweep_groups import sweep_summary, trials_lost
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.files import digest
+from identknee.runs.outcome import Outcome
 from identknee.runs.resume import open_work
 from identknee.subject.knee import Knee
 
@@ -35,6 +48,15 @@ GUESSES = ("IG1", "IG2", "IG3", "IG4")
 # kN and %: as the paper counts the distance of its guesses, which are at 0, 0.5, 1.25 and 3.6.
 DISTANCES = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.6, 4.5, 6.0)
 SEED = 3
+# How near the truth an end has to be, in kN and %.
+WITHIN = (0.25, 0.5, 1.0)
+N_WAYS = {"reference": 400, "lenhart2015_stable": 100, "lenhart2015": 100}
+PLANE = 41
+N_QUANTILES, N_DRAWN = 201, 200
+KEPT = (
+    *("n_starts", "n_simulations", "n_polishing", "kinds", "outcomes", "polished_outcomes"),
+    *("n_basins", "basins", "unseen_mass", "seconds_per_start"),
+)
 Row = dict[str, Any]
 
 
@@ -81,11 +103,37 @@ PARTS = (
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
     options = parsed_options()
+    knees = {name: knee for name in KNEES if (knee := study_knee(name)) is not None}
+    record: Row = {
+        "head": record_head(
+            f"{COMMAND} --workers {options.workers}",
+            settings={
+                "workers": options.workers,
+                "seed": SEED,
+                "distances": DISTANCES,
+                "numbers": {x.name: x.numbers for x in PARTS},
+                "quick": options.quick,
+            },
+            inputs={name: knee_digest(knee) for name, knee in knees.items()},
+        ),
+        "missing_knees": sorted(set(KNEES) - set(knees)),
+        "knees": {name: described(problem_of(knee)) for name, knee in knees.items()},
+    }
     with process_pool(options.workers) as executor:
         for wanted in PARTS:
-            for name in KNEES:
-                if (knee := study_knee(name)) is not None:
-                    swept(name, problem_of(knee), wanted, options, executor)
+            for name, knee in knees.items():
+                problem = problem_of(knee)
+                found = swept(name, problem, wanted, options, executor)
+                row = record["knees"][name]
+                row["parts"][wanted.name] = part_row(problem, found, wanted)
+                write_record(options.record, record)
+        for name, knee in knees.items():
+            row = record["knees"][name]
+            row["cliffs"] = cliff_row(name, problem_of(knee), options, executor)
+            row["planes"] = plane_rows(problem_of(knee), 5 if options.quick else PLANE)
+            write_record(options.record, record)
+            say(f"{name}: cliffs and planes")
+    say(f"written: {options.record.name}")
 
 
 def parsed_options() -> argparse.Namespace:
@@ -145,6 +193,153 @@ def swept(
         )
     say(f"{knee}: {found} ({time.perf_counter() - began:.0f} s)")
     return found
+
+
+def described(problem: LaxityResiduals) -> Row:
+    """Names, truth and guesses of a knee, and room for its parts."""
+    parameters = problem.parameters
+    truth = named_start(TRUTH, parameters)
+    guesses = {x: named_start(x, parameters) for x in GUESSES}
+    row: Row = rounded(
+        {
+            "parameters": parameters.names,
+            "truth": truth,
+            "guesses": guesses,
+            "guess_distances": {x: distance(y, truth, parameters) for x, y in guesses.items()},
+            "n_residuals": len(problem.residuals(truth)),
+            "parts": {},
+        }
+    )
+    return row
+
+
+def part_row(problem: LaxityResiduals, found: Sweep, wanted: Part) -> Row:
+    """What the record keeps of a sweep."""
+    truth = named_start(TRUTH, problem.parameters)
+    read = survey(problem, found, target=truth)
+    summary = sweep_summary(read, None)
+    away = distance(found.starts, truth, found.parameters)
+    places = np.linspace(0, found.n - 1, min(found.n, N_QUANTILES)).astype(int)
+    row: Row = {
+        **{name: summary[name] for name in KEPT},
+        "kind_to_polished": crossed(found),
+        "predicted": shares_row(recovery(away, ~found.is_kind(Outcome.START_FAILED))),
+        "recovered": {
+            f"{end} within {within:g}": recovered_row(found, truth, away, within, end == "polished")
+            for end in ("end", "polished")
+            for within in WITHIN
+        },
+        "waterfall": {
+            "number": places + 1,
+            "end": np.sort(found.objectives)[places],
+            "polished": np.sort(found.polished_objectives)[places],
+        },
+        "first": {
+            "starts": found.starts[:N_DRAWN],
+            "ends": found.ends[:N_DRAWN],
+            "kinds": [OUTCOMES[k].value for k in found.kind_codes[:N_DRAWN]],
+        },
+        "busy_s": float(found.seconds.sum()),
+        "longest_s": float(found.seconds.max()),
+    }
+    if wanted.design == "guesses":
+        row["guesses"] = guess_rows(found, truth)
+    checked: Row = rounded(row, 5)
+    return checked
+
+
+def crossed(found: Sweep) -> Row:
+    """How many ends of each kind, by how their polishing ended."""
+    rows: Row = {}
+    for kind in OUTCOMES:
+        of_kind = found.polished_codes[found.is_kind(kind)]
+        if of_kind.size:
+            rows[kind.value] = found.counts(of_kind)
+    return rows
+
+
+def recovered_row(found: Sweep, truth: Array, away: Array, within: float, polished: bool) -> Row:  # noqa: FBT001
+    """Shares recovered by distance, and the radii for nine of ten and every second."""
+    shares = recovery(away, is_recovered(found, truth, within=within, polished=polished))
+    radii = {str(p): radius(shares, probability=p) for p in (0.9, 0.5)}
+    return {
+        **shares_row(shares),
+        "radii": {p: [x.value, x.lower, x.upper] for p, x in radii.items()},
+    }
+
+
+def shares_row(found: Recovery) -> Row:
+    """Distances and, at each, how many of how many with the limits of the share."""
+    return {
+        "distances": found.distances,
+        "shares": [[x.count, x.n, x.lower, x.upper] for x in found.shares],
+    }
+
+
+def guess_rows(found: Sweep, truth: Array) -> Row:
+    """Of each guess: kinds of its ends, where polishing leads, errors as the paper's Table 3."""
+    groups = unit_groups(found.parameters)
+    guess_of = np.repeat(GUESSES, found.n // len(GUESSES))
+    rows: Row = {}
+    for guess in GUESSES:
+        chosen = np.flatnonzero(guess_of == guess)
+        errors = np.abs(found.ends[chosen] - truth)
+        rows[guess] = {
+            "kinds": found.counts(found.kind_codes[chosen]),
+            "polished": found.counts(found.polished_codes[chosen]),
+            "error_kN": errors[:, groups == 0].mean(axis=1),
+            "error_pct": errors[:, groups == 1].mean(axis=1),
+            "polished_error": np.abs(found.polished[chosen] - truth).max(axis=1),
+            "objective": found.objectives[chosen],
+        }
+    return rows
+
+
+def cliff_row(
+    knee: str, problem: LaxityResiduals, options: argparse.Namespace, executor: Executor
+) -> Row:
+    """Cliffs on the straight ways from Sobol points of the bounds to the truth."""
+    truth = named_start(TRUTH, problem.parameters)
+    n = 4 if options.quick else N_WAYS[knee]
+    starts = sobol_starts(problem.parameters, n, seed=SEED)
+    about = {"knee": knee_digest(problem.model.knee), "numbers": fingerprint(problem), "ways": n}
+    path = options.store / f"{knee}_cliffs{'_quick' * options.quick}.sqlite"
+    with open_work(path, about) as store:
+        found = map_cliffs(
+            problem,
+            starts,
+            truth,
+            lost_at=partial(trials_lost, problem.model),
+            executor=executor,
+            store=store,
+        )
+    row: Row = rounded(
+        {
+            "n_ways": n,
+            "n_with_cliff": int(found.has_cliff.sum()),
+            "share_lost": float(found.share_lost.mean()),
+            "edge_distances": np.sort(found.edge_distances[found.has_cliff]),
+            "start_distances": np.sort(distance(starts, truth, problem.parameters)),
+            "trials_lost": dict(list(found.counts().items())[:12]),
+            "n_trials_lost": len(found.counts()),
+        },
+        4,
+    )
+    return row
+
+
+def plane_rows(problem: LaxityResiduals, n: int) -> Row:
+    """Objectives over stiffness and reference strain of each ligament, the rest at the truth."""
+    names = problem.parameters.names
+    truth = named_start(TRUTH, problem.parameters)
+    rows: Row = {}
+    for i, name in enumerate(names):
+        owner, _, quantity = name.rpartition(".")
+        if quantity == STIFFNESS:
+            pair = (i, problem.parameters.index(f"{owner}.{STRAIN}"))
+            values, objectives = plane(problem, truth, pair, n)
+            rows[owner] = rounded({"values": values, "objectives": objectives}, 3)
+    return rows
 
 
 def fingerprint(problem: LaxityResiduals) -> str:

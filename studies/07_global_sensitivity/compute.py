@@ -42,8 +42,8 @@ COMMAND = "python studies/07_global_sensitivity/compute.py"
 TRUTH = "IG1"  # Table 1 of the paper: its first initial guess is the reference itself.
 # Blocks, trajectories, draws: in full on the reference knee, a fifth or so on the real one.
 KNEES = {
-    "reference": {"sobol": 8192, "morris": 512, "draws": 2000},
-    "lenhart2015_stable": {"sobol": 2048, "morris": 128, "draws": 1000},
+    "reference": {"sobol": 4096, "morris": 512, "draws": 1000},
+    "lenhart2015_stable": {"sobol": 1024, "morris": 128, "draws": 500},
 }
 QUICK = {"sobol": 32, "morris": 8, "draws": 300}
 OVER_BOX: tuple[Method, ...] = ("sobol", "morris")

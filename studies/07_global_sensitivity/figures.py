@@ -62,10 +62,11 @@ def figure_1(part: Row) -> Figure:
         coordinate, _, where = name.partition(", ")
         if name != FAILURE:
             rows.setdefault(coordinate, []).append((where, line))
-    ordered = {
-        coordinate: ([name for name, _ in lines], np.array([line for _, line in lines]))
-        for coordinate, lines in rows.items()
-    }
+    ordered = {}
+    for coordinate, lines in rows.items():
+        # By load, then by angle, which is how one looks for a pattern.
+        lines.sort(key=lambda x: x[0].partition(", ")[::-1])
+        ordered[coordinate] = ([name for name, _ in lines], np.array([x for _, x in lines]))
     return map_figure(ordered, part["parameters"], "total Sobol index, ST")
 
 

@@ -25,7 +25,7 @@ from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
 
 LEVEL = 0.95
-REPLICATES = {"reference": 600, "lenhart2015_stable": 120}
+REPLICATES = {"reference": 1000, "lenhart2015_stable": 200}
 BOOTSTRAP = 1000
 CELLS = 24
 # Every so many replicates are fitted from other starts too.
@@ -131,7 +131,7 @@ def _design(knee: str, design: Design, store: Store) -> tuple[list[Measure], lis
         which = ", ".join(plain.outside) or "the mean"
         values = ", ".join(f"{n} {t:.2f}" for n, t in zip(names, thresholds, strict=True))
         notes.append(f"{where}: the plain threshold of 3.84 fails for {which}; instead {values}")
-    looked = [x["lower_elsewhere"] for x in replicates if x["looked_around"]]
+    looked = [x["lower_elsewhere"] for x in replicates if x["lower_elsewhere"] is not None]
     measures.append(
         Measure(
             what=f"{where}, minima lower by more than {NEGLIGIBLE} found from other starts",

@@ -61,15 +61,23 @@ def test_an_open_end_given_as_a_number_is_wrong() -> None:
 def test_wrong_words_are_wrong_and_no_words_are_not() -> None:
     answer = _exact(OPEN)
     assert _grade(OPEN, answer) is Grade.RIGHT
-    for words in ({"upper": "open_flat"}, {"verdict": "identifiable"}, {"lower": "failed"}):
-        assert _grade(OPEN, dataclasses.replace(answer, **words)) is not Grade.RIGHT
+    for other in (
+        dataclasses.replace(answer, upper="open_flat"),
+        dataclasses.replace(answer, verdict="identifiable"),
+        dataclasses.replace(answer, lower="failed"),
+    ):
+        assert _grade(OPEN, other) is not Grade.RIGHT
 
 
 @pytest.mark.parametrize(
-    "doubt", [{"warnings": ("no convergence",)}, {"lower": "failed"}, {"upper": "open_budget"}]
+    "answer",
+    [
+        Answer(intervals=(), warnings=("no convergence",)),
+        Answer(intervals=(), lower="failed"),
+        Answer(intervals=(), upper="open_budget"),
+    ],
 )
-def test_a_wrong_answer_with_a_doubt_is_not_silent(doubt: dict[str, object]) -> None:
-    answer = dataclasses.replace(Answer(intervals=()), **doubt)  # type: ignore[arg-type]
+def test_a_wrong_answer_with_a_doubt_is_not_silent(answer: Answer) -> None:
     assert _grade(CLOSED, answer) is Grade.FLAGGED
 
 

@@ -8,8 +8,8 @@ from problems import Cliff, ClosedForm, linear, plain_parameters, sloppy_springs
 
 from identknee.calibrate.bounded import with_bounds
 from identknee.calibrate.problem import Problem
-from identknee.identify.evaluation import Evaluator
 from identknee.identify.constrained import minimise
+from identknee.identify.evaluation import Evaluator
 from identknee.identify.profile import profile
 from identknee.identify.profile_result import Profile, SideStatus, Verdict
 from identknee.identify.quantity import ParameterQuantity, UserQuantity
@@ -55,7 +55,9 @@ def test_a_parabola_closes_at_1_96_standard_deviations() -> None:
     """The deviance is twice the log likelihood: no factor of two is lost."""
     problem = linear()
     found = profile(problem, problem.minimum, _first(problem))
-    sd = np.sqrt(np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0])
+    sd = np.sqrt(
+        np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0]
+    )
     assert found.lower == pytest.approx(problem.minimum[0] - Z_95 * sd, abs=END * Z_95 * sd)
     assert found.upper == pytest.approx(problem.minimum[0] + Z_95 * sd, abs=END * Z_95 * sd)
     assert found.verdict is Verdict.IDENTIFIABLE
@@ -65,8 +67,13 @@ def test_a_parabola_closes_at_1_96_standard_deviations() -> None:
 def test_the_error_of_an_end_is_within_its_estimate() -> None:
     problem = linear()
     found = profile(problem, problem.minimum, _first(problem))
-    sd = np.sqrt(np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0])
-    for end, side, sign in ((found.lower, found.lower_side, -1), (found.upper, found.upper_side, 1)):
+    sd = np.sqrt(
+        np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0]
+    )
+    for end, side, sign in (
+        (found.lower, found.lower_side, -1),
+        (found.upper, found.upper_side, 1),
+    ):
         assert end is not None
         assert abs(end - problem.minimum[0] - sign * Z_95 * sd) <= side.error < END * Z_95 * sd
 
@@ -147,7 +154,7 @@ def test_a_set_in_two_parts_is_two_intervals() -> None:
 
 
 def test_a_better_optimum_starts_it_over() -> None:
-    wells = _single(lambda x: (x * x - 4) * (1 + 0.1 * (x - 2)) , lambda x: 2 * x)
+    wells = _single(lambda x: (x * x - 4) * (1 + 0.1 * (x - 2)), lambda x: 2 * x)
     tilted = ClosedForm(
         name="tilted",
         parameters=plain_parameters(1),
@@ -193,9 +200,7 @@ def _two_paths(height: float, pull: float) -> ClosedForm:
         residuals_at=lambda x: np.array(
             [height * (x[1] ** 2 - 1), pull * (x[1] + x[0]), 0.25 * (x[0] + 1)]
         ),
-        jacobian_at=lambda x: np.array(
-            [[0.0, 2 * height * x[1]], [pull, pull], [0.25, 0.0]]
-        ),
+        jacobian_at=lambda x: np.array([[0.0, 2 * height * x[1]], [pull, pull], [0.25, 0.0]]),
     )
 
 
@@ -234,7 +239,9 @@ def test_lower_levels_are_read_off_the_curve() -> None:
     problem = linear()
     found = profile(problem, problem.minimum, _first(problem))
     ((low, high),) = found.intervals_at(0.6826894921370859)
-    sd = np.sqrt(np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0])
+    sd = np.sqrt(
+        np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0]
+    )
     assert low is not None
     assert high is not None
     # A cubic through a parabola is that parabola.

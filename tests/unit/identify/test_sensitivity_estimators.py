@@ -5,7 +5,12 @@ import pytest
 from SALib.analyze import morris as salib_morris
 from SALib.analyze import sobol as salib_sobol
 
-from identknee.identify.sensitivity_designs import Box, morris_trajectories, saltelli_blocks
+from identknee.identify.sensitivity_designs import (
+    Box,
+    box_draws,
+    morris_trajectories,
+    saltelli_blocks,
+)
 from identknee.identify.sensitivity_estimators import (
     levels_of,
     morris_indices,
@@ -168,6 +173,14 @@ def test_an_output_that_is_never_there_has_no_index() -> None:
     unit = morris_trajectories(Box(lower=np.zeros(2), upper=np.ones(2)), 8, seed=5)
     y = np.full((8, 3, 1), np.nan)
     assert np.isnan(morris_indices(unit, y, np.array([0]), seed=0)["mu_star"].final).all()
+
+
+def test_designs_grow_at_their_end() -> None:
+    """So that more simulations can be added to those already made."""
+    for design in (saltelli_blocks, morris_trajectories, box_draws):
+        few, many = design(CUBE, 4, seed=1), design(CUBE, 16, seed=1)
+        assert np.array_equal(few, many[:4])
+        assert np.all(np.abs(many) <= np.pi)
 
 
 def test_bad_designs_are_refused() -> None:

@@ -5,6 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from SALib.analyze import pawn as salib_pawn
 
 from identknee.identify.sensitivity_given import (
     METHODS,
@@ -141,6 +142,15 @@ def test_constant_outputs_and_few_draws(method: str) -> None:
         found = converging_indices(method, draws, scores, np.array([400]), 0)
         for part in found.values():
             assert np.array_equal(part["values"], np.full((1, 3), expected), equal_nan=True)
+
+
+def test_pawn_is_that_of_salib() -> None:
+    draws = gaussian(500)
+    for scores in (draws @ SLOPES, np.round(draws[:, 0])):
+        problem = {"num_vars": 3, "names": list("abc"), "bounds": [[-4.0, 4.0]] * 3}
+        theirs = salib_pawn.analyze(problem, draws, scores)["median"]
+        # It leaves the largest value of a parameter out of its last slice of 50.
+        assert pawn_index(draws, scores, 0)["pawn"] == pytest.approx(theirs, abs=0.02)
 
 
 def test_failures_as_an_output() -> None:

@@ -53,6 +53,19 @@ def test_seeds_are_a_function_of_the_seed_alone() -> None:
     assert spawn_seeds(child, 1)[0].spawn_key == (0, 0)
 
 
+def test_busy_workers_do_not_hold_up_an_exception() -> None:
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        stop_after_the_first([0.0, 60.0, 60.0, 60.0])
+    assert time.monotonic() - began < 30
+
+
+def stop_after_the_first(naps_s: list[float]) -> None:
+    with process_pool(2) as executor:
+        for _ in executor.map(time.sleep, naps_s):
+            raise KeyboardInterrupt
+
+
 SCRIPT = """
 import os, sys, time
 from identknee.runs.executors import process_pool

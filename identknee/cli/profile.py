@@ -1,0 +1,281 @@
+"""`identknee profile`: which values of each parameter, or of any prediction, the data allow."""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import identknee as ik
+from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.identification import (
+    WORK,
+    Bounds,
+    Fixed,
+    Identification,
+    Noise,
+    Start,
+    identification,
+)
+from identknee.runs.files import prepare_folder
+from identknee.runs.record import Recording, record
+
+Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
+Chosen = Annotated[
+    list[str] | None,
+    typer.Option("--parameter", metavar="NAME", help="One parameter only; repeatable."),
+]
+Quantities = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--quantity",
+        metavar="NAME",
+        help="A prediction too: ACL.tension_N@TRIAL or varus_deg@TRIAL; repeatable.",
+    ),
+]
+Forces = Annotated[
+    list[str] | None,
+    typer.Option(metavar="TRIAL", help="The forces of all ligaments in a trial; repeatable."),
+]
+Trials = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PROTOCOL",
+        help="Where the trials of --quantity and --forces stand, if not in the data.",
+    ),
+]
+Pairs = Annotated[
+    list[str] | None,
+    typer.Option("--pair", metavar="NAME,NAME", help="Two parameters at once; repeatable."),
+]
+Level = Annotated[float, typer.Option(help="Confidence level of the sets.")]
+Budget = Annotated[int, typer.Option(min=1, help="Simulations a profile may make.")]
+Bootstrap = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Thresholds from N simulated data sets instead of the chi-squared law.",
+    ),
+]
+
+# Of the options: those that the profiles depend on.
+DECIDING = frozenset(
+    {
+        *("chosen", "quantities", "forces", "trials", "pairs", "level", "budget", "bootstrap"),
+        *("noise", "start", "fixed", "bounds", "seed"),
+    }
+)
+
+
+def profile(
+    context: typer.Context,
+    subject: Subject,
+    data: Data,
+    chosen: Chosen = None,
+    quantities: Quantities = None,
+    forces: Forces = None,
+    trials: Trials = None,
+    pairs: Pairs = None,
+    level: Level = 0.95,
+    budget: Budget = 1000,
+    bootstrap: Bootstrap = 0,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    out: Out = Path("identknee-profile"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Profile the parameters of SUBJECT and say which of their values DATA.csv allows.
+
+    Each parameter gets the set of values that the data do not exclude, with an end only where the
+    data give it one, and a verdict. An open end is null in result.json. A stopped run resumes.
+    """
+    prepare_folder(out)
+    its = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    if bootstrap and its.degrees_of_freedom is not None:
+        raise ValueError(
+            "--bootstrap simulates noise of a stated size; state it with --noise, for example "
+            "--noise 0.5mm,0.5deg"
+        )
+    recording = record("profile", context.params, its.inputs, seed)
+    about = {
+        "verb": "profile",
+        "inputs": its.inputs,
+        **{name: value for name, value in context.params.items() if name in DECIDING},
+    }
+    wanted = [*_parameters(its, chosen), *_predictions(its, quantities, forces, trials)]
+    couples = [_couple(x) for x in pairs or []]
+    answer, seconds = timed(
+        lambda: _profiled(its, wanted, couples, about, out=out, workers=workers)
+    )
+    summary = _written(out, its, answer, {"seconds": seconds}, recording)
+    show(summary, _lines(its, answer, out), as_json=as_json)
+
+
+def _parameters(its: Identification, chosen: list[str] | None) -> "list[ik.Quantity]":
+    parameters = its.problem.parameters
+    names = chosen or parameters.names
+    return [ik.ParameterQuantity(parameters=parameters, name=name) for name in names]
+
+
+def _predictions(
+    its: Identification,
+    names: list[str] | None,
+    forces: list[str] | None,
+    trials: str | None,
+) -> "list[ik.Quantity]":
+    from identknee.identify.quantity import RestrictedQuantity
+    from identknee.model.quantities import quantity_named
+
+    model = its.model
+    if trials is not None:
+        model = model.with_protocol(ik.load_protocol(trials))
+    ligaments = [x.name for x in its.knee.ligaments]
+    texts = [*(names or []), *(f"{x}.tension_N@{t}" for t in forces or [] for x in ligaments)]
+    return [
+        RestrictedQuantity(quantity=quantity_named(model, text), free=its.free, at=its.start)
+        for text in texts
+    ]
+
+
+def _couple(text: str) -> tuple[str, str]:
+    first, comma, second = text.partition(",")
+    if not comma:
+        raise ValueError(
+            f"--pair {text}: there is no second name. "
+            "Write for example --pair ACL.stiffness_kN,ACL.reference_strain_pct"
+        )
+    return first.strip(), second.strip()
+
+
+def _profiled(
+    its: Identification,
+    wanted: "list[ik.Quantity]",
+    couples: list[tuple[str, str]],
+    about: dict[str, Any],
+    *,
+    out: Path,
+    workers: int,
+) -> "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]":
+    from identknee.runs.executors import process_pool
+    from identknee.runs.resume import open_work
+
+    level = about["level"]
+    start = its.start[list(its.free)]
+    with open_work(out / WORK, about) as store, process_pool(workers) as executor:
+        best = ik.best_fit(its.problem, start=start, seed=about["seed"], executor=executor)
+        profiles = ik.profile_quantities(
+            its.problem,
+            best.theta,
+            wanted,
+            executor=executor,
+            store=store,
+            level=level,
+            budget=about["budget"],
+            thresholds=_thresholds(its, wanted, best.theta, about, (executor, store)),
+        )
+        theta = min(profiles, key=lambda x: x.deviance).optimum
+        both = None
+        if its.degrees_of_freedom is not None:
+            both = ik.f_threshold(level, its.degrees_of_freedom, 2)
+        pairs = tuple(
+            ik.profile_pair(
+                its.problem,
+                theta,
+                couple,
+                level=level,
+                threshold=both,
+                executor=executor,
+                store=store,
+            )
+            for couple in couples
+        )
+    return profiles, pairs
+
+
+def _thresholds(
+    its: Identification,
+    wanted: "list[ik.Quantity]",
+    theta: Any,
+    about: dict[str, Any],
+    means: tuple[Any, Any],
+) -> Any:
+    level, n = about["level"], about["bootstrap"]
+    if its.degrees_of_freedom is not None:
+        return ik.f_threshold(level, its.degrees_of_freedom)
+    if n == 0:
+        return ik.chi2_threshold(level)
+    from identknee.identify.thresholds import resimulated
+
+    found = ik.bootstrap_statistics(
+        partial(resimulated, its.problem, theta),
+        theta,
+        wanted,
+        n=n,
+        seed=about["seed"],
+        executor=means[0],
+        store=means[1],
+    )
+    return found.thresholds(level)[:, 0]
+
+
+def _written(
+    out: Path,
+    its: Identification,
+    answer: "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]",
+    said: dict[str, Any],
+    recording: Recording,
+) -> dict[str, Any]:
+    # xarray takes longer to load than a short profile takes.
+    from identknee.report.profile_groups import pair_summary, profile_groups, profile_summary
+    from identknee.report.result_files import write_result
+
+    profiles, pairs = answer
+    parameters = its.problem.parameters.names
+    entries = {x.name: profile_summary(x) for x in profiles}
+    best = min(profiles, key=lambda x: x.deviance)
+    summary = {
+        "parameters": {name: entries[name] for name in parameters if name in entries},
+        "quantities": {name: x for name, x in entries.items() if name not in parameters},
+        "pairs": [pair_summary(x) for x in pairs],
+        "optimum": dict(zip(parameters, best.optimum.tolist(), strict=True)),
+        "deviance": best.deviance,
+        "n_simulations": sum(x.n_simulations for x in (*profiles, *pairs)),
+        "degrees_of_freedom": its.degrees_of_freedom,
+        "assumptions": its.assumptions,
+        **said,
+    }
+    groups = profile_groups(profiles, parameters, pairs)
+    return write_result(out, summary, groups, recording.finish())
+
+
+def _lines(
+    its: Identification,
+    answer: "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]",
+    out: Path,
+) -> list[str]:
+    profiles, pairs = answer
+    width = max(len(x.name) for x in profiles)
+    lines = [f"{'':{width}}  {'lower':>9}  {'best':>9}  {'upper':>9}  verdict"]
+    lines += [
+        f"{x.name:{width}}  {_end(x.lower):>9}  {x.optimum_value:9.4f}  {_end(x.upper):>9}  "
+        f"{x.verdict.value}"
+        for x in profiles
+    ]
+    open_ends = {x.status for p in profiles for x in (p.lower_side, p.upper_side) if x.end is None}
+    lines += [f"{x.value}: {x.sentence}" for x in sorted(open_ends, key=lambda x: x.value)]
+    lines += [
+        f"{' and '.join(x.names)}: {sum(r.status.value == 'closed' for r in x.rays)} of "
+        f"{len(x.rays)} ways closed"
+        for x in pairs
+    ]
+    total = sum(x.n_simulations for x in (*profiles, *pairs))
+    return [*lines, *its.assumptions, f"{total} simulations. Results: {out}"]
+
+
+def _end(value: float | None) -> str:
+    return "open" if value is None else f"{value:.4f}"

@@ -1,0 +1,203 @@
+"""Which trials to add, so that the data tell what they leave open: chosen, predicted, verified."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.calibrate.problem import Problem
+from identknee.identify.added_trials import Candidates, WithTrials
+from identknee.identify.design_criteria import CRITERIA, Criterion, LocalLoss, Loss, WidthLoss
+from identknee.identify.design_search import choose
+from identknee.identify.design_survey import Excluded, paths_of, survey
+from identknee.identify.profile_result import Profile
+from identknee.identify.profiles import ProfileSettings, profile_quantities
+from identknee.identify.quantity import ParameterQuantity, Quantity
+from identknee.runs.arrays import Array, frozen
+from identknee.runs.executors import Executor, serial
+
+ProfilesOf = Callable[[Problem, ArrayLike, Sequence[Quantity]], tuple[Profile, ...]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Design:
+    """Trials to add, with what was predicted of them and what they achieve.
+
+    Attributes
+    ----------
+    criterion
+        What was made small: see `design`.
+    names
+        Of all k candidates.
+    chosen
+        The trials to add, the most helpful first; one that comes twice is to be made twice.
+    excluded
+        Candidates that were not offered.
+    losses
+        The loss before and after each added trial, shape ``(n_trials + 1,)``.
+    alone
+        The loss with each candidate alone added, shape ``(k,)``; NaN for those excluded.
+    predicted
+        Predicted interval of each of the t targets before and after each added trial, shape
+        ``(n_trials + 1, t, 2)``; NaN for an end that stays open.
+    sds
+        Standard deviations of the targets by the linear model at the best fit, shape ``(n_trials +
+        1, t)``.
+    before, after
+        Profiles of the targets on the data as they are, and with the added trials simulated at
+        the best fit.
+    n_simulations
+        Simulations made, profiles included.
+    """
+
+    criterion: Criterion
+    names: tuple[str, ...]
+    chosen: tuple[int, ...]
+    excluded: tuple[Excluded, ...]
+    losses: Array
+    alone: Array
+    predicted: Array
+    sds: Array
+    before: tuple[Profile, ...]
+    after: tuple[Profile, ...]
+    n_simulations: int
+
+    def __post_init__(self) -> None:
+        steps, t = len(self.chosen) + 1, len(self.before)
+        shapes = {
+            "losses": (steps,),
+            "alone": (len(self.names),),
+            "predicted": (steps, t, 2),
+            "sds": (steps, t),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the quantities whose intervals were to shrink."""
+        return tuple(profile.name for profile in self.before)
+
+    @property
+    def trials(self) -> tuple[str, ...]:
+        """Names of the trials to add, the most helpful first."""
+        return tuple(self.names[i] for i in self.chosen)
+
+
+def design(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    candidates: Candidates,
+    *,
+    n_trials: int,
+    targets: Sequence[Quantity] = (),
+    criterion: Criterion = "width",
+    executor: Executor = serial,
+    **settings: Unpack[ProfileSettings],
+) -> Design:
+    """The trials that, added to the data, close or shrink the intervals of the targets most.
+
+    The targets are profiled on the data. Every candidate is predicted along these profiles; one
+    that has no prediction at a parameter set that the data allow is excluded. The trials are chosen
+    greedily and by exchange, simulated at the best fit, and the targets profiled again.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise.
+    optimum_theta
+        The best fit, shape ``(n,)``.
+    candidates
+        Trials to choose from.
+    n_trials
+        How many to add.
+    targets
+        Quantities whose intervals are to shrink; the parameters with an open interval if none is
+        given, all parameters where no interval is open.
+    criterion
+        ``"width"`` for the predicted widths of the targets' profiles, ``"c"`` for their variances
+        at the best fit, ``"D"``, ``"A"`` or ``"E"`` for the determinant, the trace or the largest
+        eigenvalue of the covariance of all parameters in typical steps.
+    executor
+        Anything with an ordered ``map``; the result is the same whichever it is.
+    settings
+        Those of `profile_quantities`: ``level, budget, starts, thresholds``.
+
+    Raises
+    ------
+    ValueError
+        If `n_trials` is less than 1, the criterion is unknown, the model has no prediction at the
+        best fit, or every candidate is excluded.
+    """
+    if n_trials < 1:
+        raise ValueError(f"the number of trials to add must be at least 1, got {n_trials}")
+    if criterion not in CRITERIA:
+        raise ValueError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
+    profiles_of = partial(profile_quantities, executor=executor, **settings)
+    if targets:
+        quantities = tuple(targets)
+        before = profiles_of(problem, optimum_theta, quantities)
+    else:
+        quantities, before = _needy(problem, optimum_theta, profiles_of)
+    points = survey(problem, before, candidates, executor)
+    excluded = points.excluded(candidates.names)
+    allowed = ~np.isin(candidates.names, [x.name for x in excluded])
+    if not allowed.any():
+        raise ValueError(
+            "no candidate has a prediction at all parameter sets that the data allow; offer others"
+        )
+    gradients = np.array([x.evaluate(points.thetas[0])[1] for x in quantities]) * points.scales
+    width = WidthLoss(paths=paths_of(before, quantities, points.scales))
+    local = LocalLoss(criterion=criterion, gradients=gradients)
+    loss: Loss = width if criterion == "width" else local
+    made, trials = points.features(loss, allowed)
+    chosen = choose(loss, made, trials, allowed, n_trials)
+    whole = _with_trials(problem, candidates, chosen, points.thetas[0])
+    after = profiles_of(whole, points.thetas[0], quantities)
+    return Design(
+        criterion=criterion,
+        names=candidates.names,
+        chosen=chosen,
+        excluded=excluded,
+        losses=loss(_sums(made, trials, chosen)),
+        alone=np.where(allowed, loss(made + trials), np.nan),
+        predicted=_intervals(width, _sums(*points.features(width, allowed), chosen)),
+        sds=np.sqrt(local.variances(_sums(*points.features(local, allowed), chosen))),
+        before=before,
+        after=after,
+        n_simulations=points.n_simulations + sum(x.n_simulations for x in (*before, *after)),
+    )
+
+
+def _needy(
+    problem: Problem, theta: ArrayLike, profiles_of: ProfilesOf
+) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
+    """The parameters with an open interval, all of them where none is, and their profiles."""
+    parameters = problem.parameters
+    every = [ParameterQuantity(parameters=parameters, name=x) for x in parameters.names]
+    profiles = profiles_of(problem, theta, every)
+    is_open = [x.lower is None or x.upper is None for x in profiles]
+    chosen = [i for i in range(parameters.n) if is_open[i] or not any(is_open)]
+    return tuple(every[i] for i in chosen), tuple(profiles[i] for i in chosen)
+
+
+def _sums(made: Array, trials: Array, chosen: tuple[int, ...]) -> Array:
+    """Features before and after each of the chosen trials, shape ``(n_trials + 1, f)``."""
+    return np.asarray(made + np.cumsum(np.vstack([np.zeros(made.size), trials[list(chosen)]]), 0))
+
+
+def _intervals(width: WidthLoss, features: Array) -> Array:
+    """Predicted intervals, shape ``(n_trials + 1, t, 2)``; NaN for open ends."""
+    found = [np.where(is_open, np.nan, ends) for ends, is_open in width.intervals(features)]
+    return np.stack(found, axis=1)
+
+
+def _with_trials(
+    problem: Problem, candidates: Candidates, chosen: tuple[int, ...], theta: Array
+) -> WithTrials:
+    """The problem with the chosen trials as they would come out at theta, without errors."""
+    measured, _ = candidates.predict(theta, chosen)
+    return WithTrials(problem=problem, candidates=candidates, chosen=chosen, measured=measured)

@@ -1,0 +1,348 @@
+"""The profile of a pair of parameters: which combinations of their values the data allow."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy.stats
+from numpy.typing import ArrayLike
+
+from identknee.calibrate.problem import Problem
+from identknee.calibrate.scales import typical_steps
+from identknee.identify.constrained import minimise
+from identknee.identify.evaluation import Evaluator
+from identknee.identify.hermite import crossings
+from identknee.identify.profile_march import march
+from identknee.identify.profile_result import SideStatus
+from identknee.identify.profile_walk import BetterFound, Walk, as_point
+from identknee.identify.quantity import ParameterQuantity
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, frozen
+from identknee.runs.executors import Executor, serial
+from identknee.runs.resume import resumable_map
+from identknee.runs.store import Store
+
+# Of one way.
+BUDGET = 4000
+N_RAYS = 24
+RADIUS = "radius"
+OPTIMUM_TOLERANCE = 1e-6
+MOST_ROUNDS = 4
+# Of the largest: a variance below this is that of a combination the data fix, or none at all.
+SMALLEST = 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PairRay:
+    """The profile of a pair along one straight way from its optimum.
+
+    Attributes
+    ----------
+    values
+        The pair at each point, from the optimum outward, shape ``(k, 2)``.
+    deltas, slopes
+        Rise of the deviance there, and its derivative along the way by the distance from the
+        optimum (of whatever unit `distances` have), shape ``(k,)``.
+    distances
+        From the optimum, in units that turn the pair's likely values into a circle, shape ``(k,)``.
+    status
+        How the way ended; ``closed`` at the threshold.
+    end
+        The last likely pair, shape ``(2,)``, or the last one tried where the way is open.
+    """
+
+    values: Array
+    deltas: Array
+    slopes: Array
+    distances: Array
+    status: SideStatus
+    end: Array
+
+    def __post_init__(self) -> None:
+        k = len(self.distances)
+        object.__setattr__(self, "values", frozen(self.values, k, 2, name="values"))
+        for field in ("deltas", "slopes", "distances"):
+            object.__setattr__(self, field, frozen(getattr(self, field), k, name=field))
+        object.__setattr__(self, "end", frozen(self.end, 2, name="end"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PairProfile:
+    """The pairs of values that the data do not exclude, as ways outward from the best pair.
+
+    Attributes
+    ----------
+    names
+        Of the two parameters.
+    level, threshold
+        Confidence level of the set for both at once, and the rise of the deviance that bounds it.
+    optimum
+        The best pair, shape ``(2,)``.
+    rays
+        Ways outward, counterclockwise in units that turn the set into a circle. What lies behind
+        an excluded stretch of a way is not seen.
+    n_simulations
+        Simulations made, each with its Jacobian.
+    """
+
+    names: tuple[str, str]
+    level: float
+    threshold: float
+    optimum: Array
+    rays: tuple[PairRay, ...]
+    n_simulations: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "optimum", frozen(self.optimum, 2, name="optimum"))
+
+    def contour(self, level: float) -> Array:
+        """The edge of the likely pairs at a level up to the profile's own, shape ``(n_rays, 2)``.
+
+        A row is NaN where the way does not reach that level.
+
+        Raises
+        ------
+        ValueError
+            If the level is not above 0 or is above the profile's own.
+        """
+        if not 0.0 < level <= self.level:
+            raise ValueError(
+                f"the level must be above 0 and at most the profile's {self.level:g}, got {level:g}"
+            )
+        law = scipy.stats.chi2(2)
+        threshold = self.threshold * float(law.ppf(level) / law.ppf(self.level))
+        return np.array([self._crossing(ray, threshold) for ray in self.rays])
+
+    def _crossing(self, ray: PairRay, threshold: float) -> Array:
+        if ray.status is SideStatus.CLOSED and threshold >= self.threshold:
+            return ray.end
+        found = crossings(ray.distances, ray.deltas, ray.slopes, threshold)
+        if not found:
+            return np.full(2, np.nan)
+        last = ray.values[-1] - self.optimum
+        return np.asarray(self.optimum + last * (found[0] / ray.distances[-1]))
+
+
+def profile_pair(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    names: tuple[str, str],
+    *,
+    level: float = 0.95,
+    threshold: float | None = None,
+    executor: Executor = serial,
+    store: Store | None = None,
+) -> PairProfile:
+    """The profile of two parameters at once, all others fitted.
+
+    The set's edge is solved for along 24 straight ways from the optimum, evenly spread in units of
+    the pair's covariance, each as one side of a profile of a single quantity.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise; picklable if `executor` runs processes.
+    optimum_theta
+        The best fit known, shape ``(n,)``.
+    names
+        Of the two parameters.
+    level
+        Confidence level of the set for both at once.
+    threshold
+        Rise of the deviance that bounds it; that of the chi-squared law with two degrees of
+        freedom if None.
+    executor
+        Anything with an ordered ``map``.
+    store
+        Where finished ways are kept; from `identknee.runs.resume.open_work`.
+
+    Raises
+    ------
+    ValueError
+        If the names are not those of two different parameters, the level is not between 0 and 1,
+        or the model has no prediction at the optimum.
+    """
+    parameters = problem.parameters
+    pair = parameters.index(names[0]), parameters.index(names[1])
+    _check(names, level)
+    if threshold is None:
+        threshold = float(scipy.stats.chi2.ppf(level, 2))
+    theta = np.asarray(optimum_theta, dtype=np.float64)
+    directions = np.linspace(0.0, 2.0 * np.pi, N_RAYS, endpoint=False).tolist()
+    n_simulations = 0
+    for round_ in range(MOST_ROUNDS):
+        evaluator = Evaluator(problem)
+        optimum = minimise(evaluator, theta, tolerance=OPTIMUM_TOLERANCE).evaluation
+        if not optimum.is_finite:
+            raise ValueError("the model has no prediction at the optimum given; fit it first")
+        shape = _shape(optimum.jacobian, parameters, pair)
+        is_last = round_ == MOST_ROUNDS - 1
+        rows = resumable_map(
+            partial(_ray, problem, optimum.theta, pair, shape, (threshold, is_last)),
+            directions,
+            executor=executor,
+            store=store,
+            name=f"pair {names[0]} {names[1]} round {round_}",
+            description=f"profiling {names[0]} with {names[1]}",
+        )
+        n_simulations += evaluator.n_simulations + sum(x["n_simulations"] for x in rows)
+        better = [x for x in rows if x["better"] is not None]
+        if not better:
+            break
+        theta = np.array(min(better, key=lambda x: float(x["deviance"]))["better"])
+    return PairProfile(
+        names=(names[0], names[1]),
+        level=level,
+        threshold=threshold,
+        optimum=optimum.theta[list(pair)],
+        rays=tuple(_as_ray(x, optimum.theta[list(pair)]) for x in rows),
+        n_simulations=n_simulations,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AlongRay:
+    """A problem in which two parameters move together, along a straight way.
+
+    Attributes
+    ----------
+    problem
+        The problem.
+    origin
+        Theta where the way begins, shape ``(n,)``.
+    pair
+        Where the two parameters stand in theta.
+    direction
+        Change of the two per unit of distance, shape ``(2,)``.
+    """
+
+    problem: Problem
+    origin: Array
+    pair: tuple[int, int]
+    direction: Array
+
+    @property
+    def parameters(self) -> Parameters:
+        """The distance from the origin, then the parameters other than the pair."""
+        everything = self.problem.parameters
+        others = everything.select([everything.names[i] for i in self.others])
+        farthest = _room(everything, self.origin, self.pair, self.direction)
+        return Parameters(
+            names=(RADIUS, *others.names),
+            center=np.r_[0.0, others.center],
+            lower=np.r_[0.0, others.lower],
+            upper=np.r_[farthest, others.upper],
+            prior_sd=np.r_[1.0, others.prior_sd],
+            is_log=(False, *others.is_log),
+        )
+
+    @property
+    def others(self) -> list[int]:
+        """Where the parameters other than the pair stand in theta."""
+        return [i for i in range(self.problem.parameters.n) if i not in self.pair]
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals of the problem, shape ``(m,)``."""
+        return self.problem.residuals(self.whole(theta))
+
+    def jacobian(self, theta: Array) -> Array:
+        """Their derivatives by the distance and the other parameters, shape ``(m, n - 1)``."""
+        jacobian = self.problem.jacobian(self.whole(theta))
+        along = jacobian[:, list(self.pair)] @ self.direction
+        return np.column_stack([along, jacobian[:, self.others]])
+
+    def whole(self, theta: Array) -> Array:
+        """Theta of the problem, shape ``(n,)``."""
+        everything = np.array(self.origin)
+        everything[self.others] = theta[1:]
+        everything[list(self.pair)] += theta[0] * self.direction
+        parameters = self.problem.parameters
+        return np.asarray(np.clip(everything, parameters.lower, parameters.upper))
+
+
+def _check(names: Sequence[str], level: float) -> None:
+    if names[0] == names[1]:
+        raise ValueError(f"a pair needs two different parameters, got {names[0]} twice")
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"the level must be between 0 and 1, got {level:g}")
+
+
+def _shape(jacobian: Array, parameters: Parameters, pair: tuple[int, int]) -> Array:
+    """The matrix (2, 2) that turns a unit circle into the pair's ellipse of one deviance.
+
+    Directions that the data do not see are cut off at the parameters' typical steps.
+    """
+    scales = typical_steps(parameters)
+    _, size, directions = np.linalg.svd(jacobian * scales, full_matrices=True)
+    known = np.zeros(parameters.n)
+    known[: size.size] = size
+    spread = 1.0 / np.maximum(known, 1.0)
+    rows = (directions.T * spread)[list(pair)] * scales[list(pair), None]
+    covariance = rows @ rows.T
+    covariance += SMALLEST * np.diag(scales[list(pair)] ** 2)
+    return np.asarray(np.linalg.cholesky(covariance))
+
+
+def _room(parameters: Parameters, origin: Array, pair: tuple[int, int], direction: Array) -> float:
+    """How far the way stays within the bounds."""
+    lengths = [np.inf]
+    for i, change in zip(pair, direction, strict=True):
+        bound = parameters.upper[i] if change > 0 else parameters.lower[i]
+        if change != 0.0:
+            lengths.append((bound - origin[i]) / change)
+    # Bounds must differ, so an optimum on a bound keeps a way of no importance.
+    return max(float(min(lengths)), np.finfo(np.float64).tiny)
+
+
+def _ray(
+    problem: Problem,
+    theta: Array,
+    pair: tuple[int, int],
+    shape: Array,
+    settings: tuple[float, bool],
+    angle: float,
+) -> dict[str, Any]:
+    threshold, is_last = settings
+    direction = shape @ np.array([np.cos(angle), np.sin(angle)])
+    along = AlongRay(problem=problem, origin=theta, pair=pair, direction=direction)
+    evaluator = Evaluator(along, budget=BUDGET)
+    start = np.r_[0.0, theta[along.others]]
+    radius = ParameterQuantity(parameters=along.parameters, name=RADIUS)
+    walk = Walk(evaluator, radius, threshold, evaluator(start).deviance)
+    walk.is_final = is_last
+    try:
+        origin = as_point(walk.solve(0.0, start, tolerance=np.inf))
+        leg = march(walk, origin, 1)
+    except BetterFound as found:
+        better = along.whole(found.theta)
+        return {
+            "better": better,
+            "deviance": evaluator(found.theta).deviance,
+            "n_simulations": evaluator.n_simulations,
+        }
+    points = sorted(leg.points, key=lambda x: x.value)
+    return {
+        "better": None,
+        "direction": direction,
+        "distances": [x.value for x in points],
+        "deltas": [max(walk.delta(x), 0.0) for x in points],
+        "slopes": [x.slope for x in points],
+        "status": leg.side.status,
+        "end": leg.side.reached if leg.side.end is None else leg.side.end,
+        "n_simulations": evaluator.n_simulations,
+    }
+
+
+def _as_ray(row: dict[str, Any], optimum: Array) -> PairRay:
+    direction = np.array(row["direction"])
+    distances = np.array(row["distances"])
+    return PairRay(
+        values=optimum + distances[:, None] * direction,
+        deltas=row["deltas"],
+        slopes=row["slopes"],
+        distances=distances,
+        status=SideStatus(row["status"]),
+        end=optimum + row["end"] * direction,
+    )

@@ -1,0 +1,136 @@
+"""Laxity trials that might be added to the data, as the model of the knee predicts them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identknee.laxity.protocol import Protocol, concatenate
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.unloaded import SAME_ANGLE_DEG, from_unloaded
+from identknee.model.laxity_model import LaxityModel
+from identknee.runs.arrays import Array, frozen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CandidateLaxity:
+    """Trials to choose from, each measured as the trials made were.
+
+    A trial that is added has the coordinates that the data have, counted from the same zero, with
+    the errors `sd` and the correlation within a trial that the data state.
+
+    Attributes
+    ----------
+    model
+        The model of the data.
+    laxity
+        The data.
+    protocol
+        The trials to choose from.
+    sd
+        Standard deviation of each coordinate of an added trial [mm, deg], shape ``(5,)``; NaN for
+        those that would not be measured. See `typical_errors`.
+    free
+        Where the parameters that vary stand in the model's theta.
+    at
+        Values of all its parameters, shape ``(p,)``; those not free keep theirs.
+
+    Raises
+    ------
+    ValueError
+        If no coordinate would be measured, or a standard deviation is not positive.
+    """
+
+    model: LaxityModel
+    laxity: Laxity
+    protocol: Protocol
+    sd: Array
+    free: tuple[int, ...]
+    at: Array
+    _whitening: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sd", frozen(self.sd, len(COORDINATES), name="sd"))
+        object.__setattr__(self, "at", frozen(self.at, self.model.parameters.n, name="at"))
+        sd = self.sd[~np.isnan(self.sd)]
+        if not sd.size:
+            raise ValueError("an added trial must measure at least one coordinate")
+        if not (sd > 0).all():
+            raise ValueError(f"a standard deviation must be greater than 0, got {sd.min():g}")
+        shared = np.full((sd.size, sd.size), self.laxity.within_trial_correlation)
+        np.fill_diagonal(shared, 1.0)
+        whitening = np.linalg.inv(np.linalg.cholesky(sd[:, None] * shared * sd))
+        object.__setattr__(self, "_whitening", whitening)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the k trials."""
+        return self.protocol.trials
+
+    def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """What the chosen trials would measure at `theta`, and its derivatives by theta.
+
+        In units of the errors, with their correlation taken out: shapes ``(k, m)`` and ``(k, m,
+        n)`` for m measured coordinates; NaN in all of a trial that did not converge, or whose
+        unloaded pose did not where coordinates are counted from it. A trial may come twice.
+        """
+        once, back = np.unique(np.asarray(chosen, int), return_inverse=True)
+        trials = self.protocol.select(once)
+        whole = np.array(self.at)
+        whole[list(self.free)] = theta
+        if self.laxity.zero == "unloaded":
+            trials = with_unloaded(trials)
+        found = self.model.with_protocol(trials).predict(whole)
+        if found.jacobian is None:  # pragma: no cover - predict was asked for it
+            raise AssertionError
+        values, jacobians = found.coordinates, found.jacobian[:, :, list(self.free)]
+        if self.laxity.zero == "unloaded":
+            values, jacobians = from_unloaded(values, trials), from_unloaded(jacobians, trials)
+        measured = ~np.isnan(self.sd)
+        return (
+            (values[: once.size, measured] @ self._whitening.T)[back],
+            (self._whitening @ jacobians[: once.size, measured])[back],
+        )
+
+
+def typical_errors(laxity: Laxity) -> Array:
+    """The median stated error of each coordinate [mm, deg], ``(5,)``; NaN for those not measured.
+
+    Raises
+    ------
+    ValueError
+        If the laxity states no errors.
+    """
+    if laxity.sd is None:
+        raise ValueError("the laxity states no standard deviations; give those of the added trials")
+    return np.array(
+        [
+            np.median(sd[measured]) if measured.any() else np.nan
+            for sd, measured in zip(laxity.sd.T, laxity.is_measured.T, strict=True)
+        ]
+    )
+
+
+def with_unloaded(protocol: Protocol) -> Protocol:
+    """The protocol with an unloaded trial at each flexion angle that lacks one, added at its end.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> with_unloaded(load_protocol("seed63").select([0, 1])).trials[2:]
+    ('unloaded at 0',)
+    """
+    has = protocol.flexion_deg[protocol.is_unloaded]
+    missing: list[float] = []
+    for angle in protocol.flexion_deg:
+        if not (np.abs(np.array([*has, *missing]) - angle) <= SAME_ANGLE_DEG).any():
+            missing.append(float(angle))
+    if not missing:
+        return protocol
+    added = Protocol(
+        name="unloaded",
+        trials=tuple(f"unloaded at {angle!r}".removesuffix(".0") for angle in missing),
+        flexion_deg=np.array(missing),
+        loads=np.zeros((len(missing), protocol.loads.shape[1])),
+    )
+    return concatenate([protocol, added], name=protocol.name)

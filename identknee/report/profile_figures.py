@@ -1,0 +1,243 @@
+"""Figures of profiles, one function a figure, in the style of `identknee.report.figures`."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from identknee.calibrate.scales import typical_steps
+from identknee.identify.hermite import cubic
+from identknee.identify.profile_pairs import PairProfile
+from identknee.identify.profile_result import Interval, Profile
+from identknee.model.parameters import Parameters
+from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
+from identknee.report.profile_groups import PAIR_LEVELS, nested
+from identknee.runs.arrays import Array, BoolArray
+
+COLUMNS = 4
+N_COMPENSATORS = 3
+PER_SEGMENT = 12
+HEADROOM = 1.35
+THICKNESSES = (9.0, 6.0, 3.5, 1.5)
+
+
+def profiles_figure(profiles: Sequence[Profile]) -> Figure:
+    """The rise of the deviance of each quantity, with its points, threshold and likely values.
+
+    A panel each. The shaded stretch is the set of likely values; where it is open it ends in an
+    arrow. Further local optima have other markers.
+
+    Parameters
+    ----------
+    profiles
+        Of any quantities.
+    """
+    figure, panels = _panels(len(profiles), 2.3)
+    for axes, profile in zip(panels, profiles, strict=False):
+        _draw_profile(axes, profile)
+    for axes in panels[::COLUMNS]:
+        axes.set_ylabel("rise of deviance")
+    return figure
+
+
+def paths_figure(profiles: Sequence[Profile], parameters: Parameters) -> Figure:
+    """How the other parameters move along each profile, those that move most in colour.
+
+    Changes are in typical steps (3 kN, 2 %) from the optimum.
+
+    Parameters
+    ----------
+    profiles
+        Of quantities over the same parameters.
+    parameters
+        Those parameters.
+    """
+    figure, panels = _panels(len(profiles), 2.6)
+    scales = typical_steps(parameters)
+    for axes, profile in zip(panels, profiles, strict=False):
+        moves = (profile.thetas - profile.optimum) / scales
+        others = [i for i, name in enumerate(parameters.names) if name != profile.name]
+        spans = np.ptp(moves, axis=0)
+        ranked = [others[k] for k in np.argsort(-spans[others], kind="stable")]
+        for i in ranked[N_COMPENSATORS:]:
+            axes.plot(profile.values, moves[:, i], color="0.85", linewidth=0.8)
+        for k, i in enumerate(ranked[:N_COMPENSATORS]):
+            axes.plot(
+                profile.values,
+                moves[:, i],
+                STYLES[k],
+                marker=MARKERS[k],
+                markersize=3,
+                color=COLOURS[k],
+                linewidth=1.2,
+                label=_short(parameters.names[i]),
+            )
+        axes.axvline(profile.optimum_value, color="0.8", linewidth=0.8, zorder=0)
+        axes.legend(fontsize=7, frameon=False, handlelength=1.6)
+        axes.set_xlabel(_label(profile), fontsize=8)
+        _plain(axes)
+    for axes in panels[::COLUMNS]:
+        axes.set_ylabel("change [typical steps]")
+    return figure
+
+
+def intervals_figure(profiles: Sequence[Profile]) -> Figure:
+    """Nested sets of likely values as bars, one row a quantity, thinner for higher levels.
+
+    Each row is scaled to its own 95 % (or other) set, the optimum in the middle of the panel; an
+    open end is an arrow to the place reached.
+
+    Parameters
+    ----------
+    profiles
+        Of any quantities.
+    """
+    figure = Figure(figsize=(7.4, 0.9 + 0.34 * len(profiles)), layout="constrained")
+    axes = figure.add_subplot()
+    for row, profile in enumerate(profiles):
+        unit = _row_unit(profile)
+        for thickness, (level, intervals) in zip(
+            THICKNESSES, nested(profile).items(), strict=False
+        ):
+            for interval in intervals:
+                low, high = _drawn(interval, profile)
+                places = (np.array([low, high]) - profile.optimum_value) / unit
+                label = f"{level:.0%}" if row == 0 and interval is intervals[0] else None
+                axes.plot(
+                    places,
+                    [row, row],
+                    color=COLOURS[0],
+                    alpha=0.75,
+                    linewidth=thickness,
+                    solid_capstyle="butt",
+                    label=label,
+                )
+        _arrows(axes, profile, row, unit)
+        axes.plot(0.0, row, "|", color=BLACK, markersize=11)
+        text = f"{profile.optimum_value:.3g} {profile.unit}  {profile.verdict.value}"
+        axes.annotate(
+            text,
+            (1.01, row),
+            xycoords=("axes fraction", "data"),
+            va="center",
+            fontsize=7,
+        )
+    axes.set_yticks(range(len(profiles)), [x.name for x in profiles], fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlabel("distance from the best fit [half-widths of the set]")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.12), ncols=4, frameon=False, fontsize=8)
+    _plain(axes)
+    return figure
+
+
+def pairs_figure(pairs: Sequence[PairProfile]) -> Figure:
+    """Likely pairs of two parameters at nested levels; where a bound cuts them the line stops.
+
+    Parameters
+    ----------
+    pairs
+        One panel each.
+    """
+    figure, panels = _panels(len(pairs), 2.9)
+    for axes, pair in zip(panels, pairs, strict=False):
+        levels = [*(x for x in PAIR_LEVELS if x < pair.level), pair.level]
+        for k, level in enumerate(levels):
+            edge = pair.contour(level)
+            closed = np.vstack([edge, edge[:1]])
+            axes.plot(
+                *closed.T, STYLES[-1 - k], color=COLOURS[0], linewidth=1.2, label=f"{level:.0%}"
+            )
+        cut = np.array([x.end for x in pair.rays if x.status.value != "closed"]).reshape(-1, 2)
+        if len(cut):
+            axes.plot(*cut.T, "x", color=COLOURS[1], markersize=4, label="open")
+        axes.plot(*pair.optimum, "+", color=BLACK, markersize=8)
+        axes.set_xlabel(pair.names[0], fontsize=8)
+        axes.set_ylabel(pair.names[1], fontsize=8)
+        axes.legend(fontsize=7, frameon=False)
+        _plain(axes)
+    return figure
+
+
+def _draw_profile(axes: Axes, profile: Profile) -> None:
+    top = HEADROOM * profile.threshold
+    for branch in np.unique(profile.branches):
+        here = profile.branches == branch
+        marker, colour = MARKERS[branch % len(MARKERS)], COLOURS[branch % len(COLOURS)]
+        axes.plot(*_smooth(profile, here), color=colour, linewidth=1.2)
+        axes.plot(profile.values[here], profile.deltas[here], marker, color=colour, markersize=3.5)
+    axes.axhline(profile.threshold, color=GREY, linestyle="--", linewidth=0.9)
+    for interval in profile.intervals:
+        low, high = _drawn(interval, profile)
+        axes.axvspan(low, high, color=COLOURS[5], alpha=0.18, linewidth=0)
+        for end, place, turn in ((interval[0], low, -1), (interval[1], high, 1)):
+            if end is None:
+                axes.annotate(
+                    "open",
+                    (place, 0.55 * profile.threshold),
+                    fontsize=7,
+                    ha="left" if turn < 0 else "right",
+                )
+    axes.set_ylim(-0.05 * top, top)
+    axes.set_title(f"{_short(profile.name)}: {profile.verdict.value}", fontsize=8)
+    axes.set_xlabel(_label(profile), fontsize=8)
+    _plain(axes)
+
+
+def _smooth(profile: Profile, here: BoolArray) -> tuple[Array, Array]:
+    """The cubics through the points of one branch, as many short lines."""
+    rows = np.column_stack([profile.values, profile.deltas, profile.slopes])[here]
+    places, heights = [rows[:1, 0]], [rows[:1, 1]]
+    for left, right in pairwise([(float(a), float(b), float(c)) for a, b, c in rows]):
+        between = np.linspace(left[0], right[0], PER_SEGMENT + 1)[1:]
+        places.append(between)
+        heights.append(np.array([cubic(x, left, right) for x in between]))
+    return np.concatenate(places), np.concatenate(heights)
+
+
+def _row_unit(profile: Profile) -> float:
+    ends = [x for interval in profile.intervals for x in _drawn(interval, profile)]
+    half = 0.5 * (max(ends) - min(ends))
+    return half if half > 0 else 1.0
+
+
+def _drawn(interval: Interval, profile: Profile) -> tuple[float, float]:
+    """The interval with the places reached for its open ends."""
+    low, high = interval
+    return (
+        profile.lower_side.reached if low is None else low,
+        profile.upper_side.reached if high is None else high,
+    )
+
+
+def _arrows(axes: Axes, profile: Profile, row: int, unit: float) -> None:
+    for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
+        if side.end is None:
+            place = (side.reached - profile.optimum_value) / unit
+            axes.plot(place, row, marker, color=COLOURS[1], markersize=6)
+
+
+def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
+    columns = min(n, COLUMNS)
+    rows = -(-n // columns)
+    figure = Figure(figsize=(2.5 * columns + 0.5, height * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    panels = list(grid.ravel())
+    for unused in panels[n:]:
+        unused.set_visible(False)
+    return figure, panels
+
+
+def _short(name: str) -> str:
+    """The name without its unit: ``ACL stiffness``."""
+    return name.rpartition("_")[0].replace(".", " ").replace("_", " ") or name
+
+
+def _label(profile: Profile) -> str:
+    return f"{_short(profile.name)} [{profile.unit}]" if profile.unit else profile.name
+
+
+def _plain(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=7)

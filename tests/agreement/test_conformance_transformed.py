@@ -1,0 +1,13 @@
+"""identknee's own profiles on the conformance suite in other units, shifted and mirrored."""
+
+import pytest
+from transformed_cases import SHIFTABLE, transformed
+
+from identknee.identify.conformance.score import Grade, run_conformance
+from identknee.identify.conformance.tool import identknee_tool
+
+
+@pytest.mark.parametrize("name", SHIFTABLE)
+def test_the_answer_is_right(name: str) -> None:
+    report = run_conformance(identknee_tool, [transformed(SHIFTABLE[name], seed=2)])
+    assert report.graded[0].grade is Grade.RIGHT, str(report)

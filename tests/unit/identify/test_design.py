@@ -1,0 +1,231 @@
+"""Advice on trials to add: exact where the model is linear, near where it is not, and honest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import ClosedForm, Linear, plain_parameters
+from trial_candidates import FormulaTrials, linear_trials
+
+from identknee.identify.added_trials import WithTrials
+from identknee.identify.design import Design, design
+from identknee.identify.design_criteria import CRITERIA, Criterion, LocalLoss, directions_across
+from identknee.identify.profile_result import SideStatus
+from identknee.identify.quantity import ParameterQuantity, UserQuantity
+from identknee.runs.arrays import Array
+from identknee.runs.executors import threads
+
+Z95 = 1.959963984540054
+# Ends of profiles are solved to 1e-3 of a half-width or better; the prediction reads them off.
+ENDS = 2e-3
+
+
+def _linear(size: float = 1.0) -> Linear:
+    rng = np.random.default_rng(7)
+    matrix = size * rng.normal(size=(6, 3))
+    return Linear(parameters=plain_parameters(3, -1e3, 1e3), matrix=matrix, data=rng.normal(size=6))
+
+
+def _best(problem: Linear) -> Array:
+    return np.asarray(np.linalg.lstsq(problem.matrix, problem.data)[0])
+
+
+BLOCKS = np.random.default_rng(8).normal(size=(7, 2, 3))
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_on_a_linear_model_predicted_is_achieved_is_the_formula(criterion: Criterion) -> None:
+    problem = _linear()
+    found = design(problem, _best(problem), linear_trials(BLOCKS), n_trials=3, criterion=criterion)
+    assert found.targets == problem.parameters.names
+    assert len(found.trials) == 3
+    assert found.excluded == ()
+    information = problem.matrix.T @ problem.matrix
+    for step in range(4):
+        blocks = BLOCKS[list(found.chosen[:step])].reshape(-1, 3)
+        sd = np.sqrt(np.diag(np.linalg.inv(information + blocks.T @ blocks)))
+        # Information of 1e-6 is added in every direction.
+        np.testing.assert_allclose(found.sds[step], sd, rtol=1e-5)
+        widths = found.predicted[step, :, 1] - found.predicted[step, :, 0]
+        np.testing.assert_allclose(widths, 2.0 * Z95 * sd, rtol=ENDS)
+    for predicted, after in zip(found.predicted[-1], found.after, strict=True):
+        assert after.lower is not None
+        assert after.upper is not None
+        width = after.upper - after.lower
+        np.testing.assert_allclose(predicted, [after.lower, after.upper], atol=ENDS * width)
+    assert (np.diff(found.losses) < 0).all()
+    assert found.losses[1] == pytest.approx(np.nanmin(found.alone))
+
+
+def test_the_target_asked_for_is_the_one_that_shrinks() -> None:
+    problem = _linear()
+    sd = {}
+    for i, name in enumerate(problem.parameters.names):
+        target = ParameterQuantity(parameters=problem.parameters, name=name)
+        found = design(problem, _best(problem), linear_trials(BLOCKS), n_trials=2, targets=[target])
+        assert found.targets == (name,)
+        blocks = BLOCKS[list(found.chosen)].reshape(-1, 3)
+        information = problem.matrix.T @ problem.matrix + blocks.T @ blocks
+        sd[i] = np.sqrt(np.diag(np.linalg.inv(information)))
+    for i in sd:
+        assert all(sd[i][i] <= other[i] * 1.001 for other in sd.values())
+
+
+def _decay(times: Array, size: float = 20.0) -> tuple[ClosedForm, FormulaTrials]:
+    """Amplitude and rate of a decay; the trials made are late, when only their mixture matters."""
+    truth = np.array([3.0, 1.2])
+
+    def curve(theta: Array, at: Array) -> Array:
+        return np.asarray(size * theta[0] * np.exp(-theta[1] * at))
+
+    def slopes(theta: Array, at: Array) -> Array:
+        falling = size * np.exp(-theta[1] * at)
+        return np.stack([falling, -theta[0] * at * falling], axis=-1)
+
+    made = np.array([1.6, 1.8, 2.0])
+    problem = ClosedForm(
+        name="decay",
+        parameters=plain_parameters(2, 0.0, 8.0),
+        start=truth,
+        minimum=truth,
+        lowest=0.0,
+        residuals_at=lambda theta: curve(theta, made) - curve(truth, made),
+        jacobian_at=lambda theta: slopes(theta, made),
+    )
+    trials = FormulaTrials(
+        names=tuple(f"at {t:g}" for t in times),
+        values=lambda theta: curve(theta, times)[:, None],
+        jacobian=lambda theta: slopes(theta, times)[:, None, :],
+    )
+    return problem, trials
+
+
+def test_an_open_interval_is_closed_as_predicted() -> None:
+    problem, trials = _decay(np.array([0.05, 0.5, 1.0, 1.7, 3.0]))
+    found = design(problem, problem.minimum, trials, n_trials=2)
+    assert "x0.value_pct" in found.targets
+    before, after = found.before[0], found.after[0]
+    assert before.upper_status is SideStatus.OPEN_AT_BOUND
+    assert np.isnan(found.predicted[0, 0, 1])
+    assert after.upper_status is SideStatus.CLOSED
+    assert "at 3" not in found.trials
+    assert after.lower is not None
+    assert after.upper is not None
+    # One linear step of the other parameter from points as far apart as a profile's.
+    width = after.upper - after.lower
+    np.testing.assert_allclose(found.predicted[-1, 0], [after.lower, after.upper], atol=0.1 * width)
+
+
+def test_the_width_beats_the_variance_where_the_interval_is_open() -> None:
+    """Or equals it: the variance at the best fit is not what bounds a curved valley."""
+    problem, trials = _decay(np.linspace(0.05, 3.0, 12))
+    target = [ParameterQuantity(parameters=problem.parameters, name="x0.value_pct")]
+    widths = []
+    for criterion in ("width", "c"):
+        after = design(
+            problem, problem.minimum, trials, n_trials=1, targets=target, criterion=criterion
+        ).after[0]
+        assert after.lower is not None
+        widths.append(8.0 if after.upper is None else after.upper - after.lower)
+    assert widths[0] <= widths[1] * 1.05
+
+
+def test_candidates_without_prediction_are_excluded_and_said() -> None:
+    problem = _linear()
+    best = _best(problem)
+
+    def beyond(trial: int, theta: Array) -> float:
+        if trial == 2:
+            return 1.0
+        return float(theta[0] - best[0]) - 0.5 if trial == 5 else -1.0
+
+    found = design(problem, best, linear_trials(BLOCKS, beyond=beyond), n_trials=4)
+    assert [x.name for x in found.excluded] == ["trial 2", "trial 5"]
+    assert [x.at_fit for x in found.excluded] == [True, False]
+    assert found.excluded[0].sentence == "trial 2 has no prediction at the best fit."
+    some = found.excluded[1]
+    assert 0 < some.failures < some.tried
+    assert "parameter sets that the data allow" in some.sentence
+    assert not {"trial 2", "trial 5"} & set(found.trials)
+    assert np.isnan(found.alone[[2, 5]]).all()
+
+
+def test_any_function_can_be_the_target() -> None:
+    problem = _linear()
+    ratio = UserQuantity(name="sum", unit="%", function=lambda theta: float(theta.sum()))
+    found = design(
+        problem, _best(problem), linear_trials(BLOCKS), n_trials=1, targets=[ratio], criterion="c"
+    )
+    information = problem.matrix.T @ problem.matrix
+    expected = [np.sqrt(np.linalg.inv(information + block.T @ block).sum()) for block in BLOCKS]
+    assert found.chosen[0] == int(np.argmin(expected))
+    assert found.sds[1, 0] == pytest.approx(min(expected), rel=1e-4)
+
+
+def _same(first: Design, second: Design) -> bool:
+    return first.chosen == second.chosen and np.array_equal(first.predicted, second.predicted)
+
+
+def test_the_executor_does_not_matter() -> None:
+    problem = _linear()
+    args = (problem, _best(problem), linear_trials(BLOCKS))
+    with threads(2) as executor:
+        assert _same(design(*args, n_trials=2), design(*args, n_trials=2, executor=executor))
+
+
+def test_bad_input_is_refused() -> None:
+    problem = _linear()
+    args = (problem, _best(problem), linear_trials(BLOCKS))
+    with pytest.raises(ValueError, match="trials to add must be at least 1, got 0"):
+        design(*args, n_trials=0)
+    with pytest.raises(ValueError, match="no criterion 'F'; there are D, A, E, c, width"):
+        design(*args, n_trials=1, criterion="F")  # type: ignore[arg-type]
+    nothing = linear_trials(BLOCKS, beyond=lambda _, __: 1.0)
+    with pytest.raises(ValueError, match="no candidate has a prediction"):
+        design(problem, _best(problem), nothing, n_trials=1)
+
+
+def test_added_trials_are_residuals_like_others() -> None:
+    problem, theta = _linear(), np.array([0.3, -0.2, 0.1])
+    measured = np.zeros((3, 2))
+    whole = WithTrials(
+        problem=problem, candidates=linear_trials(BLOCKS), chosen=(4, 1, 4), measured=measured
+    )
+    rows = BLOCKS[[4, 1, 4]].reshape(-1, 3)
+    expected = np.concatenate([problem.residuals(theta), rows @ theta])
+    np.testing.assert_allclose(whole.residuals(theta), expected)
+    np.testing.assert_allclose(whole.jacobian(theta), np.vstack([problem.matrix, rows]))
+    # Also where the residuals were not asked for first.
+    np.testing.assert_allclose(whole.jacobian(theta + 1.0), np.vstack([problem.matrix, rows]))
+    assert whole.parameters is problem.parameters
+    lost = replace(whole, candidates=linear_trials(BLOCKS, beyond=lambda i, _: i - 3.5))
+    assert np.isinf(lost.residuals(theta)).all()
+    assert lost.residuals(theta).size == expected.size
+
+
+def test_losses_are_those_of_their_names() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(2, 5, 3))
+    matrices = np.einsum("kmi,kmj->kij", root, root)
+    gradients = rng.normal(size=(2, 3))
+    inverse = np.linalg.inv(matrices)
+    variances = np.einsum("ti,kij,tj->kt", gradients, inverse, gradients)
+    expected: dict[Criterion, Array] = {
+        "D": -np.log(np.linalg.det(matrices)),
+        "A": np.trace(inverse, axis1=1, axis2=2),
+        "E": np.linalg.eigvalsh(inverse)[:, -1],
+        "c": np.log(variances).sum(axis=1),
+    }
+    for criterion, values in expected.items():
+        loss = LocalLoss(criterion=criterion, gradients=gradients)
+        np.testing.assert_allclose(loss(matrices.reshape(2, -1)), values, rtol=1e-4)
+
+
+def test_directions_across_leave_the_target_as_it_is() -> None:
+    gradients = np.random.default_rng(0).normal(size=(5, 4))
+    across = directions_across(gradients)
+    assert across.shape == (5, 4, 3)
+    np.testing.assert_allclose(np.einsum("si,sia->sa", gradients, across), 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.einsum("sia,sib->sab", across, across), [np.eye(3)] * 5, atol=1e-12
+    )

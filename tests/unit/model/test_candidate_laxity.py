@@ -1,0 +1,149 @@
+"""Candidates on a knee: the whitened coordinates that the residuals of a table would have."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_knee import small_knee, small_protocol
+
+from identknee.laxity.noise import add_noise
+from identknee.laxity.protocol import Protocol, concatenate
+from identknee.laxity.table import Laxity
+from identknee.model import joint
+from identknee.model.candidate_laxity import CandidateLaxity, typical_errors, with_unloaded
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.residuals import LaxityResiduals
+from identknee.runs.arrays import Array
+
+# The same numbers along two ways of multiplying them.
+ROUNDING = 1e-10
+EVERYTHING = tuple(range(8))
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> LaxityModel:
+    cache = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(joint, "cache_folder", lambda: cache)
+        return LaxityModel(knee=small_knee(), protocol=small_protocol())
+
+
+def _data(model: LaxityModel, correlation: float = 0.3) -> Laxity:
+    exact = model.simulate(model.parameters.center)
+    return add_noise(exact, sd_mm=0.4, sd_deg=0.6, seed=0, correlation=correlation)
+
+
+def _new() -> Protocol:
+    return Protocol(
+        name="new",
+        trials=("pulled", "turned"),
+        flexion_deg=np.array([4.0, 8.0]),
+        loads=np.array([[0.2, 0, 20.0, 0, 0], [-0.3, 0, 0, 0, 0]]),
+    )
+
+
+def _candidates(model: LaxityModel, laxity: Laxity, **changes: object) -> CandidateLaxity:
+    settings: dict[str, object] = {
+        "protocol": _new(),
+        "sd": typical_errors(laxity),
+        "free": EVERYTHING,
+        "at": model.parameters.center,
+    }
+    return CandidateLaxity(model=model, laxity=laxity, **(settings | changes))  # type: ignore[arg-type]
+
+
+def _table(laxity: Laxity, protocol: Protocol, coordinates: Array, sd: Array) -> Laxity:
+    return Laxity(
+        protocol=protocol,
+        coordinates=coordinates,
+        sd=np.broadcast_to(sd, coordinates.shape).copy(),
+        within_trial_correlation=laxity.within_trial_correlation,
+        zero=laxity.zero,
+    )
+
+
+def test_they_are_the_residuals_of_a_table_with_these_errors(small: LaxityModel) -> None:
+    laxity = _data(small)
+    found = _candidates(small, laxity)
+    theta = small.parameters.center * 1.01
+    values, jacobians = found.predict(theta, [0, 1])
+    at_zero = _table(laxity, _new(), np.zeros((2, 5)), typical_errors(laxity))
+    problem = LaxityResiduals(model=small, laxity=at_zero, weighting="noise")
+    np.testing.assert_allclose(values.ravel(), problem.residuals(theta), rtol=ROUNDING)
+    expected = problem.jacobian(theta)
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(jacobians.reshape(10, 8), expected, atol=ROUNDING * size)
+
+
+def test_relative_data_have_relative_candidates(small: LaxityModel) -> None:
+    exact = small.simulate(small.parameters.center)
+    protocol = with_unloaded(small.protocol)
+    model = small.with_protocol(protocol)
+    exact = model.simulate(model.parameters.center)
+    laxity = replace(add_noise(exact, sd_mm=0.4, sd_deg=0.6, seed=0), zero="unloaded")
+    found = _candidates(model, laxity)
+    theta = model.parameters.center
+    values, jacobians = found.predict(theta, [1])
+    unloaded = Protocol(
+        name="unloaded", trials=("zero",), flexion_deg=np.array([8.0]), loads=np.zeros((1, 5))
+    )
+    both = small.with_protocol(concatenate([_new().select([1]), unloaded])).predict(theta)
+    assert both.jacobian is not None
+    sd = np.array([0.4, 0.4, 0.4, 0.6, 0.6])
+    expected = (both.coordinates[0] - both.coordinates[1]) / sd
+    np.testing.assert_allclose(values[0], expected, rtol=1e-9)
+    slopes = (both.jacobian[0] - both.jacobian[1]) / sd[:, None]
+    np.testing.assert_allclose(jacobians[0], slopes, atol=1e-9 * np.abs(slopes).max())
+
+
+def test_a_trial_may_come_twice_and_in_any_order(small: LaxityModel) -> None:
+    found = _candidates(small, _data(small))
+    theta = small.parameters.center
+    values, jacobians = found.predict(theta, [1, 0, 1])
+    first, slopes = found.predict(theta, [0, 1])
+    np.testing.assert_allclose(values, first[[1, 0, 1]], rtol=ROUNDING)
+    np.testing.assert_allclose(jacobians, slopes[[1, 0, 1]], rtol=1e-8, atol=1e-10)
+
+
+def test_only_what_the_data_measure_and_only_what_varies(small: LaxityModel) -> None:
+    laxity = _data(small)
+    coordinates, sd = np.array(laxity.coordinates), np.array(laxity.sd)
+    coordinates[:, 2], sd[:, 2] = np.nan, np.nan
+    part = replace(laxity, coordinates=coordinates, sd=sd)
+    at = np.array(small.parameters.center)
+    at[3] *= 1.1
+    found = _candidates(small, part, free=(0, 5), at=at)
+    theta = small.parameters.center[[0, 5]] * 1.02
+    values, jacobians = found.predict(theta, [0])
+    assert values.shape == (1, 4)
+    assert jacobians.shape == (1, 4, 2)
+    whole = np.array(at)
+    whole[[0, 5]] = theta
+    everything = _candidates(small, part).predict(whole, [0])
+    np.testing.assert_allclose(values, everything[0], rtol=ROUNDING)
+    np.testing.assert_allclose(jacobians, everything[1][:, :, [0, 5]], rtol=ROUNDING)
+
+
+def test_one_trial_that_fails_leaves_the_others(small: LaxityModel) -> None:
+    torn = replace(_new(), loads=np.array([[30.0, 0, 0, 0, 0], [-0.3, 0, 0, 0, 0]]))
+    values, jacobians = _candidates(small, _data(small), protocol=torn).predict(
+        small.parameters.center, [0, 1]
+    )
+    assert np.isnan(values[0]).all()
+    assert np.isnan(jacobians[0]).all()
+    assert np.isfinite(values[1]).all()
+
+
+def test_errors_are_medians_of_those_stated(small: LaxityModel) -> None:
+    laxity = _data(small)
+    np.testing.assert_array_equal(typical_errors(laxity), [0.4, 0.4, 0.4, 0.6, 0.6])
+    with pytest.raises(ValueError, match="states no standard deviations"):
+        typical_errors(small.simulate(small.parameters.center))
+
+
+def test_bad_input_is_refused(small: LaxityModel) -> None:
+    laxity = _data(small)
+    with pytest.raises(ValueError, match="at least one coordinate"):
+        _candidates(small, laxity, sd=np.full(5, np.nan))
+    with pytest.raises(ValueError, match="must be greater than 0, got 0"):
+        _candidates(small, laxity, sd=np.array([0.0, 1, 1, 1, 1]))
