@@ -12,13 +12,33 @@ if TYPE_CHECKING:
     from identknee.calibrate.fit import Fit, fit, fit_many, waterfall
     from identknee.calibrate.problem import Problem
     from identknee.calibrate.starts import load_start
+    from identknee.identify.cliffs import CliffMap, map_cliffs
+    from identknee.identify.gate import StopRule
+    from identknee.identify.nested import NestedPosterior, nested_posterior, quantile_differences
+    from identknee.identify.optimum import best_fit
+    from identknee.identify.posterior_sample import Posterior
+    from identknee.identify.power_scaling import prior_sensitivity
+    from identknee.identify.profile import profile
+    from identknee.identify.profile_pairs import PairProfile, profile_pair
+    from identknee.identify.profile_result import Profile
+    from identknee.identify.profiles import profile_parameters, profile_quantities
+    from identknee.identify.quantity import ParameterQuantity, Quantity, UserQuantity
+    from identknee.identify.sample import Ensembles, sample
+    from identknee.identify.sensitivity import Sensitivity, sensitivity
+    from identknee.identify.sensitivity_designs import Box, box_around
+    from identknee.identify.starts_design import distance, shell_starts, sobol_starts
+    from identknee.identify.survey import Survey, survey
+    from identknee.identify.sweep import Sweep, sweep
+    from identknee.identify.thresholds import bootstrap_statistics, chi2_threshold, f_threshold
     from identknee.laxity.noise import add_noise
     from identknee.laxity.protocol import Protocol, load_protocol
     from identknee.laxity.rmse import LaxityError, laxity_rmse
     from identknee.laxity.table import Laxity, read_laxity, write_laxity
     from identknee.model.laxity_model import LaxityModel
+    from identknee.model.laxity_outputs import LaxityOutputs
     from identknee.model.parameters import Parameters
     from identknee.model.prediction import Prediction
+    from identknee.model.quantities import LigamentForce, PredictedLaxity
     from identknee.model.residuals import LaxityResiduals
     from identknee.model.simulate import Simulation, simulate
     from identknee.model.stability import StabilityReport, check_stability
@@ -68,6 +88,43 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "fit_many",
     "Fit",
     "waterfall",
+    "sobol_starts",
+    "shell_starts",
+    "distance",
+    "Sweep",
+    "sweep",
+    "Survey",
+    "survey",
+    "CliffMap",
+    "map_cliffs",
+    "Sensitivity",
+    "sensitivity",
+    "Box",
+    "box_around",
+    "LaxityOutputs",
+    "Quantity",
+    "ParameterQuantity",
+    "UserQuantity",
+    "best_fit",
+    "chi2_threshold",
+    "f_threshold",
+    "bootstrap_statistics",
+    "Profile",
+    "profile",
+    "profile_parameters",
+    "profile_quantities",
+    "PairProfile",
+    "profile_pair",
+    "Posterior",
+    "Ensembles",
+    "sample",
+    "StopRule",
+    "NestedPosterior",
+    "nested_posterior",
+    "quantile_differences",
+    "prior_sensitivity",
+    "LigamentForce",
+    "PredictedLaxity",
     "scene",
     "Outcome",
     "InputError",
@@ -96,6 +153,69 @@ _MODULES = {
     "calibrate.bounded": ("with_bounds",),
     "calibrate.starts": ("load_start",),
     "calibrate.fit": ("fit", "fit_many", "Fit", "waterfall"),
+    "identify.starts_design": (
+        "sobol_starts",
+        "shell_starts",
+        "distance",
+    ),
+    "identify.sweep": (
+        "Sweep",
+        "sweep",
+    ),
+    "identify.survey": (
+        "Survey",
+        "survey",
+    ),
+    "identify.cliffs": (
+        "CliffMap",
+        "map_cliffs",
+    ),
+    "identify.sensitivity": (
+        "Sensitivity",
+        "sensitivity",
+    ),
+    "identify.sensitivity_designs": (
+        "Box",
+        "box_around",
+    ),
+    "model.laxity_outputs": ("LaxityOutputs",),
+    "identify.quantity": (
+        "Quantity",
+        "ParameterQuantity",
+        "UserQuantity",
+    ),
+    "identify.optimum": ("best_fit",),
+    "identify.thresholds": (
+        "chi2_threshold",
+        "f_threshold",
+        "bootstrap_statistics",
+    ),
+    "identify.profile_result": ("Profile",),
+    "identify.profile": ("profile",),
+    "identify.profiles": (
+        "profile_parameters",
+        "profile_quantities",
+    ),
+    "identify.profile_pairs": (
+        "PairProfile",
+        "profile_pair",
+    ),
+    "identify.posterior_sample": ("Posterior",),
+    "identify.sample": (
+        "Ensembles",
+        "sample",
+    ),
+    "identify.gate": ("StopRule",),
+    "identify.nested": (
+        "NestedPosterior",
+        "nested_posterior",
+        "quantile_differences",
+    ),
+    "identify.power_scaling": ("prior_sensitivity",),
+    "model.quantities": (
+        "LigamentForce",
+        "PredictedLaxity",
+    ),
     "report.scene": ("scene",),
     "runs.outcome": ("Outcome",),
     "runs.errors": ("InputError",),

@@ -83,7 +83,13 @@ def sample(
     assumptions = [*its.assumptions, *_about_noise(its)]
     said = {"seconds": seconds, "assumptions": assumptions, **_opinion(found, opinion)}
     summary = _written(out, its, found, said, recording)
-    lines = [*assumptions, str(found), *_opinion_lines(said), f"{seconds:.0f} s.", f"Results: {out}"]
+    lines = [
+        *assumptions,
+        str(found),
+        *_opinion_lines(said),
+        f"{seconds:.0f} s.",
+        f"Results: {out}",
+    ]
     show(summary, lines, as_json=as_json)
     if not found.gates:
         raise NotComputed(
@@ -107,7 +113,7 @@ def _sampled(
             its.problem,
             optima=optima,
             ensembles=ik.Ensembles(n_ensembles=about["n_ensembles"], moves=about["moves"]),
-            budget=budget,
+            rule=ik.StopRule(budget=budget),
             seed=about["seed"],
             executor=executor,
             store=store,
@@ -152,11 +158,9 @@ def _opinion_lines(said: dict[str, Any]) -> list[str]:
         return []
     nested = said["nested"]
     worst = float(np.max(np.abs(nested["quantile_differences_in_errors"])))
-    return [
-        f"Nested sampling: log evidence {nested['log_evidence']:.2f} +- "
-        f"{nested['log_evidence_error']:.2f}; its quantiles differ by {worst:.1f} joint standard "
-        "errors at most."
-    ]
+    evidence = f"{nested['log_evidence']:.2f} +- {nested['log_evidence_error']:.2f}"
+    differences = f"its quantiles differ by {worst:.1f} joint standard errors at most"
+    return [f"Nested sampling: log evidence {evidence}; {differences}."]
 
 
 def _written(

@@ -8,6 +8,8 @@ from identknee.runs.arrays import Array, BoolArray, IntArray
 
 # Singular values below this part of the largest one are rounding, not information.
 RANK_TOLERANCE = 1e-12
+# What is smaller has no inverse among floating-point numbers.
+SMALLEST = 1e-150
 ROUNDS_PER_PARAMETER = 10
 NEGLIGIBLE = 1e-14
 
@@ -98,6 +100,7 @@ class _ActiveSet:
     ) -> None:
         n = matrix.shape[1]
         self._matrix, self._data = matrix, data
+        self._size = float(np.linalg.norm(matrix))
         self._lower, self._upper = bounds
         self._normal = None if constraint is None else constraint[0]
         self._held = np.zeros(n, dtype=np.bool_)
@@ -139,8 +142,9 @@ class _ActiveSet:
         basis = _null_space(None if self._normal is None else self._normal[free], len(free))
         if basis.shape[1] == 0:
             return np.zeros(len(free))
-        amounts = np.linalg.lstsq(matrix @ basis, -missing, rcond=RANK_TOLERANCE)[0]
-        return np.asarray(basis @ amounts)
+        left, size, right = np.linalg.svd(matrix @ basis, full_matrices=False)
+        known = size > max(RANK_TOLERANCE * self._size, SMALLEST)
+        return np.asarray(basis @ (right[known].T @ (left[:, known].T @ -missing / size[known])))
 
     def _let_go(self) -> bool:
         """Free the held component that pulls hardest inward; False if none does."""

@@ -161,16 +161,16 @@ class _Walk:
         self.n_simulations = 0
 
     def __call__(self, working: Array) -> Array:
-        return np.array([self.row(point) for point in working])
+        return np.array([self.row(point) for point in working], dtype=np.float64)
 
     def row(self, working: Array) -> Array:
         parameters = self._density.parameters
         theta = from_working(working, parameters)
         if not inside(theta, parameters):
-            return np.r_[-np.inf, np.zeros(parameters.n * (parameters.n + 1))]
+            return _joined(-np.inf, np.zeros(parameters.n * (parameters.n + 1)))
         self.n_simulations += 1
         kernel = newton_kernel(evaluate(self._density.problem, theta), parameters)
-        return np.r_[kernel.log_density, kernel.center, kernel.factor.ravel()]
+        return _joined(kernel.log_density, kernel.center, kernel.factor)
 
 
 def _near(walk: _Walk, optimum: Array, generator: np.random.Generator) -> Array | None:
@@ -186,8 +186,12 @@ def _near(walk: _Walk, optimum: Array, generator: np.random.Generator) -> Array 
             point = optimum + spread * step
             found = walk.row(point)
             if np.isfinite(found[0]):
-                return np.r_[point, found]
+                return _joined(point, found)
     return None
+
+
+def _joined(*parts: float | Array) -> Array:
+    return np.concatenate([np.ravel(part) for part in parts]).astype(np.float64)
 
 
 def _generator(seed: int, purpose: int, number: int) -> np.random.Generator:

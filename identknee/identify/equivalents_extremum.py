@@ -46,7 +46,7 @@ class End(Enum):
 _SENTENCES = {
     End.LIMIT: "Farther out the predictions differ by more than the limit.",
     End.BOUND: "Only the bounds of the parameters end it: the data would allow more.",
-    End.INTERIOR: "It is an extremum inside the region, away from limit and bounds.",
+    End.INTERIOR: "Nothing near it is farther out, and neither limit nor bounds are reached.",
     End.CLIFF: "The model has no prediction farther out; there may be more beyond.",
     End.BUDGET: "The search used up its steps; there may be more.",
 }

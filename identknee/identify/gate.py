@@ -47,7 +47,7 @@ _SENTENCES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopRule:
-    """What a sample must reach, all of it, before sampling stops.
+    """What a sample must reach, all of it, before sampling stops, and when it stops anyway.
 
     Attributes
     ----------
@@ -64,6 +64,8 @@ class StopRule:
         Fewest of one ensemble.
     mean_error
         Largest Monte Carlo standard error of a mean, relative to the standard deviation.
+    budget
+        Simulations after which sampling stops in any case, at the end of a block of steps.
     """
 
     autocorrelation_times: float = 50.0
@@ -72,6 +74,11 @@ class StopRule:
     effective_draws: float = 400.0
     effective_draws_each: float = 100.0
     mean_error: float = 0.05
+    budget: int = 400_000
+
+    def __post_init__(self) -> None:
+        if self.budget < 1:
+            raise ValueError(f"the budget must be at least 1 simulation, got {self.budget}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,7 +165,9 @@ class Gate:
         is_stuck = (self.acceptance < STUCK_ACCEPTANCE) & (self.kept >= STUCK_STEPS)
         return np.asarray(is_stuck)
 
-    def __str__(self) -> str:
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """Every condition with its number."""
         lines = [f"{self.steps} steps of every walker, the first {self.burn_in} left out."]
         for name, (value, bar, met) in self.conditions.items():
             sign = ">=" if name in _AT_LEAST else "<="

@@ -22,8 +22,9 @@ class NewtonMove(Move):  # type: ignore[misc]
     from where it stands (`identknee.identify.posterior.NewtonKernel`). One half of the walkers
     moves at a time: a proposal is drawn from the mixture of the other half's kernels, whatever the
     place of the walker that moves, and is accepted by the rule of Metropolis and Hastings with the
-    density of that mixture. Where the residuals are linear nearly every proposal is accepted and the
-    draws are independent; where walkers stand in several basins, proposals lead from one to another.
+    density of that mixture. Where the residuals are linear nearly every proposal is accepted and
+    the draws are independent; where walkers stand in several basins, proposals lead from one to
+    another.
 
     The densities are exact and the other half stands still meanwhile, so the posterior is
     invariant.
@@ -53,7 +54,7 @@ class NewtonMove(Move):  # type: ignore[misc]
 
 
 class KernelMixture:
-    """Equal mixture of kernels given as walkers' blobs, nine parts normal and one part heavy-tailed.
+    """Equal mixture of kernels given as walkers' blobs, nine parts normal, one part heavy-tailed.
 
     The heavy tails, of Student's t distribution with three degrees of freedom, are for walkers far
     from all others: a normal mixture is so thin there that it would hardly ever let them go.
@@ -107,7 +108,7 @@ def _log_kernel(squares: Array, points: Array) -> Array:
         - 0.5 * n * np.log(degrees * np.pi)
         - 0.5 * (degrees + n) * np.log1p(squares / degrees)
     )
-    return np.logaddexp(np.log(1.0 - HEAVY_PART) + normal, np.log(HEAVY_PART) + heavy)
+    return np.asarray(np.logaddexp(np.log(1.0 - HEAVY_PART) + normal, np.log(HEAVY_PART) + heavy))
 
 
 class SnookerMove(RedBlueMove):  # type: ignore[misc]

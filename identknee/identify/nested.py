@@ -11,7 +11,7 @@ from identknee.calibrate.problem import Problem
 from identknee.identify.chains import ONE_SD
 from identknee.identify.evaluation import evaluate
 from identknee.identify.posterior import LogPosterior, prior_quantiles
-from identknee.identify.sample import QUANTILES, Posterior
+from identknee.identify.posterior_sample import QUANTILES, Posterior
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.record import Record, record
@@ -85,9 +85,7 @@ class NestedPosterior:
         return np.asarray(np.interp(probabilities, below, values[order]))
 
 
-def nested_posterior(
-    problem: Problem, *, n_live: int = N_LIVE, seed: int = 0
-) -> NestedPosterior:
+def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -> NestedPosterior:
     """The posterior and the evidence by nested sampling with dynesty.
 
     It shares the density with `identknee.identify.sample.sample` and nothing else: no starts, no

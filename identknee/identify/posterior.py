@@ -29,6 +29,7 @@ class LogPosterior:
     """
 
     problem: Problem
+
     def __post_init__(self) -> None:
         parameters = self.problem.parameters
         is_log = np.array(parameters.is_log)
@@ -133,7 +134,8 @@ class ExcludedMass:
     beyond_bounds
         Part of the priors that the bounds cut off, exact.
     without_prediction
-        Part of the prior within the bounds where the model has no prediction, estimated.
+        Part of the prior within the bounds where the model has no prediction, estimated; NaN
+        without draws.
     low, high
         95 % confidence limits of that estimate, by Clopper and Pearson.
     n_draws
@@ -146,7 +148,9 @@ class ExcludedMass:
     high: float
     n_draws: int
 
-    def __str__(self) -> str:
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """Both parts as a sentence."""
         return (
             f"Excluded from the prior: {100 * self.beyond_bounds:.2g} % by the bounds; of the rest "
             f"{100 * self.without_prediction:.2g} % has no prediction "
@@ -167,7 +171,7 @@ def excluded_mass(parameters: Parameters, is_predicted: BoolArray) -> ExcludedMa
     tail = 0.5 * (1.0 - LEVEL)
     return ExcludedMass(
         beyond_bounds=max(0.0, 1.0 - mass_within_bounds(parameters)),
-        without_prediction=failed / n,
+        without_prediction=failed / n if n else np.nan,
         low=float(beta.ppf(tail, failed, n - failed + 1)) if failed else 0.0,
         high=float(beta.ppf(1.0 - tail, failed + 1, n - failed)) if failed < n else 1.0,
         n_draws=n,
@@ -206,9 +210,11 @@ def newton_kernel(evaluation: Evaluation, parameters: Parameters) -> NewtonKerne
     slope = np.where(parameters.is_log, evaluation.theta, 1.0)
     jacobian = evaluation.jacobian * slope
     precision = 1.0 / parameters.prior_sd**2
-    gradient = jacobian.T @ evaluation.residuals + precision * (working - working_center(parameters))
+    gradient = jacobian.T @ evaluation.residuals + precision * (
+        working - working_center(parameters)
+    )
     information = jacobian.T @ jacobian + np.diag(precision)
-    factor = np.linalg.cholesky(information)
+    factor = np.asarray(np.linalg.cholesky(information), dtype=np.float64)
     log_density = -0.5 * evaluation.deviance + float(log_prior_working(working, parameters))
     center = working - np.linalg.solve(information, gradient)
     return NewtonKernel(log_density=log_density, center=center, factor=factor)

@@ -1,11 +1,12 @@
 """How much the posterior leans on the prior and how much on the data, from the sample alone."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from identknee.identify.posterior import log_prior_working, to_working
-from identknee.identify.sample import Posterior
+from identknee.identify.posterior_sample import Posterior
 from identknee.runs.arrays import Array, frozen
 
 DELTA = 0.01
@@ -95,9 +96,9 @@ def _distance(values: Array, weights: Array) -> float:
 def _between(one: Array, other: Array, widths: Array) -> float:
     """Square root of the symmetric cumulative divergence, relative to its largest value."""
     low = np.finfo(float).tiny
-    one, other = np.maximum(one, low), np.maximum(other, low)
+    one, other = np.clip(one, low, None), np.clip(other, low, None)
     middle = 0.5 * (one + other)
     # The terms that make each half non-negative cancel in their sum.
-    divergence = widths @ (one * np.log2(one / middle) + other * np.log2(other / middle))
-    largest = widths @ (one + other)
-    return float(np.sqrt(max(0.0, divergence) / largest)) if largest > 0 else 0.0
+    divergence = float(widths @ (one * np.log2(one / middle) + other * np.log2(other / middle)))
+    largest = float(widths @ (one + other))
+    return math.sqrt(max(0.0, divergence) / largest) if largest > 0 else 0.0

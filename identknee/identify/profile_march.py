@@ -21,6 +21,7 @@ ON_CURVE, AT_END = 1e-3, 1e-4
 # Of the signed root at the threshold, and of the distance to the optimum.
 END_TOLERANCE = 1e-4
 CLIFF_TOLERANCE = 3e-4
+BESIDE_BOUND = 1e-3
 # Of the threshold: what a flat side may still rise by going as far again.
 FLAT = 1e-2
 # An unbounded side is flat where it is over so many first steps.
@@ -149,7 +150,9 @@ class _March:
         value = at.value + self._direction * self._limited(step)
         if self._blocked is not None and self._direction * (value - self._blocked) >= 0:
             return 0.5 * (at.value + self._blocked)
-        return value if self._direction * (self._bound - value) > 0 else self._bound
+        # A step that would end just before the bound goes all the way.
+        room = self._direction * (self._bound - value)
+        return value if room > BESIDE_BOUND * self._distance() else self._bound
 
     def _limited(self, step: float) -> float:
         last = self._unit

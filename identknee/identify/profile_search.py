@@ -26,6 +26,8 @@ NARROW = 0.05
 # How far beyond a cliff to look, in distances to the optimum.
 GAP_WIDTHS = (0.02, 0.1, 0.3, 1.0)
 
+# Of the way to the ends of the likely values: how far a constant is tried.
+ALMOST = 0.9
 # Of the largest: eigenvalues of the information below this are none.
 RANK_TOLERANCE = 1e-10
 
@@ -101,7 +103,7 @@ def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
 
 
 def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
-    """Theta with each parameter at either end of its likely values, the others following."""
+    """Theta with each parameter almost at an end of its likely values, the others following."""
     parameters = walk.evaluator.parameters
     at = origin.evaluation
     scales = typical_steps(parameters)
@@ -109,7 +111,7 @@ def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
     covariance = inverse * np.outer(scales, scales)
     sd = np.sqrt(np.diag(covariance))
     known = sd > 0
-    moves = np.sqrt(walk.threshold) * (covariance[:, known] / sd[known]).T
+    moves = ALMOST * np.sqrt(walk.threshold) * (covariance[:, known] / sd[known]).T
     return [
         np.clip(at.theta + sign * move, parameters.lower, parameters.upper)
         for move in moves
@@ -120,10 +122,9 @@ def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
 def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
     """The optimum's branch and those of other likely optima, as far as found.
 
-    Fits without a constraint start from the middle of what lies beyond each closed end, from the
-    optimum's mirror image in the box, and from each of `starts`. Where one ends at a likely optimum
-    that is not on a path walked before, its own branch is walked, and the gaps that it leaves are
-    looked into in their turn.
+    Fits without a constraint start from the middle of what lies beyond each closed end, and from
+    each of `starts`. Where one ends at a likely optimum that is not on a path walked before, its
+    own branch is walked, and the gaps that it leaves are looked into in their turn.
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
         branch = _across_the_gap(walk, leg, direction)
         if branch is not None and not _is_known(walk, branches, branch.origin):
             branches.append(branch)
-    for start in [*_mirrored(walk, main), *starts]:
+    for start in starts:
         branch = _branch_from(walk, branches, start)
         if branch is not None and len(branches) < MOST_BRANCHES:
             branches.append(branch)
@@ -209,14 +210,6 @@ def _across_the_gap(walk: Walk, leg: Leg, direction: int) -> Branch | None:
             return Branch(lower=lower, upper=upper)
         blocked = value
     return None
-
-
-def _mirrored(walk: Walk, main: Branch) -> list[Array]:
-    """The optimum on the other side of the middle of the box, where all bounds are finite."""
-    parameters = walk.evaluator.parameters
-    if not np.isfinite(parameters.upper - parameters.lower).all():
-        return []
-    return [parameters.lower + parameters.upper - main.origin.evaluation.theta]
 
 
 def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch | None:

@@ -14,7 +14,8 @@ from identknee.identify.profile_search import Branch
 from identknee.identify.profile_walk import Point, Walk
 from identknee.runs.arrays import Array
 
-# Singular values below this part of the largest, parameters in typical steps, are none.
+# Singular values below this part of the largest are none, each parameter in steps that change the
+# deviance by one.
 RANK_TOLERANCE = 1e-9
 # Of the quantity's gradient: what may lie in directions that the data do not see.
 UNSEEN = 1e-3
@@ -132,12 +133,14 @@ def _verdict(
 
 def _is_unseen(walk: Walk, origin: Point) -> bool:
     """Whether the quantity changes along a direction in which no residual does."""
-    scales = typical_steps(walk.evaluator.parameters)
+    size = np.linalg.norm(origin.evaluation.jacobian, axis=0)
+    typical = typical_steps(walk.evaluator.parameters)
+    scales = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), typical)
     gradient = walk.quantity.evaluate(origin.evaluation.theta)[1] * scales
     matrix = origin.evaluation.jacobian * scales
     padded = np.vstack([matrix, np.zeros((matrix.shape[1], matrix.shape[1]))])
-    _, size, directions = np.linalg.svd(padded, full_matrices=False)
-    unseen = directions[size <= RANK_TOLERANCE * max(size[0], 1e-300)] @ gradient
+    _, values, directions = np.linalg.svd(padded, full_matrices=False)
+    unseen = directions[values <= RANK_TOLERANCE * max(values[0], 1e-300)] @ gradient
     return bool(np.linalg.norm(unseen) > UNSEEN * np.linalg.norm(gradient))
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.chains import autocorrelation, quantile_error
 from identknee.identify.ensembles import (
     Block,
     Ensemble,
@@ -26,185 +25,19 @@ from identknee.identify.posterior import (
     excluded_mass,
     from_working,
     inside,
-    log_prior,
     log_prior_working,
     prior_draws,
 )
+from identknee.identify.posterior_sample import Posterior
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial
-from identknee.runs.record import Record, record
+from identknee.runs.record import record
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
 
-BUDGET = 400_000
 STEPS = 10
-PRIOR_DRAWS = 400
 PRIOR_CHUNK = 50
-QUANTILES = (0.025, 0.5, 0.975)
-# Draws further apart than the lag where the autocorrelation falls below this count as independent.
-INDEPENDENT = 0.05
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Posterior:
-    """A sample of the posterior, with all that says whether it can be trusted.
-
-    Attributes
-    ----------
-    parameters
-        The parameters, in the order of theta.
-    samples
-        Theta of every step of every walker, burn-in included, shape
-        ``(ensembles, walkers, steps, n)``.
-    log_likelihood
-        Minus half the deviance, shape ``(ensembles, walkers, steps)``.
-    gates
-        The numbers of every check, in their order; the last one decided.
-    outcome
-        How sampling ended.
-    prior
-        Draws of the prior within the bounds, shape ``(draws, n)``.
-    excluded
-        How much of the prior the posterior cannot reach.
-    optima
-        What the walkers started around, shape ``(k, n)``.
-    n_simulations
-        All simulations: fits, starts, steps, and the draws of the prior.
-    n_walk_simulations
-        Those of the steps alone.
-    seed
-        Of all random numbers.
-    record
-        The call, its settings and the time.
-    """
-
-    parameters: Parameters
-    samples: Array
-    log_likelihood: Array
-    gates: tuple[Gate, ...]
-    outcome: SampleOutcome
-    prior: Array
-    excluded: ExcludedMass
-    optima: Array
-    n_simulations: int
-    n_walk_simulations: int
-    seed: int
-    record: Record
-
-    def __post_init__(self) -> None:
-        n = self.parameters.n
-        samples = frozen(self.samples, None, None, None, n, name="samples")
-        object.__setattr__(self, "samples", samples)
-        likelihood = frozen(self.log_likelihood, *samples.shape[:3], name="log_likelihood")
-        object.__setattr__(self, "log_likelihood", likelihood)
-        object.__setattr__(self, "prior", frozen(self.prior, None, n, name="prior"))
-        object.__setattr__(self, "optima", frozen(self.optima, None, n, name="optima"))
-
-    @property
-    def gate(self) -> Gate:
-        """The last check.
-
-        Raises
-        ------
-        ValueError
-            If sampling never began.
-        """
-        if not self.gates:
-            raise ValueError(f"there is no sample: {self.outcome.sentence}")
-        return self.gates[-1]
-
-    @property
-    def kept(self) -> Array:
-        """Samples after burn-in, shape ``(ensembles, walkers, steps, n)``."""
-        return self.samples[:, :, self.gate.burn_in :]
-
-    @property
-    def kept_log_likelihood(self) -> Array:
-        """Minus half the deviance after burn-in, shape ``(ensembles, walkers, steps)``."""
-        return self.log_likelihood[:, :, self.gate.burn_in :]
-
-    @property
-    def kept_log_prior(self) -> Array:
-        """Log prior density of theta after burn-in, shape ``(ensembles, walkers, steps)``."""
-        return log_prior(self.kept, self.parameters)
-
-    @property
-    def mean(self) -> Array:
-        """Posterior mean of each parameter, shape ``(n,)``."""
-        return np.asarray(self.kept.mean(axis=(0, 1, 2)))
-
-    @property
-    def sd(self) -> Array:
-        """Posterior standard deviation of each parameter, shape ``(n,)``."""
-        return np.asarray(self.kept.std(axis=(0, 1, 2), ddof=1))
-
-    def quantiles(self, probabilities: ArrayLike = QUANTILES) -> Array:
-        """Posterior quantiles of each parameter, shape ``(n, k)``."""
-        return np.asarray(np.quantile(self.kept, np.asarray(probabilities), axis=(0, 1, 2)).T)
-
-    def quantile_errors(self, probabilities: Sequence[float] = QUANTILES) -> Array:
-        """Monte Carlo standard errors of the quantiles, shape ``(n, k)``."""
-        each = [self.kept[..., i] for i in range(self.parameters.n)]
-        return np.array([[quantile_error(x, p) for p in probabilities] for x in each])
-
-    def independent(self, n_draws: int, *, or_fewer: bool = False) -> IntArray:
-        """Places (ensemble, walker, kept step) of draws as good as independent, ``(n_draws, 3)``.
-
-        They are spread over all ensembles and walkers and lie so many steps apart that the
-        autocorrelation of every parameter has fallen below 0.05.
-
-        Parameters
-        ----------
-        n_draws
-            How many.
-        or_fewer
-            Whether a sample too short to hold so many gives those it holds.
-
-        Raises
-        ------
-        ValueError
-            If the sample is too short and fewer will not do.
-        """
-        kept = self.kept
-        n_ensembles, n_walkers, n_steps = kept.shape[:3]
-        apart = max(_spacing(kept[..., i]) for i in range(self.parameters.n))
-        steps = np.arange(n_steps - 1, -1, -apart)
-        places = np.array(
-            [
-                (ensemble, walker, step)
-                for step in steps
-                for walker in range(n_walkers)
-                for ensemble in range(n_ensembles)
-            ]
-        )
-        if len(places) < n_draws and or_fewer:
-            return places
-        if len(places) < n_draws:
-            raise ValueError(
-                f"the sample holds {len(places)} independent draws, fewer than the {n_draws} asked "
-                "for; sample longer or ask for fewer"
-            )
-        return np.asarray(places[np.linspace(0, len(places) - 1, n_draws).round().astype(int)])
-
-    def __str__(self) -> str:
-        if not self.gates:
-            return self.outcome.sentence
-        width = max(len(name) for name in self.parameters.names)
-        lines = [f"{'':{width}}  {'mean':>9}  {'sd':>8}  {'2.5 %':>9}  {'97.5 %':>9}"]
-        quantiles = self.quantiles((0.025, 0.975))
-        for i, name in enumerate(self.parameters.names):
-            numbers = f"{self.mean[i]:9.4f}  {self.sd[i]:8.4f}  {quantiles[i, 0]:9.4f}"
-            lines.append(f"{name:{width}}  {numbers}  {quantiles[i, 1]:9.4f}")
-        return "\n".join(
-            [
-                *lines,
-                self.outcome.sentence,
-                str(self.gate),
-                str(self.excluded),
-                f"{self.n_simulations} simulations.",
-            ]
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,12 +55,16 @@ class Ensembles:
     moves
         ``"newton"`` uses the exact Jacobian, ``"difference"`` (differential evolution and snooker)
         and ``"stretch"`` do without.
+    n_prior
+        Draws of the prior that are simulated to see how much of it has no prediction, a multiple
+        of 50.
     """
 
     n_ensembles: int = 4
     n_walkers: int | None = None
     steps: int = STEPS
     moves: str = "newton"
+    n_prior: int = 400
 
     def __post_init__(self) -> None:
         if self.n_ensembles < 2:
@@ -236,6 +73,8 @@ class Ensembles:
             )
         if self.steps < 1:
             raise ValueError(f"a block needs at least 1 step, got {self.steps}")
+        if self.n_prior < 0 or self.n_prior % PRIOR_CHUNK:
+            raise ValueError(f"n_prior must be a multiple of {PRIOR_CHUNK}, got {self.n_prior}")
         if self.moves not in MOVES:
             known = ", ".join(sorted(MOVES))
             raise ValueError(f"there are no moves {self.moves!r}; known are {known}")
@@ -265,7 +104,6 @@ def sample(
     optima: ArrayLike | None = None,
     ensembles: Ensembles | None = None,
     rule: StopRule | None = None,
-    budget: int = BUDGET,
     seed: int = 0,
     executor: Executor = serial,
     store: Store | None = None,
@@ -286,9 +124,7 @@ def sample(
     ensembles
         How many ensembles and walkers, and their moves.
     rule
-        What the sample must reach.
-    budget
-        Simulations after which sampling ends anyway, at the end of a block.
+        What the sample must reach, and the budget that ends it anyway.
     seed
         Of all random numbers.
     executor
@@ -303,8 +139,6 @@ def sample(
         That the model has no prediction around them is not an error: the outcome says it.
     """
     ensembles, rule = ensembles or Ensembles(), rule or StopRule()
-    if budget < 1:
-        raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
     density = LogPosterior(problem=problem)
     task = Ensemble(
         density=density,
@@ -315,11 +149,11 @@ def sample(
     )
     given = None if optima is None else _checked(optima, density.parameters)
     run = _Run(task, ensembles.n_ensembles, executor, store)
-    recording = record("sample", run.settings(rule, budget), {}, seed)
-    prior, excluded = run.prior()
+    recording = record("sample", run.settings(rule), {}, seed)
+    prior, excluded = run.prior(ensembles.n_prior)
     places = run.optima() if given is None else given
     is_begun = bool(len(places)) and run.begin(places)
-    outcome = run.walk(rule, budget) if is_begun else SampleOutcome.START_FAILED
+    outcome = run.walk(rule) if is_begun else SampleOutcome.START_FAILED
     return Posterior(
         parameters=density.parameters,
         **run.arrays(),
@@ -354,25 +188,24 @@ class _Run:
         self.n_simulations = 0
         self.n_walk_simulations = 0
 
-    def settings(self, rule: StopRule, budget: int) -> dict[str, Any]:
+    def settings(self, rule: StopRule) -> dict[str, Any]:
         return {
             "n_ensembles": self._n_ensembles,
             "n_walkers": self._task.n_walkers,
             "moves": self._task.moves,
             "block_steps": self._task.steps,
             "rule": {name: getattr(rule, name) for name in StopRule.__slots__},
-            "budget": budget,
         }
 
-    def prior(self) -> tuple[Array, ExcludedMass]:
+    def prior(self, n_draws: int) -> tuple[Array, ExcludedMass]:
         """Draws of the prior, and how many have no prediction."""
         density = self._task.density
         sequence = np.random.SeedSequence(self._task.seed, spawn_key=(3,))
-        draws = prior_draws(density.parameters, PRIOR_DRAWS, np.random.default_rng(sequence))
-        chunks = np.split(draws, PRIOR_DRAWS // PRIOR_CHUNK)
+        draws = prior_draws(density.parameters, n_draws, np.random.default_rng(sequence))
+        chunks = list(draws.reshape(-1, PRIOR_CHUNK, density.parameters.n))
         parts = self._map(partial(_are_predicted, density), chunks, "prior")
-        self.n_simulations += PRIOR_DRAWS
-        return draws, excluded_mass(density.parameters, np.concatenate(parts).astype(bool))
+        self.n_simulations += n_draws
+        return draws, excluded_mass(density.parameters, np.array(parts, dtype=bool).ravel())
 
     def optima(self) -> Array:
         """Ends of one fit for each ensemble; none where no draw of the prior has a prediction."""
@@ -389,7 +222,7 @@ class _Run:
         self.n_simulations += sum(x["n_simulations"] for x in self._states)
         return all(x["positions"] is not None for x in self._states)
 
-    def walk(self, rule: StopRule, budget: int) -> SampleOutcome:
+    def walk(self, rule: StopRule) -> SampleOutcome:
         while True:
             self._advance(len(self.gates))
             gate = check(self._chain, self._moved, rule, self.gates)
@@ -398,7 +231,7 @@ class _Run:
                 return SampleOutcome.CONVERGED
             if gate.stuck.any():
                 return SampleOutcome.STUCK
-            if self.n_simulations >= budget:
+            if self.n_simulations >= rule.budget:
                 return SampleOutcome.BUDGET
 
     def arrays(self) -> dict[str, Array]:
@@ -450,9 +283,3 @@ def _checked(optima: ArrayLike, parameters: Parameters) -> Array:
             f"{places[outside[0]].tolist()}"
         )
     return places
-
-
-def _spacing(values: Array) -> int:
-    """Lag at which the autocorrelation has fallen below 0.05."""
-    below = np.flatnonzero(autocorrelation(values) < INDEPENDENT)
-    return int(below[0]) if below.size else values.shape[2]

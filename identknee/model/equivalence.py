@@ -1,13 +1,14 @@
-"""When two parameter sets count as equivalent: the paper's kinematic criterion as blocks."""
+"""When two parameter sets count as equivalent, and in which trials their forces are compared."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, IntArray
 
 # The paper: "the kinematic error remained below 1 mm and 1.2 deg for all conditions", the
 # root-mean-square difference over the trials of a flexion angle.
@@ -62,3 +63,24 @@ def rms_blocks(
             "use the noise criterion"
         )
     return blocks
+
+
+def largest_loads(protocol: Protocol) -> IntArray:
+    """Which trials have the largest load of their kind at their flexion angle, in their order.
+
+    Two loads are of a kind where the same of them push the same way.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> protocol = load_protocol("seed63")
+    >>> [protocol.trials[i] for i in largest_loads(protocol)][:2]
+    ['flexion0_varus-10Nm', 'flexion0_unloaded']
+    """
+    largest: dict[tuple[float, ...], int] = {}
+    sizes = np.abs(protocol.loads).sum(axis=1)
+    for i in range(protocol.n):
+        kind = (float(protocol.flexion_deg[i]), *np.sign(protocol.loads[i]).tolist())
+        if kind not in largest or sizes[i] > sizes[largest[kind]]:
+            largest[kind] = i
+    return np.sort(list(largest.values()))

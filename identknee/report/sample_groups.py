@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import xarray
 
+from identknee.identify.posterior_sample import QUANTILES, Posterior
 from identknee.identify.power_scaling import PriorSensitivity
-from identknee.identify.sample import QUANTILES, Posterior
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.groups import constant_data, observed_data
@@ -18,12 +18,12 @@ CHAIN = ("chain", "draw")
 
 
 def sample_groups(posterior: Posterior) -> dict[str, xarray.Dataset]:
-    """Groups ``posterior``, ``sample_stats``, ``log_likelihood``, ``log_prior``, ``prior``, ``gate``.
+    """Groups posterior, sample_stats, log_likelihood, log_prior, prior, and gate.
 
     A chain is a walker and its draws are the steps after burn-in, as ArviZ has it for ensembles;
-    the coordinates ``ensemble`` and ``walker`` say which. ArviZ's own R-hat and effective draws then
-    count walkers as independent; those of the gate do not. Group ``gate`` holds the numbers of
-    every check.
+    the coordinates ``ensemble`` and ``walker`` say which. ArviZ's own R-hat and effective draws
+    then count walkers as independent; those of the gate do not. Group ``gate`` holds the numbers
+    of every check.
     """
     names = list(posterior.parameters.names)
     groups = {"prior": _prior(posterior), "gate": _gate(posterior)}

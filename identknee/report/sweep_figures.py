@@ -188,6 +188,87 @@ def cliff_figure(
     return figure
 
 
+def descent_figure(panels: Mapping[str, Mapping[str, Array]], counts: Sequence[int]) -> Figure:
+    """Best objective so far against simulations, a panel a knee: median and the middle half.
+
+    Parameters
+    ----------
+    panels
+        By title, and then by optimizer: best objective of each search after so many simulations,
+        shape ``(n_searches, k)``; infinite before the first prediction.
+    counts
+        The numbers of simulations, ascending, k of them.
+    """
+    figure, grid = _row(len(panels), width=4.2, height=3.9, sharey=True)
+    for axes, (title, searches) in zip(grid, panels.items(), strict=True):
+        for k, (name, best) in enumerate(searches.items()):
+            # Sorted and not interpolated: half of them may be infinite.
+            ordered = np.sort(np.maximum(best, LOWEST), axis=0)
+            n = len(ordered)
+            low, middle, high = (ordered[int(q * (n - 1))] for q in (0.25, 0.5, 0.75))
+            known = np.isfinite(middle)
+            at = np.asarray(counts, float)[known]
+            axes.fill_between(
+                at,
+                low[known],
+                np.minimum(high[known], 1e9),
+                color=COLOURS[k],
+                alpha=0.15,
+                linewidth=0,
+            )
+            axes.plot(
+                at, middle[known], MARKERS[k] + "-", color=COLOURS[k], markersize=3.5, label=name
+            )
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_ylim(0.3 * LOWEST, 1e5)
+        axes.set_title(title, fontsize=10)
+        axes.set_xlabel("simulations")
+        _bare(axes)
+    grid[0].set_ylabel("best objective so far (below 1e-12 at 1e-12)")
+    _legend_below(figure, *grid[0].get_legend_handles_labels(), columns=6)
+    return figure
+
+
+def methods_figure(
+    errors: Mapping[str, Mapping[str, Array]], printed: Mapping[str, tuple[float, float]]
+) -> Figure:
+    """Mean absolute errors by start and optimizer: stiffness on the left, strain on the right.
+
+    Parameters
+    ----------
+    errors
+        By optimizer and then by start: errors [kN] and [%], shape ``(n_runs, 2)``.
+    printed
+        By start, the paper's one run [kN, %].
+    """
+    figure, grid = _row(2, width=4.6, height=3.9)
+    offsets = np.linspace(-0.36, 0.36, len(errors))
+    for column, axes in enumerate(grid):
+        for k, (method, by_start) in enumerate(errors.items()):
+            for place, start in enumerate(printed):
+                values = by_start[start][:, column]
+                at = np.full(len(values), place + offsets[k])
+                axes.plot(
+                    at, values, MARKERS[k], color=COLOURS[k], markersize=4, alpha=0.8, label=method
+                )
+        for place, paper in enumerate(printed.values()):
+            axes.plot(
+                [place - 0.45, place + 0.45], [paper[column]] * 2, color=BLACK, label="the paper"
+            )
+            axes.axvline(place + 0.5, color="0.9", linewidth=0.8)
+        axes.set_xticks(range(len(printed)), list(printed))
+        axes.set_ylim(bottom=0.0)
+        _bare(axes)
+    grid[0].set_ylabel("mean absolute error of stiffness [kN]")
+    grid[1].set_ylabel("mean absolute error of reference strain [%]")
+    handles, labels = grid[0].get_legend_handles_labels()
+    first = {label: handle for handle, label in reversed(list(zip(handles, labels, strict=True)))}
+    names = [*errors, "the paper"]
+    _legend_below(figure, [first[x] for x in names], names, columns=4)
+    return figure
+
+
 def plane_figure(
     panels: Mapping[str, Mapping[str, tuple[Array, Array]]],
     truth: Mapping[str, tuple[float, float]],

@@ -36,7 +36,18 @@ def sweep_groups(survey: Survey, cliffs: CliffMap | None) -> dict[str, xarray.Da
 
 
 def sweep_summary(survey: Survey, cliffs: CliffMap | None) -> dict[str, Any]:
-    """What ``result.json`` says of a sweep, in JSON types."""
+    """What ``result.json`` says of a sweep, in JSON types.
+
+    ``kinds`` counts what is at the ends (minimum, valley, cliff, start_failed), ``outcomes`` how
+    the optimizer ended, ``polished_outcomes`` how least squares ended that went on from there.
+    ``objective`` is the lowest polished one. ``basins`` lists the first twenty of ``n_basins`` with
+    their number and share of all starts (95 % Clopper-Pearson limits). ``unseen_mass`` is the share
+    of starts, among those that end in a basin, that would show a new one. ``recovery`` has, for the
+    ``end`` and the ``polished`` end, the share of starts that come ``within`` so many kN and % of
+    the best end by their distance from it, and the ``radius`` within which nine of ten do; null for
+    a radius beyond all starts. ``cliffs`` sums up the straight ways to the best end.
+    ``seconds_per_start`` is there to see whether a start costs the same when there are more.
+    """
     sweep, unseen = survey.sweep, survey.unseen
     names = sweep.parameters.names
     best = sweep.polished_objectives[sweep.best]

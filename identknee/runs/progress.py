@@ -1,5 +1,6 @@
 """A progress bar for whatever turns out to take more than two seconds."""
 
+import multiprocessing
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sized
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 DELAY_S = 2.0
+_one_bar = threading.Lock()
 
 
 def progress(
@@ -41,12 +43,15 @@ def progress(
 def progress_bar(description: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """Function to be told how many more are done; the bar is drawn as in `progress`.
 
+    One bar is drawn at a time, the outermost, and none in worker processes.
+
     Examples
     --------
     >>> with progress_bar("simulating", 63) as advance:
     ...     advance(63)
     """
-    if not sys.stderr.isatty():
+    is_worker = multiprocessing.parent_process() is not None
+    if is_worker or not sys.stderr.isatty() or not _one_bar.acquire(blocking=False):
         yield _say_nothing
         return
     bar = _DelayedBar(description, total)
@@ -60,6 +65,7 @@ def progress_bar(description: str, total: int | None = None) -> Iterator[Callabl
         timer.cancel()
         timer.join()
         bar.close()
+        _one_bar.release()
 
 
 class _DelayedBar:

@@ -90,7 +90,8 @@ def main() -> None:
             part["profiles"] = kept(parameter_profiles, [own], "profiles")[0]
             part["pairs"] = kept(pair_profile, [(own, x) for x in ligaments(name)], "pairs")
             trials = forced_trials()[:2] if options.quick else forced_trials()
-            part["forces"] = sum(kept(forces, [(own, x) for x in trials], "forces"), [])
+            by_trial = kept(forces, [(own, x) for x in trials], "forces")
+            part["forces"] = [row for rows in by_trial for row in rows]
             drawer = load_protocol("drawer").trials[: 1 if options.quick else None]
             part["untested"] = kept(untested, [(own, x) for x in drawer], "untested loads")
             n = 2 if options.quick else N_DATA_SETS[name]
@@ -187,7 +188,9 @@ def forces(item: tuple[Item, str]) -> list[Row]:
     for ligament in ligaments(data[0]):
         force = LigamentForce(model=problem.model, ligament=ligament, trial=trial)
         found = profile(problem, optimum_of(data), force)
-        rows.append({"ligament": ligament, "trial": trial, **short(found, force.evaluate(truth)[0])})
+        rows.append(
+            {"ligament": ligament, "trial": trial, **short(found, force.evaluate(truth)[0])}
+        )
     return rows
 
 

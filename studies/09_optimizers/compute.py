@@ -159,7 +159,7 @@ def search_row(
     polished = end if failed else fit(problem, end.theta, seed=number)
     groups = unit_groups(problem.parameters)
     error = np.abs(end.theta - truth)
-    simulated = problem.model.simulate(np.maximum(end.theta, problem.parameters.lower))
+    simulated = problem.model.simulate(end.theta)
     rmse = laxity_rmse(simulated, problem.laxity)
     row: Row = rounded(
         {

@@ -24,7 +24,7 @@ KILLS, SEED = 50, 0
 VERBS = {
     "sweep": ["--n-starts", "200", "--ways", "10"],
     "profile": [],
-    "sample": [],
+    "sample": ["--budget", "3000"],
 }
 COMMAND = [sys.executable, "-m", "identknee.cli.main"]
 # What differs from run to run: when, how long, on what.

@@ -21,6 +21,9 @@ STRUCTURALLY = {"lower": FLAT, "upper": FLAT, "verdict": "structurally_suspect"}
 WIDE = (-1e3, 1e3)
 # Where min over x of 100 (y - x^2)^2 + (x - 1)^2 crosses the threshold.
 BANANA = (-0.16941250180477896, 8.763042145004986)
+# Where min over y of 100 (x - y^3 + 3 y)^2 + ((y - a) / s)^2 crosses it, for (a, s) = (0, 1.5) and
+# (0.6, 0.74).
+FOLDED, SHORTCUT = 16.5912301533, (-2.1885185741, 2.4700906056)
 # Where the lowest deviance of the saturating response crosses it; it tends to 0.335 above.
 SATURATION_LOW = 0.2516526488456317
 
@@ -132,8 +135,23 @@ def curved_cases() -> list[Case]:
             [BANANA],
             quantity=second,
         ),
+        _exchangeable(),
         _branches("two branches", "one interval, half of it on another branch", 1.5),
         _branches("two branches apart", "two intervals, one of them on another branch", 3.0),
+        case(
+            "folded path",
+            "a path that turns back twice: the fits must jump, without another minimum anywhere",
+            _folded(0.0, 1.5),
+            [0.0, 0.0],
+            [(-FOLDED, FOLDED)],
+        ),
+        case(
+            "shortcut",
+            "a part of a folded path that is allowed beyond the end of the part with the optimum",
+            _folded(0.6, 0.74),
+            [0.6**3 - 1.8, 0.6],
+            [SHORTCUT],
+        ),
         case(
             "saturation",
             "the maximum of a saturating response measured below its half: open above",
@@ -155,6 +173,31 @@ def _linear(name: str, about: str, matrix: Array) -> Case:
     reach = Z * math.sqrt(float(inverse[0] @ inverse[0]))
     interval = (float(optimum[0]) - reach, float(optimum[0]) + reach)
     return case(name, about, linear(matrix, data, *[WIDE] * n), optimum, [interval])
+
+
+def _exchangeable() -> Case:
+    """Sum 3 and product 2 known to 0.05: one parameter is 1 and the other 2.
+
+    The best second parameter is linear least squares, which leaves the deviance
+    ``(x^2 - 3 x + 2)^2 / (1 + x^2) / 0.05^2``.
+    """
+    problem = Formula(
+        parameters=plain_parameters((0.0, 9.0), (0.0, 9.0)),
+        residuals_at=lambda theta: (
+            np.array([theta[0] + theta[1] - 3.0, theta[0] * theta[1] - 2.0]) / 0.05
+        ),
+        jacobian_at=lambda theta: np.array([[1.0, 1.0], [theta[1], theta[0]]]) / 0.05,
+    )
+    height = np.polynomial.Polynomial([2.0, -3.0, 1.0]) ** 2
+    height -= np.polynomial.Polynomial([1.0, 0.0, 1.0]) * (0.05 * Z) ** 2
+    ends = sorted(float(x) for x in height.roots().real)
+    return case(
+        "exchangeable parameters",
+        "two solutions with the parameters' roles exchanged",
+        problem,
+        [1.0, 2.0],
+        [(ends[0], ends[1]), (ends[2], ends[3])],
+    )
 
 
 def _branches(name: str, about: str, apart: float) -> Case:
@@ -180,6 +223,18 @@ def _branches(name: str, about: str, apart: float) -> Case:
     ends = [(-apart - Z, -apart + Z), (apart - Z, apart + Z)]
     intervals = ends if ends[0][1] < ends[1][0] else [(ends[0][0], ends[1][1])]
     return case(name, about, problem, [apart, 1.0], intervals)
+
+
+def _folded(center: float, sd: float) -> Formula:
+    """The first parameter follows ``y^3 - 3 y`` of the second, of which one value is likely."""
+    return Formula(
+        parameters=plain_parameters((-40.0, 55.0), (-6.0, 8.0)),
+        residuals_at=lambda theta: [
+            10.0 * (theta[0] - theta[1] ** 3 + 3.0 * theta[1]),
+            (theta[1] - center) / sd,
+        ],
+        jacobian_at=lambda theta: [[10.0, 30.0 * (1.0 - theta[1] ** 2)], [0.0, 1.0 / sd]],
+    )
 
 
 def _saturation() -> Formula:

@@ -8,6 +8,8 @@ from problems import plain_parameters
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
+BOX = plain_parameters(2, -6.0, 6.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TwoWells:
@@ -16,7 +18,7 @@ class TwoWells:
     Searches that descend from x < 0 find the second, so that each takes half of the bounds.
     """
 
-    parameters: Parameters = plain_parameters(2, -6.0, 6.0)
+    parameters: Parameters = BOX
 
     def residuals(self, theta: Array) -> Array:
         x, y = theta
@@ -31,7 +33,7 @@ class Quadrant:
     """A distance from the origin, with no prediction where the first parameter is above `wall`."""
 
     wall: float = 2.0
-    parameters: Parameters = plain_parameters(2, -6.0, 6.0)
+    parameters: Parameters = BOX
 
     def residuals(self, theta: Array) -> Array:
         return np.full(2, np.inf) if theta[0] > self.wall else np.array(theta, dtype=np.float64)
@@ -44,7 +46,7 @@ class Quadrant:
 class Trench:
     """One residual ``x - 1``: the second parameter changes nothing, and the minimum is a line."""
 
-    parameters: Parameters = plain_parameters(2, -6.0, 6.0)
+    parameters: Parameters = BOX
 
     def residuals(self, theta: Array) -> Array:
         return np.array([theta[0] - 1.0])

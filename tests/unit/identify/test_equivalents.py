@@ -9,7 +9,7 @@ from identknee.identify.equivalents_extremum import INSIDE_TOLERANCE, End
 from identknee.identify.equivalents_region import Region, noise_region, power_of_best_test
 from identknee.identify.quantity import UserQuantity
 from identknee.runs.arrays import Array
-from identknee.runs.executors import process_pool, threads
+from identknee.runs.executors import process_pool
 from identknee.runs.resume import open_work
 
 # A search ends where a step promises less than 1e-8 of the range: the value is that close, the
@@ -156,9 +156,6 @@ def test_sets_of_the_springs_and_their_forces_in_few_simulations() -> None:
 def test_the_same_with_any_executor_and_after_an_interruption(tmp_path: object) -> None:
     region, _ = ellipsoid()
     plain = equivalents(region, n_sets=N_SETS, seed=4)
-    with threads(2) as executor:
-        other = equivalents(region, n_sets=N_SETS, seed=4, executor=executor)
-    assert np.array_equal(plain.sets, other.sets)
     with process_pool(2) as executor:
         other = equivalents(region, n_sets=N_SETS, seed=4, executor=executor)
     assert np.array_equal(plain.sets, other.sets)

@@ -53,13 +53,17 @@ def with_mixed_parameters() -> LogPosterior:
 def test_the_prior_has_mass_one_within_the_bounds() -> None:
     density = with_mixed_parameters()
     within = [lognorm(0.35, scale=10.0).cdf(15.0), float(np.diff(norm(1, 2).cdf([-1, 4]))[0])]
-    assert mass_within_bounds(density.parameters) == pytest.approx(within[0] * within[1], rel=CLOSED_FORM)
+    assert mass_within_bounds(density.parameters) == pytest.approx(
+        within[0] * within[1], rel=CLOSED_FORM
+    )
     at = np.array([8.0, 2.0])
     expected = lognorm(0.35, scale=10.0).logpdf(8.0) + norm(1, 2).logpdf(2.0)
     assert log_prior(at, density.parameters) == pytest.approx(
         expected - np.log(within[0] * within[1]), rel=CLOSED_FORM
     )
-    mass, _ = quad(lambda k: float(np.exp(log_prior(np.array([k, 2.0]), density.parameters))), 0.0, 15.0)
+    mass, _ = quad(
+        lambda k: float(np.exp(log_prior(np.array([k, 2.0]), density.parameters))), 0.0, 15.0
+    )
     marginal = norm(1, 2).pdf(2.0) / within[1]
     assert mass == pytest.approx(marginal, rel=1e-8)  # quad's own tolerance
 

@@ -5,8 +5,9 @@ import pytest
 from problems import Linear, plain_parameters
 
 from identknee.identify.gate import StopRule
+from identknee.identify.posterior_sample import Posterior
 from identknee.identify.power_scaling import prior_sensitivity
-from identknee.identify.sample import Posterior, sample
+from identknee.identify.sample import sample
 
 QUICK = StopRule(drift=np.inf)
 
@@ -34,9 +35,7 @@ def test_it_agrees_with_arviz() -> None:
     chains = posterior.kept.reshape(-1, n_draws, 2)
     prior = posterior.kept_log_prior.reshape(-1, n_draws)
     likelihood = posterior.kept_log_likelihood.reshape(-1, n_draws)
-    data = arviz.from_dict(
-        posterior={"theta": chains}, log_likelihood={"y": likelihood[..., None]}
-    )
+    data = arviz.from_dict(posterior={"theta": chains}, log_likelihood={"y": likelihood[..., None]})
     data.add_groups({"log_prior": {"theta": prior}}, dims={"theta": []}, coords={})
     found = prior_sensitivity(posterior)
     for component, ours in (("prior", found.prior), ("likelihood", found.likelihood)):

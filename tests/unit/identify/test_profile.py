@@ -25,6 +25,11 @@ def _first(problem: Problem) -> ParameterQuantity:
     return ParameterQuantity(parameters=parameters, name=parameters.names[0])
 
 
+def _first_sd(problem: ClosedForm) -> float:
+    matrix = problem.jacobian(problem.minimum)
+    return float(np.sqrt(np.linalg.inv(matrix.T @ matrix)[0, 0]))
+
+
 def _single(residual: Callable[[float], float], slope: Callable[[float], float]) -> ClosedForm:
     return ClosedForm(
         name="single",
@@ -55,9 +60,7 @@ def test_a_parabola_closes_at_1_96_standard_deviations() -> None:
     """The deviance is twice the log likelihood: no factor of two is lost."""
     problem = linear()
     found = profile(problem, problem.minimum, _first(problem))
-    sd = np.sqrt(
-        np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0]
-    )
+    sd = _first_sd(problem)
     assert found.lower == pytest.approx(problem.minimum[0] - Z_95 * sd, abs=END * Z_95 * sd)
     assert found.upper == pytest.approx(problem.minimum[0] + Z_95 * sd, abs=END * Z_95 * sd)
     assert found.verdict is Verdict.IDENTIFIABLE
@@ -67,9 +70,7 @@ def test_a_parabola_closes_at_1_96_standard_deviations() -> None:
 def test_the_error_of_an_end_is_within_its_estimate() -> None:
     problem = linear()
     found = profile(problem, problem.minimum, _first(problem))
-    sd = np.sqrt(
-        np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0]
-    )
+    sd = _first_sd(problem)
     for end, side, sign in (
         (found.lower, found.lower_side, -1),
         (found.upper, found.upper_side, 1),
@@ -154,7 +155,6 @@ def test_a_set_in_two_parts_is_two_intervals() -> None:
 
 
 def test_a_better_optimum_starts_it_over() -> None:
-    wells = _single(lambda x: (x * x - 4) * (1 + 0.1 * (x - 2)), lambda x: 2 * x)
     tilted = ClosedForm(
         name="tilted",
         parameters=plain_parameters(1),
@@ -164,7 +164,6 @@ def test_a_better_optimum_starts_it_over() -> None:
         residuals_at=lambda x: np.array([x[0] ** 2 - 4.0, x[0] - 2.0]),
         jacobian_at=lambda x: np.array([[2.0 * x[0]], [1.0]]),
     )
-    del wells
     found = profile(tilted, np.array([-1.9]), _first(tilted))
     assert found.better_optimum is not None
     np.testing.assert_allclose(found.better_optimum, [2.0], atol=1e-5)
@@ -175,7 +174,7 @@ def test_a_better_optimum_starts_it_over() -> None:
 
 def test_a_start_elsewhere_adds_its_branch() -> None:
     """Far from the middle of every gap, and told of."""
-    narrow = _single(lambda x: 20 * np.tanh((x + 7) * 3) * (x - 2) / 9, lambda x: _slope(x))
+    narrow = _single(lambda x: 20 * np.tanh((x + 7) * 3) * (x - 2) / 9, _slope)
     with_it = profile(narrow, np.array([2.0]), _first(narrow), starts=[[-7.0]])
     assert len(with_it.intervals) == 2
     low, high = with_it.intervals[0]
@@ -239,9 +238,7 @@ def test_lower_levels_are_read_off_the_curve() -> None:
     problem = linear()
     found = profile(problem, problem.minimum, _first(problem))
     ((low, high),) = found.intervals_at(0.6826894921370859)
-    sd = np.sqrt(
-        np.linalg.inv(problem.jacobian(problem.minimum).T @ problem.jacobian(problem.minimum))[0, 0]
-    )
+    sd = _first_sd(problem)
     assert low is not None
     assert high is not None
     # A cubic through a parabola is that parabola.
@@ -281,3 +278,26 @@ def test_a_profile_explains_itself() -> None:
     found: Profile = profile(problem, problem.minimum, _first(problem))
     assert str(found).startswith("x0.value_pct: ")
     assert "95% set" in str(found)
+
+
+def test_a_constant_quantity_is_one_value() -> None:
+    """A slack ligament's force: it does not change around the optimum, nor at any likely end."""
+    problem = linear()
+    slack = UserQuantity(name="force", unit="N", function=lambda x: max(0.0, float(x[0]) - 9.0))
+    found = profile(problem, problem.minimum, slack)
+    assert found.intervals == ((0.0, 0.0),)
+    assert found.verdict is Verdict.IDENTIFIABLE
+
+
+def test_a_quantity_constant_at_the_optimum_only_has_an_upper_end() -> None:
+    problem = linear()
+    sd = _first_sd(problem)
+    edge = float(problem.minimum[0]) + sd
+
+    def force(x: Array) -> float:
+        return max(0.0, float(x[0]) - edge)
+
+    found = profile(problem, problem.minimum, UserQuantity(name="force", unit="N", function=force))
+    assert len(found.intervals) == 1
+    assert found.upper == pytest.approx((Z_95 - 1.0) * sd, abs=END * Z_95 * sd)
+    assert found.lower_side.reached == pytest.approx(0.0, abs=1e-6)

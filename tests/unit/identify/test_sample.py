@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from scipy.integrate import quad
 
 from identknee.calibrate.problem import restricted
 from identknee.identify.gate import SampleOutcome, StopRule
-from identknee.identify.sample import Ensembles, Posterior, sample
+from identknee.identify.posterior_sample import Posterior
+from identknee.identify.sample import Ensembles, sample
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool, threads
@@ -59,8 +61,8 @@ def bent(power: int) -> ClosedForm:
     )
 
 
-def assert_mean_and_sd(found: Posterior, mean: Array, sd: Array) -> None:
-    errors = found.gate.mean_error * sd
+def assert_mean_and_sd(found: Posterior, mean: Any, sd: Any) -> None:
+    errors = found.gate.mean_error * np.asarray(sd)
     assert np.all(np.abs(found.mean - mean) < SIGMAS * errors)
     assert np.all(np.abs(found.sd - sd) < SIGMAS * errors)
 
@@ -72,7 +74,8 @@ def test_a_linear_problem_gives_its_normal_posterior_and_passes_the_gate() -> No
     mean = np.linalg.solve(precision, problem.matrix.T @ problem.data)
     assert found.outcome is SampleOutcome.CONVERGED
     assert found.gate.is_passed
-    assert_mean_and_sd(found, mean, np.sqrt(np.diag(np.linalg.inv(precision))))
+    sd = np.sqrt(np.asarray(np.diag(np.linalg.inv(precision)), dtype=np.float64))
+    assert_mean_and_sd(found, mean, sd)
     assert found.samples.shape[:2] == (4, 8)
     assert found.excluded.without_prediction == 0.0
 
@@ -95,7 +98,7 @@ def test_every_kind_of_moves_samples_a_bent_posterior(moves: str) -> None:
 
 
 def test_walkers_go_from_one_basin_to_the_other() -> None:
-    """``x**2 = 4``: both basins hold half of the posterior, whatever share of walkers began there."""
+    """``x**2 = 4``: each basin holds half of the posterior, however many walkers began there."""
     optima = [[2.0], [-2.0], [2.0]]
     rule = StopRule(drift=0.05)
     found = sample(bent(2), optima=optima, rule=rule, seed=3)
@@ -135,7 +138,7 @@ def test_fixed_parameters_stay_out_of_it() -> None:
 
 
 def test_the_budget_ends_it_and_that_is_said() -> None:
-    found = sample(line(), budget=1000, seed=1)
+    found = sample(line(), rule=StopRule(budget=1000), seed=1)
     assert found.outcome is SampleOutcome.BUDGET
     assert "budget" in str(found)
     assert "not met" in str(found)
@@ -153,7 +156,7 @@ def test_without_any_prediction_there_is_no_sample_and_no_traceback() -> None:
 
 def test_log_likelihood_is_minus_half_the_deviance() -> None:
     problem = IN_NOISE
-    found = sample(problem, budget=500, seed=1)
+    found = sample(problem, rule=StopRule(budget=500), seed=1)
     residuals = problem.residuals(found.samples[1, 3, -1])
     assert found.log_likelihood[1, 3, -1] == pytest.approx(-0.5 * residuals @ residuals, rel=1e-9)
 
@@ -190,23 +193,27 @@ class Killed:
 
 def test_killed_and_resumed_it_is_the_same_bit_for_bit(tmp_path: Path) -> None:
     problem = line()
-    whole = sample(problem, budget=4000, seed=6)
+    whole = sample(problem, rule=StopRule(budget=4000), seed=6)
     path = tmp_path / "work.sqlite"
     for allowed in (300, 700, 900):
         with open_work(path, {"seed": 6}) as store, pytest.raises(KeyboardInterrupt):
-            sample(Killed(problem, [allowed]), budget=4000, seed=6, store=store)
+            sample(Killed(problem, [allowed]), rule=StopRule(budget=4000), seed=6, store=store)
     with open_work(path, {"seed": 6}) as store:
-        resumed = sample(problem, budget=4000, seed=6, store=store)
+        resumed = sample(problem, rule=StopRule(budget=4000), seed=6, store=store)
     assert same(resumed, whole)
 
 
 def test_executors_agree_bit_for_bit() -> None:
     problem = line()
-    serially = sample(problem, budget=2000, seed=7)
+    serially = sample(problem, rule=StopRule(budget=2000), seed=7)
     with threads(3) as executor:
-        assert same(sample(problem, budget=2000, seed=7, executor=executor), serially)
+        assert same(
+            sample(problem, rule=StopRule(budget=2000), seed=7, executor=executor), serially
+        )
     with process_pool(2) as executor:
-        assert same(sample(problem, budget=2000, seed=7, executor=executor), serially)
+        assert same(
+            sample(problem, rule=StopRule(budget=2000), seed=7, executor=executor), serially
+        )
 
 
 def test_independent_draws_lie_apart() -> None:
@@ -224,7 +231,7 @@ def test_independent_draws_lie_apart() -> None:
     [
         (lambda: sample(line(), optima=[[99.0, 0.0, 0.0]]), "optimum 0 lies outside"),
         (lambda: sample(line(), optima=np.empty((0, 3))), "no optima to start from"),
-        (lambda: sample(line(), budget=0), "budget must be at least 1"),
+        (lambda: sample(line(), rule=StopRule(budget=0)), "budget must be at least 1"),
         (lambda: Ensembles(n_ensembles=1), "at least 2 ensembles"),
         (lambda: Ensembles(steps=0), "at least 1 step"),
         (lambda: Ensembles(moves="walk"), "no moves 'walk'"),

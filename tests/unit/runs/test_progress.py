@@ -58,3 +58,13 @@ def test_an_error_passes_through(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", Terminal())
     with pytest.raises(RuntimeError, match="stop"), progress_bar("simulating", 1):
         raise RuntimeError("stop")
+
+
+def test_a_bar_inside_a_bar_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with progress_bar("outer", 2) as outer, progress_bar("inner", 2) as inner:
+        assert inner is not outer
+        inner(1)
+        outer(1)
+    with progress_bar("after", 1) as after:
+        assert after.__qualname__ == outer.__qualname__

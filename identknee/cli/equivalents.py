@@ -1,0 +1,219 @@
+"""`identknee equivalents`: other parameter sets that the measurement could not tell apart."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+import identknee as ik
+from identknee.cli.command import (
+    Json,
+    NotComputed,
+    Out,
+    Seed,
+    Subject,
+    Workers,
+    nested,
+    show,
+    timed,
+)
+from identknee.cli.identification import (
+    WORK,
+    Bounds,
+    Fixed,
+    Identification,
+    Noise,
+    Start,
+    identification,
+)
+from identknee.cli.values import named_bounds
+from identknee.runs.files import prepare_folder
+from identknee.runs.record import record
+
+Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
+NumberOfSets = Annotated[int, typer.Option("--n-sets", min=2, help="Parameter sets wanted.")]
+Criterion = Annotated[
+    Literal["noise", "paper"],
+    typer.Option(
+        help="noise: predictions differ by no more than --limit squared standard deviations in "
+        "all. paper: by 1 mm drawer, 1.2 deg varus and internal rotation (RMSE) at each angle."
+    ),
+]
+Limit = Annotated[
+    float, typer.Option(help="The largest squared difference, in units of the criterion.")
+]
+Forces = Annotated[
+    Literal["largest", "all", "none"],
+    typer.Option(
+        help="Ligament forces to bound: under the largest load of each kind at each angle, in all "
+        "trials, or none."
+    ),
+]
+Trials = Annotated[
+    str | None,
+    typer.Option(metavar="PROTOCOL", help="Where these trials stand, if not in the data."),
+]
+MOST_SHOWN = 8
+# Of the options: those that the result depends on.
+DECIDING = frozenset(
+    {
+        *("n_sets", "criterion", "limit", "forces", "trials"),
+        *("noise", "start", "fixed", "bounds", "seed"),
+    }
+)
+
+
+def equivalents(
+    context: typer.Context,
+    subject: Subject,
+    data: Data,
+    n_sets: NumberOfSets = 100,
+    criterion: Criterion = "noise",
+    limit: Limit = 1.0,
+    forces: Forces = "largest",
+    trials: Trials = None,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    out: Out = Path("identknee-equivalents"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Find parameter sets as different as can be that predict the same laxity as the fit.
+
+    With them come the smallest and largest value that every parameter and ligament force has among
+    all such sets: what could be concluded wrongly. Every set is simulated. A stopped run resumes.
+    """
+    prepare_folder(out)
+    # These load xarray, which takes longer than reading a subject.
+    from identknee.identify.equivalents import equivalents as find
+    from identknee.report.equivalents_groups import equivalents_groups
+    from identknee.report.result_files import write_result
+    from identknee.runs.executors import process_pool
+    from identknee.runs.resume import open_work
+
+    its = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    recording = record("equivalents", context.params, its.inputs, seed)
+    about = {
+        "verb": "equivalents",
+        "inputs": its.inputs,
+        **{name: value for name, value in context.params.items() if name in DECIDING},
+    }
+    fitted = ik.fit(its.problem, its.start[list(its.free)])
+    if fitted.outcome is ik.Outcome.START_FAILED:
+        raise NotComputed(
+            f"{fitted.message} Choose another --start, or see: identknee subject check {subject}"
+        )
+    region = _region(its, criterion, fitted.theta, limit, bounds=bounds, fixed=fixed)
+    wanted = _forces(its, forces, trials)
+    with open_work(out / WORK, about) as store, process_pool(workers) as executor:
+        found, seconds = timed(
+            lambda: find(
+                region,
+                quantities=wanted,
+                n_sets=n_sets,
+                seed=seed,
+                executor=executor,
+                store=store,
+            )
+        )
+    summary = write_result(
+        out,
+        _summary(its, found, criterion) | {"seconds": seconds},
+        equivalents_groups(found, its.model, its.whole(found.sets)),
+        recording.finish(),
+    )
+    show(summary, [*its.assumptions, *_lines(found, summary, out)], as_json=as_json)
+
+
+def _region(
+    its: Identification,
+    criterion: str,
+    theta: Any,
+    limit: float,
+    *,
+    bounds: list[str] | None,
+    fixed: list[str] | None,
+) -> Any:
+    from identknee.calibrate.problem import restricted
+    from identknee.identify.equivalents_region import Region, noise_region
+    from identknee.model.equivalence import rms_blocks
+
+    if criterion == "noise":
+        return noise_region(its.problem, theta, limit=limit)
+    plain = ik.LaxityResiduals(model=its.model, laxity=its.laxity)
+    bounded = ik.with_bounds(plain, named_bounds(bounds or [], "--bounds"))
+    return Region(
+        problem=restricted(bounded, fixed or (), its.start),
+        center=theta,
+        blocks=rms_blocks(plain),
+        limit=limit,
+    )
+
+
+def _forces(its: Identification, forces: str, trials: str | None) -> list[Any]:
+    from identknee.identify.quantity import RestrictedQuantity
+    from identknee.model.equivalence import largest_loads
+    from identknee.model.quantities import ligament_forces
+
+    if forces == "none":
+        return []
+    protocol = its.laxity.protocol if trials is None else ik.load_protocol(trials)
+    if forces == "largest":
+        protocol = protocol.select(largest_loads(protocol))
+    return [
+        RestrictedQuantity(quantity=force, free=its.free, at=its.start)
+        for force in ligament_forces(its.model, protocol)
+    ]
+
+
+def _summary(its: Identification, found: Any, criterion: str) -> dict[str, Any]:
+    from identknee.identify.equivalents_region import power_of_best_test
+    from identknee.report.equivalents_groups import equivalents_summary
+
+    power = power_of_best_test(found.limit) if criterion == "noise" else None
+    names = its.model.parameters.names
+    return {
+        "criterion": criterion,
+        "power_of_best_test": power,
+        **equivalents_summary(found),
+        "fit": nested(dict(zip(names, its.whole(found.fit), strict=True))),
+        "assumptions": its.assumptions,
+    }
+
+
+def _lines(found: Any, summary: dict[str, Any], out: Path) -> list[str]:
+    n = found.parameters.n
+    ranked = sorted(found.extrema[n:], key=lambda x: float(x.lower.value - x.upper.value))
+    shown = [*found.extrema[:n], *ranked[:MOST_SHOWN]]
+    width = max(len(x.name) for x in shown)
+    lines = [f"{'':{width}}  {'fit':>9}  {'lowest':>9}  {'highest':>9}"]
+    lines += [
+        f"{x.name:{width}}  {x.at_fit:9.4g}  {x.lower.value:9.4g}  {x.upper.value:9.4g}"
+        + "".join(f"  {note}" for note in _notes(x))
+        for x in shown
+    ]
+    if len(ranked) > MOST_SHOWN:
+        lines.append(f"Of {len(ranked)} forces those that differ most; all are in result.json.")
+    apart = (
+        f"{len(found.sets)} parameter sets, each simulated: the two farthest apart by "
+        f"{found.farthest:.3g} typical steps (3 kN, 2 %) of at most {found.diameter:.3g}, the two "
+        f"closest by {found.closest:.2g}. {found.outcome.sentence}"
+    )
+    lines.append(apart)
+    if summary["power_of_best_test"] is not None:
+        lines.append(
+            "The best 5 % test tells any one of them from the fit in "
+            f"{100 * summary['power_of_best_test']:.0f} of 100 measurements at most."
+        )
+    lines.append(f"{found.n_simulations} simulations. Results: {out}")
+    return lines
+
+
+def _notes(of: Any) -> list[str]:
+    from identknee.identify.equivalents_extremum import End
+
+    usual = {End.LIMIT, End.INTERIOR}
+    return sorted({x.end.sentence for x in (of.lower, of.upper) if x.end not in usual})

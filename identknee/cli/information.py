@@ -1,0 +1,104 @@
+"""`identknee information`: what the data say about the parameters around the best fit."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+import identknee as ik
+from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.identification import Bounds, Fixed, Identification, Noise, Start, identification
+from identknee.runs.files import prepare_folder
+from identknee.runs.record import record
+
+Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
+ScalingName = Annotated[
+    Literal["typical", "prior"],
+    typer.Option(
+        help="What directions are measured in: 3 kN and 2 %, or the prior's standard deviations."
+    ),
+]
+
+
+def information(
+    context: typer.Context,
+    subject: Subject,
+    data: Data,
+    scaling: ScalingName = "typical",
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    out: Out = Path("identknee-information"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Say which combinations of SUBJECT's parameters DATA.csv determines, and how well.
+
+    Eigenvalues of the Fisher information at the best fit with the noise of the solver below them,
+    the rank at random points of the box, and where the least known combination leads.
+    """
+    prepare_folder(out)
+    its = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    recording = record("information", context.params, its.inputs, seed)
+    answer, seconds = timed(lambda: _found(its, scaling, seed=seed, workers=workers))
+    from identknee.report.information_groups import information_groups, information_summary
+    from identknee.report.result_files import write_result
+
+    summary = {
+        **information_summary(*answer),
+        "seconds": seconds,
+        "degrees_of_freedom": its.degrees_of_freedom,
+        "assumptions": its.assumptions,
+    }
+    summary = write_result(out, summary, information_groups(*answer), recording.finish())
+    show(summary, _lines(its, answer, out), as_json=as_json)
+
+
+def _found(
+    its: Identification, scaling: Literal["typical", "prior"], *, seed: int, workers: int
+) -> "tuple[ik.Information, ik.StructureCheck, tuple[ik.Geodesic, ik.Geodesic]]":
+    from identknee.runs.executors import process_pool
+
+    start = its.start[list(its.free)]
+    with process_pool(workers) as executor:
+        best = ik.best_fit(its.problem, start=start, seed=seed, executor=executor)
+        structure = ik.check_structure(its.problem, seed=seed, executor=executor)
+    return (
+        ik.information(its.problem, best.theta, scaling=scaling, seed=seed),
+        structure,
+        ik.geodesics(its.problem, best.theta, scaling=scaling),
+    )
+
+
+def _lines(its: Identification, answer: Any, out: Path) -> list[str]:
+    found, structure, paths = answer
+    lines = [f"{'eigenvalue':>10}  {'floor':>8}  combination, in scaled units"]
+    lines += [
+        f"{value:10.4g}  {floor:8.1e}  {found.combination(i)}"
+        for i, (value, floor) in enumerate(zip(found.eigenvalues, found.floors, strict=True))
+    ]
+    names = found.parameters.names
+    width = max(len(name) for name in names)
+    lines += [f"{name:{width}}  sd {sd:.4g}" for name, sd in zip(names, found.sd, strict=True)]
+    pair, index = found.collinear_sets(2)[0] if len(names) > 1 else (names, 1.0)
+    lines += [
+        (
+            f"{found.n_above_noise} of {len(names)} directions stand above the solver's noise; "
+            f"condition {found.condition:.3g}."
+        ),
+        (
+            f"Most alike: {' and '.join(pair)}, collinearity {index:.3g} (all: "
+            f"{found.collinearity():.3g})."
+        ),
+        (
+            f"{structure.verdict.sentence} (rank {max(structure.rank, 0)} of {len(names)}; "
+            f"{int(structure.has_prediction.sum())} of {len(structure.ranks)} random points have a "
+            "prediction)"
+        ),
+        *(f"Least known direction: {path.sentence}" for path in paths),
+        *its.assumptions,
+        f"Results: {out}",
+    ]
+    return lines

@@ -1,0 +1,187 @@
+"""A sample of the posterior, with all that says whether it can be trusted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.identify.chains import autocorrelation, quantile_error
+from identknee.identify.gate import Gate, SampleOutcome
+from identknee.identify.posterior import ExcludedMass, log_prior
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.record import Record
+
+QUANTILES = (0.025, 0.5, 0.975)
+# Draws further apart than the lag where the autocorrelation falls below this count as independent.
+INDEPENDENT = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Posterior:
+    """A sample of the posterior, with all that says whether it can be trusted.
+
+    Attributes
+    ----------
+    parameters
+        The parameters, in the order of theta.
+    samples
+        Theta of every step of every walker, burn-in included, shape
+        ``(ensembles, walkers, steps, n)``.
+    log_likelihood
+        Minus half the deviance, shape ``(ensembles, walkers, steps)``.
+    gates
+        The numbers of every check, in their order; the last one decided.
+    outcome
+        How sampling ended.
+    prior
+        Draws of the prior within the bounds, shape ``(draws, n)``.
+    excluded
+        How much of the prior the posterior cannot reach.
+    optima
+        What the walkers started around, shape ``(k, n)``.
+    n_simulations
+        All simulations: fits, starts, steps, and the draws of the prior.
+    n_walk_simulations
+        Those of the steps alone.
+    seed
+        Of all random numbers.
+    record
+        The call, its settings and the time.
+    """
+
+    parameters: Parameters
+    samples: Array
+    log_likelihood: Array
+    gates: tuple[Gate, ...]
+    outcome: SampleOutcome
+    prior: Array
+    excluded: ExcludedMass
+    optima: Array
+    n_simulations: int
+    n_walk_simulations: int
+    seed: int
+    record: Record
+
+    def __post_init__(self) -> None:
+        n = self.parameters.n
+        samples = frozen(self.samples, None, None, None, n, name="samples")
+        object.__setattr__(self, "samples", samples)
+        likelihood = frozen(self.log_likelihood, *samples.shape[:3], name="log_likelihood")
+        object.__setattr__(self, "log_likelihood", likelihood)
+        object.__setattr__(self, "prior", frozen(self.prior, None, n, name="prior"))
+        object.__setattr__(self, "optima", frozen(self.optima, None, n, name="optima"))
+
+    @property
+    def gate(self) -> Gate:
+        """The last check.
+
+        Raises
+        ------
+        ValueError
+            If sampling never began.
+        """
+        if not self.gates:
+            raise ValueError(f"there is no sample: {self.outcome.sentence}")
+        return self.gates[-1]
+
+    @property
+    def kept(self) -> Array:
+        """Samples after burn-in, shape ``(ensembles, walkers, steps, n)``."""
+        return self.samples[:, :, self.gate.burn_in :]
+
+    @property
+    def kept_log_likelihood(self) -> Array:
+        """Minus half the deviance after burn-in, shape ``(ensembles, walkers, steps)``."""
+        return self.log_likelihood[:, :, self.gate.burn_in :]
+
+    @property
+    def kept_log_prior(self) -> Array:
+        """Log prior density of theta after burn-in, shape ``(ensembles, walkers, steps)``."""
+        return log_prior(self.kept, self.parameters)
+
+    @property
+    def mean(self) -> Array:
+        """Posterior mean of each parameter, shape ``(n,)``."""
+        return np.asarray(self.kept.mean(axis=(0, 1, 2)))
+
+    @property
+    def sd(self) -> Array:
+        """Posterior standard deviation of each parameter, shape ``(n,)``."""
+        return np.asarray(self.kept.std(axis=(0, 1, 2), ddof=1))
+
+    def quantiles(self, probabilities: ArrayLike = QUANTILES) -> Array:
+        """Posterior quantiles of each parameter, shape ``(n, k)``."""
+        return np.asarray(np.quantile(self.kept, np.asarray(probabilities), axis=(0, 1, 2)).T)
+
+    def quantile_errors(self, probabilities: Sequence[float] = QUANTILES) -> Array:
+        """Monte Carlo standard errors of the quantiles, shape ``(n, k)``."""
+        each = [self.kept[..., i] for i in range(self.parameters.n)]
+        return np.array([[quantile_error(x, p) for p in probabilities] for x in each])
+
+    def independent(self, n_draws: int, *, or_fewer: bool = False) -> IntArray:
+        """Places (ensemble, walker, kept step) of draws as good as independent, ``(n_draws, 3)``.
+
+        They are spread over all ensembles and walkers and lie so many steps apart that the
+        autocorrelation of every parameter has fallen below 0.05.
+
+        Parameters
+        ----------
+        n_draws
+            How many.
+        or_fewer
+            Whether a sample too short to hold so many gives those it holds.
+
+        Raises
+        ------
+        ValueError
+            If the sample is too short and fewer will not do.
+        """
+        kept = self.kept
+        n_ensembles, n_walkers, n_steps = kept.shape[:3]
+        apart = max(_spacing(kept[..., i]) for i in range(self.parameters.n))
+        steps = np.arange(n_steps - 1, -1, -apart)
+        places = np.array(
+            [
+                (ensemble, walker, step)
+                for step in steps
+                for walker in range(n_walkers)
+                for ensemble in range(n_ensembles)
+            ]
+        )
+        if len(places) < n_draws and or_fewer:
+            return places
+        if len(places) < n_draws:
+            raise ValueError(
+                f"the sample holds {len(places)} independent draws, fewer than the {n_draws} asked "
+                "for; sample longer or ask for fewer"
+            )
+        return np.asarray(places[np.linspace(0, len(places) - 1, n_draws).round().astype(int)])
+
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """A table of the parameters, how sampling ended, and the numbers of the gate."""
+        if not self.gates:
+            return self.outcome.sentence
+        width = max(len(name) for name in self.parameters.names)
+        lines = [f"{'':{width}}  {'mean':>9}  {'sd':>8}  {'2.5 %':>9}  {'97.5 %':>9}"]
+        quantiles = self.quantiles((0.025, 0.975))
+        for i, name in enumerate(self.parameters.names):
+            numbers = f"{self.mean[i]:9.4f}  {self.sd[i]:8.4f}  {quantiles[i, 0]:9.4f}"
+            lines.append(f"{name:{width}}  {numbers}  {quantiles[i, 1]:9.4f}")
+        return "\n".join(
+            [
+                *lines,
+                self.outcome.sentence,
+                str(self.gate),
+                str(self.excluded),
+                f"{self.n_simulations} simulations.",
+            ]
+        )
+
+
+def _spacing(values: Array) -> int:
+    """Lag at which the autocorrelation has fallen below 0.05."""
+    below = np.flatnonzero(autocorrelation(values) < INDEPENDENT)
+    return int(below[0]) if below.size else values.shape[2]

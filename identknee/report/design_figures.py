@@ -1,0 +1,169 @@
+"""Figures of trials to add, one function a figure, in the style of `identknee.report.figures`."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
+
+from identknee.laxity.protocol import LOADS, Protocol
+from identknee.report.comparison import UNLOADED, load_scenarios
+from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
+from identknee.runs.arrays import Array
+
+# Before, predicted, achieved.
+KINDS = ("before", "predicted", "achieved")
+
+
+def intervals_figure(
+    targets: Sequence[str], best: ArrayLike, intervals: Mapping[str, ArrayLike]
+) -> Figure:
+    """Intervals of each target before trials are added, as predicted and as achieved, a panel each.
+
+    Parameters
+    ----------
+    targets
+        Names, with their units.
+    best
+        The best fit of each, shape ``(t,)``.
+    intervals
+        By kind, ends of each, shape ``(t, 2)``; NaN for an open end, drawn as an arrow.
+    """
+    columns = min(len(targets), 4)
+    rows = -(-len(targets) // columns)
+    figure = Figure(figsize=(0.8 + 2.5 * columns, 0.5 + 1.5 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[len(targets) :]:
+        axes.set_visible(False)
+    ends = {kind: np.asarray(values, float) for kind, values in intervals.items()}
+    for t, (axes, name) in enumerate(zip(grid.flat, targets, strict=False)):
+        center = float(np.asarray(best)[t])
+        known = np.array([x[t] for x in ends.values()])
+        reach = float(np.nanmax(np.abs(known - center), initial=0.0)) or 1.0
+        for k, values in enumerate(ends.values()):
+            _bar(axes, values[t], (center, reach), k)
+        axes.axvline(center, color="0.8", linewidth=0.8, zorder=0)
+        axes.set_yticks(range(len(ends)), list(ends) if t % columns == 0 else [])
+        axes.set_ylim(len(ends) - 0.5, -0.5)
+        axes.set_title(name, fontsize=SMALL + 1)
+        axes.tick_params(axis="x", labelsize=SMALL)
+        axes.spines[["top", "right", "left"]].set_visible(False)
+        axes.tick_params(axis="y", length=0)
+    return figure
+
+
+def candidates_figure(
+    candidates: Protocol, gains: ArrayLike, chosen: Sequence[int], label: str
+) -> Figure:
+    """What each candidate alone would gain, by load and flexion angle, with the order of choice.
+
+    Parameters
+    ----------
+    candidates
+        The trials.
+    gains
+        Of each, shape ``(k,)``; NaN for those excluded, drawn as crosses.
+    chosen
+        Places of those chosen in the order of their help; one may come more than once. Loads that
+        candidates have at less than half of the angles are left out where none is chosen.
+    label
+        What a gain is, with its unit.
+    """
+    gains = np.asarray(gains, float)
+    angles = np.unique(candidates.flexion_deg)
+    labels = _load_labels(candidates)
+    rows = _rows(labels, len(angles), {labels[k] for k in chosen})
+    table = np.full((len(rows), len(angles)), np.nan)
+    lost: list[tuple[int, int]] = []
+    places: dict[int, tuple[int, int]] = {}
+    for k, text in enumerate(labels):
+        if text in rows:
+            i, j = rows.index(text), int(np.searchsorted(angles, candidates.flexion_deg[k]))
+            places[k], table[i, j] = (j, i), gains[k]
+            lost += [(j, i)] if np.isnan(gains[k]) else []
+    figure = Figure(figsize=(3.4 + 0.5 * len(angles), 1.2 + 0.2 * len(rows)), layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.imshow(table, cmap="cividis", aspect="auto", vmin=0.0)
+    for place in lost:
+        axes.plot(*place, "x", color=GREY, markersize=4)
+    for k, order in _orders(chosen).items():
+        axes.plot(*places[k], "o", color="white", markersize=13, markeredgecolor=BLACK)
+        axes.annotate(order, places[k], ha="center", va="center", fontsize=6)
+    axes.set_xticks(range(len(angles)), [f"{x:g}" for x in angles])
+    axes.set_yticks(range(len(rows)), rows, fontsize=6)
+    axes.set_xlabel("flexion [deg]; crosses have no prediction everywhere the data allow")
+    figure.colorbar(image, ax=axes, label=label)
+    return figure
+
+
+def steps_figure(widths: Mapping[str, ArrayLike], achieved: Mapping[str, float]) -> Figure:
+    """Predicted width of each target's interval by the number of trials added.
+
+    Parameters
+    ----------
+    widths
+        By target, relative to its width before, shape ``(n_trials + 1,)``; NaN while it is open.
+    achieved
+        By target the same with all trials added, by profile.
+    """
+    figure = Figure(figsize=(5.4, 3.8), layout="constrained")
+    axes = figure.add_subplot()
+    for k, (name, values) in enumerate(widths.items()):
+        steps = np.arange(len(np.asarray(values)))
+        colour = COLOURS[k % len(COLOURS)]
+        axes.plot(
+            steps,
+            np.asarray(values, float),
+            color=colour,
+            linestyle=STYLES[k // len(COLOURS) % len(STYLES)],
+            marker=MARKERS[k % len(MARKERS)],
+            markersize=4,
+            label=name,
+        )
+        axes.plot(steps[-1], achieved[name], "D", color=colour, fillstyle="none", markersize=8)
+    axes.plot([], [], "D", color=GREY, fillstyle="none", label="achieved")
+    axes.set_xlabel("trials added")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_ylabel("width of the 95 % interval, relative")
+    axes.set_ylim(bottom=0.0)
+    axes.grid(color="0.92")
+    axes.legend(frameon=False, fontsize=SMALL, ncols=2)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _bar(axes: Axes, ends: Array, around: tuple[float, float], row: int) -> None:
+    """One interval; an open end reaches beyond all known ones and has an arrow."""
+    center, reach = around
+    low, high = np.where(np.isnan(ends), center + reach * np.array([-1.25, 1.25]), ends)
+    axes.plot([low, high], [row, row], "-", color=COLOURS[row], linewidth=5, solid_capstyle="butt")
+    for end, place, marker in zip(ends, (low, high), ("<", ">"), strict=True):
+        if np.isnan(end):
+            axes.plot(place, row, marker, color=COLOURS[row], markersize=9)
+
+
+def _load_labels(protocol: Protocol) -> list[str]:
+    """What loads each trial and how much, for example ``"internal moment 5 N·m"``."""
+    units = np.array(["N·m" if name.endswith("_Nm") else "N" for name in LOADS])
+    labels = []
+    for scenario, loads in zip(load_scenarios(protocol), protocol.loads, strict=True):
+        used = loads != 0.0
+        parts = zip(scenario.split(" + "), np.abs(loads[used]), units[used], strict=False)
+        labels.append(" + ".join(f"{what} {size:g} {unit}" for what, size, unit in parts))
+    return [label or UNLOADED for label in labels]
+
+
+def _rows(labels: Sequence[str], n_angles: int, chosen: set[str]) -> list[str]:
+    """Labels with candidates at half of the angles or a chosen one: single loads, then pairs."""
+    shown = {x for x in labels if x in chosen or 2 * labels.count(x) >= n_angles}
+    return sorted(shown, key=lambda label: (label != UNLOADED, label.count("+"), label))
+
+
+def _orders(chosen: Sequence[int]) -> dict[int, str]:
+    """The order of choice of each chosen trial, several where it comes again."""
+    orders: dict[int, str] = {}
+    for number, place in enumerate(chosen, 1):
+        orders[place] = f"{orders[place]},{number}" if place in orders else str(number)
+    return orders

@@ -1,0 +1,126 @@
+"""Figures of local geometry, one function a figure, in the style of `identknee.report.figures`."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from identknee.identify.geodesic import Geodesic
+from identknee.identify.information import Information
+from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, STYLES
+
+N_MOVERS = 3
+
+
+def spectrum_figure(found: Mapping[str, Information]) -> Figure:
+    """Eigenvalues of the information from stiff to sloppy, each above its noise floor.
+
+    Parameters
+    ----------
+    found
+        Informations in the same units by name.
+    """
+    figure = Figure(figsize=(1.6 + 2.0 * len(found), 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    for k, (name, each) in enumerate(found.items()):
+        x = k + np.linspace(-0.3, 0.3, each.parameters.n)
+        axes.plot(x, each.eigenvalues, MARKERS[k], color=COLOURS[k], label=name)
+        axes.plot(x, each.floors, "_", color=GREY, markersize=9)
+        for place, value, floor in zip(x, each.eigenvalues, each.floors, strict=True):
+            axes.plot([place, place], [floor, value], color="0.88", linewidth=1.0, zorder=0)
+        sizes = f"{each.n_above_noise} of {each.parameters.n} above noise\ncondition"
+        axes.annotate(
+            f"{sizes} {each.condition:.3g}",
+            (k, float(each.eigenvalues[0])),
+            xytext=(0, 8),
+            textcoords="offset points",
+            ha="center",
+            fontsize=SMALL,
+        )
+    axes.plot([], [], "_", color=GREY, markersize=9, label="noise floor")
+    axes.set_yscale("log")
+    axes.margins(y=0.12)
+    axes.set_xticks(range(len(found)), list(found))
+    axes.set_xlim(-0.6, len(found) - 0.4)
+    scaling = next(iter(found.values())).scaling
+    unit = {"typical": "typical step", "prior": "prior sd"}[scaling]
+    axes.set_ylabel(f"eigenvalue of the information [per squared {unit}]")
+    axes.grid(axis="y", color="0.92")
+    axes.set_axisbelow(True)
+    _bare(axes)
+    return figure
+
+
+def eigenvectors_figure(found: Information) -> Figure:
+    """Share of every parameter in every eigenvector, from stiff to sloppy, as a heat map."""
+    n = found.parameters.n
+    figure = Figure(figsize=(2.6 + 0.62 * n, 1.6 + 0.42 * n), layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.imshow(found.eigenvectors, cmap="PuOr", vmin=-1.0, vmax=1.0, aspect="auto")
+    for i in range(n):
+        for j in range(n):
+            share = found.eigenvectors[i, j]
+            if abs(share) >= 0.1:
+                axes.text(
+                    j,
+                    i,
+                    f"{share:+.2f}".replace("0.", "."),
+                    ha="center",
+                    va="center",
+                    fontsize=SMALL,
+                    color="white" if abs(share) > 0.7 else "black",
+                )
+    axes.set_yticks(range(n), found.parameters.names)
+    axes.set_xticks(range(n), [_brief(value) for value in found.eigenvalues])
+    axes.set_xlabel("eigenvalue, stiff to sloppy")
+    figure.colorbar(image, ax=axes, label="share of one scaled unit")
+    return figure
+
+
+def geodesics_figure(paths: Sequence[Geodesic]) -> Figure:
+    """The parameters that move most along each geodesic, and the speed of the predictions.
+
+    Parameters
+    ----------
+    paths
+        As `geodesics` gives them.
+    """
+    figure = Figure(figsize=(0.8 + 3.8 * len(paths), 5.4), layout="constrained")
+    grid = figure.subplots(2, len(paths), squeeze=False, sharex="col", sharey="row")
+    for column, path in enumerate(paths):
+        way = np.concatenate([[0.0], np.cumsum(_steps(path))])
+        moves = (path.thetas - path.thetas[0]) / path.scales
+        most = np.argsort(-np.abs(moves).max(axis=0))[:N_MOVERS]
+        upper, lower = grid[:, column]
+        for i in range(moves.shape[1]):
+            place = list(most).index(i) if i in most else None
+            colour = "0.8" if place is None else COLOURS[place]
+            style = "-" if place is None else STYLES[place]
+            label = None if place is None else path.parameters.names[i]
+            upper.plot(way, moves[:, i], style, color=colour, label=label)
+        upper.legend(frameon=False, fontsize=SMALL)
+        upper.set_title(
+            f"{path.boundary.value.replace('_', ' ')}: {', '.join(path.involved)}", fontsize=SMALL
+        )
+        lower.plot(way, path.speeds, "-", color=COLOURS[0])
+        lower.set_yscale("log")
+        lower.set_xlabel("way in the parameters [scaled units]")
+        for axes in (upper, lower):
+            axes.grid(color="0.92")
+            _bare(axes)
+    grid[0, 0].set_ylabel("change [scaled units]")
+    grid[1, 0].set_ylabel("change of predictions [noise per unit]")
+    return figure
+
+
+def _brief(value: float) -> str:
+    return f"{value:.0f}" if 10.0 <= value < 1e5 else f"{value:.2g}"
+
+
+def _steps(path: Geodesic) -> np.ndarray:
+    return np.asarray(np.linalg.norm(np.diff(path.thetas / path.scales, axis=0), axis=1))
+
+
+def _bare(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)

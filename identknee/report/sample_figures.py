@@ -1,0 +1,276 @@
+"""Figures of samples of the posterior, one function a figure."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
+from scipy.stats import gaussian_kde, rankdata
+
+from identknee.report.figures import BLACK, COLOURS, GREY, SMALL, STYLES
+from identknee.runs.arrays import Array
+
+COLUMNS = 4
+BINS = 20
+GRID = 200
+# Shares of the draws inside the contours of a pair.
+SHARES = (0.5, 0.95)
+
+
+def prior_posterior_figure(
+    names: Sequence[str],
+    prior: Array,
+    posteriors: "dict[str, Array]",
+    *,
+    truth: ArrayLike | None = None,
+) -> Figure:
+    """Density of each parameter before and after the data.
+
+    Parameters
+    ----------
+    names
+        Parameters.
+    prior
+        Draws of the prior, shape ``(k, n)``.
+    posteriors
+        Draws of one or more posteriors by name, shape ``(k, n)`` each.
+    truth
+        Known theta, shape ``(n,)``.
+    """
+    figure, panels = _panels(len(names), 2.2)
+    for i, (axes, name) in enumerate(zip(panels, names, strict=True)):
+        grid = np.linspace(*_range(prior[:, i], *(x[:, i] for x in posteriors.values())), GRID)
+        before = gaussian_kde(prior[:, i])(grid)
+        axes.fill_between(grid, before, color="0.85", linewidth=0, label="prior")
+        for k, (label, draws) in enumerate(posteriors.items()):
+            after = gaussian_kde(draws[:, i])(grid)
+            axes.plot(grid, after, STYLES[k], color=COLOURS[k], linewidth=1.6, label=label)
+        if truth is not None:
+            axes.axvline(
+                float(np.asarray(truth)[i]), color=BLACK, linewidth=1.0, label="true value"
+            )
+        axes.set_xlabel(_label(name), fontsize=SMALL)
+        axes.set_yticks([])
+        axes.set_ylim(bottom=0.0)
+        axes.tick_params(labelsize=SMALL)
+        axes.spines[["top", "right", "left"]].set_visible(False)
+    _shared_legend(figure, panels[0])
+    return figure
+
+
+def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None = None) -> Figure:
+    """Every pair of parameters with regions of 50 and 95 % of the draws, each on the diagonal.
+
+    Parameters
+    ----------
+    names
+        Parameters.
+    draws
+        Draws as good as independent, shape ``(k, n)``.
+    truth
+        Known theta, shape ``(n,)``.
+    """
+    n = len(names)
+    known = None if truth is None else np.asarray(truth, float)
+    figure = Figure(figsize=(1.0 + 1.25 * n, 1.0 + 1.2 * n), layout="constrained")
+    grid = figure.subplots(n, n, squeeze=False, sharex="col")
+    for row in range(n):
+        for column in range(n):
+            axes = grid[row, column]
+            if column > row:
+                axes.set_visible(False)
+                continue
+            if column == row:
+                axes.hist(draws[:, row], BINS, color=COLOURS[0], alpha=0.5)
+                axes.set_yticks([])
+            else:
+                _pair(axes, draws[:, column], draws[:, row])
+            if known is not None:
+                axes.axvline(known[column], color=BLACK, linewidth=0.8)
+                if column < row:
+                    axes.axhline(known[row], color=BLACK, linewidth=0.8)
+            axes.tick_params(labelsize=6)
+            if row == n - 1:
+                axes.set_xlabel(_stacked(names[column]), fontsize=7)
+            if column == 0 and row > 0:
+                axes.set_ylabel(_stacked(names[row]), fontsize=7)
+            elif column < row:
+                axes.set_yticklabels([])
+    return figure
+
+
+def trace_figure(names: Sequence[str], samples: Array, burn_in: int) -> Figure:
+    """Course of every ensemble, and how its kept draws rank among all.
+
+    On the left the mean of the walkers at each step and the band of nine in ten of them; on the
+    right counts of ranks, flat and alike where ensembles agree.
+
+    Parameters
+    ----------
+    names
+        Parameters.
+    samples
+        Theta, shape ``(ensembles, walkers, steps, n)``.
+    burn_in
+        Steps left out at the beginning.
+    """
+    n = len(names)
+    figure = Figure(figsize=(8.6, 0.8 + 1.25 * n), layout="constrained")
+    grid = figure.subplots(n, 2, squeeze=False, sharex="col", width_ratios=(2, 1))
+    steps = np.arange(1, samples.shape[2] + 1)
+    for i, name in enumerate(names):
+        trace, rank = grid[i]
+        ranks = rankdata(samples[:, :, burn_in:, i]).reshape(samples[:, :, burn_in:, i].shape)
+        for k, ensemble in enumerate(samples[..., i]):
+            colour = COLOURS[k % len(COLOURS)]
+            low, high = np.quantile(ensemble, [0.05, 0.95], axis=0)
+            trace.fill_between(steps, low, high, color=colour, alpha=0.12, linewidth=0)
+            trace.plot(steps, ensemble.mean(axis=0), color=colour, linewidth=0.8)
+            counts, edges = np.histogram(ranks[k], BINS, range=(0.0, float(ranks.size)))
+            rank.stairs(counts / counts.mean(), edges / ranks.size, color=colour)
+        trace.axvline(burn_in + 0.5, color=GREY, linewidth=0.8, linestyle=":")
+        trace.set_ylabel(_stacked(name), fontsize=7)
+        rank.set_ylim(0.0, 2.0)
+        for axes in (trace, rank):
+            axes.tick_params(labelsize=7)
+            axes.spines[["top", "right"]].set_visible(False)
+    grid[-1, 0].set_xlabel("step (dotted: end of burn-in)", fontsize=SMALL)
+    grid[-1, 1].set_xlabel("rank among all kept draws", fontsize=SMALL)
+    handles = [
+        Line2D([], [], color=COLOURS[k % len(COLOURS)], label=f"ensemble {k + 1}")
+        for k in range(len(samples))
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
+    return figure
+
+
+def tau_figure(
+    names: Sequence[str], steps: ArrayLike, tau: Array, *, autocorrelation_times: float = 50.0
+) -> Figure:
+    """Autocorrelation time against the steps it comes from, and the line it must stay below.
+
+    Parameters
+    ----------
+    names
+        Parameters.
+    steps
+        Kept steps at each check, shape ``(checks,)``.
+    tau
+        By check and parameter, shape ``(checks, n)``.
+    autocorrelation_times
+        Steps must be so many times tau.
+    """
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    kept = np.asarray(steps, float)
+    for i, name in enumerate(names):
+        style = STYLES[(i // len(COLOURS)) % len(STYLES)]
+        axes.plot(kept, tau[:, i], style, color=COLOURS[i % len(COLOURS)], label=name)
+    axes.plot(kept, kept / autocorrelation_times, color=BLACK, linewidth=1.0)
+    axes.annotate(
+        f"steps / {autocorrelation_times:g}",
+        (kept[-1], kept[-1] / autocorrelation_times),
+        fontsize=SMALL,
+        ha="right",
+        va="bottom",
+    )
+    axes.set_xlabel("steps after burn-in")
+    axes.set_ylabel("autocorrelation time [steps]")
+    axes.set_ylim(bottom=0.0)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=SMALL)
+    return figure
+
+
+def forces_figure(
+    trials: Sequence[str],
+    ligaments: Sequence[str],
+    quantiles: Array,
+    *,
+    truth: Array | None = None,
+) -> Figure:
+    """Tension of each ligament in some trials: median, half and 95 % of the posterior.
+
+    Parameters
+    ----------
+    trials
+        Names.
+    ligaments
+        Names.
+    quantiles
+        Tension [N] at 2.5, 25, 50, 75 and 97.5 %, shape ``(trials, ligaments, 5)``.
+    truth
+        Known tension [N], shape ``(trials, ligaments)``.
+    """
+    n = len(ligaments)
+    height = 1.2 + 0.26 * len(trials)
+    figure = Figure(figsize=(1.6 + 2.2 * n, height), layout="constrained")
+    panels = figure.subplots(1, n, squeeze=False, sharey=True)[0]
+    rows = np.arange(len(trials))
+    for j, axes in enumerate(panels):
+        low, first, middle, third, high = quantiles[:, j].T
+        axes.hlines(rows, low, high, color=COLOURS[0], linewidth=1.2, label="95 %")
+        axes.hlines(rows, first, third, color=COLOURS[0], linewidth=4.0, label="50 %")
+        axes.plot(middle, rows, "o", color=COLOURS[0], markersize=4, label="median")
+        if truth is not None:
+            axes.plot(truth[:, j], rows, "x", color=BLACK, markersize=5, label="true value")
+        axes.set_title(ligaments[j], fontsize=10)
+        axes.set_xlabel("tension [N]", fontsize=SMALL)
+        axes.tick_params(labelsize=SMALL)
+        axes.grid(axis="y", color="0.93")
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_yticks(rows, trials)
+    panels[0].invert_yaxis()
+    _shared_legend(figure, panels[0])
+    return figure
+
+
+def _pair(axes: Axes, across: Array, up: Array) -> None:
+    """Highest-density regions of a pair, from a kernel estimate, above its draws."""
+    points = np.vstack([across, up])
+    estimate = gaussian_kde(points)
+    levels = np.quantile(estimate(points), [1.0 - share for share in sorted(SHARES, reverse=True)])
+    x, y = np.linspace(*_range(across), 50), np.linspace(*_range(up), 50)
+    density = estimate(np.array(np.meshgrid(x, y)).reshape(2, -1)).reshape(50, 50)
+    axes.plot(across, up, ".", color=GREY, markersize=1.0, alpha=0.5)
+    axes.contour(x, y, density, levels=levels, colors=COLOURS[0], linewidths=0.9)
+
+
+def _range(*samples: Array) -> tuple[float, float]:
+    low = min(float(np.quantile(x, 0.001)) for x in samples)
+    high = max(float(np.quantile(x, 0.999)) for x in samples)
+    margin = 0.04 * (high - low)
+    return low - margin, high + margin
+
+
+def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
+    columns = min(COLUMNS, n)
+    rows = -(-n // columns)
+    figure = Figure(figsize=(0.6 + 2.2 * columns, 0.6 + height * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for axes in grid[n:]:
+        axes.set_visible(False)
+    return figure, grid[:n]
+
+
+def _shared_legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=9
+    )
+
+
+def _label(name: str) -> str:
+    """A parameter's name with its unit in brackets."""
+    words, _, unit = name.rpartition("_")
+    units = {"kN": "kN", "pct": "%"}
+    return f"{words.replace('.', ' ').replace('_', ' ')} [{units[unit]}]" if unit in units else name
+
+
+def _stacked(name: str) -> str:
+    """The same on two lines."""
+    owner, _, rest = _label(name).partition(" ")
+    return f"{owner}\n{rest}"

@@ -1,0 +1,181 @@
+"""Fast part of the study: draws the figures and fills the tables of the page from the record."""
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from profile_tables import tables
+
+from identknee.identify.profile_result import Profile
+from identknee.identify.profiles import profile_from_plain
+from identknee.model.parameters import Parameters
+from identknee.report.figures import BLACK, COLOURS, MARKERS
+from identknee.report.picture import png
+from identknee.report.profile_figures import intervals_figure, paths_figure, profiles_figure
+from identknee.report.tables import filled
+from identknee.runs.files import prepare_folder, write_atomically
+
+HERE = Path(__file__).parent
+RECORD = HERE / "records" / "profiles.json"
+FIGURES = HERE / "figures"
+PAGE = HERE / "README.md"
+Row = Mapping[str, Any]
+
+
+def main() -> None:
+    """Draw all figures and fill the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--record", type=Path, default=RECORD)
+    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
+    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
+    options = parser.parse_args()
+    record = json.loads(options.record.read_text(encoding="utf-8"))
+    prepare_folder(options.out)
+    for name, draw in FIGURE_OF.items():
+        write_atomically(options.out / f"{name}.png", png(draw(record)))
+    page = options.page.read_text(encoding="utf-8")
+    write_atomically(options.page, filled(page, tables(record)))
+
+
+def profiles_of(record: Row) -> list[Profile]:
+    """The profiles of the first knee's parameters."""
+    part = next(iter(record["knees"].values()))
+    kept = [{key: x for key, x in row.items() if key != "nested"} for row in part["profiles"]]
+    return [profile_from_plain(row) for row in kept]
+
+
+def figure_1(record: Row) -> Figure:
+    """The profiles."""
+    return profiles_figure(profiles_of(record))
+
+
+def figure_2(record: Row) -> Figure:
+    """What the other parameters do along them."""
+    part = next(iter(record["knees"].values()))
+    n = len(part["parameters"])
+    parameters = Parameters(
+        names=tuple(part["parameters"]),
+        center=part["truth"],
+        lower=part["lower_bound"],
+        upper=part["upper_bound"],
+        prior_sd=np.ones(n),
+        is_log=(False,) * n,
+    )
+    return paths_figure(profiles_of(record), parameters)
+
+
+def figure_3(record: Row) -> Figure:
+    """Nested sets."""
+    return intervals_figure(profiles_of(record))
+
+
+def figure_4(record: Row) -> Figure:
+    """Stiffness with reference strain of each ligament, a row a knee."""
+    knees = record["knees"]
+    most = max(len(part["pairs"]) for part in knees.values())
+    figure = Figure(figsize=(2.7 * most, 2.7 * len(knees)), layout="constrained")
+    grid = figure.subplots(len(knees), most, squeeze=False)
+    for axes_row, (knee, part) in zip(grid, knees.items(), strict=True):
+        truth = dict(zip(part["parameters"], part["truth"], strict=True))
+        for axes, pair in zip(axes_row, part["pairs"], strict=False):
+            for k, (level, edge) in enumerate(zip(pair["levels"], pair["edges"], strict=True)):
+                line = np.array([*edge, edge[0]], dtype=float)
+                axes.plot(*line.T, color=COLOURS[k], linewidth=1.2, label=f"{level:.0%}")
+            axes.plot(*pair["optimum"], "+", color=BLACK, label="best")
+            axes.plot(*(truth[x] for x in pair["names"]), "*", color=COLOURS[4], label="truth")
+            axes.set_xlabel(pair["names"][0], fontsize=8)
+            axes.set_ylabel(pair["names"][1], fontsize=8)
+            axes.tick_params(labelsize=7)
+            axes.spines[["top", "right"]].set_visible(False)
+        axes_row[0].set_title(knee, fontsize=9, loc="left")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    return figure
+
+
+def figure_5(record: Row) -> Figure:
+    """Share of data sets in which a parameter's set is open, against the noise."""
+    knees = record["knees"]
+    figure = Figure(figsize=(4.3 * len(knees), 3.4), layout="constrained")
+    noises = record["head"]["settings"]["noises_mm_deg"]
+    for axes, (knee, part) in zip(
+        figure.subplots(1, len(knees), squeeze=False, sharey=True)[0], knees.items(), strict=True
+    ):
+        for i, name in enumerate(part["parameters"]):
+            shares = [
+                np.mean(
+                    [
+                        None in (x["lower"][i], x["upper"][i])
+                        for x in part["noises"]
+                        if x["noise"] == noise
+                    ]
+                )
+                for noise in noises
+            ]
+            if max(shares) > 0:
+                k = i % len(COLOURS)
+                axes.plot(noises, shares, "-", marker=MARKERS[k], color=COLOURS[k], label=name)
+        axes.set_xscale("log")
+        axes.set_xticks(noises, [f"{x:g}" for x in noises])
+        axes.minorticks_off()
+        axes.set_ylim(-0.03, 1.03)
+        axes.set_xlabel("noise [mm and deg]")
+        axes.set_title(knee, fontsize=10)
+        axes.legend(fontsize=8, frameon=False)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.axes[0].set_ylabel("share of data sets with an open end")
+    return figure
+
+
+def figure_6(record: Row) -> Figure:
+    """Ligament forces with their sets beside the truth, a row a knee."""
+    knees = record["knees"]
+    figure = Figure(figsize=(9.0, 3.0 * len(knees)), layout="constrained")
+    for axes, (knee, part) in zip(
+        figure.subplots(len(knees), 1, squeeze=False)[:, 0], knees.items(), strict=True
+    ):
+        trials = list(dict.fromkeys(x["trial"] for x in part["forces"]))
+        ligaments = list(dict.fromkeys(x["ligament"] for x in part["forces"]))
+        for k, ligament in enumerate(ligaments):
+            rows = [x for x in part["forces"] if x["ligament"] == ligament]
+            across = np.arange(len(trials)) + 0.18 * (k - 0.5 * (len(ligaments) - 1))
+            value, low, high = (
+                np.array([np.nan if x[y] is None else x[y] for x in rows], dtype=float)
+                for y in ("value", "lower", "upper")
+            )
+            axes.errorbar(
+                across,
+                value,
+                yerr=[value - low, high - value],
+                fmt=MARKERS[k],
+                color=COLOURS[k],
+                markersize=4,
+                capsize=2,
+                label=ligament,
+            )
+            axes.plot(across, [x["truth"] for x in rows], "_", color=BLACK, markersize=7)
+        axes.set_xticks(range(len(trials)), [x.replace("flexion", "") for x in trials], fontsize=7)
+        axes.tick_params(axis="x", rotation=35)
+        axes.set_ylabel("tension [N]")
+        axes.set_title(knee, fontsize=10)
+        axes.legend(fontsize=8, frameon=False, ncols=len(ligaments))
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
+    "figure_1_profiles": figure_1,
+    "figure_2_paths": figure_2,
+    "figure_3_nested_sets": figure_3,
+    "figure_4_pairs": figure_4,
+    "figure_5_open_ends": figure_5,
+    "figure_6_forces": figure_6,
+}
+
+
+if __name__ == "__main__":
+    main()

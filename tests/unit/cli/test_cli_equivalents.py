@@ -1,0 +1,76 @@
+"""`identknee equivalents`, from its words to its files and sentences."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from cli_runs import refused, run, short_protocol
+
+import identknee as ik
+
+VERB = ("equivalents", "reference")
+HELD = [x for name in ("PCL", "LCL", "MCL") for x in ("--fix", f"{name}.stiffness_kN")]
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Noisy laxity of the reference knee in a few trials."""
+    folder = tmp_path_factory.mktemp("data")
+    protocol = ik.load_protocol(short_protocol(folder))
+    laxity = ik.simulate(ik.reference_knee(), protocol).laxity
+    noisy = ik.add_noise(laxity, sd_mm=0.1, sd_deg=0.1, seed=2)
+    return ik.write_laxity(noisy, folder / "data.csv")
+
+
+def test_sets_and_what_they_leave_open(table: Path, tmp_path: Path) -> None:
+    words = (*VERB, table, "--n-sets", 12, *HELD, "--forces", "largest", "--out", tmp_path)
+    result = run(*words, "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert summary["criterion"] == "noise"
+    assert summary["power_of_best_test"] == pytest.approx(0.26, abs=0.01)
+    assert summary["n_sets"] == 12
+    assert summary["farthest"] >= 0.9 * summary["diameter"]
+    assert summary["closest"] >= 0.02 * summary["diameter"]
+    assert summary["largest_distance"] <= 1.0 + 1e-6
+    assert summary["n_simulations"] > 100
+    assert list(summary["parameters"]) == [
+        "ACL.stiffness_kN",
+        *(f"{x}.reference_strain_pct" for x in ("ACL", "PCL", "LCL", "MCL")),
+    ]
+    assert len(summary["quantities"]) == 4 * 10
+    for x in (*summary["parameters"].values(), *summary["quantities"].values()):
+        assert x["lower"] <= x["fit"] <= x["upper"]
+    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+        data = tree["equivalent_sets"].dataset
+        assert data["theta"].shape == (12, 5)
+        assert data["tension_N"].shape == (12, 10, 4)
+        assert data["extremum_theta"].shape == (45, 2, 5)
+        model = ik.LaxityModel(knee=ik.reference_knee(), protocol=ik.read_laxity(table).protocol)
+        theta = np.array(model.parameters.center)
+        theta[[0, 4, 5, 6, 7]] = data["theta"].values[3]
+        assert np.array_equal(model.simulate(theta).coordinates, data["coordinates"].values[3])
+    again = run(*words)
+    assert again.exit_code == 0, again.output
+    assert "12 parameter sets, each simulated" in again.stdout
+    assert "in 26 of 100 measurements" in again.stdout
+    assert "Of 40 forces those that differ most" in again.stdout
+
+
+def test_the_paper_s_criterion(table: Path, tmp_path: Path) -> None:
+    words = ("--criterion", "paper", "--limit", "0.01", "--n-sets", 5, "--forces", "none")
+    result = run(*VERB, table, *words, *HELD, "--out", tmp_path, "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert summary["power_of_best_test"] is None
+    assert "internal_deg@30" in summary["blocks"]
+    assert len(summary["blocks"]) == 6
+    assert summary["quantities"] == {}
+    assert summary["largest_distance"] <= 0.01 * (1 + 1e-6)
+
+
+def test_what_cannot_be_asked_is_said(table: Path, tmp_path: Path) -> None:
+    said = refused(*VERB, table, "--limit", "0", "--out", tmp_path)
+    assert "the limit must be greater than 0" in said

@@ -1,0 +1,72 @@
+"""`identknee profile`, from its words to its files and sentences."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray
+from cli_runs import refused, run
+
+import identknee as ik
+
+TWO = ("--parameter", "LCL.stiffness_kN", "--parameter", "LCL.reference_strain_pct")
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The reference knee under nine of the 63 trials, 0.5 mm and 0.5 deg."""
+    knee, protocol = ik.reference_knee(), ik.load_protocol("seed63").select(range(0, 63, 7))
+    laxity = ik.simulate(knee, protocol).laxity
+    noisy = ik.add_noise(laxity, sd_mm=0.5, sd_deg=0.5, seed=1)
+    return ik.write_laxity(noisy, tmp_path_factory.mktemp("profile") / "data.csv")
+
+
+def _summary(out: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    return content
+
+
+def test_the_keys_that_checks_read_are_there(noisy: Path, tmp_path: Path) -> None:
+    trial = ik.read_laxity(noisy).protocol.trials[0]
+    result = run(
+        *("profile", "reference", noisy, *TWO, "--fix", "PCL.stiffness_kN", "--out", tmp_path),
+        *("--quantity", f"varus_deg@{trial}", "--forces", trial),
+    )
+    assert result.exit_code == 0, result.output
+    summary = _summary(tmp_path)
+    assert list(summary["parameters"]) == ["LCL.stiffness_kN", "LCL.reference_strain_pct"]
+    for entry in summary["parameters"].values():
+        assert {"lower", "upper", "lower_status", "upper_status"} < set(entry)
+        assert entry["n_simulations"] > 0
+        assert (entry["lower"] is None) == (entry["lower_status"] != "closed")
+        assert entry["verdict"] in {"identifiable", "one_sided", "practically_nonidentifiable"}
+    assert f"varus_deg@{trial}" in summary["quantities"]
+    assert f"MCL.tension_N@{trial}" in summary["quantities"]
+    assert "verdict" in result.stdout
+    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+        assert {"profile", "ci"} <= set(tree.children)
+
+
+def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path) -> None:
+    words = ("profile", "reference", noisy, *TWO, "--out", tmp_path)
+    assert run(*words).exit_code == 0
+    first = _summary(tmp_path)["parameters"]
+    assert run(*words).exit_code == 0
+    assert _summary(tmp_path)["parameters"] == first
+    assert "level was 0.95 and is 0.9 now" in refused(*words, "--level", "0.9")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--parameter", "LCL.stifness"), "there is no parameter 'LCL.stifness'"),
+        (("--pair", "LCL.stiffness_kN"), "there is no second name"),
+        (("--quantity", "varus"), "is not the name of a predicted quantity"),
+        (("--level", "1.5"), "the level must be between 0 and 1, got 1.5"),
+    ],
+)
+def test_wrong_words_are_refused(
+    noisy: Path, tmp_path: Path, words: tuple[str, ...], sentence: str
+) -> None:
+    assert sentence in refused("profile", "reference", noisy, *words, "--out", tmp_path)

@@ -1,0 +1,101 @@
+"""Several profiles at once: order, thresholds, resuming, and one optimum for all."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from problems import ClosedForm, Linear, linear, plain_parameters
+
+from identknee.identify.profile import profile
+from identknee.identify.profile_result import Profile
+from identknee.identify.profiles import (
+    profile_from_plain,
+    profile_parameters,
+    profile_quantities,
+    profile_to_plain,
+)
+from identknee.identify.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
+from identknee.runs.resume import as_stored, open_work
+
+
+def _same(one: Profile, other: Profile) -> bool:
+    return bool(as_stored(profile_to_plain(one)) == as_stored(profile_to_plain(other)))
+
+
+def test_profiles_come_in_the_order_of_their_names() -> None:
+    problem = linear()
+    names = ["x2.value_pct", "x0.value_pct"]
+    found = profile_parameters(problem, problem.minimum, names)
+    assert [x.name for x in found] == names
+    assert [x.name for x in profile_parameters(problem, problem.minimum)] == list(
+        problem.parameters.names
+    )
+    assert profile_parameters(problem, problem.minimum, []) == ()
+
+
+def test_a_profile_survives_json() -> None:
+    problem = linear()
+    first = ParameterQuantity(parameters=problem.parameters, name="x0.value_pct")
+    found = profile(problem, problem.minimum, first)
+    again = profile_from_plain(as_stored(profile_to_plain(found)))
+    assert _same(found, again)
+    assert again.verdict is found.verdict
+    assert again.upper_status is found.upper_status
+
+
+def test_finished_profiles_are_not_made_again(tmp_path: Path) -> None:
+    whole = linear()
+    problem = Linear(
+        parameters=whole.parameters,
+        matrix=whole.jacobian(whole.minimum),
+        data=-whole.residuals(np.zeros(3)),
+    )
+    with open_work(tmp_path / "work.sqlite", {"of": "linear"}) as store:
+        first = profile_parameters(problem, whole.minimum, store=store)
+    broken = Linear(
+        parameters=problem.parameters, matrix=problem.matrix * np.nan, data=problem.data
+    )
+    with open_work(tmp_path / "work.sqlite", {"of": "linear"}) as store:
+        second = profile_parameters(broken, whole.minimum, store=store)
+    assert all(_same(one, other) for one, other in zip(first, second, strict=True))
+
+
+def test_each_may_have_its_own_threshold() -> None:
+    problem = linear()
+    narrow, wide, _ = profile_parameters(problem, problem.minimum, thresholds=[1.0, 4.0, 1.0])
+    assert (narrow.threshold, wide.threshold) == (1.0, 4.0)
+    same = profile_parameters(problem, problem.minimum, thresholds=2.0)
+    assert {x.threshold for x in same} == {2.0}
+
+
+def test_a_better_fit_met_by_one_is_the_optimum_of_all() -> None:
+    """Only the first parameter's own profile looks where the better fit is."""
+    wells = ClosedForm(
+        name="wells",
+        parameters=plain_parameters(2, -5.0, 4.0),
+        start=np.zeros(2),
+        minimum=np.array([2.0, 0.0]),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([x[0] ** 2 - 4, x[0] - 2, x[1] * (1 + x[0] / 10)]),
+        jacobian_at=lambda x: np.array([[2 * x[0], 0.0], [1.0, 0.0], [x[1] / 10, 1 + x[0] / 10]]),
+    )
+    found = profile_parameters(wells, np.array([-1.87, 0.0]))
+    for one in found:
+        np.testing.assert_allclose(one.optimum, [2.0, 0.0], atol=1e-4)
+
+
+def test_a_restricted_quantity_sees_the_parameters_that_move() -> None:
+    total = UserQuantity(name="total", unit="%", function=lambda x: float(x @ [1.0, 2.0, 4.0]))
+    part = RestrictedQuantity(quantity=total, free=(0, 2), at=np.array([9.0, 5.0, 9.0]))
+    value, gradient = part.evaluate(np.array([1.0, 1.0]))
+    assert value == pytest.approx(15.0)
+    np.testing.assert_allclose(gradient, [1.0, 4.0], rtol=1e-9)
+    assert (part.name, part.unit) == ("total", "%")
+
+
+def test_functions_are_profiled_beside_parameters() -> None:
+    problem = linear()
+    total = UserQuantity(name="total", unit="%", function=lambda x: float(x.sum()))
+    (found,) = profile_quantities(problem, problem.minimum, [total])
+    assert found.name == "total"
+    assert found.optimum_value == pytest.approx(problem.minimum.sum())

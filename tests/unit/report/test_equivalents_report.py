@@ -1,0 +1,39 @@
+"""Groups, summary and figures of equivalent sets."""
+
+import numpy as np
+from problems import linear
+
+from identknee.identify.equivalents import equivalents
+from identknee.identify.equivalents_region import noise_region
+from identknee.report.equivalents_figures import ranges_figure, sets_figure
+from identknee.report.equivalents_groups import equivalents_summary
+from identknee.report.picture import png
+
+
+def test_the_summary_tells_how_each_side_ended() -> None:
+    problem = linear()
+    found = equivalents(noise_region(problem, problem.minimum), n_sets=4)
+    summary = equivalents_summary(found)
+    assert summary["n_sets"] == 4
+    assert summary["quantities"] == {}
+    one = summary["parameters"]["x0.value_pct"]
+    assert one["unit"] == "%"
+    assert one["lower"] < one["fit"] < one["upper"]
+    assert one["lower_end"] == "limit"
+    assert one["upper_agreeing"].endswith(f"of {found.extrema[0].upper.n_searches}")
+
+
+def test_figures_are_drawn() -> None:
+    generator = np.random.default_rng(0)
+    sets = generator.normal(size=(6, 3))
+    names = ["ACL.stiffness_kN", "ACL.reference_strain_pct", "offset"]
+    laxity = {"varus [deg]": generator.normal(size=(6, 9))}
+    figure = sets_figure(names, sets, sets.mean(axis=0), laxity)
+    assert len(figure.axes) == 2
+    assert figure.axes[0].get_xticklabels()[1].get_text() == "ACL\nreference strain\n[%]"
+    assert png(figure)
+    ranges = {"noise": np.array([[0.0, 2.0], [1.0, 5.0]]), "paper": np.array([[0.0, 3.0], [0, 9]])}
+    bars = ranges_figure(["first", "second"], np.array([1.0, 2.0]), ranges, unit="tension [N]")
+    widths = [patch.get_width() for patch in bars.axes[0].patches]  # type: ignore[attr-defined]
+    assert widths == [2.0, 4.0, 3.0, 9.0]
+    assert bars.axes[0].get_xlabel() == "tension [N]"
