@@ -12,6 +12,7 @@ import typer.core
 
 import identknee as ik
 from identknee.runs.errors import InputError
+from identknee.runs.executors import WorkerDied
 from identknee.runs.files import digest, plain
 from identknee.runs.progress import progress_bar
 
@@ -19,6 +20,8 @@ Result = TypeVar("Result")
 
 NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 STOPPED = "stopped; the same command does it again from the start"
+STOPPED_WORK = "stopped; what was finished is kept in --out, and the same command resumes"
+RESUMING = {"sweep", "profile", "sample", "sensitivity", "equivalents", "design"}
 
 Subject = Annotated[
     str, typer.Argument(metavar="SUBJECT", help="A subject folder, or the word reference.")
@@ -50,8 +53,9 @@ class Verbs(typer.core.TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            sentence, code = STOPPED, INTERRUPTED
-        except (NotComputed, ModuleNotFoundError) as error:
+            is_kept = ctx.invoked_subcommand in RESUMING
+            sentence, code = STOPPED_WORK if is_kept else STOPPED, INTERRUPTED
+        except (NotComputed, ModuleNotFoundError, WorkerDied) as error:
             sentence, code = str(error), NOT_COMPUTED
         except MemoryError:
             sentence, code = "there is not enough memory", NOT_COMPUTED
@@ -70,11 +74,17 @@ class Verbs(typer.core.TyperGroup):
 
 def is_our_sentence(error: ValueError) -> bool:
     """Whether the error was raised by identknee for the caller, rather than inside a library."""
+    if isinstance(error, InputError):
+        return True
+    # An error from a worker process brings the trace of where it was raised as text.
+    remote = str(getattr(error.__cause__, "tb", ""))
+    if remote:
+        return "identknee" in remote.rpartition('File "')[2].partition('"')[0]
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     module = "" if trace is None else str(trace.tb_frame.f_globals.get("__name__", ""))
-    return isinstance(error, InputError) or module.partition(".")[0] == "identknee"
+    return module.partition(".")[0] == "identknee"
 
 
 def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> None:

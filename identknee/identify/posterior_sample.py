@@ -1,12 +1,13 @@
 """A sample of the posterior, with all that says whether it can be trusted."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.identify.chains import autocorrelation, quantile_error
+from identknee.identify.chains import quantile_error
 from identknee.identify.gate import Gate, SampleOutcome
 from identknee.identify.posterior import ExcludedMass, log_prior
 from identknee.model.parameters import Parameters
@@ -14,8 +15,8 @@ from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.record import Record
 
 QUANTILES = (0.025, 0.5, 0.975)
-# Draws further apart than the lag where the autocorrelation falls below this count as independent.
-INDEPENDENT = 0.05
+# Autocorrelation times between draws that count as independent: exp(-4) where it falls evenly.
+APART = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,8 +124,8 @@ class Posterior:
     def independent(self, n_draws: int, *, or_fewer: bool = False) -> IntArray:
         """Places (ensemble, walker, kept step) of draws as good as independent, ``(n_draws, 3)``.
 
-        They are spread over all ensembles and walkers and lie so many steps apart that the
-        autocorrelation of every parameter has fallen below 0.05.
+        They are spread over all ensembles and walkers, and two of one walker lie at least two of
+        the longest autocorrelation times apart.
 
         Parameters
         ----------
@@ -140,7 +141,7 @@ class Posterior:
         """
         kept = self.kept
         n_ensembles, n_walkers, n_steps = kept.shape[:3]
-        apart = max(_spacing(kept[..., i]) for i in range(self.parameters.n))
+        apart = math.ceil(min(APART * float(np.max(self.gate.tau)), n_steps))
         steps = np.arange(n_steps - 1, -1, -apart)
         places = np.array(
             [
@@ -179,9 +180,3 @@ class Posterior:
                 f"{self.n_simulations} simulations.",
             ]
         )
-
-
-def _spacing(values: Array) -> int:
-    """Lag at which the autocorrelation has fallen below 0.05."""
-    below = np.flatnonzero(autocorrelation(values) < INDEPENDENT)
-    return int(below[0]) if below.size else values.shape[2]

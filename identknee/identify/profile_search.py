@@ -16,6 +16,8 @@ from identknee.runs.arrays import Array
 MOST_BRANCHES = 12
 # A fit that looks around takes so many steps before it must have come near.
 GLANCE_STEPS = 8
+# One that comes back from where the path was lost may take more.
+RETURN_STEPS = 24
 # Of the threshold: what a glance may leave, and how near a fit must have come to be followed.
 GLANCE_TOLERANCE = 2e-2
 NEAR = 10.0
@@ -23,6 +25,8 @@ NEAR = 10.0
 WIDTHS = 1.0
 # In widths of the set: a gap narrower than this is not looked into.
 NARROW = 0.05
+# How far beyond an end to go and come back, in distances to the optimum.
+OUTSIDE = 1.0
 # How far beyond a cliff to look, in distances to the optimum.
 GAP_WIDTHS = (0.02, 0.1, 0.3, 1.0)
 
@@ -124,7 +128,9 @@ def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
 
     Fits without a constraint start from the middle of what lies beyond each closed end, and from
     each of `starts`. Where one ends at a likely optimum that is not on a path walked before, its
-    own branch is walked, and the gaps that it leaves are looked into in their turn.
+    own branch is walked, and the gaps that it leaves are looked into in their turn. Paths that lead
+    to no optimum of their own are looked for by coming back to each end of the optimum's branch
+    from outside.
 
     Parameters
     ----------
@@ -145,7 +151,7 @@ def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
             branches.append(branch)
             regions += _beside(branch, region)
     for leg, direction in ((main.lower, -1), (main.upper, 1)):
-        branch = _across_the_gap(walk, leg, direction)
+        branch = _across_the_gap(walk, leg, direction) or _from_outside(walk, leg, direction)
         if branch is not None and not _is_known(walk, branches, branch.origin):
             branches.append(branch)
     for start in starts:
@@ -194,14 +200,8 @@ def _across_the_gap(walk: Walk, leg: Leg, direction: int) -> Branch | None:
     blocked = end + direction * side.error
     for width in GAP_WIDTHS:
         value = end + direction * width * abs(end - leg.points[0].value)
-        solved = walk.solve(
-            value,
-            last.evaluation.theta,
-            tolerance=GLANCE_TOLERANCE * walk.threshold,
-            most_steps=GLANCE_STEPS,
-        )
-        if solved.is_on_target and solved.evaluation.is_finite:
-            point = as_point(solved)
+        point = _glance(walk, value, last.evaluation.theta)
+        if point is not None:
             if walk.delta(point) >= walk.threshold:
                 return None
             inward = march(walk, point, -direction, blocked)
@@ -210,6 +210,46 @@ def _across_the_gap(walk: Walk, leg: Leg, direction: int) -> Branch | None:
             return Branch(lower=lower, upper=upper)
         blocked = value
     return None
+
+
+def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
+    """The branch met by going on beyond a closed end and coming back; None if it is the same one.
+
+    Where the path folds, the fits beyond its end lie on another part of it, which may be lower at
+    the end too although no fit without a constraint stays there.
+    """
+    end = leg.side.end
+    if end is None or leg.side.is_cliff:
+        return None
+    last = min(leg.points, key=lambda x: abs(x.value - end))
+    value = end + direction * OUTSIDE * abs(end - leg.points[0].value)
+    value = float(np.clip(value, *walk.limits))
+    if value == end:
+        return None
+    far = _glance(walk, value, walk.start(value, last, None))
+    if far is None:
+        return None
+    if walk.delta(far) < walk.threshold:
+        return walk_branch(walk, far)
+    expected = walk.start(end, far, None)
+    moved = last.evaluation.jacobian @ (expected - last.evaluation.theta)
+    if float(moved @ moved) < JUMP * walk.threshold:
+        return None
+    back = _glance(walk, end, expected, most_steps=RETURN_STEPS)
+    if back is None or walk.delta(back) > (1.0 - GLANCE_TOLERANCE) * walk.threshold:
+        return None
+    return walk_branch(walk, back)
+
+
+def _glance(
+    walk: Walk, value: float, start: Array, *, most_steps: int = GLANCE_STEPS
+) -> Point | None:
+    """A rough fit at a value, None where there is none."""
+    solved = walk.solve(
+        value, start, tolerance=GLANCE_TOLERANCE * walk.threshold, most_steps=most_steps
+    )
+    is_there = solved.evaluation.is_finite and solved.is_on_target
+    return as_point(solved) if is_there else None
 
 
 def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch | None:

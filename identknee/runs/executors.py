@@ -9,6 +9,7 @@ import hashlib
 import multiprocessing
 import os
 import pickle
+import shutil
 import signal
 import tempfile
 import threading
@@ -77,14 +78,14 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
     context = multiprocessing.get_context("spawn")
     # Nothing is ever sent: its end is the sign for workers to end, busy or not.
     line, ours = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(
-        n_workers, mp_context=context, initializer=_start_worker, initargs=(line,)
-    )
     with (
         line,
         ours,
         tempfile.TemporaryDirectory(prefix="identknee-", ignore_cleanup_errors=True) as folder,
     ):
+        pool = ProcessPoolExecutor(
+            n_workers, mp_context=context, initializer=_start_worker, initargs=(line, folder)
+        )
         try:
             yield _Processes(pool, Path(folder))
         except BaseException:
@@ -170,13 +171,14 @@ def _check_workers(n_workers: int) -> None:
         raise ValueError(f"the number of workers must be at least 1, got {n_workers}")
 
 
-def _start_worker(line: Connection) -> None:
+def _start_worker(line: Connection, folder: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(line,), daemon=True).start()
+    threading.Thread(target=_end_with, args=(line, folder), daemon=True).start()
 
 
-def _end_with(line: Connection) -> None:
+def _end_with(line: Connection, folder: str) -> None:
     # The other end is closed by the parent where its work is broken off, or by its death.
     with suppress(EOFError, OSError):
         line.recv_bytes()
+    shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)

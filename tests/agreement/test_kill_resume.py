@@ -50,7 +50,7 @@ def sweep(folder: Path, workers: int) -> None:
 def test_kills_at_random_moments_change_no_bit(tmp_path: Path) -> None:
     tests = Path(__file__).parents[1]
     path = os.pathsep.join([str(tests.parent), str(tests)])
-    environment = {**os.environ, "PYTHONPATH": path}
+    environment = {**os.environ, "PYTHONPATH": path, "TMPDIR": str(tmp_path)}
     rng = np.random.default_rng(1)
     kept: list[int] = []
     for _ in range(N_KILLS):

@@ -16,6 +16,10 @@ MODULES = {
     "complex_fit": "bench_complex_fit",
     "least_squares_fit": "bench_least_squares_fit",
     "memory": "bench_memory",
+    "process_pool": "bench_process_pool",
+    "sweep": "bench_sweep",
+    "sampling": "bench_sampling",
+    "posterior": "bench_posterior",
 }
 
 if __name__ == "__main__":

@@ -11,9 +11,9 @@ REPLICATES = 40
 
 def test_even_ranks_are_not_rare_and_uneven_ones_are() -> None:
     generator = np.random.default_rng(0)
-    levels = [simultaneous_level(generator.integers(0, 101, 300), 100) for _ in range(40)]
-    # Uniform if the band is exact: the mean of 40 has a standard error of 0.046.
-    assert abs(np.mean(levels) - 0.5) < 5 * 0.046
+    levels = [simultaneous_level(generator.integers(0, 101, 300), 100) for _ in range(20)]
+    # Uniform if the band is exact: the mean of 20 has a standard error of 0.065.
+    assert abs(np.mean(levels) - 0.5) < 5 * 0.065
     crowded = np.where(generator.uniform(size=300) < 0.2, generator.integers(0, 5, 300), 50)
     assert simultaneous_level(crowded, 100) < 1e-3
     narrow = generator.binomial(100, 0.5, size=300)

@@ -17,6 +17,13 @@ MODULES = {
     "recovery": "verify_recovery",
     "complex_regression": "verify_complex_regression",
     "points": "verify_points",
+    "information": "verify_information",
+    "conformance": "verify_conformance",
+    "profile_ends": "verify_profile_ends",
+    "coverage": "verify_coverage",
+    "sbc": "verify_sbc",
+    "equivalents": "verify_equivalents",
+    "kill": "verify_kill",
 }
 
 if __name__ == "__main__":

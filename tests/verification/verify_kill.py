@@ -3,6 +3,7 @@
 import argparse
 import hashlib
 import json
+import os
 import sys
 import tempfile
 import time
@@ -71,7 +72,8 @@ def killed(data: Path, expected: dict[str, Any], task: tuple[str, int]) -> dict[
         after = rng.uniform(0.0, expected[verb]["seconds"])
         with tempfile.TemporaryDirectory() as folder:
             command = _command(verb, data, Path(folder))
-            if run_for(command, after) is not None:
+            # What a killed run leaves among temporary files goes with the folder.
+            if run_for(command, after, {**os.environ, "TMPDIR": folder}) is not None:
                 continue  # It ended before; another moment.
             has_result = (Path(folder) / "result.json").exists()
             began = time.perf_counter()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from problems import ClosedForm, Linear, plain_parameters
-from trial_candidates import FormulaTrials, linear_trials
+from trial_formulas import FormulaTrials, linear_trials
 
 from identknee.identify.added_trials import WithTrials
 from identknee.identify.design import Design, design

@@ -82,7 +82,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     root = str(Path(__file__).parents[3])
-    environment = {**os.environ, "PYTHONPATH": root}
+    environment = {**os.environ, "PYTHONPATH": root, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(
         [sys.executable, str(script)], stdout=subprocess.PIPE, env=environment, text=True
     ) as parent:
@@ -93,6 +93,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     while is_running(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not is_running(worker)
+    assert list(tmp_path.iterdir()) == [script], "the function's file is left"
 
 
 def is_running(process: int) -> bool:

@@ -1,0 +1,297 @@
+"""Slow part of the study: equivalent sets of two knees by noise and by the paper's criterion.
+
+Writes ``records/equivalent_sets.json`` after each part. Finished searches are kept in stores
+outside the checkout, so that the same command resumes where it was stopped.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import platformdirs
+
+from identknee.calibrate.starts import named_start
+from identknee.identify.equivalents import Equivalents, Extrema, equivalents
+from identknee.identify.equivalents_region import Region, noise_region, power_of_best_test
+from identknee.laxity.noise import add_noise
+from identknee.laxity.protocol import concatenate, load_protocol
+from identknee.laxity.rmse import laxity_rmse
+from identknee.laxity.table import COORDINATES
+from identknee.model.equivalence import PAPER_LIMITS, rms_blocks
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.quantities import LigamentForce, ligament_forces
+from identknee.model.residuals import LaxityResiduals
+from identknee.report.comparison import largest_by, load_scenarios
+from identknee.report.study_records import (
+    knee_digest,
+    record_head,
+    rounded,
+    study_knee,
+    write_record,
+)
+from identknee.runs.arrays import Array
+from identknee.runs.executors import Executor, process_pool
+from identknee.runs.resume import open_work
+
+HERE = Path(__file__).parent
+RECORD = HERE / "records" / "equivalent_sets.json"
+COMMAND = "python studies/06_equivalent_sets/compute.py"
+KNEES = ("reference", "lenhart2015_stable")
+TRUTH = "IG1"  # Table 1 of the paper: its first initial guess is the reference itself.
+PAPER = "paper"
+N_SETS, SEED = 100, 0
+SCENARIOS = (
+    "anterior force",
+    "posterior force",
+    "varus moment",
+    "valgus moment",
+    "external moment",
+    "internal moment",
+)
+QUICK_TRIALS = 2
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Case:
+    """What counts as equivalent.
+
+    Attributes
+    ----------
+    name
+        What it is called in the record.
+    sd
+        Standard deviation of the noise [mm and deg]; None for the paper's criterion.
+    limit
+        The largest squared difference.
+    """
+
+    name: str
+    sd: float | None
+    limit: float = 1.0
+
+
+CASES = (
+    Case(name="0.3 mm, 0.3 deg", sd=0.3),
+    Case(name="0.5 mm, 0.5 deg", sd=0.5),
+    Case(name="1.0 mm, 1.0 deg", sd=1.0),
+    Case(name="0.5 mm, 0.5 deg, D2 <= 3.84", sd=0.5, limit=3.84),
+    Case(name=PAPER, sd=None),
+)
+
+
+def main() -> None:
+    """Compute what the stores do not hold yet and write the record."""
+    options = parsed_options()
+    knees = {name: knee for name in KNEES if (knee := study_knee(name)) is not None}
+    inputs = {name: knee_digest(knee) for name, knee in knees.items()}
+    record: Row = {
+        "head": record_head(
+            f"{COMMAND} --workers {options.workers}",
+            settings={
+                "workers": options.workers,
+                "n_sets": options.n_sets,
+                "seed": SEED,
+                "quick": options.quick,
+                "paper_limits": PAPER_LIMITS,
+            },
+            inputs=inputs,
+        ),
+        "missing_knees": sorted(set(KNEES) - set(knees)),
+        "knees": {},
+    }
+    with process_pool(options.workers) as executor:
+        for name, knee in knees.items():
+            model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+            part = record["knees"][name] = {"setting": setting(model), "cases": {}}
+            for case in CASES[1:2] if options.quick else CASES:
+                about = {"knee": inputs[name], "case": case.name, "n_sets": options.n_sets}
+                path = options.store / f"{name} {case.name}.sqlite".replace(" ", "_")
+                found = searched(model, case, options, executor, (path, about))
+                part["cases"][case.name] = described(model, case, found)
+                write_record(options.record, record)
+                say(f"{name}, {case.name}: {found.n_simulations} simulations")
+    say(f"written: {options.record.name}")
+
+
+def parsed_options() -> argparse.Namespace:
+    """What was asked for on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    store = platformdirs.user_cache_path("identknee") / "studies" / "equivalent_sets"
+    parser.add_argument("--store", type=Path, default=store, help="folder of finished searches")
+    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--n-sets", type=int, default=N_SETS)
+    parser.add_argument("--quick", action="store_true", help="one case and few forces only")
+    return parser.parse_args()
+
+
+def region_of(model: LaxityModel, case: Case) -> Region:
+    """What is equivalent to the truth in the 63 trials."""
+    truth = named_start(TRUTH, model.parameters)
+    laxity = model.simulate(truth)
+    if case.sd is None:
+        plain = LaxityResiduals(model=model, laxity=laxity)
+        return Region(problem=plain, center=truth, blocks=rms_blocks(plain), limit=case.limit)
+    # Noise of this size is stated, and none added: the region is around the truth itself.
+    sd = add_noise(laxity, sd_mm=case.sd, sd_deg=case.sd, seed=0).sd
+    stated = LaxityResiduals(model=model, laxity=replace(laxity, sd=sd), weighting="noise")
+    return noise_region(stated, truth, limit=case.limit)
+
+
+def forces_of(model: LaxityModel, *, quick: bool) -> list[LigamentForce]:
+    """All ligament forces in the 63 trials and under the drawer forces of Table 7."""
+    protocol = concatenate([model.protocol, load_protocol("drawer")])
+    if quick:
+        protocol = protocol.select(np.arange(QUICK_TRIALS))
+    return ligament_forces(model, protocol)
+
+
+def searched(
+    model: LaxityModel,
+    case: Case,
+    options: argparse.Namespace,
+    executor: Executor,
+    work: tuple[Path, Row],
+) -> Equivalents:
+    """The sets and extrema of one case."""
+    path, about = work
+    with open_work(path, {**about, "quick": options.quick, "seed": SEED}) as store:
+        return equivalents(
+            region_of(model, case),
+            quantities=forces_of(model, quick=options.quick),
+            n_sets=options.n_sets,
+            seed=SEED,
+            executor=executor,
+            store=store,
+        )
+
+
+def setting(model: LaxityModel) -> Row:
+    """The truth, and the names that go with all arrays."""
+    truth = named_start(TRUTH, model.parameters)
+    row: Row = rounded(
+        {
+            "parameters": model.parameters.names,
+            "truth": truth,
+            "bounds": [model.parameters.lower, model.parameters.upper],
+            "ligaments": [x.name for x in model.knee.ligaments],
+            "flexion_angles_deg": angles(model),
+            "scenarios": SCENARIOS,
+            "trials": model.protocol.trials,
+        }
+    )
+    return row
+
+
+def described(model: LaxityModel, case: Case, found: Equivalents) -> Row:
+    """One case as the record keeps it."""
+    n = found.parameters.n
+    truth = found.fit
+    predictions = np.array([model.simulate(x).coordinates for x in [truth, *found.sets]])
+    differences = predictions[1:] - predictions[0]
+    row: Row = rounded(
+        {
+            "sd": case.sd,
+            "limit": case.limit,
+            "power_of_best_test": None if case.sd is None else power_of_best_test(case.limit),
+            "outcome": found.outcome.value,
+            "n_sets": len(found.sets),
+            "diameter": found.diameter,
+            "farthest": found.farthest,
+            "closest": found.closest,
+            "largest_distance": found.distances.max() / found.limit,
+            "pair_searches": found.pair_searches,
+            "n_simulations": found.n_simulations,
+            "seconds": found.seconds,
+            "parameters": {x.name: sides(x) for x in found.extrema[:n]},
+            "forces": force_tables(model, found),
+            "chosen_forces": {x.name: sides(x) for x in found.extrema[n:] if is_shown(x.name)},
+            "ends": counted(found.extrema[n:]),
+            "sets": found.sets,
+            "bands": {
+                name: np.vstack(
+                    [
+                        differences[:2, :, j],
+                        differences[:, :, j].min(0),
+                        differences[:, :, j].max(0),
+                    ]
+                )
+                for j, name in enumerate(COORDINATES)
+                if name in PAPER_LIMITS
+            },
+            "rmse": errors_of(model, found),
+        },
+        5,
+    )
+    return row
+
+
+def sides(of: Extrema) -> Row:
+    """Both ends of a quantity's range."""
+    return {
+        "truth": of.at_fit,
+        "range": [of.lower.value, of.upper.value],
+        "ends": [x.end.value for x in (of.lower, of.upper)],
+        "at_bounds": [list(x.at_bounds) for x in (of.lower, of.upper)],
+        "agreeing": [f"{x.n_agreeing} of {x.n_searches}" for x in (of.lower, of.upper)],
+    }
+
+
+def is_shown(name: str) -> bool:
+    """Whether the figure shows this force: under the largest internal and external moments."""
+    return name.endswith(("internal10Nm", "internal-10Nm"))
+
+
+def counted(extrema: tuple[Extrema, ...]) -> Row:
+    """How many extrema of forces ended in which way, and were found by one search only."""
+    both = [side for x in extrema for side in (x.lower, x.upper)]
+    words = sorted({side.end.value for side in both})
+    return {
+        **{word: sum(side.end.value == word for side in both) for word in words},
+        "found_once": sum(side.n_agreeing < 2 for side in both),
+    }
+
+
+def force_tables(model: LaxityModel, found: Equivalents) -> Row:
+    """Largest difference of every ligament's force from the truth, by flexion and by scenario."""
+    n_ligaments = len(model.knee.ligaments)
+    farthest = np.array(
+        [
+            max(x.upper.value - x.at_fit, x.at_fit - x.lower.value)
+            for x in found.extrema[found.parameters.n :]
+        ]
+    ).reshape(-1, n_ligaments)
+    protocol = concatenate([model.protocol, load_protocol("drawer")]).select(
+        np.arange(len(farthest))
+    )
+    return {
+        "by_flexion_N": largest_by(farthest, protocol.flexion_deg.tolist(), angles(model)),
+        "by_scenario_N": largest_by(farthest, load_scenarios(protocol), SCENARIOS),
+    }
+
+
+def errors_of(model: LaxityModel, found: Equivalents) -> Row:
+    """Largest kinematic error of any set by flexion angle, in mm and deg, as the paper counts."""
+    at_truth = model.simulate(found.fit)
+    errors: Array = np.array(
+        [laxity_rmse(model.simulate(x), at_truth).by_flexion for x in found.sets]
+    )
+    return {name: errors[:, :, COORDINATES.index(name)].max(axis=0) for name in PAPER_LIMITS}
+
+
+def angles(model: LaxityModel) -> list[float]:
+    """The flexion angles of the trials [deg], ascending."""
+    return [float(x) for x in np.unique(model.protocol.flexion_deg)]
+
+
+def say(text: str) -> None:
+    """Tell how far it is."""
+    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Fast part of the study: draws the figures and fills the tables of the page from the record."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from design_tables import Row, cases, number, relative, tables
+from matplotlib.figure import Figure
+
+from identknee.laxity.candidates import candidate_trials
+from identknee.laxity.protocol import load_protocol
+from identknee.report.design_figures import candidates_figure, intervals_figure
+from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL
+from identknee.report.picture import png
+from identknee.report.tables import filled
+from identknee.runs.files import prepare_folder, write_atomically
+
+HERE = Path(__file__).parent
+RECORD = HERE / "records" / "protocol_design.json"
+FIGURES = HERE / "figures"
+PAGE = HERE / "README.md"
+
+
+def main() -> None:
+    """Draw all figures and fill the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--record", type=Path, default=RECORD)
+    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
+    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
+    options = parser.parse_args()
+    record = json.loads(options.record.read_text(encoding="utf-8"))
+    prepare_folder(options.out)
+    for name, draw in FIGURE_OF.items():
+        write_atomically(options.out / f"{name}.png", png(draw(record)))
+    page = options.page.read_text(encoding="utf-8")
+    write_atomically(options.page, filled(page, tables(record)))
+
+
+def figure_1(record: Row) -> Figure:
+    """What each candidate alone would gain on the first knee after the trials of Table 2."""
+    _, made, found = next(cases(record))
+    best = found["advice"]["width"]
+    candidates = candidate_trials(load_protocol(made))
+    return candidates_figure(candidates, number(best["gains"]), best["chosen"], "narrower [%]")
+
+
+def figure_2(record: Row) -> Figure:
+    """Intervals before, predicted and achieved of all targets where one was open."""
+    names, center = [], []
+    rows: dict[str, list[np.ndarray]] = {"before": [], "predicted": [], "achieved": []}
+    for knee, made, found in cases(record):
+        best = found["advice"]["width"]
+        if not np.isnan(number(best["before"])).any():
+            continue
+        for t, target in enumerate(best["targets"]):
+            names.append(f"{knee}, {made}\n{target}")
+            center.append(best["best"][t])
+            rows["before"].append(number(best["before"][t]))
+            rows["predicted"].append(number(best["predicted"][-1][t]))
+            rows["achieved"].append(number(best["after"][t]))
+    return intervals_figure(names, center, rows)
+
+
+def figure_3(record: Row) -> Figure:
+    """Predicted length of every target's interval against the achieved one."""
+    figure = Figure(figsize=(4.8, 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    for k, (knee, part) in enumerate(record["knees"].items()):
+        predicted, achieved = [], []
+        for found in part["made"].values():
+            for one in found["advice"].values():
+                predicted += np.diff(number(one["predicted"][-1]))[:, 0].tolist()
+                achieved += np.diff(number(one["after"]))[:, 0].tolist()
+        axes.plot(predicted, achieved, MARKERS[k], color=COLOURS[k], fillstyle="none", label=knee)
+    axes.axline((1.0, 1.0), slope=1.0, color="0.8", linewidth=0.8, zorder=0)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("predicted length of the interval [kN or %]")
+    axes.set_ylabel("achieved by profile [kN or %]")
+    axes.legend(frameon=False, fontsize=SMALL)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def figure_4(record: Row) -> Figure:
+    """The five criteria beside trials drawn at random: length left, on geometric mean."""
+    found = list(cases(record))
+    figure = Figure(figsize=(1.6 + 1.35 * len(found), 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    for x, (_, _, case) in enumerate(found):
+        before = case["advice"]["width"]["lengths_before"]
+        drawn = [relative(row["lengths"], before) for row in case["random"]]
+        spread = np.linspace(-0.32, 0.32, len(drawn)) if len(drawn) > 1 else [0.0]
+        label = "drawn at random" if x == 0 else None
+        axes.plot(x + np.array(spread), sorted(drawn), ".", color=GREY, label=label)
+        for k, (criterion, one) in enumerate(case["advice"].items()):
+            axes.plot(
+                x + 0.12 * (k - 2),
+                relative(one["lengths"], before),
+                MARKERS[k % len(MARKERS)],
+                color=COLOURS[k % len(COLOURS)],
+                markeredgecolor=BLACK,
+                label=criterion if x == 0 else None,
+            )
+    axes.axhline(1.0, color="0.8", linewidth=0.8, zorder=0)
+    axes.set_xticks(range(len(found)), [f"{knee}\n{made}" for knee, made, _ in found], fontsize=7)
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("length of the targets' intervals, relative")
+    axes.legend(frameon=False, fontsize=SMALL, ncols=3)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def figure_5(record: Row) -> Figure:
+    """Length of the targets' intervals on new noisy data, with the added trials and without."""
+    found = list(cases(record))
+    figure = Figure(figsize=(1.6 + 1.35 * len(found), 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    for x, (_, _, case) in enumerate(found):
+        before = case["advice"]["width"]["lengths_before"]
+        for k, name in enumerate(("without", "with")):
+            values = sorted(relative(row[name]["lengths"], before) for row in case["redone"])
+            spread = np.linspace(-0.14, 0.14, len(values)) if len(values) > 1 else [0.0]
+            place = x + 0.36 * (k - 0.5) + np.array(spread)
+            label = ("as measured", "with the trials added")[k] if x == 0 else None
+            axes.plot(place, values, MARKERS[k], color=COLOURS[k], markersize=4, label=label)
+        predicted = relative(case["advice"]["width"]["lengths"], before)
+        label = "expected" if x == 0 else None
+        axes.plot([x - 0.05, x + 0.4], [predicted] * 2, "-", color=BLACK, label=label)
+    axes.set_xticks(range(len(found)), [f"{knee}\n{made}" for knee, made, _ in found], fontsize=7)
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("length of the targets' intervals, relative")
+    axes.legend(frameon=False, fontsize=SMALL)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+FIGURE_OF = {
+    "figure_1_candidates": figure_1,
+    "figure_2_intervals": figure_2,
+    "figure_3_predicted": figure_3,
+    "figure_4_criteria": figure_4,
+    "figure_5_new_data": figure_5,
+}
+
+
+if __name__ == "__main__":
+    main()
