@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from identknee.calibrate.problem import Problem
     from identknee.calibrate.starts import load_start
     from identknee.identify.cliffs import CliffMap, map_cliffs
+    from identknee.identify.design import Design, design
     from identknee.identify.gate import StopRule
+    from identknee.identify.geodesic import Boundary, Geodesic, geodesics
+    from identknee.identify.information import Information, information
     from identknee.identify.nested import NestedPosterior, nested_posterior, quantile_differences
     from identknee.identify.optimum import best_fit
     from identknee.identify.posterior_sample import Posterior
@@ -27,18 +30,27 @@ if TYPE_CHECKING:
     from identknee.identify.sensitivity import Sensitivity, sensitivity
     from identknee.identify.sensitivity_designs import Box, box_around
     from identknee.identify.starts_design import distance, shell_starts, sobol_starts
+    from identknee.identify.structure import Structure, StructureCheck, check_structure
     from identknee.identify.survey import Survey, survey
     from identknee.identify.sweep import Sweep, sweep
     from identknee.identify.thresholds import bootstrap_statistics, chi2_threshold, f_threshold
+    from identknee.laxity.candidates import candidate_trials
     from identknee.laxity.noise import add_noise
     from identknee.laxity.protocol import Protocol, load_protocol
     from identknee.laxity.rmse import LaxityError, laxity_rmse
     from identknee.laxity.table import Laxity, read_laxity, write_laxity
+    from identknee.model.candidate_laxity import CandidateLaxity
     from identknee.model.laxity_model import LaxityModel
     from identknee.model.laxity_outputs import LaxityOutputs
     from identknee.model.parameters import Parameters
     from identknee.model.prediction import Prediction
-    from identknee.model.quantities import LigamentForce, PredictedLaxity
+    from identknee.model.quantities import (
+        LigamentForce,
+        PredictedLaxity,
+        ligament_forces,
+        predicted_quantities,
+        quantity_named,
+    )
     from identknee.model.residuals import LaxityResiduals
     from identknee.model.simulate import Simulation, simulate
     from identknee.model.stability import StabilityReport, check_stability
@@ -125,6 +137,21 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "prior_sensitivity",
     "LigamentForce",
     "PredictedLaxity",
+    "ligament_forces",
+    "predicted_quantities",
+    "quantity_named",
+    "Design",
+    "design",
+    "Information",
+    "information",
+    "Structure",
+    "StructureCheck",
+    "check_structure",
+    "Boundary",
+    "Geodesic",
+    "geodesics",
+    "CandidateLaxity",
+    "candidate_trials",
     "scene",
     "Outcome",
     "InputError",
@@ -216,6 +243,26 @@ _MODULES = {
         "LigamentForce",
         "PredictedLaxity",
     ),
+    "identify.design": (
+        "Design",
+        "design",
+    ),
+    "identify.information": (
+        "Information",
+        "information",
+    ),
+    "identify.structure": (
+        "Structure",
+        "StructureCheck",
+        "check_structure",
+    ),
+    "identify.geodesic": (
+        "Boundary",
+        "Geodesic",
+        "geodesics",
+    ),
+    "model.candidate_laxity": ("CandidateLaxity",),
+    "laxity.candidates": ("candidate_trials",),
     "report.scene": ("scene",),
     "runs.outcome": ("Outcome",),
     "runs.errors": ("InputError",),

@@ -8,7 +8,9 @@ import typer
 from identknee.cli import subject
 from identknee.cli.command import Verbs
 from identknee.cli.demo import demo
+from identknee.cli.design import design
 from identknee.cli.fit import fit
+from identknee.cli.information import information
 from identknee.cli.profile import profile
 from identknee.cli.sample import sample
 from identknee.cli.sensitivity import sensitivity
@@ -55,4 +57,6 @@ app.command()(fit)
 app.command()(sweep)
 app.command()(profile)
 app.command()(sample)
+app.command()(information)
 app.command()(sensitivity)
+app.command()(design)

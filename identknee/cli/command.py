@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 STOPPED = "stopped; the same command does it again from the start"
 STOPPED_WORK = "stopped; what was finished is kept in --out, and the same command resumes"
-RESUMING = {"sweep", "profile", "sample", "sensitivity", "equivalents", "design"}
+RESUMING = {"sweep", "profile", "sample", "sensitivity", "equivalents"}
 
 Subject = Annotated[
     str, typer.Argument(metavar="SUBJECT", help="A subject folder, or the word reference.")

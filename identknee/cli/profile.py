@@ -4,6 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 import identknee as ik
@@ -161,13 +162,19 @@ def _profiled(
     out: Path,
     workers: int,
 ) -> "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]":
+    from identknee.identify.profiles import other_optima
     from identknee.runs.executors import process_pool
     from identknee.runs.resume import open_work
 
     level = about["level"]
     start = its.start[list(its.free)]
     with open_work(out / WORK, about) as store, process_pool(workers) as executor:
-        best = ik.best_fit(its.problem, start=start, seed=about["seed"], executor=executor)
+        seed = about["seed"]
+        best = ik.best_fit(its.problem, start=start, seed=seed, executor=executor)
+        likely = _plain_threshold(its, level)
+        others = other_optima(
+            its.problem, best.theta, threshold=likely, seed=seed, executor=executor
+        )
         profiles = ik.profile_quantities(
             its.problem,
             best.theta,
@@ -177,6 +184,7 @@ def _profiled(
             level=level,
             budget=about["budget"],
             thresholds=_thresholds(its, wanted, best.theta, about, (executor, store)),
+            starts=others,
         )
         theta = min(profiles, key=lambda x: x.deviance).optimum
         both = None
@@ -205,10 +213,8 @@ def _thresholds(
     means: tuple[Any, Any],
 ) -> Any:
     level, n = about["level"], about["bootstrap"]
-    if its.degrees_of_freedom is not None:
-        return ik.f_threshold(level, its.degrees_of_freedom)
     if n == 0:
-        return ik.chi2_threshold(level)
+        return _plain_threshold(its, level)
     from identknee.identify.thresholds import resimulated
 
     found = ik.bootstrap_statistics(
@@ -220,7 +226,15 @@ def _thresholds(
         executor=means[0],
         store=means[1],
     )
-    return found.thresholds(level)[:, 0]
+    thresholds = found.thresholds(level)[:, 0]
+    # A quantity that no data set moves, as the force of a slack ligament, has no statistic.
+    return np.where(thresholds > 0, thresholds, _plain_threshold(its, level))
+
+
+def _plain_threshold(its: Identification, level: float) -> float:
+    if its.degrees_of_freedom is not None:
+        return float(ik.f_threshold(level, its.degrees_of_freedom))
+    return float(ik.chi2_threshold(level))
 
 
 def _written(
@@ -244,7 +258,7 @@ def _written(
         "pairs": [pair_summary(x) for x in pairs],
         "optimum": dict(zip(parameters, best.optimum.tolist(), strict=True)),
         "deviance": best.deviance,
-        "n_simulations": sum(x.n_simulations for x in (*profiles, *pairs)),
+        "n_simulations": _cost(profiles, pairs),
         "degrees_of_freedom": its.degrees_of_freedom,
         "assumptions": its.assumptions,
         **said,
@@ -273,8 +287,12 @@ def _lines(
         f"{len(x.rays)} ways closed"
         for x in pairs
     ]
-    total = sum(x.n_simulations for x in (*profiles, *pairs))
-    return [*lines, *its.assumptions, f"{total} simulations. Results: {out}"]
+    n = _cost(profiles, pairs)
+    return [*lines, *its.assumptions, f"{n} simulations. Results: {out}"]
+
+
+def _cost(profiles: "tuple[ik.Profile, ...]", pairs: "tuple[ik.PairProfile, ...]") -> int:
+    return sum(x.n_simulations for x in profiles) + sum(x.n_simulations for x in pairs)
 
 
 def _end(value: float | None) -> str:

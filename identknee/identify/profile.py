@@ -61,7 +61,9 @@ def profile(
         Simulations allowed.
     starts
         Other local optima, or places to look for them from, shape ``(k, n)``: for example the
-        basins of a sweep. Where one is likely, its own path counts too.
+        basins of a sweep, or `identknee.identify.profiles.other_optima`. Where one is likely, its
+        own path counts too. Solutions that exchange the roles of other parameters are found in no
+        other way.
 
     Raises
     ------

@@ -235,10 +235,14 @@ def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
     moved = last.evaluation.jacobian @ (expected - last.evaluation.theta)
     if float(moved @ moved) < JUMP * walk.threshold:
         return None
-    back = _glance(walk, end, expected, most_steps=RETURN_STEPS)
-    if back is None or walk.delta(back) > (1.0 - GLANCE_TOLERANCE) * walk.threshold:
-        return None
-    return walk_branch(walk, back)
+    # At a fold the two parts of the path lie on different sides of the end.
+    parameters = walk.evaluator.parameters
+    opposite = np.clip(2.0 * last.evaluation.theta - expected, parameters.lower, parameters.upper)
+    for start in (expected, opposite):
+        back = _glance(walk, end, start, most_steps=RETURN_STEPS)
+        if back is not None and walk.delta(back) < (1.0 - GLANCE_TOLERANCE) * walk.threshold:
+            return walk_branch(walk, back)
+    return None
 
 
 def _glance(

@@ -8,16 +8,23 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.calibrate.fit import fit_many
 from identknee.calibrate.problem import Problem
+from identknee.identify.evaluation import evaluate
 from identknee.identify.profile import profile
+from identknee.identify.profile_march import JUMP
 from identknee.identify.profile_result import Profile, Side, SideStatus, Verdict
 from identknee.identify.quantity import ParameterQuantity, Quantity
+from identknee.identify.starts_design import sobol_starts
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, serial
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
 
 MOST_ROUNDS = 3
+N_STARTS = 16
+# Of a fit that looks for another optimum.
+FIT_BUDGET = 200
 
 
 class ProfileSettings(TypedDict, total=False):
@@ -121,6 +128,49 @@ def profile_quantities(
             break
         theta = better
     return found
+
+
+def other_optima(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    *,
+    threshold: float,
+    seed: int = 0,
+    executor: Executor = serial,
+) -> Array:
+    """Other likely optima, shape ``(k, n)``, where sixteen fits from all over the box end.
+
+    They are the `starts` of profiles: paths of solutions in which parameters exchange their roles,
+    or of a second valley, are found through them. None are looked for in a box without ends.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise; picklable if `executor` runs processes.
+    optimum_theta
+        The best fit known, shape ``(n,)``.
+    threshold
+        Rise of the deviance up to which an optimum is likely.
+    seed
+        Of the Sobol points that the fits start from.
+    executor
+        Anything with an ordered ``map``.
+    """
+    parameters = problem.parameters
+    if not np.isfinite(parameters.upper - parameters.lower).all():
+        return np.empty((0, parameters.n))
+    at = evaluate(problem, np.asarray(optimum_theta, dtype=np.float64))
+    starts = sobol_starts(parameters, N_STARTS, seed=seed)
+    fits = fit_many(problem, starts, seed=seed, executor=executor, budget=FIT_BUDGET)
+    found = [at]
+    for fit in sorted(fits, key=lambda x: x.objective):
+        if not 2.0 * fit.objective < at.deviance + threshold:
+            break
+        here = evaluate(problem, fit.theta)
+        apart = [here.jacobian @ (here.theta - other.theta) for other in found]
+        if min(float(x @ x) for x in apart) > JUMP * threshold:
+            found.append(here)
+    return np.reshape([x.theta for x in found[1:]], (-1, parameters.n))
 
 
 def profile_to_plain(of: Profile) -> dict[str, Any]:

@@ -17,12 +17,12 @@ from identknee.calibrate.starts import named_start
 from identknee.identify.equivalents import Equivalents, Extrema, equivalents
 from identknee.identify.equivalents_region import Region, noise_region, power_of_best_test
 from identknee.laxity.noise import add_noise
-from identknee.laxity.protocol import concatenate, load_protocol
+from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.rmse import laxity_rmse
 from identknee.laxity.table import COORDINATES
 from identknee.model.equivalence import PAPER_LIMITS, rms_blocks
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.quantities import LigamentForce, ligament_forces
+from identknee.model.quantities import ligament_forces
 from identknee.model.residuals import LaxityResiduals
 from identknee.report.comparison import largest_by, load_scenarios
 from identknee.report.study_records import (
@@ -51,7 +51,6 @@ SCENARIOS = (
     "external moment",
     "internal moment",
 )
-QUICK_TRIALS = 2
 Row = dict[str, Any]
 
 
@@ -111,7 +110,7 @@ def main() -> None:
                 about = {"knee": inputs[name], "case": case.name, "n_sets": options.n_sets}
                 path = options.store / f"{name} {case.name}.sqlite".replace(" ", "_")
                 found = searched(model, case, options, executor, (path, about))
-                part["cases"][case.name] = described(model, case, found)
+                part["cases"][case.name] = described(model, case, found, quick=options.quick)
                 write_record(options.record, record)
                 say(f"{name}, {case.name}: {found.n_simulations} simulations")
     say(f"written: {options.record.name}")
@@ -142,12 +141,12 @@ def region_of(model: LaxityModel, case: Case) -> Region:
     return noise_region(stated, truth, limit=case.limit)
 
 
-def forces_of(model: LaxityModel, *, quick: bool) -> list[LigamentForce]:
-    """All ligament forces in the 63 trials and under the drawer forces of Table 7."""
+def force_trials(model: LaxityModel, *, quick: bool) -> Protocol:
+    """Where ligament forces are compared: the 63 trials and the drawer forces of Table 7."""
     protocol = concatenate([model.protocol, load_protocol("drawer")])
     if quick:
-        protocol = protocol.select(np.arange(QUICK_TRIALS))
-    return ligament_forces(model, protocol)
+        return protocol.select([is_shown(name) for name in protocol.trials])
+    return protocol
 
 
 def searched(
@@ -162,7 +161,7 @@ def searched(
     with open_work(path, {**about, "quick": options.quick, "seed": SEED}) as store:
         return equivalents(
             region_of(model, case),
-            quantities=forces_of(model, quick=options.quick),
+            quantities=ligament_forces(model, force_trials(model, quick=options.quick)),
             n_sets=options.n_sets,
             seed=SEED,
             executor=executor,
@@ -187,7 +186,7 @@ def setting(model: LaxityModel) -> Row:
     return row
 
 
-def described(model: LaxityModel, case: Case, found: Equivalents) -> Row:
+def described(model: LaxityModel, case: Case, found: Equivalents, *, quick: bool) -> Row:
     """One case as the record keeps it."""
     n = found.parameters.n
     truth = found.fit
@@ -208,7 +207,7 @@ def described(model: LaxityModel, case: Case, found: Equivalents) -> Row:
             "n_simulations": found.n_simulations,
             "seconds": found.seconds,
             "parameters": {x.name: sides(x) for x in found.extrema[:n]},
-            "forces": force_tables(model, found),
+            "forces": force_tables(model, found, force_trials(model, quick=quick)),
             "chosen_forces": {x.name: sides(x) for x in found.extrema[n:] if is_shown(x.name)},
             "ends": counted(found.extrema[n:]),
             "sets": found.sets,
@@ -242,7 +241,7 @@ def sides(of: Extrema) -> Row:
 
 
 def is_shown(name: str) -> bool:
-    """Whether the figure shows this force: under the largest internal and external moments."""
+    """Whether the figure shows the forces of a trial: the largest internal and external moments."""
     return name.endswith(("internal10Nm", "internal-10Nm"))
 
 
@@ -256,7 +255,7 @@ def counted(extrema: tuple[Extrema, ...]) -> Row:
     }
 
 
-def force_tables(model: LaxityModel, found: Equivalents) -> Row:
+def force_tables(model: LaxityModel, found: Equivalents, protocol: Protocol) -> Row:
     """Largest difference of every ligament's force from the truth, by flexion and by scenario."""
     n_ligaments = len(model.knee.ligaments)
     farthest = np.array(
@@ -265,9 +264,6 @@ def force_tables(model: LaxityModel, found: Equivalents) -> Row:
             for x in found.extrema[found.parameters.n :]
         ]
     ).reshape(-1, n_ligaments)
-    protocol = concatenate([model.protocol, load_protocol("drawer")]).select(
-        np.arange(len(farthest))
-    )
     return {
         "by_flexion_N": largest_by(farthest, protocol.flexion_deg.tolist(), angles(model)),
         "by_scenario_N": largest_by(farthest, load_scenarios(protocol), SCENARIOS),

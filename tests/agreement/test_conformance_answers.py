@@ -63,7 +63,7 @@ def _profile(case: Case, value: float) -> float:
     parameters = problem.parameters
     rng = np.random.default_rng(0)
     low, high = np.maximum(parameters.lower, -FAR), np.minimum(parameters.upper, FAR)
-    starts = [np.clip(case.optimum, low, high), *rng.uniform(low, high, (4, parameters.n))]
+    starts = [np.clip(case.optimum, low, high), *rng.uniform(low, high, (2, parameters.n))]
     best = lowest(problem, index, value, np.array(starts))
     if parameters.n != 2:
         return best.deviance
@@ -74,7 +74,7 @@ def _profile(case: Case, value: float) -> float:
         theta[index], theta[other] = value, place
         return deviance(problem, theta)
 
-    grid = np.linspace(low[other], high[other], 2001)
+    grid = np.linspace(low[other], high[other], 801)
     around = np.argsort([along(x) for x in grid])[:3]
     found = [best.deviance]
     for k in around:
@@ -89,12 +89,13 @@ def _profile(case: Case, value: float) -> float:
 
 def _lowest_of_all(case: Case) -> float:
     """The lowest deviance along the quantity, its best value found on a grid within the set."""
-    values = [x for interval in case.intervals for x in _inside(case, interval, 21)]
+    here = case.quantity.evaluate(case.optimum)[0]
+    values = sorted([here, *(x for pair in case.intervals for x in _inside(case, pair, 11))])
     deviances = [_profile(case, x) for x in values]
     k = int(np.argmin(deviances))
     ends = values[max(k - 1, 0)], values[min(k + 1, len(values) - 1)]
     found = scipy.optimize.minimize_scalar(
-        lambda x: _profile(case, x), bounds=ends, method="bounded", options={"maxiter": 30}
+        lambda x: _profile(case, x), bounds=ends, method="bounded", options={"maxiter": 15}
     )
     return min(float(found.fun), deviances[k])
 

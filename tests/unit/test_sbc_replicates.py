@@ -6,7 +6,7 @@ from sbc_replicates import N_DRAWS, ranked, simultaneous_level
 
 MATRIX = np.array([[1.0, 0.5], [0.0, 0.8], [1.0, -1.0]])
 PARAMETERS = plain_parameters(2, -50.0, 50.0)
-REPLICATES = 40
+REPLICATES = 24
 
 
 def test_even_ranks_are_not_rare_and_uneven_ones_are() -> None:

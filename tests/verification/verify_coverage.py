@@ -8,6 +8,7 @@ simulated at the fit to one data set of another seed, and the 95 % quantile of t
 
 import argparse
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from work_store import work_store
 
 from identknee.identify.constrained import minimise
 from identknee.identify.evaluation import Evaluator
+from identknee.identify.quantity import ParameterQuantity
+from identknee.identify.thresholds import bootstrap_statistics, resimulated
 from identknee.report.study_records import knee_digest
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
@@ -33,7 +36,8 @@ LOOKED_AT = 10
 # Of the deviance, beside a threshold of 3.84.
 NEGLIGIBLE = 0.01
 WORKERS = 2
-DATA, BOOTSTRAP_FIT, BOOTSTRAP_DATA = range(3)
+# First words of the seeds of the data sets, so that no two purposes share one.
+DATA, OTHER_DATA = range(2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +121,7 @@ def _design(knee: str, design: Design, store: Store) -> tuple[list[Measure], lis
     # A fifth of the replicates is for seeing the same on another knee, too few to judge by.
     is_judged = knee == "reference"
     truth = tuple(design_model(knee, design).parameters.center.tolist())
-    replicates = _replicates(knee, design, truth, (DATA, REPLICATES[knee]), store)
+    replicates = _replicates(knee, design, truth, store)
     rises = np.array([x["rises"] for x in replicates])
     plain = _cells(names, rises, np.full(len(names), chi2.ppf(LEVEL, 1)))
     mean = 100.0 * plain.covered.mean() / plain.n
@@ -125,7 +129,7 @@ def _design(knee: str, design: Design, store: Store) -> tuple[list[Measure], lis
     measures = plain.measures(where, is_judged=is_judged and not fails)
     notes = _notes(where, replicates)
     if fails:
-        thresholds = _bootstrapped(knee, design, truth, store)
+        thresholds = _bootstrapped(knee, design, truth)
         calibrated = _cells(names, rises, thresholds)
         measures += calibrated.measures(f"{where}, bootstrap thresholds", is_judged=is_judged)
         which = ", ".join(plain.outside) or "the mean"
@@ -145,13 +149,11 @@ def _design(knee: str, design: Design, store: Store) -> tuple[list[Measure], lis
 
 
 def _replicates(
-    knee: str, design: Design, truth: tuple[float, ...], kind: tuple[int, int], store: Store
+    knee: str, design: Design, truth: tuple[float, ...], store: Store
 ) -> list[dict[str, Any]]:
-    purpose, n = kind
     place = DESIGNS.index(design)
     tasks = [
-        (knee, design, truth, (purpose, place, i), purpose == DATA and i % LOOKED_AT == 0)
-        for i in range(n)
+        (knee, design, truth, (DATA, place, i), i % LOOKED_AT == 0) for i in range(REPLICATES[knee])
     ]
     with process_pool(WORKERS) as executor:
         return resumable_map(
@@ -159,17 +161,31 @@ def _replicates(
             tasks,
             executor=executor,
             store=store,
-            name=f"{knee}/{design.name}/{purpose}",
+            name=f"{knee}/{design.name}",
             description=f"{knee}, {design.name}",
         )
 
 
-def _bootstrapped(knee: str, design: Design, truth: tuple[float, ...], store: Store) -> Array:
+def _bootstrapped(knee: str, design: Design, truth: tuple[float, ...]) -> Array:
     """Threshold of each parameter from data simulated at the fit to another data set."""
-    other = noisy_problem(knee, design, truth, (BOOTSTRAP_FIT, DESIGNS.index(design)))
+    place = DESIGNS.index(design)
+    other = noisy_problem(knee, design, truth, (OTHER_DATA, place))
     fitted = minimise(Evaluator(other), np.array(truth)).evaluation.theta
-    found = _replicates(knee, design, tuple(fitted.tolist()), (BOOTSTRAP_DATA, BOOTSTRAP), store)
-    return np.asarray(np.quantile([x["rises"] for x in found], LEVEL, axis=0))
+    parameters = other.parameters
+    with (
+        work_store(f"bootstrap_{knee}_{place}", {"theta": fitted, "n": BOOTSTRAP}) as store,
+        process_pool(WORKERS) as executor,
+    ):
+        found = bootstrap_statistics(
+            partial(resimulated, other, fitted),
+            fitted,
+            [ParameterQuantity(parameters=parameters, name=name) for name in parameters.names],
+            n=BOOTSTRAP,
+            seed=OTHER_DATA,
+            executor=executor,
+            store=store,
+        )
+    return np.asarray(found.thresholds(LEVEL)[:, 0])
 
 
 def _cells(names: tuple[str, ...], rises: Array, thresholds: Array) -> Cells:

@@ -9,6 +9,7 @@ from problems import ClosedForm, Linear, linear, plain_parameters
 from identknee.identify.profile import profile
 from identknee.identify.profile_result import Profile
 from identknee.identify.profiles import (
+    other_optima,
     profile_from_plain,
     profile_parameters,
     profile_quantities,
@@ -82,6 +83,25 @@ def test_a_better_fit_met_by_one_is_the_optimum_of_all() -> None:
     found = profile_parameters(wells, np.array([-1.87, 0.0]))
     for one in found:
         np.testing.assert_allclose(one.optimum, [2.0, 0.0], atol=1e-4)
+
+
+def test_other_optima_are_found_once_each() -> None:
+    """Sum 3 and product 2: the two parameters may exchange their values."""
+    exchangeable = ClosedForm(
+        name="exchangeable",
+        parameters=plain_parameters(2, 0.0, 9.0),
+        start=np.zeros(2),
+        minimum=np.array([1.0, 2.0]),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([x.sum() - 3.0, x.prod() - 2.0]) / 0.05,
+        jacobian_at=lambda x: np.array([[1.0, 1.0], [x[1], x[0]]]) / 0.05,
+    )
+    found = other_optima(exchangeable, exchangeable.minimum, threshold=4.0)
+    np.testing.assert_allclose(found, [[2.0, 1.0]], atol=1e-5)
+    (first, _) = profile_parameters(exchangeable, exchangeable.minimum, starts=found)
+    assert len(first.intervals) == 2
+    problem = linear()
+    assert other_optima(problem, problem.minimum, threshold=4.0).shape == (0, 3)
 
 
 def test_a_restricted_quantity_sees_the_parameters_that_move() -> None:

@@ -103,6 +103,8 @@ def test_steps_begin_at_what_was_and_end_at_what_was_achieved() -> None:
     widths = {f"p{k}": [1.0, 0.8, 0.7] for k in range(8)}
     figure = steps_figure(widths, dict.fromkeys(widths, 0.71))
     axes = figure.axes[0]
-    assert len(axes.get_legend().get_texts()) == 9
+    legend = axes.get_legend()
+    assert legend is not None
+    assert len(legend.get_texts()) == 9
     styles = {(line.get_color(), line.get_linestyle()) for line in axes.lines[0:16:2]}
     assert len(styles) == 8

@@ -75,4 +75,6 @@ def test_geodesics_have_a_column_each(answer: Answer) -> None:
     assert len(figure.axes) == 4
     for axes, path in zip(figure.axes, answer[2], strict=False):
         assert path.involved[0] in axes.get_title()
-        assert len(axes.get_legend().get_texts()) == 3
+        legend = axes.get_legend()
+        assert legend is not None
+        assert len(legend.get_texts()) == 3

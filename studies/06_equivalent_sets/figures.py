@@ -1,0 +1,215 @@
+"""Fast part of the study: draws the figures and fills the tables of the page from the record."""
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from paper_forces import PAPER_LIGAMENTS, PAPER_TABLE6, PAPER_TABLE7
+
+from identknee.report.equivalents_figures import ranges_figure, sets_figure
+from identknee.report.picture import png
+from identknee.report.tables import Cell, Column, Table, filled
+from identknee.runs.files import prepare_folder, write_atomically
+
+HERE = Path(__file__).parent
+RECORD = HERE / "records" / "equivalent_sets.json"
+FIGURES = HERE / "figures"
+PAGE = HERE / "README.md"
+PAPER = "paper"
+NOISE = "0.5 mm, 0.5 deg"
+TITLES = {
+    "anterior_drawer_mm": "anterior drawer [mm]",
+    "varus_deg": "varus [deg]",
+    "internal_deg": "internal rotation [deg]",
+}
+MARKS = {"bound": "\\*", "cliff": "†", "budget": "‡"}
+Row = Mapping[str, Any]
+
+
+def main() -> None:
+    """Draw all figures and fill the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--record", type=Path, default=RECORD)
+    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
+    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
+    options = parser.parse_args()
+    record = json.loads(options.record.read_text(encoding="utf-8"))
+    prepare_folder(options.out)
+    for name, draw in FIGURE_OF.items():
+        figure = draw(record)
+        if figure is not None:
+            write_atomically(options.out / f"{name}.png", png(figure))
+    page = options.page.read_text(encoding="utf-8")
+    write_atomically(options.page, filled(page, tables(record)))
+
+
+def figure_1(record: Row) -> Figure | None:
+    """Sets that noise of 0.5 mm and deg hides, on the first knee."""
+    return _sets(record, NOISE)
+
+
+def figure_2(record: Row) -> Figure | None:
+    """Sets that the paper's criterion lets pass, on the first knee."""
+    return _sets(record, PAPER)
+
+
+def figure_3(record: Row) -> Figure:
+    """Ligament forces under the largest internal and external moments, on the first knee."""
+    part = next(iter(record["knees"].values()))
+    chosen = {name: case["chosen_forces"] for name, case in part["cases"].items()}
+    shown = {_title(name): forces for name, forces in chosen.items() if "3.84" not in name}
+    some = next(iter(shown.values()))
+    return ranges_figure(
+        [name.replace(".tension_N@", ", ").replace("_", " ") for name in some],
+        np.array([x["truth"] for x in some.values()]),
+        {name: np.array([x["range"] for x in forces.values()]) for name, forces in shown.items()},
+        unit="tension [N]",
+    )
+
+
+FIGURE_OF: Mapping[str, Callable[[Row], Figure | None]] = {
+    "figure_1_noise": figure_1,
+    "figure_2_paper": figure_2,
+    "figure_3_forces": figure_3,
+}
+
+
+def tables(record: Row) -> dict[str, Table]:
+    """All tables of the page by the name of their place in it."""
+    return {
+        "parameters": parameter_table(record),
+        "sets": set_table(record),
+        "table 6": force_table(record, "by_flexion_N", PAPER_TABLE6, "by flexion"),
+        "table 7": force_table(record, "by_scenario_N", PAPER_TABLE7, "by load scenario"),
+    }
+
+
+def parameter_table(record: Row) -> Table:
+    """Smallest and largest value of every parameter, by knee and criterion."""
+    setting = next(iter(record["knees"].values()))["setting"]
+    names = setting["parameters"]
+    truth: tuple[Cell, ...] = ("all", "truth", *(f"{x:g}" for x in setting["truth"]))
+    body = [truth]
+    for knee, part in record["knees"].items():
+        for name, case in part["cases"].items():
+            cells = [_range(case["parameters"][x]) for x in names]
+            body.append((knee, _title(name), *cells))
+    return Table(
+        title="Parameters of equivalent sets: smallest to largest value",
+        columns=(
+            Column(name="knee"),
+            Column(name="equivalent up to"),
+            *(Column(name=_short(name), unit=_unit(name)) for name in names),
+        ),
+        rows=tuple(body),
+    )
+
+
+def set_table(record: Row) -> Table:
+    """How many sets, how different, what they cost, and how far kinematics differ at most."""
+    body: list[tuple[Cell, ...]] = []
+    for knee, part in record["knees"].items():
+        for name, case in part["cases"].items():
+            ends = case["ends"]
+            body.append(
+                (
+                    knee,
+                    _title(name),
+                    case["n_sets"],
+                    f"{case['diameter']:.3g}",
+                    f"{case['farthest'] / case['diameter']:.3f}",
+                    f"{case['closest'] / case['diameter']:.3f}",
+                    *(f"{max(case['rmse'][x]):.2f}" for x in TITLES),
+                    case["n_simulations"],
+                    f"{case['seconds'] / 60:.1f}",
+                    f"{ends.get('cliff', 0)} / {ends.get('budget', 0)} / {ends['found_once']}",
+                )
+            )
+    return Table(
+        title="The sets, and the largest kinematic error (RMSE at a flexion angle) of any",
+        columns=(
+            Column(name="knee"),
+            Column(name="equivalent up to"),
+            Column(name="sets"),
+            Column(name="diameter", unit="typical steps"),
+            Column(name="farthest pair", unit="diameters"),
+            Column(name="closest pair", unit="diameters"),
+            Column(name="drawer", unit="mm"),
+            Column(name="varus", unit="deg"),
+            Column(name="internal", unit="deg"),
+            Column(name="simulations"),
+            Column(name="time", unit="min"),
+            Column(name="forces: cliff / budget / found once"),
+        ),
+        rows=tuple(body),
+    )
+
+
+def force_table(record: Row, key: str, printed: Row, what: str) -> Table:
+    """The paper's differences of tension beside the largest possible ones."""
+    body: list[tuple[Cell, ...]] = []
+    for row, (label, paper) in enumerate(printed.items()):
+        body.append((label, "the paper, IG4", "its one end", *(str(x[1]) for x in paper)))
+        for knee, part in record["knees"].items():
+            columns = [part["setting"]["ligaments"].index(x) for x in PAPER_LIGAMENTS]
+            for name, case in part["cases"].items():
+                values = case["forces"][key][row]
+                body.append((label, knee, _title(name), *(_newton(values[j]) for j in columns)))
+    return Table(
+        title=f"Largest difference of tension from the truth {what}",
+        columns=(
+            Column(name="trials"),
+            Column(name="knee"),
+            Column(name="equivalent up to"),
+            *(Column(name=x, unit="N") for x in PAPER_LIGAMENTS),
+        ),
+        rows=tuple(body),
+    )
+
+
+def _sets(record: Row, case: str) -> Figure | None:
+    part = next(iter(record["knees"].values()))
+    if case not in part["cases"]:
+        return None
+    found = part["cases"][case]
+    return sets_figure(
+        part["setting"]["parameters"],
+        np.array(found["sets"]),
+        np.array(part["setting"]["truth"]),
+        {title: np.array(found["bands"][name]) for name, title in TITLES.items()},
+    )
+
+
+def _range(of: Row) -> str:
+    ends = [
+        f"{value:.3g}{MARKS.get(end, '')}"
+        for value, end in zip(of["range"], of["ends"], strict=True)
+    ]
+    return " to ".join(ends)
+
+
+def _title(name: str) -> str:
+    return "the paper's criterion" if name == PAPER else name.replace("D2", "D²")
+
+
+def _newton(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.1f}" if value < 10 else f"{value:.0f}"
+
+
+def _short(name: str) -> str:
+    owner, _, quantity = name.rpartition(".")
+    return f"{owner} {'k' if quantity.startswith('stiffness') else 'eps_r'}"
+
+
+def _unit(name: str) -> str:
+    return "kN" if name.endswith("_kN") else "%"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""`identknee design`, from its words to its files and sentences."""
+
+import json
+from pathlib import Path
+
+import pytest
+import xarray
+from cli_runs import refused, run, short_protocol
+
+import identknee as ik
+
+HELD = [
+    word
+    for name in ("ACL", "PCL", "MCL")
+    for kind in ("stiffness_kN", "reference_strain_pct")
+    for word in ("--fix", f"{name}.{kind}")
+]
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The reference knee under nine of the 63 trials, 0.5 mm and 0.5 deg."""
+    knee, protocol = ik.reference_knee(), ik.load_protocol("seed63").select(range(0, 63, 7))
+    laxity = ik.simulate(knee, protocol).laxity
+    noisy = ik.add_noise(laxity, sd_mm=0.5, sd_deg=0.5, seed=1)
+    return ik.write_laxity(noisy, tmp_path_factory.mktemp("design") / "data.csv")
+
+
+def test_advice_is_given_verified_and_can_be_appended(noisy: Path, tmp_path: Path) -> None:
+    words = ("design", "reference", noisy, *HELD, "--n-trials", 2, "--out", tmp_path)
+    result = run(*words, "--candidates", short_protocol(tmp_path), "--target", "LCL.stiffness_kN")
+    assert result.exit_code == 0, result.output
+    assert "predicted" in result.stdout
+    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert list(summary["targets"]) == ["LCL.stiffness_kN"]
+    target = summary["targets"]["LCL.stiffness_kN"]
+    before = target["before"]["upper"] - target["before"]["lower"]
+    after = target["after"]["upper"] - target["after"]["lower"]
+    predicted = target["predicted"]["upper"] - target["predicted"]["lower"]
+    assert after < before
+    assert predicted == pytest.approx(after, rel=0.05)
+    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+        assert {"design", "profile_before", "profile_after"} <= set(tree.children)
+        assert tree["design"].dataset.sizes["candidate"] == 10
+    advised = ik.read_laxity(tmp_path / "advised_trials.csv")
+    assert list(advised.protocol.trials) == summary["advised"]
+    assert not advised.is_measured.any()
+    # Below the measured ones, the rows make one table.
+    rows = (tmp_path / "advised_trials.csv").read_text("utf-8").splitlines()
+    measured = noisy.read_text("utf-8").splitlines()
+    assert rows[1] == measured[0]
+    both = tmp_path / "both.csv"
+    both.write_text("\n".join([*measured, *rows[2:]]) + "\n", encoding="utf-8")
+    assert ik.read_laxity(both).n == 11
+
+
+def test_noise_that_is_not_stated_is_estimated(noisy: Path, tmp_path: Path) -> None:
+    laxity = ik.read_laxity(noisy)
+    bare = ik.Laxity(protocol=laxity.protocol, coordinates=laxity.coordinates)
+    path = ik.write_laxity(bare, tmp_path / "bare.csv")
+    words = ("--candidates", short_protocol(tmp_path), "--criterion", "c", "--n-trials", 1)
+    result = run("design", "reference", path, *HELD, *words, "--out", tmp_path, "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert summary["degrees_of_freedom"] > 0
+    assert summary["criterion"] == "c"
+    assert any("estimated" in x for x in summary["assumptions"])
+    threshold = summary["targets"]["LCL.stiffness_kN"]["before"]["threshold"]
+    assert threshold == pytest.approx(ik.f_threshold(0.95, summary["degrees_of_freedom"]))
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--target", "LCL.stifness"), "there is no parameter 'LCL.stifness'"),
+        (("--target", "LCL.tension_N@nowhere"), "there is no trial 'nowhere'"),
+        (("--candidates", "table3"), "no built-in protocol"),
+    ],
+)
+def test_wrong_words_are_refused(
+    noisy: Path, tmp_path: Path, words: tuple[str, ...], sentence: str
+) -> None:
+    assert sentence in refused("design", "reference", noisy, *words, "--out", tmp_path)

@@ -1,0 +1,42 @@
+"""`identknee information`, from its words to its files and sentences."""
+
+import json
+from pathlib import Path
+
+import pytest
+import xarray
+from cli_runs import refused, run
+
+import identknee as ik
+
+HELD = ("--fix", "PCL.stiffness_kN", "--fix", "PCL.reference_strain_pct")
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The reference knee under nine of the 63 trials, 0.5 mm and 0.5 deg."""
+    knee, protocol = ik.reference_knee(), ik.load_protocol("seed63").select(range(0, 63, 7))
+    laxity = ik.simulate(knee, protocol).laxity
+    noisy = ik.add_noise(laxity, sd_mm=0.5, sd_deg=0.5, seed=1)
+    return ik.write_laxity(noisy, tmp_path_factory.mktemp("information") / "data.csv")
+
+
+def test_what_is_known_is_said_in_words_and_files(noisy: Path, tmp_path: Path) -> None:
+    words = ("information", "reference", noisy, *HELD, "--scaling", "prior", "--out", tmp_path)
+    result = run(*words)
+    assert result.exit_code == 0, result.output
+    assert "6 of 6 directions stand above the solver's noise" in result.stdout
+    assert result.stdout.count("Least known direction: ") == 2
+    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert summary["scaling"] == "prior"
+    assert summary["n_above_noise"] == 6
+    assert "PCL.stiffness_kN" not in summary["sd"]
+    values = [x["value"] for x in summary["eigenvalues"]]
+    assert values == sorted(values, reverse=True)
+    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+        assert {"fisher", "structure", "geodesic_0", "geodesic_1"} <= set(tree.children)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    words = ("information", "reference", tmp_path / "none.csv", "--out", tmp_path)
+    assert "there is no such file" in refused(*words)
