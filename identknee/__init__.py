@@ -242,6 +242,9 @@ _MODULES = {
     "model.quantities": (
         "LigamentForce",
         "PredictedLaxity",
+        "ligament_forces",
+        "predicted_quantities",
+        "quantity_named",
     ),
     "identify.design": (
         "Design",

@@ -280,8 +280,12 @@ def _lines(
         f"{x.verdict.value}"
         for x in profiles
     ]
-    open_ends = {x.status for p in profiles for x in (p.lower_side, p.upper_side) if x.end is None}
-    lines += [f"{x.value}: {x.sentence}" for x in sorted(open_ends, key=lambda x: x.value)]
+    ends = [(p, side) for p in profiles for side in (p.lower_side, p.upper_side)]
+    lines += [
+        f"{p.name}, {side.status.value} at {side.reached:.4g}: {side.sentence}"
+        for p, side in ends
+        if side.end is None or side.is_cliff
+    ]
     lines += [
         f"{' and '.join(x.names)}: {sum(r.status.value == 'closed' for r in x.rays)} of "
         f"{len(x.rays)} ways closed"

@@ -52,6 +52,7 @@ _SIDES = {
     SideStatus.OPEN_BUDGET: "The budget of simulations was used up before this end was found.",
     SideStatus.FAILED: "The constrained fits on this side failed before an end was found.",
 }
+CLIFF = "The model has no prediction beyond this end, which ends the set without any data."
 _VERDICTS = {
     Verdict.IDENTIFIABLE: "The data bound the value on both sides.",
     Verdict.ONE_SIDED: "The data bound the value on one side only.",
@@ -93,6 +94,11 @@ class Side:
     reached: float
     max_deviance: float
     at_bounds: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """What that means, as a full sentence."""
+        return CLIFF if self.is_cliff else self.status.sentence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -78,7 +78,7 @@ def nested(profile: Profile) -> dict[float, tuple[Interval, ...]]:
 
 def _side(side: Side) -> dict[str, Any]:
     return {
-        "sentence": side.status.sentence,
+        "sentence": side.sentence,
         "error": side.error,
         "is_cliff": side.is_cliff,
         "reached": side.reached,
@@ -146,6 +146,7 @@ def _sets(profiles: Sequence[Profile]) -> xarray.Dataset:
             f"{name}_open": ("quantity", [x.end is None for x in found]),
             f"{name}_status": ("quantity", [x.status.value for x in found]),
             f"{name}_error": ("quantity", [x.error for x in found]),
+            f"{name}_is_cliff": ("quantity", [x.is_cliff for x in found]),
             f"{name}_reached": ("quantity", [x.reached for x in found]),
             f"{name}_max_deviance": ("quantity", [x.max_deviance for x in found]),
         }

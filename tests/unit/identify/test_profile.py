@@ -222,6 +222,7 @@ def test_the_set_ends_where_the_model_has_no_prediction() -> None:
     found = profile(wall, np.zeros(1), _first(wall))
     assert found.upper_status is SideStatus.CLOSED
     assert found.upper_side.is_cliff
+    assert found.upper_side.sentence.startswith("The model has no prediction beyond")
     assert found.upper == pytest.approx(1.0, abs=found.upper_side.error)
     assert found.upper_side.error < 1e-3
 
