@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from identknee.calibrate.starts import load_start
     from identknee.identify.cliffs import CliffMap, map_cliffs
     from identknee.identify.design import Design, design
+    from identknee.identify.equivalents import Equivalents, equivalents
+    from identknee.identify.equivalents_region import Region, noise_region, power_of_best_test
     from identknee.identify.gate import StopRule
     from identknee.identify.geodesic import Boundary, Geodesic, geodesics
     from identknee.identify.information import Information, information
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from identknee.laxity.rmse import LaxityError, laxity_rmse
     from identknee.laxity.table import Laxity, read_laxity, write_laxity
     from identknee.model.candidate_laxity import CandidateLaxity
+    from identknee.model.equivalence import rms_blocks
     from identknee.model.laxity_model import LaxityModel
     from identknee.model.laxity_outputs import LaxityOutputs
     from identknee.model.parameters import Parameters
@@ -152,6 +155,12 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "geodesics",
     "CandidateLaxity",
     "candidate_trials",
+    "Equivalents",
+    "equivalents",
+    "Region",
+    "noise_region",
+    "power_of_best_test",
+    "rms_blocks",
     "scene",
     "Outcome",
     "InputError",
@@ -266,6 +275,16 @@ _MODULES = {
     ),
     "model.candidate_laxity": ("CandidateLaxity",),
     "laxity.candidates": ("candidate_trials",),
+    "identify.equivalents": (
+        "Equivalents",
+        "equivalents",
+    ),
+    "identify.equivalents_region": (
+        "Region",
+        "noise_region",
+        "power_of_best_test",
+    ),
+    "model.equivalence": ("rms_blocks",),
     "report.scene": ("scene",),
     "runs.outcome": ("Outcome",),
     "runs.errors": ("InputError",),

@@ -9,6 +9,7 @@ from identknee.cli import subject
 from identknee.cli.command import Verbs
 from identknee.cli.demo import demo
 from identknee.cli.design import design
+from identknee.cli.equivalents import equivalents
 from identknee.cli.fit import fit
 from identknee.cli.information import information
 from identknee.cli.profile import profile
@@ -59,4 +60,5 @@ app.command()(profile)
 app.command()(sample)
 app.command()(information)
 app.command()(sensitivity)
+app.command()(equivalents)
 app.command()(design)

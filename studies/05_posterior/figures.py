@@ -1,0 +1,204 @@
+"""Fast part of the study: draws the figures and fills the tables of the page from the record."""
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from identknee.report.picture import png
+from identknee.report.sample_figures import (
+    corner_figure,
+    forces_figure,
+    prior_posterior_figure,
+    tau_figure,
+)
+from identknee.report.tables import Cell, Column, Table, filled
+from identknee.runs.files import prepare_folder, write_atomically
+
+HERE = Path(__file__).parent
+RECORD = HERE / "records" / "posterior.json"
+FIGURES = HERE / "figures"
+PAGE = HERE / "README.md"
+KNEE = "reference"
+Row = Mapping[str, Any]
+
+
+def main() -> None:
+    """Draw all figures and fill the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--record", type=Path, default=RECORD)
+    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
+    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
+    options = parser.parse_args()
+    record = json.loads(options.record.read_text(encoding="utf-8"))
+    prepare_folder(options.out)
+    for name, draw in FIGURE_OF.items():
+        write_atomically(options.out / f"{name}.png", png(draw(record["knees"])))
+    page = options.page.read_text(encoding="utf-8")
+    write_atomically(options.page, filled(page, tables(record["knees"])))
+
+
+def figure_1(knees: Row) -> Figure:
+    """What was known before and is after."""
+    part = knees[KNEE]
+    posteriors = {name: np.array(x["draws"]) for name, x in knees.items()}
+    return prior_posterior_figure(
+        part["parameters"], np.array(part["prior"]), posteriors, truth=part["truth"]
+    )
+
+
+def figure_2(knees: Row) -> Figure:
+    """Every pair of parameters."""
+    part = knees[KNEE]
+    return corner_figure(part["parameters"], np.array(part["draws"]), truth=part["truth"])
+
+
+def figure_3(knees: Row) -> Figure:
+    """Forces at the highest loads."""
+    part = knees[KNEE]["predictions"]
+    return forces_figure(
+        part["trials"],
+        part["ligaments"],
+        np.array(part["force_quantiles_N"]),
+        truth=np.array(part["true_force_N"]),
+    )
+
+
+def figure_4(knees: Row) -> Figure:
+    """How the autocorrelation times settled."""
+    part = knees[KNEE]
+    return tau_figure(part["parameters"], part["tau"]["kept"], np.array(part["tau"]["tau"]))
+
+
+FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
+    "figure_1_prior_and_posterior": figure_1,
+    "figure_2_pairs": figure_2,
+    "figure_3_forces": figure_3,
+    "figure_4_autocorrelation": figure_4,
+}
+
+
+def tables(knees: Row) -> dict[str, Table]:
+    """The tables of the page, by name of their place."""
+    return {
+        "parameters": parameters_table(knees),
+        "gate": gate_table(knees),
+        "predictions": predictions_table(knees),
+        "nested": nested_table(knees),
+    }
+
+
+def parameters_table(knees: Row) -> Table:
+    """Posterior and profile of every parameter."""
+    rows: list[list[Cell]] = []
+    for knee, part in knees.items():
+        for i, name in enumerate(part["parameters"]):
+            one, profile = part["sample"]["parameters"][name], part["profiles"][name]
+            rows.append(
+                [
+                    *(knee, name, part["truth"][i], one["mean"], one["sd"]),
+                    between(one["q025"], one["q975"]),
+                    between(profile["lower"], profile["upper"]),
+                    part["leaning"]["prior"][i],
+                    part["leaning"]["verdicts"][i],
+                ]
+            )
+    return Table(
+        title="Posterior beside profile likelihood, 95 % intervals",
+        columns=(
+            Column("knee"),
+            Column("parameter"),
+            Column("true", 2),
+            Column("mean", 2),
+            Column("sd", 2),
+            Column("posterior"),
+            Column("profile, no prior"),
+            Column("prior sensitivity", 2),
+            Column("leans on"),
+        ),
+        rows=rows,
+    )
+
+
+def gate_table(knees: Row) -> Table:
+    """The numbers at which sampling stopped."""
+    rows: list[list[Cell]] = [
+        [knee, name.replace("_", " "), x["value"], x["bar"], "yes" if x["met"] else "no"]
+        for knee, part in knees.items()
+        for name, x in part["sample"]["gate"].items()
+    ]
+    return Table(
+        title="The gate",
+        columns=(
+            Column("knee"),
+            Column("condition"),
+            Column("value", 4),
+            Column("bar", 2),
+            Column("met"),
+        ),
+        rows=rows,
+    )
+
+
+def predictions_table(knees: Row) -> Table:
+    """How well forces and laxity are known."""
+    rows: list[list[Cell]] = []
+    for knee, part in knees.items():
+        found = part["predictions"]
+        for i, ligament in enumerate(found["ligaments"]):
+            width = found["largest_force_half_width_N"][i]
+            share = 100.0 * found["share_of_forces_inside"][i]
+            rows.append([knee, f"{ligament} tension", width, "N", share])
+        for unit, width in found["largest_laxity_half_width"].items():
+            rows.append([knee, "laxity", width, unit, None])
+    return Table(
+        title="Largest half-width of a 95 % interval over the 63 trials",
+        columns=(
+            Column("knee"),
+            Column("prediction"),
+            Column("half-width", 2),
+            Column("unit"),
+            Column("trials whose true value is inside [%]", 0),
+        ),
+        rows=rows,
+    )
+
+
+def nested_table(knees: Row) -> Table:
+    """What each way of sampling cost, and how far they differ."""
+    rows: list[list[Cell]] = []
+    for knee, part in knees.items():
+        taken, nested = part["sample"], part.get("nested")
+        rows.append(
+            [knee, "ensembles", taken["n_simulations"], taken["ess_min"], taken["seconds"], None]
+        )
+        if nested is not None:
+            worst = float(np.max(np.abs(nested["quantile_differences"])))
+            numbers = (nested["n_simulations"], nested["effective_draws"], nested["seconds"], worst)
+            rows.append([knee, "nested", *numbers])
+    return Table(
+        title="Two ways to the same posterior",
+        columns=(
+            Column("knee"),
+            Column("way"),
+            Column("simulations", 0),
+            Column("effective draws", 0),
+            Column("time [s]", 0),
+            Column("largest difference of a quantile [joint standard errors]", 1),
+        ),
+        rows=rows,
+    )
+
+
+def between(low: float | None, high: float | None) -> str:
+    """An interval; an open end is said to be open."""
+    words = ("open" if x is None else f"{x:.2f}" for x in (low, high))
+    return " to ".join(words)
+
+
+if __name__ == "__main__":
+    main()
