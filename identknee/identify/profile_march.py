@@ -18,6 +18,8 @@ LONGER = 2.5
 STEPS_ACROSS = 6
 # Of the deviance, as parts of the threshold: what a fit on the curve and at an end may leave.
 ON_CURVE, AT_END = 1e-3, 1e-4
+# Of what a fit promises to have left at most: beside a kink it is more than the derivatives say.
+LEFT = 3.0
 # Of the signed root at the threshold, and of the distance to the optimum.
 END_TOLERANCE = 1e-4
 CLIFF_TOLERANCE = 3e-4
@@ -283,7 +285,7 @@ class _March:
         """What the root is off, and what the fit may have left, as a length of the value."""
         missing = abs(self._walk.delta(point) - self._walk.threshold)
         slope = max(abs(point.slope), 1e-300)
-        return float((missing + AT_END * self._walk.threshold) / slope)
+        return float((missing + LEFT * AT_END * self._walk.threshold) / slope)
 
     def _closed(self, point: Point, error: float) -> Side:
         return self._side(SideStatus.CLOSED, point, error)

@@ -47,7 +47,7 @@ class Verdict(Enum):
 
 _SIDES = {
     SideStatus.CLOSED: "The data exclude every value beyond this end.",
-    SideStatus.OPEN_AT_BOUND: "The data exclude no value up to the bound, where the misfit rises.",
+    SideStatus.OPEN_AT_BOUND: "The data exclude no value up to the bound or the end of the range.",
     SideStatus.OPEN_FLAT: "The data exclude no value on this side: the misfit stopped rising.",
     SideStatus.OPEN_BUDGET: "The budget of simulations was used up before this end was found.",
     SideStatus.FAILED: "The constrained fits on this side failed before an end was found.",

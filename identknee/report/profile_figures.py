@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+import scipy.interpolate
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -144,8 +145,7 @@ def pairs_figure(pairs: Sequence[PairProfile]) -> Figure:
     for axes, pair in zip(panels, pairs, strict=False):
         levels = [*(x for x in PAIR_LEVELS if x < pair.level), pair.level]
         for k, level in enumerate(levels):
-            edge = pair.contour(level)
-            closed = np.vstack([edge, edge[:1]])
+            closed = smooth_edge(pair.contour(level))
             axes.plot(
                 *closed.T, STYLES[-1 - k], color=COLOURS[0], linewidth=1.2, label=f"{level:.0%}"
             )
@@ -158,6 +158,19 @@ def pairs_figure(pairs: Sequence[PairProfile]) -> Figure:
         axes.legend(fontsize=7, frameon=False)
         _plain(axes)
     return figure
+
+
+def smooth_edge(edge: Array) -> Array:
+    """Many points on a closed smooth curve through the edge of a set, shape ``(k, 2)``.
+
+    An edge with gaps, where NaN stands, is given back as it is, closed.
+    """
+    closed = np.vstack([edge, edge[:1]])
+    if not np.isfinite(edge).all():
+        return closed
+    steps = np.arange(len(closed))
+    curve = scipy.interpolate.CubicSpline(steps, closed, bc_type="periodic")
+    return np.asarray(curve(np.linspace(0, len(edge), PER_SEGMENT * len(edge) + 1)))
 
 
 def _draw_profile(axes: Axes, profile: Profile) -> None:

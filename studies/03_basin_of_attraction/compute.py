@@ -94,9 +94,9 @@ def part(name: str, design: str, method: str, *numbers: int) -> Part:
 
 PARTS = (
     part("shells_least_squares", "shells", "least-squares", 10_000, 2000, 300),
-    part("bounds_least_squares", "bounds", "least-squares", 10_000, 2000, 300),
-    part("guesses_complex", "guesses", "complex", 20, 4, 4),
-    part("shells_complex", "shells", "complex", 500, 100, 40),
+    part("bounds_least_squares", "bounds", "least-squares", 10_000, 2000, 100),
+    part("guesses_complex", "guesses", "complex", 10, 4, 2),
+    part("shells_complex", "shells", "complex", 500, 100, 20),
 )
 
 

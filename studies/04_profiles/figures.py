@@ -15,7 +15,12 @@ from identknee.identify.profiles import profile_from_plain
 from identknee.model.parameters import Parameters
 from identknee.report.figures import BLACK, COLOURS, MARKERS
 from identknee.report.picture import png
-from identknee.report.profile_figures import intervals_figure, paths_figure, profiles_figure
+from identknee.report.profile_figures import (
+    intervals_figure,
+    paths_figure,
+    profiles_figure,
+    smooth_edge,
+)
 from identknee.report.tables import filled
 from identknee.runs.files import prepare_folder, write_atomically
 
@@ -83,7 +88,7 @@ def figure_4(record: Row) -> Figure:
         truth = dict(zip(part["parameters"], part["truth"], strict=True))
         for axes, pair in zip(axes_row, part["pairs"], strict=False):
             for k, (level, edge) in enumerate(zip(pair["levels"], pair["edges"], strict=True)):
-                line = np.array([*edge, edge[0]], dtype=float)
+                line = smooth_edge(np.array(edge, dtype=float))
                 axes.plot(*line.T, color=COLOURS[k], linewidth=1.2, label=f"{level:.0%}")
             axes.plot(*pair["optimum"], "+", color=BLACK, label="best")
             axes.plot(*(truth[x] for x in pair["names"]), "*", color=COLOURS[4], label="truth")

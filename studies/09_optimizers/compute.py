@@ -43,7 +43,7 @@ GUESSES = ("IG1", "IG2", "IG3", "IG4")
 # kN and %, as the paper counts the distance of its guesses.
 DISTANCES = (1.0, 2.0, 3.0, 4.5)
 # Seeds a guess, and starts on each shell.
-NUMBERS = {"reference": (5, 5), "lenhart2015_stable": (1, 1)}
+NUMBERS = {"reference": (2, 2), "lenhart2015_stable": (1, 1)}
 SEED = 9
 # Simulations at which the best objective so far is kept.
 COUNTS = (1, 3, 5, 7, 10, 15, 20, 40, 70, 100, 150, 200, 300, 400, 600, 800, 1000, 1500, 2000, 2500)
