@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from identknee.calibrate.problem import Problem
     from identknee.calibrate.starts import load_start
     from identknee.identify.cliffs import CliffMap, map_cliffs
+    from identknee.identify.constrained import minimise, solve_constrained
     from identknee.identify.design import Design, design
     from identknee.identify.equivalents import Equivalents, equivalents
     from identknee.identify.equivalents_region import Region, noise_region, power_of_best_test
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
     from identknee.identify.power_scaling import prior_sensitivity
     from identknee.identify.profile import profile
     from identknee.identify.profile_pairs import PairProfile, profile_pair
-    from identknee.identify.profile_result import Profile
-    from identknee.identify.profiles import profile_parameters, profile_quantities
+    from identknee.identify.profile_result import Profile, SideStatus, Verdict
+    from identknee.identify.profiles import other_optima, profile_parameters, profile_quantities
     from identknee.identify.quantity import ParameterQuantity, Quantity, UserQuantity
     from identknee.identify.sample import Ensembles, sample
     from identknee.identify.sensitivity import Sensitivity, sensitivity
@@ -125,9 +126,12 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "f_threshold",
     "bootstrap_statistics",
     "Profile",
+    "SideStatus",
+    "Verdict",
     "profile",
     "profile_parameters",
     "profile_quantities",
+    "other_optima",
     "PairProfile",
     "profile_pair",
     "Posterior",
@@ -161,6 +165,8 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "noise_region",
     "power_of_best_test",
     "rms_blocks",
+    "minimise",
+    "solve_constrained",
     "scene",
     "Outcome",
     "InputError",
@@ -226,7 +232,7 @@ _MODULES = {
         "f_threshold",
         "bootstrap_statistics",
     ),
-    "identify.profile_result": ("Profile",),
+    "identify.profile_result": ("Profile", "SideStatus", "Verdict"),
     "identify.profile": ("profile",),
     "identify.profiles": (
         "profile_parameters",
@@ -285,6 +291,10 @@ _MODULES = {
         "power_of_best_test",
     ),
     "model.equivalence": ("rms_blocks",),
+    "identify.constrained": (
+        "minimise",
+        "solve_constrained",
+    ),
     "report.scene": ("scene",),
     "runs.outcome": ("Outcome",),
     "runs.errors": ("InputError",),

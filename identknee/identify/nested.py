@@ -16,7 +16,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.record import Record, record
 
-N_LIVE = 500
+N_LIVE = 300
 # What dynesty takes for impossible; it cannot count with minus infinity.
 IMPOSSIBLE = -1e300
 
@@ -131,6 +131,8 @@ def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -
         lambda unit: prior_quantiles(parameters, np.asarray(unit)),
         parameters.n,
         nlive=n_live,
+        # Uniform draws within ellipsoids waste most of their simulations on a curved ridge.
+        sample="rwalk",
         rstate=np.random.default_rng(seed),
     )
     sampler.run_nested(print_progress=False)

@@ -49,7 +49,7 @@ SEED = 1
 N_DRAWS = 400
 QUICK = StopRule(drift=np.inf, budget=3000)
 # Nested sampling shares nothing with the ensembles; one knee is enough to compare them.
-NESTED_KNEE, N_LIVE, QUICK_LIVE = "reference", 500, 50
+NESTED_KNEE, N_LIVE, QUICK_LIVE = "reference", 300, 20
 FORCE_QUANTILES = (0.025, 0.25, 0.5, 0.75, 0.975)
 DIGITS = 5
 Row = dict[str, Any]
@@ -79,7 +79,7 @@ def main() -> None:
     with process_pool(options.workers) as executor:
         for name, knee in knees.items():
             record["knees"][name] = {}
-            for row in parts(knee, options, executor):
+            for row in parts(name, knee, options, executor):
                 record["knees"][name].update(rounded(row, DIGITS))
                 write_record(options.record, record)
     say(f"written: {options.record.name}")
@@ -96,7 +96,7 @@ def parsed_options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def parts(knee: Knee, options: argparse.Namespace, executor: Executor) -> Iterator[Row]:
+def parts(name: str, knee: Knee, options: argparse.Namespace, executor: Executor) -> Iterator[Row]:
     """Parts of the record of one knee, as they are done."""
     model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
     truth = named_start(TRUTH, model.parameters)
@@ -105,9 +105,9 @@ def parts(knee: Knee, options: argparse.Namespace, executor: Executor) -> Iterat
     about = {"knee": knee_digest(knee), "truth": truth, "noise": [NOISE_MM, NOISE_DEG]}
     rule = QUICK if options.quick else StopRule()
     began = time.perf_counter()
-    with open_work(options.store / f"{knee.name}.sqlite", {**about, "seed": SEED}) as store:
+    with open_work(options.store / f"{name}.sqlite", {**about, "seed": SEED}) as store:
         found = sample(problem, rule=rule, seed=SEED, executor=executor, store=store)
-        say(f"{knee.name}: {found.outcome.value}, {time.perf_counter() - began:.0f} s")
+        say(f"{name}: {found.outcome.value}, {time.perf_counter() - began:.0f} s")
         yield {
             "parameters": model.parameters.names,
             "truth": truth,
@@ -132,14 +132,8 @@ def parts(knee: Knee, options: argparse.Namespace, executor: Executor) -> Iterat
                 for x in profiles
             }
         }
-    if knee.name == study_name(NESTED_KNEE):
+    if name == NESTED_KNEE:
         yield {"nested": second_opinion(found, problem, quick=options.quick)}
-
-
-def study_name(name: str) -> str:
-    """The name that the knee itself carries."""
-    knee = study_knee(name)
-    return name if knee is None else knee.name
 
 
 def draws(found: Posterior) -> Row:

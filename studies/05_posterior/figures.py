@@ -112,15 +112,15 @@ def parameters_table(knees: Row) -> Table:
         columns=(
             Column("knee"),
             Column("parameter"),
-            Column("true", 2),
-            Column("mean", 2),
-            Column("sd", 2),
+            Column("true", decimals=2),
+            Column("mean", decimals=2),
+            Column("sd", decimals=2),
             Column("posterior"),
             Column("profile, no prior"),
-            Column("prior sensitivity", 2),
+            Column("prior sensitivity", decimals=2),
             Column("leans on"),
         ),
-        rows=rows,
+        rows=tuple(tuple(row) for row in rows),
     )
 
 
@@ -136,11 +136,11 @@ def gate_table(knees: Row) -> Table:
         columns=(
             Column("knee"),
             Column("condition"),
-            Column("value", 4),
-            Column("bar", 2),
+            Column("value", decimals=4),
+            Column("bar", decimals=2),
             Column("met"),
         ),
-        rows=rows,
+        rows=tuple(tuple(row) for row in rows),
     )
 
 
@@ -160,11 +160,11 @@ def predictions_table(knees: Row) -> Table:
         columns=(
             Column("knee"),
             Column("prediction"),
-            Column("half-width", 2),
+            Column("half-width", decimals=2),
             Column("unit"),
-            Column("trials whose true value is inside [%]", 0),
+            Column("trials whose true value is inside", "%", decimals=0),
         ),
-        rows=rows,
+        rows=tuple(tuple(row) for row in rows),
     )
 
 
@@ -185,12 +185,12 @@ def nested_table(knees: Row) -> Table:
         columns=(
             Column("knee"),
             Column("way"),
-            Column("simulations", 0),
-            Column("effective draws", 0),
-            Column("time [s]", 0),
-            Column("largest difference of a quantile [joint standard errors]", 1),
+            Column("simulations", decimals=0),
+            Column("effective draws", decimals=0),
+            Column("time", "s", decimals=0),
+            Column("largest difference of a quantile", "standard errors", decimals=1),
         ),
-        rows=rows,
+        rows=tuple(tuple(row) for row in rows),
     )
 
 

@@ -11,9 +11,12 @@ from identknee.identify.conformance.case import Answer, Case, Tool
 PARTS: tuple[Callable[[], list[Case]], ...] = (
     single.plain_cases,
     single.curved_cases,
+    single.asymptotic_cases,
+    single.bent_cases,
     single.broken_cases,
     single.disjoint_cases,
     edges.bound_cases,
+    edges.near_bound_cases,
     edges.nuisance_cases,
     edges.cliff_cases,
     several.linear_cases,

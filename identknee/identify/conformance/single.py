@@ -98,6 +98,12 @@ def curved_cases() -> list[Case]:
             [(-math.log(0.05 + 0.1 * Z), INF)],
             upper=FLAT,
         ),
+    ]
+
+
+def asymptotic_cases() -> list[Case]:
+    """Deviances that tend to a number on both sides."""
+    return [
         case(
             "asymptote below",
             "both sides tend to 2.25 without bounds",
@@ -121,8 +127,8 @@ def curved_cases() -> list[Case]:
     ]
 
 
-def broken_cases() -> list[Case]:
-    """Kinks, plateaus, jumps and noise."""
+def bent_cases() -> list[Case]:
+    """Kinks and plateaus."""
 
     def kink_on_the_way(x: float) -> float:
         return x if x < 1.0 else 1.0 + 10.0 * (x - 1.0)
@@ -167,6 +173,12 @@ def broken_cases() -> list[Case]:
             # The root of 1.8 tanh(x) + x^3 / 1000 = Z.
             [(-SMOOTH_PLATEAU_END, SMOOTH_PLATEAU_END)],
         ),
+    ]
+
+
+def broken_cases() -> list[Case]:
+    """Jumps and noise."""
+    return [
         case(
             "jump inside the interval",
             "a discontinuity below the threshold",

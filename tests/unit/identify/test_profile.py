@@ -76,7 +76,9 @@ def test_the_error_of_an_end_is_within_its_estimate() -> None:
         (found.upper, found.upper_side, 1),
     ):
         assert end is not None
-        assert abs(end - problem.minimum[0] - sign * Z_95 * sd) <= side.error < 2.0 * END * Z_95 * sd
+        assert (
+            abs(end - problem.minimum[0] - sign * Z_95 * sd) <= side.error < 2.0 * END * Z_95 * sd
+        )
 
 
 def test_the_curve_is_smooth_and_cheap() -> None:
