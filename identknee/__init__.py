@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from identknee.calibrate.problem import Problem
     from identknee.calibrate.starts import load_start
     from identknee.identify.cliffs import CliffMap, map_cliffs
+    from identknee.identify.conformance.score import conformance_cases, run_conformance
     from identknee.identify.constrained import minimise, solve_constrained
     from identknee.identify.design import Design, design
     from identknee.identify.equivalents import Equivalents, equivalents
@@ -167,6 +168,8 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "rms_blocks",
     "minimise",
     "solve_constrained",
+    "conformance_cases",
+    "run_conformance",
     "scene",
     "Outcome",
     "InputError",
@@ -234,10 +237,7 @@ _MODULES = {
     ),
     "identify.profile_result": ("Profile", "SideStatus", "Verdict"),
     "identify.profile": ("profile",),
-    "identify.profiles": (
-        "profile_parameters",
-        "profile_quantities",
-    ),
+    "identify.profiles": ("profile_parameters", "profile_quantities", "other_optima"),
     "identify.profile_pairs": (
         "PairProfile",
         "profile_pair",
@@ -294,6 +294,10 @@ _MODULES = {
     "identify.constrained": (
         "minimise",
         "solve_constrained",
+    ),
+    "identify.conformance.score": (
+        "conformance_cases",
+        "run_conformance",
     ),
     "report.scene": ("scene",),
     "runs.outcome": ("Outcome",),

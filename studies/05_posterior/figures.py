@@ -110,15 +110,15 @@ def parameters_table(knees: Row) -> Table:
     return Table(
         title="Posterior beside profile likelihood, 95 % intervals",
         columns=(
-            Column("knee"),
-            Column("parameter"),
-            Column("true", decimals=2),
-            Column("mean", decimals=2),
-            Column("sd", decimals=2),
-            Column("posterior"),
-            Column("profile, no prior"),
-            Column("prior sensitivity", decimals=2),
-            Column("leans on"),
+            Column(name="knee"),
+            Column(name="parameter"),
+            Column(name="true", decimals=2),
+            Column(name="mean", decimals=2),
+            Column(name="sd", decimals=2),
+            Column(name="posterior"),
+            Column(name="profile, no prior"),
+            Column(name="prior sensitivity", decimals=2),
+            Column(name="leans on"),
         ),
         rows=tuple(tuple(row) for row in rows),
     )
@@ -134,11 +134,11 @@ def gate_table(knees: Row) -> Table:
     return Table(
         title="The gate",
         columns=(
-            Column("knee"),
-            Column("condition"),
-            Column("value", decimals=4),
-            Column("bar", decimals=2),
-            Column("met"),
+            Column(name="knee"),
+            Column(name="condition"),
+            Column(name="value", decimals=4),
+            Column(name="bar", decimals=2),
+            Column(name="met"),
         ),
         rows=tuple(tuple(row) for row in rows),
     )
@@ -158,11 +158,11 @@ def predictions_table(knees: Row) -> Table:
     return Table(
         title="Largest half-width of a 95 % interval over the 63 trials",
         columns=(
-            Column("knee"),
-            Column("prediction"),
-            Column("half-width", decimals=2),
-            Column("unit"),
-            Column("trials whose true value is inside", "%", decimals=0),
+            Column(name="knee"),
+            Column(name="prediction"),
+            Column(name="half-width", decimals=2),
+            Column(name="unit"),
+            Column(name="trials whose true value is inside", unit="%", decimals=0),
         ),
         rows=tuple(tuple(row) for row in rows),
     )
@@ -183,12 +183,12 @@ def nested_table(knees: Row) -> Table:
     return Table(
         title="Two ways to the same posterior",
         columns=(
-            Column("knee"),
-            Column("way"),
-            Column("simulations", decimals=0),
-            Column("effective draws", decimals=0),
-            Column("time", "s", decimals=0),
-            Column("largest difference of a quantile", "standard errors", decimals=1),
+            Column(name="knee"),
+            Column(name="way"),
+            Column(name="simulations", decimals=0),
+            Column(name="effective draws", decimals=0),
+            Column(name="time", unit="s", decimals=0),
+            Column(name="largest difference of a quantile", unit="standard errors", decimals=1),
         ),
         rows=tuple(tuple(row) for row in rows),
     )
