@@ -12,32 +12,40 @@ if TYPE_CHECKING:
     from identknee.calibrate.fit import Fit, fit, fit_many, waterfall
     from identknee.calibrate.problem import Problem
     from identknee.calibrate.starts import load_start
-    from identknee.identify.cliffs import CliffMap, map_cliffs
     from identknee.identify.conformance.score import conformance_cases, run_conformance
     from identknee.identify.constrained import minimise, solve_constrained
-    from identknee.identify.design import Design, design
-    from identknee.identify.equivalents import Equivalents, equivalents
-    from identknee.identify.equivalents_region import Region, noise_region, power_of_best_test
+    from identknee.identify.design.design import Design, design
+    from identknee.identify.equivalents.equivalents import Equivalents, equivalents
+    from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
     from identknee.identify.gate import StopRule
-    from identknee.identify.geodesic import Boundary, Geodesic, geodesics
-    from identknee.identify.information import Information, information
+    from identknee.identify.information.geodesic import Boundary, Geodesic, geodesics
+    from identknee.identify.information.information import Information, information
+    from identknee.identify.information.structure import Structure, StructureCheck, check_structure
     from identknee.identify.nested import NestedPosterior, nested_posterior, quantile_differences
     from identknee.identify.optimum import best_fit
     from identknee.identify.posterior_sample import Posterior
     from identknee.identify.power_scaling import prior_sensitivity
-    from identknee.identify.profile import profile
-    from identknee.identify.profile_pairs import PairProfile, profile_pair
-    from identknee.identify.profile_result import Profile, SideStatus, Verdict
-    from identknee.identify.profiles import other_optima, profile_parameters, profile_quantities
+    from identknee.identify.profile.pairs import PairProfile, profile_pair
+    from identknee.identify.profile.profile import profile
+    from identknee.identify.profile.profiles import (
+        other_optima,
+        profile_parameters,
+        profile_quantities,
+    )
+    from identknee.identify.profile.result import Profile, SideStatus, Verdict
+    from identknee.identify.profile.thresholds import (
+        bootstrap_statistics,
+        chi2_threshold,
+        f_threshold,
+    )
     from identknee.identify.quantity import ParameterQuantity, Quantity, UserQuantity
     from identknee.identify.sample import Ensembles, sample
-    from identknee.identify.sensitivity import Sensitivity, sensitivity
-    from identknee.identify.sensitivity_designs import Box, box_around
-    from identknee.identify.starts_design import distance, shell_starts, sobol_starts
-    from identknee.identify.structure import Structure, StructureCheck, check_structure
-    from identknee.identify.survey import Survey, survey
-    from identknee.identify.sweep import Sweep, sweep
-    from identknee.identify.thresholds import bootstrap_statistics, chi2_threshold, f_threshold
+    from identknee.identify.sensitivity.designs import Box, box_around
+    from identknee.identify.sensitivity.sensitivity import Sensitivity, sensitivity
+    from identknee.identify.sweep.cliffs import CliffMap, map_cliffs
+    from identknee.identify.sweep.starts_design import distance, shell_starts, sobol_starts
+    from identknee.identify.sweep.survey import Survey, survey
+    from identknee.identify.sweep.sweep import Sweep, sweep
     from identknee.laxity.candidates import candidate_trials
     from identknee.laxity.noise import add_noise
     from identknee.laxity.protocol import Protocol, load_protocol
@@ -198,28 +206,28 @@ _MODULES = {
     "calibrate.bounded": ("with_bounds",),
     "calibrate.starts": ("load_start",),
     "calibrate.fit": ("fit", "fit_many", "Fit", "waterfall"),
-    "identify.starts_design": (
+    "identify.sweep.starts_design": (
         "sobol_starts",
         "shell_starts",
         "distance",
     ),
-    "identify.sweep": (
+    "identify.sweep.sweep": (
         "Sweep",
         "sweep",
     ),
-    "identify.survey": (
+    "identify.sweep.survey": (
         "Survey",
         "survey",
     ),
-    "identify.cliffs": (
+    "identify.sweep.cliffs": (
         "CliffMap",
         "map_cliffs",
     ),
-    "identify.sensitivity": (
+    "identify.sensitivity.sensitivity": (
         "Sensitivity",
         "sensitivity",
     ),
-    "identify.sensitivity_designs": (
+    "identify.sensitivity.designs": (
         "Box",
         "box_around",
     ),
@@ -230,15 +238,15 @@ _MODULES = {
         "UserQuantity",
     ),
     "identify.optimum": ("best_fit",),
-    "identify.thresholds": (
+    "identify.profile.thresholds": (
         "chi2_threshold",
         "f_threshold",
         "bootstrap_statistics",
     ),
-    "identify.profile_result": ("Profile", "SideStatus", "Verdict"),
-    "identify.profile": ("profile",),
-    "identify.profiles": ("profile_parameters", "profile_quantities", "other_optima"),
-    "identify.profile_pairs": (
+    "identify.profile.result": ("Profile", "SideStatus", "Verdict"),
+    "identify.profile.profile": ("profile",),
+    "identify.profile.profiles": ("profile_parameters", "profile_quantities", "other_optima"),
+    "identify.profile.pairs": (
         "PairProfile",
         "profile_pair",
     ),
@@ -261,31 +269,31 @@ _MODULES = {
         "predicted_quantities",
         "quantity_named",
     ),
-    "identify.design": (
+    "identify.design.design": (
         "Design",
         "design",
     ),
-    "identify.information": (
+    "identify.information.information": (
         "Information",
         "information",
     ),
-    "identify.structure": (
+    "identify.information.structure": (
         "Structure",
         "StructureCheck",
         "check_structure",
     ),
-    "identify.geodesic": (
+    "identify.information.geodesic": (
         "Boundary",
         "Geodesic",
         "geodesics",
     ),
     "model.candidate_laxity": ("CandidateLaxity",),
     "laxity.candidates": ("candidate_trials",),
-    "identify.equivalents": (
+    "identify.equivalents.equivalents": (
         "Equivalents",
         "equivalents",
     ),
-    "identify.equivalents_region": (
+    "identify.equivalents.region": (
         "Region",
         "noise_region",
         "power_of_best_test",

@@ -88,7 +88,7 @@ def equivalents(
     """
     prepare_folder(out)
     # These load xarray, which takes longer than reading a subject.
-    from identknee.identify.equivalents import equivalents as find
+    from identknee.identify.equivalents.equivalents import equivalents as find
     from identknee.report.equivalents_groups import equivalents_groups
     from identknee.report.result_files import write_result
     from identknee.runs.executors import process_pool
@@ -138,7 +138,7 @@ def _region(
     fixed: list[str] | None,
 ) -> Any:
     from identknee.calibrate.problem import restricted
-    from identknee.identify.equivalents_region import Region, noise_region
+    from identknee.identify.equivalents.region import Region, noise_region
     from identknee.model.equivalence import rms_blocks
 
     if criterion == "noise":
@@ -170,7 +170,7 @@ def _forces(its: Identification, forces: str, trials: str | None) -> list[Any]:
 
 
 def _summary(its: Identification, found: Any, criterion: str) -> dict[str, Any]:
-    from identknee.identify.equivalents_region import power_of_best_test
+    from identknee.identify.equivalents.region import power_of_best_test
     from identknee.report.equivalents_groups import equivalents_summary
 
     power = power_of_best_test(found.limit) if criterion == "noise" else None
@@ -213,7 +213,7 @@ def _lines(found: Any, summary: dict[str, Any], out: Path) -> list[str]:
 
 
 def _notes(of: Any) -> list[str]:
-    from identknee.identify.equivalents_extremum import End
+    from identknee.identify.equivalents.extremum import End
 
     usual = {End.LIMIT, End.INTERIOR}
     return sorted({x.end.sentence for x in (of.lower, of.upper) if x.end not in usual})

@@ -162,7 +162,7 @@ def _profiled(
     out: Path,
     workers: int,
 ) -> "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]":
-    from identknee.identify.profiles import other_optima
+    from identknee.identify.profile.profiles import other_optima
     from identknee.runs.executors import process_pool
     from identknee.runs.resume import open_work
 
@@ -215,7 +215,7 @@ def _thresholds(
     level, n = about["level"], about["bootstrap"]
     if n == 0:
         return _plain_threshold(its, level)
-    from identknee.identify.thresholds import resimulated
+    from identknee.identify.profile.thresholds import resimulated
 
     found = ik.bootstrap_statistics(
         partial(resimulated, its.problem, theta),

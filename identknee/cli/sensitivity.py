@@ -153,8 +153,8 @@ def _where(
     outputs: Any, posterior: Path | None, samples: int | None, inputs: dict[str, str]
 ) -> "tuple[Any, dict[str, str]]":
     """The box, or the draws of a posterior, and the digests with those of the draws."""
-    from identknee.identify.sensitivity import DEFAULT_DRAWS
-    from identknee.identify.sensitivity_designs import box_around
+    from identknee.identify.sensitivity.designs import box_around
+    from identknee.identify.sensitivity.sensitivity import DEFAULT_DRAWS
     from identknee.report.sensitivity_groups import posterior_draws
 
     if posterior is None:

@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import beta
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.chains import ONE_SD
 from identknee.identify.evaluation import evaluate
 from identknee.identify.posterior import LogPosterior, prior_quantiles
 from identknee.identify.posterior_sample import QUANTILES, Posterior
@@ -17,6 +15,7 @@ from identknee.runs.arrays import Array, frozen
 from identknee.runs.record import Record, record
 
 N_LIVE = 300
+N_RESAMPLED = 100
 # What dynesty takes for impossible; it cannot count with minus infinity.
 IMPOSSIBLE = -1e300
 
@@ -33,6 +32,9 @@ class NestedPosterior:
         Theta, shape ``(k, n)``.
     weights
         Their posterior weights, sum 1, shape ``(k,)``.
+    quantile_errors
+        Standard errors of the 2.5, 50 and 97.5 % quantiles, shape ``(n, 3)``, from runs resampled
+        from the live points of this one.
     log_evidence
         Logarithm of the mean likelihood over the prior within the bounds, the likelihood being
         ``exp(-deviance / 2)``: without the constant that depends on the noise alone.
@@ -49,6 +51,7 @@ class NestedPosterior:
     parameters: Parameters
     samples: Array
     weights: Array
+    quantile_errors: Array
     log_evidence: float
     log_evidence_error: float
     n_simulations: int
@@ -59,6 +62,8 @@ class NestedPosterior:
         samples = frozen(self.samples, None, self.parameters.n, name="samples")
         object.__setattr__(self, "samples", samples)
         object.__setattr__(self, "weights", frozen(self.weights, len(samples), name="weights"))
+        errors = frozen(self.quantile_errors, self.parameters.n, None, name="quantile_errors")
+        object.__setattr__(self, "quantile_errors", errors)
 
     @property
     def effective_draws(self) -> float:
@@ -67,22 +72,22 @@ class NestedPosterior:
 
     def quantiles(self, probabilities: ArrayLike = QUANTILES) -> Array:
         """Posterior quantiles of each parameter, shape ``(n, k)``."""
-        return np.array([self._quantiles(x, np.asarray(probabilities)) for x in self.samples.T])
-
-    def quantile_errors(self, probabilities: ArrayLike = QUANTILES) -> Array:
-        """Monte Carlo standard errors of the quantiles, shape ``(n, k)``."""
-        p = np.asarray(probabilities, dtype=np.float64)
-        count = self.effective_draws
-        shape = (count * p + 1.0, count * (1.0 - p) + 1.0)
-        low, high = (beta.ppf(tail, *shape) for tail in (ONE_SD, 1.0 - ONE_SD))
         return np.array(
-            [0.5 * (self._quantiles(x, high) - self._quantiles(x, low)) for x in self.samples.T]
+            [weighted_quantiles(x, self.weights, probabilities) for x in self.samples.T]
         )
 
-    def _quantiles(self, values: Array, probabilities: Array) -> Array:
-        order = np.argsort(values, kind="stable")
-        below = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
-        return np.asarray(np.interp(probabilities, below, values[order]))
+
+def weighted_quantiles(values: Array, weights: Array, probabilities: ArrayLike) -> Array:
+    """Quantiles of weighted values, both of shape ``(k,)``, between them linear.
+
+    Examples
+    --------
+    >>> weighted_quantiles(np.array([3.0, 1.0, 2.0]), np.array([0.2, 0.4, 0.4]), [0.5])
+    array([1.75])
+    """
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return np.asarray(np.interp(np.asarray(probabilities), below, values[order]))
 
 
 def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -> NestedPosterior:
@@ -137,12 +142,11 @@ def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -
     )
     sampler.run_nested(print_progress=False)
     found = sampler.results
-    log_weights = np.asarray(found.logwt - found.logz[-1])
-    weights = np.exp(log_weights - np.max(log_weights))
     return NestedPosterior(
         parameters=parameters,
         samples=np.asarray(found.samples),
-        weights=weights / np.sum(weights),
+        weights=_weights(found),
+        quantile_errors=_quantile_errors(found, seed),
         log_evidence=float(found.logz[-1]),
         log_evidence_error=float(found.logzerr[-1]),
         n_simulations=int(np.sum(found.ncall)),
@@ -154,8 +158,30 @@ def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -
 def quantile_differences(posterior: Posterior, nested: NestedPosterior) -> Array:
     """Differences of the 2.5, 50 and 97.5 % quantiles in their joint standard error, ``(n, 3)``."""
     difference = posterior.quantiles() - nested.quantiles()
-    error = np.hypot(posterior.quantile_errors(), nested.quantile_errors())
+    error = np.hypot(posterior.quantile_errors(), nested.quantile_errors)
     return np.asarray(difference / error)
+
+
+def _weights(results: Any) -> Array:
+    weights = np.exp(results.logwt - np.max(results.logwt))
+    return np.asarray(weights / np.sum(weights), dtype=np.float64)
+
+
+def _quantile_errors(results: Any, seed: int) -> Array:
+    """Spread of the quantiles over runs with other live points and other prior volumes.
+
+    The number of effective draws would not do: live points share ancestors, and how much of the
+    prior each one stands for is itself an estimate.
+    """
+    from dynesty.utils import jitter_run, resample_run
+
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    rows = []
+    for _ in range(N_RESAMPLED):
+        run = jitter_run(resample_run(results, rstate=generator), rstate=generator)
+        columns = np.asarray(run.samples).T
+        rows.append([weighted_quantiles(x, _weights(run), QUANTILES) for x in columns])
+    return np.asarray(np.std(rows, axis=0, ddof=1))
 
 
 def _dynesty() -> Any:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.identify.design import Design
+from identknee.identify.design.design import Design
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol
 from identknee.report.groups import Groups
 from identknee.report.profile_groups import profile_groups, profile_summary

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.identify.equivalents import Equivalents, Extrema
-from identknee.identify.equivalents_search import Side
+from identknee.identify.equivalents.equivalents import Equivalents, Extrema
+from identknee.identify.equivalents.search import Side
 from identknee.laxity.table import COORDINATES
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.identify.geodesic import Geodesic
-from identknee.identify.information import Information
+from identknee.identify.information.geodesic import Geodesic
+from identknee.identify.information.information import Information
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, STYLES
 
 N_MOVERS = 3

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.identify.geodesic import Geodesic
-from identknee.identify.information import Information
-from identknee.identify.structure import StructureCheck
+from identknee.identify.information.geodesic import Geodesic
+from identknee.identify.information.information import Information
+from identknee.identify.information.structure import StructureCheck
 from identknee.report.groups import Groups
 
 # Pairs and triples worth saying.

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.hermite import cubic
-from identknee.identify.profile_pairs import PairProfile
-from identknee.identify.profile_result import Interval, Profile
+from identknee.identify.profile.hermite import cubic
+from identknee.identify.profile.pairs import PairProfile
+from identknee.identify.profile.result import Interval, Profile
 from identknee.model.parameters import Parameters
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
 from identknee.report.profile_groups import PAIR_LEVELS, nested

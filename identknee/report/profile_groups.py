@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.identify.profile_pairs import PairProfile
-from identknee.identify.profile_result import Interval, Profile, Side
+from identknee.identify.profile.pairs import PairProfile
+from identknee.identify.profile.result import Interval, Profile, Side
 from identknee.runs.arrays import Array
 
 # Nested sets beside the profile's own.

@@ -191,7 +191,7 @@ def forces_figure(
     *,
     truth: Array | None = None,
 ) -> Figure:
-    """Tension of each ligament in some trials: median, half and 95 % of the posterior.
+    """How far each tension may be from its median: half and 95 % of the posterior, by trial.
 
     Parameters
     ----------
@@ -200,30 +200,44 @@ def forces_figure(
     ligaments
         Names.
     quantiles
-        Tension [N] at 2.5, 25, 50, 75 and 97.5 %, shape ``(trials, ligaments, 5)``.
+        Tension [N] at 2.5, 25, 50, 75 and 97.5 %, shape ``(trials, ligaments, 5)``. The medians
+        stand beside their bars.
     truth
         Known tension [N], shape ``(trials, ligaments)``.
     """
     n = len(ligaments)
-    height = 1.2 + 0.26 * len(trials)
-    figure = Figure(figsize=(1.6 + 2.2 * n, height), layout="constrained")
-    panels = figure.subplots(1, n, squeeze=False, sharey=True)[0]
+    figure = Figure(figsize=(1.6 + 2.3 * n, 1.4 + 0.28 * len(trials)), layout="constrained")
+    panels = figure.subplots(1, n, squeeze=False, sharey=True, sharex=True)[0]
     rows = np.arange(len(trials))
     for j, axes in enumerate(panels):
-        low, first, middle, third, high = quantiles[:, j].T
+        middle = quantiles[:, j, 2]
+        low, first, _, third, high = (quantiles[:, j] - middle[:, None]).T
         axes.hlines(rows, low, high, color=COLOURS[0], linewidth=1.2, label="95 %")
-        axes.hlines(rows, first, third, color=COLOURS[0], linewidth=4.0, label="50 %")
-        axes.plot(middle, rows, "o", color=COLOURS[0], markersize=4, label="median")
+        axes.hlines(rows, first, third, color=COLOURS[0], linewidth=4.5, label="50 %")
         if truth is not None:
-            axes.plot(truth[:, j], rows, "x", color=BLACK, markersize=5, label="true value")
+            known = truth[:, j] - middle
+            axes.plot(known, rows, "x", color=BLACK, markersize=5, label="true value")
+        for row, median in zip(rows, middle, strict=True):
+            axes.annotate(
+                f"{median:.0f} N",
+                (1.0, row),
+                xycoords=("axes fraction", "data"),
+                ha="right",
+                va="center",
+                fontsize=7,
+                color=GREY,
+            )
         axes.set_title(ligaments[j], fontsize=10)
-        axes.set_xlabel("tension [N]", fontsize=SMALL)
+        axes.set_xlabel("tension less its median [N]", fontsize=SMALL)
         axes.tick_params(labelsize=SMALL)
         axes.grid(axis="y", color="0.93")
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
+    largest = float(np.max(np.abs(quantiles - quantiles[..., 2:3])))
+    # Room for the medians on the right.
+    panels[0].set_xlim(-1.1 * largest, 1.8 * largest)
+    panels[0].set_ylim(len(trials) - 0.4, -0.6)
     panels[0].set_yticks(rows, trials)
-    panels[0].invert_yaxis()
     _shared_legend(figure, panels[0])
     return figure
 

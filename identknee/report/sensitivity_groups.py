@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import xarray
 
-from identknee.identify.sensitivity import Sensitivity
+from identknee.identify.sensitivity.sensitivity import Sensitivity
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.comparison import load_scenarios

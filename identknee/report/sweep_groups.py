@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.identify.basins import Basins
-from identknee.identify.cliffs import CliffMap
-from identknee.identify.shares import Share
-from identknee.identify.survey import Survey
-from identknee.identify.sweep import OUTCOMES, Sweep
+from identknee.identify.sweep.basins import Basins
+from identknee.identify.sweep.cliffs import CliffMap
+from identknee.identify.sweep.shares import Share
+from identknee.identify.sweep.survey import Survey
+from identknee.identify.sweep.sweep import OUTCOMES, Sweep
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array, IntArray
 

@@ -16,11 +16,11 @@ import platformdirs
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.starts import named_start
-from identknee.identify.cliffs import map_cliffs, plane
-from identknee.identify.recovery import Recovery, is_recovered, radius, recovery
-from identknee.identify.starts_design import distance, shell_starts, sobol_starts, unit_groups
-from identknee.identify.survey import survey
-from identknee.identify.sweep import OUTCOMES, Sweep, sweep
+from identknee.identify.sweep.cliffs import map_cliffs, plane
+from identknee.identify.sweep.recovery import Recovery, is_recovered, radius, recovery
+from identknee.identify.sweep.starts_design import distance, shell_starts, sobol_starts, unit_groups
+from identknee.identify.sweep.survey import survey
+from identknee.identify.sweep.sweep import OUTCOMES, Sweep, sweep
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN

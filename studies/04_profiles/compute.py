@@ -16,10 +16,10 @@ import platformdirs
 
 from identknee.calibrate.starts import named_start
 from identknee.identify.optimum import best_fit
-from identknee.identify.profile import profile
-from identknee.identify.profile_pairs import profile_pair
-from identknee.identify.profile_result import Profile
-from identknee.identify.profiles import profile_parameters, profile_to_plain
+from identknee.identify.profile.pairs import profile_pair
+from identknee.identify.profile.profile import profile
+from identknee.identify.profile.profiles import profile_parameters, profile_to_plain
+from identknee.identify.profile.result import Profile
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel

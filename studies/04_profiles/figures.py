@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from profile_tables import tables
 
-from identknee.identify.profile_result import Profile
-from identknee.identify.profiles import profile_from_plain
+from identknee.identify.profile.profiles import profile_from_plain
+from identknee.identify.profile.result import Profile
 from identknee.model.parameters import Parameters
 from identknee.report.figures import BLACK, COLOURS, MARKERS
 from identknee.report.picture import png

@@ -19,7 +19,7 @@ from identknee.identify.nested import nested_posterior, quantile_differences
 from identknee.identify.optimum import best_fit
 from identknee.identify.posterior_sample import Posterior
 from identknee.identify.power_scaling import prior_sensitivity
-from identknee.identify.profiles import profile_parameters
+from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.sample import sample
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
@@ -151,7 +151,7 @@ def predictions(
     laxity = data["coordinates"].to_numpy()[0]
     true = model.predict(truth, derivatives=False)
     loads = np.abs(model.protocol.loads)
-    chosen = np.flatnonzero((loads == loads.max(axis=0)).any(axis=1) & loads.any(axis=1))
+    chosen = np.flatnonzero(((loads == loads.max(axis=0)) & (loads > 0.0)).any(axis=1))
     half_widths = 0.5 * np.diff(np.quantile(laxity, [0.025, 0.975], axis=0), axis=0)[0]
     force_widths = 0.5 * np.diff(np.quantile(forces, [0.025, 0.975], axis=0), axis=0)[0]
     tensions = model.tensions(true)

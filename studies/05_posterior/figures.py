@@ -24,6 +24,14 @@ RECORD = HERE / "records" / "posterior.json"
 FIGURES = HERE / "figures"
 PAGE = HERE / "README.md"
 KNEE = "reference"
+CONDITIONS = {
+    "steps_per_tau": "steps in the longest autocorrelation time, at least",
+    "effective_draws": "effective draws of bulk or tail, at least",
+    "effective_draws_each": "the same of one ensemble, at least",
+    "tau_drift": "change of an autocorrelation time between checks, at most",
+    "rhat": "R-hat between half ensembles, at most",
+    "mean_error": "Monte Carlo error of a mean in standard deviations, at most",
+}
 Row = Mapping[str, Any]
 
 
@@ -117,7 +125,7 @@ def parameters_table(knees: Row) -> Table:
             Column(name="sd", decimals=2),
             Column(name="posterior"),
             Column(name="profile, no prior"),
-            Column(name="prior sensitivity", decimals=2),
+            Column(name="prior sensitivity", decimals=3),
             Column(name="leans on"),
         ),
         rows=tuple(tuple(row) for row in rows),
@@ -127,7 +135,7 @@ def parameters_table(knees: Row) -> Table:
 def gate_table(knees: Row) -> Table:
     """The numbers at which sampling stopped."""
     rows: list[list[Cell]] = [
-        [knee, name.replace("_", " "), x["value"], x["bar"], "yes" if x["met"] else "no"]
+        [knee, CONDITIONS[name], x["value"], x["bar"], "yes" if x["met"] else "no"]
         for knee, part in knees.items()
         for name, x in part["sample"]["gate"].items()
     ]
@@ -136,8 +144,8 @@ def gate_table(knees: Row) -> Table:
         columns=(
             Column(name="knee"),
             Column(name="condition"),
-            Column(name="value", decimals=4),
-            Column(name="bar", decimals=2),
+            Column(name="value", decimals=None),
+            Column(name="bar", decimals=None),
             Column(name="met"),
         ),
         rows=tuple(tuple(row) for row in rows),

@@ -14,8 +14,8 @@ import numpy as np
 import platformdirs
 
 from identknee.calibrate.starts import named_start
-from identknee.identify.equivalents import Equivalents, Extrema, equivalents
-from identknee.identify.equivalents_region import Region, noise_region, power_of_best_test
+from identknee.identify.equivalents.equivalents import Equivalents, Extrema, equivalents
+from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.rmse import laxity_rmse

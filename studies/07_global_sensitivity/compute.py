@@ -15,8 +15,8 @@ import platformdirs
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import WithPriors
 from identknee.calibrate.starts import named_start
-from identknee.identify.sensitivity import Method, Sensitivity, sensitivity
-from identknee.identify.sensitivity_designs import Box, box_around
+from identknee.identify.sensitivity.designs import Box, box_around
+from identknee.identify.sensitivity.sensitivity import Method, Sensitivity, sensitivity
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel

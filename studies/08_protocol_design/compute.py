@@ -16,12 +16,12 @@ import platformdirs
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.starts import named_start
-from identknee.identify.added_trials import WithTrials
-from identknee.identify.design import Design, design
-from identknee.identify.design_criteria import CRITERIA, Criterion
+from identknee.identify.design.added_trials import WithTrials
+from identknee.identify.design.criteria import CRITERIA, Criterion
+from identknee.identify.design.design import Design, design
 from identknee.identify.optimum import best_fit
-from identknee.identify.profile_result import Profile
-from identknee.identify.profiles import profile_quantities
+from identknee.identify.profile.profiles import profile_quantities
+from identknee.identify.profile.result import Profile
 from identknee.identify.quantity import ParameterQuantity
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.noise import add_noise

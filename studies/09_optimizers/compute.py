@@ -15,8 +15,8 @@ import platformdirs
 
 from identknee.calibrate.fit import BUDGET, METHODS, fit
 from identknee.calibrate.starts import named_start
-from identknee.identify.starts_design import distance, shell_starts, unit_groups
-from identknee.identify.sweep import kind_of_end, search_seed
+from identknee.identify.sweep.starts_design import distance, shell_starts, unit_groups
+from identknee.identify.sweep.sweep import kind_of_end, search_seed
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.rmse import laxity_rmse
 from identknee.model.laxity_model import LaxityModel

@@ -9,8 +9,8 @@ from knees import model, noise_free
 from rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.starts_design import shell_starts
-from identknee.identify.sweep import Sweep, sweep
+from identknee.identify.sweep.starts_design import shell_starts
+from identknee.identify.sweep.sweep import Sweep, sweep
 from identknee.report.sweep_groups import tenths
 from identknee.runs.executors import process_pool
 

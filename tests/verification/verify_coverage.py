@@ -19,8 +19,8 @@ from work_store import work_store
 
 from identknee.identify.constrained import minimise
 from identknee.identify.evaluation import Evaluator
+from identknee.identify.profile.thresholds import bootstrap_statistics, resimulated
 from identknee.identify.quantity import ParameterQuantity
-from identknee.identify.thresholds import bootstrap_statistics, resimulated
 from identknee.report.study_records import knee_digest
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool

@@ -10,9 +10,9 @@ from rows import Measure, Row, largest_of
 from scipy.spatial.distance import pdist
 
 from identknee.identify.constrained import solve_constrained
-from identknee.identify.equivalents import Equivalents, equivalents
-from identknee.identify.equivalents_rays import longest_axes, points_along
-from identknee.identify.equivalents_region import Region, RegionView, noise_region
+from identknee.identify.equivalents.equivalents import Equivalents, equivalents
+from identknee.identify.equivalents.rays import longest_axes, points_along
+from identknee.identify.equivalents.region import Region, RegionView, noise_region
 from identknee.identify.evaluation import Evaluator
 from identknee.identify.quantity import ParameterQuantity
 from identknee.laxity.noise import add_noise

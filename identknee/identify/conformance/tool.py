@@ -7,14 +7,14 @@ from scipy.stats import qmc
 
 from identknee.calibrate.fit import fit_many
 from identknee.identify.conformance.case import Answer, Case
-from identknee.identify.profile import profile
+from identknee.identify.profile.profile import profile
 from identknee.runs.arrays import Array
 
 N_STARTS, BUDGET = 16, 100
 
 
 def identknee_tool(case: Case) -> Answer:
-    """The answer of `identknee.identify.profile.profile` with its default settings.
+    """The answer of `identknee.identify.profile.profile.profile` with its default settings.
 
     It is told the ends of sixteen fits from Sobol points of the box, as a user's sweep would tell
     it, where the box is bounded. Their simulations are counted.

@@ -5,9 +5,9 @@ import pytest
 from landscapes import Quadrant, Trench, TwoWells
 from problems import disc_in_the_way
 
-from identknee.identify.basins import NONE, find_basins, has_barrier
-from identknee.identify.starts_design import sobol_starts
-from identknee.identify.sweep import sweep
+from identknee.identify.sweep.basins import NONE, find_basins, has_barrier
+from identknee.identify.sweep.starts_design import sobol_starts
+from identknee.identify.sweep.sweep import sweep
 
 
 def test_two_wells_are_two_basins_of_half_the_volume() -> None:

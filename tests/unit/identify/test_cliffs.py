@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from landscapes import Quadrant, lost_sides
 
-from identknee.identify.cliffs import EDGE, map_cliffs, plane
+from identknee.identify.sweep.cliffs import EDGE, map_cliffs, plane
 from identknee.runs.executors import process_pool
 from identknee.runs.resume import open_work
 

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy_springs
 
-from identknee.identify.equivalents import SEPARATION, Completeness, Equivalents, equivalents
-from identknee.identify.equivalents_extremum import INSIDE_TOLERANCE, End
-from identknee.identify.equivalents_region import Region, noise_region, power_of_best_test
+from identknee.identify.equivalents.equivalents import (
+    SEPARATION,
+    Completeness,
+    Equivalents,
+    equivalents,
+)
+from identknee.identify.equivalents.extremum import INSIDE_TOLERANCE, End
+from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
 from identknee.identify.quantity import UserQuantity
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool

@@ -6,8 +6,8 @@ from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy
 from scipy.optimize import differential_evolution
 
 from identknee.identify.constrained import solve_constrained
-from identknee.identify.equivalents_extremum import End, extremise, farthest_pair
-from identknee.identify.equivalents_region import RegionView, noise_region
+from identknee.identify.equivalents.extremum import End, extremise, farthest_pair
+from identknee.identify.equivalents.region import RegionView, noise_region
 from identknee.identify.evaluation import Evaluator
 from identknee.identify.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.arrays import Array

@@ -9,7 +9,12 @@ from problems import Linear, linear, plain_parameters, sloppy_springs
 from tolerances import CLOSED_FORM
 
 from identknee.calibrate.problem import Problem, WithPriors
-from identknee.identify.information import Information, combination, information, spectrum
+from identknee.identify.information.information import (
+    Information,
+    combination,
+    information,
+    spectrum,
+)
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.runs.arrays import Array
 

@@ -10,8 +10,8 @@ from identknee.calibrate.bounded import with_bounds
 from identknee.calibrate.problem import Problem
 from identknee.identify.constrained import minimise
 from identknee.identify.evaluation import Evaluator
-from identknee.identify.profile import profile
-from identknee.identify.profile_result import Profile, SideStatus, Verdict
+from identknee.identify.profile.profile import profile
+from identknee.identify.profile.result import Profile, SideStatus, Verdict
 from identknee.identify.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.arrays import Array
 

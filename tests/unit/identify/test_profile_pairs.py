@@ -5,9 +5,9 @@ import pytest
 from problems import ClosedForm, linear, plain_parameters
 
 from identknee.calibrate.bounded import with_bounds
-from identknee.identify.profile_pairs import profile_pair
-from identknee.identify.profile_result import SideStatus
-from identknee.identify.thresholds import chi2_threshold
+from identknee.identify.profile.pairs import profile_pair
+from identknee.identify.profile.result import SideStatus
+from identknee.identify.profile.thresholds import chi2_threshold
 
 # Of the threshold: twice the tolerance of an end's signed root, and what the fit may leave.
 END = 4e-4

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from problems import ClosedForm, Linear, linear, plain_parameters
 
-from identknee.identify.profile import profile
-from identknee.identify.profile_result import Profile
-from identknee.identify.profiles import (
+from identknee.identify.profile.profile import profile
+from identknee.identify.profile.profiles import (
     other_optima,
     profile_from_plain,
     profile_parameters,
     profile_quantities,
     profile_to_plain,
 )
+from identknee.identify.profile.result import Profile
 from identknee.identify.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
 from identknee.runs.resume import as_stored, open_work
 

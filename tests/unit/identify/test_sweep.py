@@ -17,9 +17,9 @@ from problems import (
 
 from identknee.calibrate.fit import METHODS, fit
 from identknee.calibrate.problem import Problem
-from identknee.identify import sweep as module
-from identknee.identify.starts_design import shell_starts, sobol_starts
-from identknee.identify.sweep import Sweep, kind_of_end, search_seed, sweep
+from identknee.identify.sweep import sweep as module
+from identknee.identify.sweep.starts_design import shell_starts, sobol_starts
+from identknee.identify.sweep.sweep import Sweep, kind_of_end, search_seed, sweep
 from identknee.runs.executors import process_pool
 from identknee.runs.outcome import Outcome
 from identknee.runs.resume import open_work

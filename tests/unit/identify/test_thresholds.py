@@ -9,13 +9,13 @@ import scipy.stats
 from problems import Linear, plain_parameters
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.quantity import ParameterQuantity
-from identknee.identify.thresholds import (
+from identknee.identify.profile.thresholds import (
     BootstrapStatistics,
     bootstrap_statistics,
     chi2_threshold,
     f_threshold,
 )
+from identknee.identify.quantity import ParameterQuantity
 
 MATRIX = np.random.default_rng(3).normal(size=(7, 2))
 TRUTH = np.array([1.0, -0.5])

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from problems import Linear, plain_parameters
 from trial_formulas import linear_trials
 
-from identknee.identify.design import Design, design
+from identknee.identify.design.design import Design, design
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure

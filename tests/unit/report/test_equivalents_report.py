@@ -3,8 +3,8 @@
 import numpy as np
 from problems import linear
 
-from identknee.identify.equivalents import equivalents
-from identknee.identify.equivalents_region import noise_region
+from identknee.identify.equivalents.equivalents import equivalents
+from identknee.identify.equivalents.region import noise_region
 from identknee.report.equivalents_figures import ranges_figure, sets_figure
 from identknee.report.equivalents_groups import equivalents_summary
 from identknee.report.picture import png

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from problems import sloppy_springs
 
-from identknee.identify.geodesic import Geodesic, geodesics
-from identknee.identify.information import Information, information
-from identknee.identify.structure import StructureCheck, check_structure
+from identknee.identify.information.geodesic import Geodesic, geodesics
+from identknee.identify.information.information import Information, information
+from identknee.identify.information.structure import StructureCheck, check_structure
 from identknee.report.information_figures import (
     eigenvectors_figure,
     geodesics_figure,

@@ -8,9 +8,9 @@ import xarray
 from problems import ClosedForm, linear, plain_parameters
 
 from identknee.calibrate.bounded import with_bounds
-from identknee.identify.profile_pairs import PairProfile, profile_pair
-from identknee.identify.profile_result import Profile
-from identknee.identify.profiles import profile_parameters
+from identknee.identify.profile.pairs import PairProfile, profile_pair
+from identknee.identify.profile.profiles import profile_parameters
+from identknee.identify.profile.result import Profile
 from identknee.report.picture import png
 from identknee.report.profile_figures import (
     intervals_figure,

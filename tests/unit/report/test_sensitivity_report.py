@@ -7,9 +7,9 @@ import pytest
 import xarray
 from matplotlib.figure import Figure
 
-from identknee.identify.sensitivity import FAILURE, Sensitivity
-from identknee.identify.sensitivity_designs import Box
-from identknee.identify.sensitivity_estimators import Index
+from identknee.identify.sensitivity.designs import Box
+from identknee.identify.sensitivity.estimators import Index
+from identknee.identify.sensitivity.sensitivity import FAILURE, Sensitivity
 from identknee.laxity.protocol import load_protocol
 from identknee.model.parameters import ligament_parameters
 from identknee.report.sensitivity_figures import (

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from problems import linear, wall_before_the_minimum
 
-from identknee.identify.cliffs import map_cliffs
-from identknee.identify.starts_design import sobol_starts
-from identknee.identify.survey import survey
-from identknee.identify.sweep import sweep
+from identknee.identify.sweep.cliffs import map_cliffs
+from identknee.identify.sweep.starts_design import sobol_starts
+from identknee.identify.sweep.survey import survey
+from identknee.identify.sweep.sweep import sweep
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.sweep_groups import sweep_groups, sweep_summary, tenths, trials_lost

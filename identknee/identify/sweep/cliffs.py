@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from identknee.calibrate.objective import half_sum_of_squares
 from identknee.calibrate.problem import Problem
-from identknee.identify.starts_design import distance
+from identknee.identify.sweep.starts_design import distance
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, frozen
 from identknee.runs.executors import Executor, serial
@@ -42,8 +42,8 @@ class CliffMap:
         The cliff nearest to the target: the last theta with a prediction on the way out from it,
         shape ``(N, p)``; NaN where the way has no cliff.
     edge_distances
-        How far it is from the target, as `identknee.identify.starts_design.distance` counts, shape
-        ``(N,)``; NaN likewise.
+        How far it is from the target, as `identknee.identify.sweep.starts_design.distance` counts,
+        shape ``(N,)``; NaN likewise.
     lost
         What is lost beyond that edge, by name (trials of a protocol), for each way; empty where
         there is no cliff or it was not asked.

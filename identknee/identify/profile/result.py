@@ -6,7 +6,7 @@ from enum import Enum, unique
 import numpy as np
 import scipy.stats
 
-from identknee.identify.hermite import crossings
+from identknee.identify.profile.hermite import crossings
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 
 Interval = tuple[float | None, float | None]

@@ -9,19 +9,19 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from identknee.identify.sensitivity_designs import (
+from identknee.identify.sensitivity.designs import (
     Box,
     box_draws,
     morris_trajectories,
     saltelli_blocks,
 )
-from identknee.identify.sensitivity_estimators import (
+from identknee.identify.sensitivity.estimators import (
     Index,
     levels_of,
     morris_indices,
     sobol_indices,
 )
-from identknee.identify.sensitivity_given import (
+from identknee.identify.sensitivity.given import (
     FEWEST_DRAWS,
     METHODS,
     converging_indices,

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.basins import Basins, find_basins
-from identknee.identify.recovery import Radius, Recovery, is_recovered, radius, recovery
-from identknee.identify.starts_design import distance
-from identknee.identify.sweep import Sweep
-from identknee.identify.unseen import Unseen, unseen_mass
+from identknee.identify.sweep.basins import Basins, find_basins
+from identknee.identify.sweep.recovery import Radius, Recovery, is_recovered, radius, recovery
+from identknee.identify.sweep.starts_design import distance
+from identknee.identify.sweep.sweep import Sweep
+from identknee.identify.sweep.unseen import Unseen, unseen_mass
 from identknee.runs.arrays import Array, frozen
 
 END, POLISHED = "end", "polished"

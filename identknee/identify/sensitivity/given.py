@@ -14,7 +14,7 @@ from math import factorial
 
 import numpy as np
 
-from identknee.identify.sensitivity_estimators import half_width
+from identknee.identify.sensitivity.estimators import half_width
 from identknee.runs.arrays import Array, IntArray
 
 RESAMPLES = 25

@@ -7,11 +7,11 @@ import numpy as np
 import scipy.stats
 
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.hermite import cubic
-from identknee.identify.profile_march import AT_END, FLAT
-from identknee.identify.profile_result import Interval, Profile, Side, SideStatus, Verdict
-from identknee.identify.profile_search import Branch
-from identknee.identify.profile_walk import Point, Walk
+from identknee.identify.profile.hermite import cubic
+from identknee.identify.profile.march import AT_END, FLAT
+from identknee.identify.profile.result import Interval, Profile, Side, SideStatus, Verdict
+from identknee.identify.profile.search import Branch
+from identknee.identify.profile.walk import Point, Walk
 from identknee.runs.arrays import Array
 
 # Singular values below this part of the largest are none, each parameter in steps that change the

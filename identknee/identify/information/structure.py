@@ -8,7 +8,7 @@ from scipy.stats import qmc
 
 from identknee.calibrate.problem import Problem
 from identknee.identify.evaluation import evaluate
-from identknee.identify.information import scaled_units
+from identknee.identify.information.information import scaled_units
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
 from identknee.runs.executors import Executor, serial

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identknee.identify.equivalents_region import Blocks, RegionView
+from identknee.identify.equivalents.region import Blocks, RegionView
 from identknee.runs.arrays import Array, IntArray
 
 # A point this close to the limit is on the boundary of the region, for a ray.

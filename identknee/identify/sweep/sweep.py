@@ -152,7 +152,7 @@ def sweep(
         What to fit; picklable if `executor` runs processes.
     starts
         Where to begin, shape ``(N, p)``, such as from
-        `identknee.identify.starts_design.sobol_starts`.
+        `identknee.identify.sweep.starts_design.sobol_starts`.
     method, budget
         Of each search, as for `identknee.fit`.
     seed

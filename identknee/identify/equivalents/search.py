@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from identknee.identify.equivalents_extremum import (
+from identknee.identify.equivalents.extremum import (
     INSIDE_TOLERANCE,
     End,
     Extreme,
@@ -16,8 +16,8 @@ from identknee.identify.equivalents_extremum import (
     extremise,
     farthest_pair,
 )
-from identknee.identify.equivalents_rays import longest_axes, points_along
-from identknee.identify.equivalents_region import Region, RegionView
+from identknee.identify.equivalents.rays import longest_axes, points_along
+from identknee.identify.equivalents.region import Region, RegionView
 from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.identify.equivalents_region import Blocks
+from identknee.identify.equivalents.region import Blocks
 from identknee.runs.arrays import Array
 
 # Of the best step's value, normalised to about 1.

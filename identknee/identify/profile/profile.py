@@ -9,15 +9,15 @@ from numpy.typing import ArrayLike
 from identknee.calibrate.problem import Problem
 from identknee.identify.constrained import Constrained, minimise
 from identknee.identify.evaluation import Evaluator
-from identknee.identify.profile_result import Profile
-from identknee.identify.profile_search import (
+from identknee.identify.profile.result import Profile
+from identknee.identify.profile.search import (
     Branch,
     branches_of_a_constant,
     find_branches,
     walk_branch,
 )
-from identknee.identify.profile_verdict import assembled
-from identknee.identify.profile_walk import BetterFound, Walk, as_point
+from identknee.identify.profile.verdict import assembled
+from identknee.identify.profile.walk import BetterFound, Walk, as_point
 from identknee.identify.quantity import Quantity
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -56,14 +56,14 @@ def profile(
         Confidence level of the set.
     threshold
         Rise of the deviance that bounds it; that of the chi-squared law if None. See
-        `identknee.identify.thresholds` for unknown noise and for few data.
+        `identknee.identify.profile.thresholds` for unknown noise and for few data.
     budget
         Simulations allowed.
     starts
         Other local optima, or places to look for them from, shape ``(k, n)``: for example the
-        basins of a sweep, or `identknee.identify.profiles.other_optima`. Where one is likely, its
-        own path counts too. Solutions that exchange the roles of other parameters are found in no
-        other way.
+        basins of a sweep, or `identknee.identify.profile.profiles.other_optima`. Where one is
+        likely, its own path counts too. Solutions that exchange the roles of other parameters
+        are found in no other way.
 
     Raises
     ------

@@ -5,8 +5,8 @@ from enum import Enum, unique
 
 import numpy as np
 
-from identknee.identify.equivalents_region import Blocks, Inside, PairView, RegionView
-from identknee.identify.equivalents_step import Model, Step, best_step
+from identknee.identify.equivalents.region import Blocks, Inside, PairView, RegionView
+from identknee.identify.equivalents.step import Model, Step, best_step
 from identknee.identify.quantity import Quantity
 from identknee.runs.arrays import Array, frozen
 

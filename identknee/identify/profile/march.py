@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.identify.constrained import Constrained
-from identknee.identify.hermite import crossings
-from identknee.identify.profile_result import Side, SideStatus
-from identknee.identify.profile_walk import Point, Walk, as_point, step_to
+from identknee.identify.profile.hermite import crossings
+from identknee.identify.profile.result import Side, SideStatus
+from identknee.identify.profile.walk import Point, Walk, as_point, step_to
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 

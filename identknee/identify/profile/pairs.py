@@ -13,10 +13,10 @@ from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.constrained import minimise
 from identknee.identify.evaluation import Evaluator
-from identknee.identify.hermite import crossings
-from identknee.identify.profile_march import march
-from identknee.identify.profile_result import SideStatus
-from identknee.identify.profile_walk import BetterFound, Walk, as_point
+from identknee.identify.profile.hermite import crossings
+from identknee.identify.profile.march import march
+from identknee.identify.profile.result import SideStatus
+from identknee.identify.profile.walk import BetterFound, Walk, as_point
 from identknee.identify.quantity import ParameterQuantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen

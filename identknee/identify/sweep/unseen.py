@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.identify.basins import NONE
-from identknee.identify.shares import share
+from identknee.identify.sweep.basins import NONE
+from identknee.identify.sweep.shares import share
 from identknee.runs.arrays import IntArray
 
 
@@ -45,7 +45,7 @@ def unseen_mass(labels: IntArray) -> Unseen:
     Parameters
     ----------
     labels
-        From `identknee.identify.basins.find_basins`, shape ``(N,)``; -1 is left out.
+        From `identknee.identify.sweep.basins.find_basins`, shape ``(N,)``; -1 is left out.
 
     References
     ----------

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from identknee.calibrate.fit import fit_many
 from identknee.calibrate.problem import Problem
 from identknee.identify.evaluation import evaluate
-from identknee.identify.profile import profile
-from identknee.identify.profile_march import JUMP
-from identknee.identify.profile_result import Profile, Side, SideStatus, Verdict
+from identknee.identify.profile.march import JUMP
+from identknee.identify.profile.profile import profile
+from identknee.identify.profile.result import Profile, Side, SideStatus, Verdict
 from identknee.identify.quantity import ParameterQuantity, Quantity
-from identknee.identify.starts_design import sobol_starts
+from identknee.identify.sweep.starts_design import sobol_starts
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, serial
 from identknee.runs.resume import resumable_map

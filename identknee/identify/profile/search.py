@@ -7,9 +7,9 @@ import numpy as np
 
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.constrained import minimise
-from identknee.identify.profile_march import AT_END, JUMP, Leg, march
-from identknee.identify.profile_result import Side, SideStatus
-from identknee.identify.profile_walk import Point, Walk, as_point
+from identknee.identify.profile.march import AT_END, JUMP, Leg, march
+from identknee.identify.profile.result import Side, SideStatus
+from identknee.identify.profile.walk import Point, Walk, as_point
 from identknee.identify.quantity import ParameterQuantity
 from identknee.runs.arrays import Array
 

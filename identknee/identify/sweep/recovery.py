@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from identknee.identify.shares import Share, share
-from identknee.identify.starts_design import distance
-from identknee.identify.sweep import Sweep
+from identknee.identify.sweep.shares import Share, share
+from identknee.identify.sweep.starts_design import distance
+from identknee.identify.sweep.sweep import Sweep
 from identknee.runs.arrays import Array, BoolArray, frozen
 
 MAX_SHELLS = 20
@@ -69,7 +69,8 @@ def is_recovered(
     target
         Truth or best fit, shape ``(p,)``.
     within
-        How far the end may be, as `identknee.identify.starts_design.distance` counts: kN and %.
+        How far the end may be, as `identknee.identify.sweep.starts_design.distance` counts: kN
+        and %.
     polished
         Whether the polished end is meant, and not that of the optimizer.
     """

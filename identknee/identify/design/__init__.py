@@ -1,0 +1,1 @@
+"""Trials to add to a protocol: which of them would tell most."""

@@ -1,0 +1,1 @@
+"""Fisher information, structural rank, and geodesics to the boundary of the model."""

@@ -1,0 +1,1 @@
+"""Global sensitivity of outputs to parameters, over a box or over a posterior."""
