@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from identknee.identify.design.design import Design, design
     from identknee.identify.equivalents.equivalents import Equivalents, equivalents
     from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
-    from identknee.identify.gate import StopRule
+    from identknee.identify.gate import SampleOutcome, StopRule
     from identknee.identify.information.geodesic import Boundary, Geodesic, geodesics
     from identknee.identify.information.information import Information, information
     from identknee.identify.information.structure import Structure, StructureCheck, check_structure
@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from identknee.subject.opensim import import_opensim
     from identknee.subject.reference import reference_knee
     from identknee.subject.surface import Surface
+    from identknee.identify.posterior import LogPosterior
 
 __all__ = [  # noqa: RUF022 - in the order of the flow
     "read_subject",
@@ -147,6 +148,7 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "Ensembles",
     "sample",
     "StopRule",
+    "SampleOutcome",
     "NestedPosterior",
     "nested_posterior",
     "quantile_differences",
@@ -178,6 +180,7 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "solve_constrained",
     "conformance_cases",
     "run_conformance",
+    "LogPosterior",
     "scene",
     "Outcome",
     "InputError",
@@ -255,7 +258,7 @@ _MODULES = {
         "Ensembles",
         "sample",
     ),
-    "identify.gate": ("StopRule",),
+    "identify.gate": ("StopRule", "SampleOutcome"),
     "identify.nested": (
         "NestedPosterior",
         "nested_posterior",
@@ -307,6 +310,7 @@ _MODULES = {
         "conformance_cases",
         "run_conformance",
     ),
+    "identify.posterior": ("LogPosterior",),
     "report.scene": ("scene",),
     "runs.outcome": ("Outcome",),
     "runs.errors": ("InputError",),

@@ -29,6 +29,7 @@ from identknee.cli.identification import (
 from identknee.cli.values import named_bounds
 from identknee.runs.files import prepare_folder
 from identknee.runs.record import record
+from identknee.runs.resume import finish_work
 
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 NumberOfSets = Annotated[int, typer.Option("--n-sets", min=2, help="Parameter sets wanted.")]
@@ -125,6 +126,7 @@ def equivalents(
         equivalents_groups(found, its.model, its.whole(found.sets)),
         recording.finish(),
     )
+    finish_work(out / WORK)
     show(summary, [*its.assumptions, *_lines(found, summary, out)], as_json=as_json)
 
 

@@ -20,6 +20,7 @@ from identknee.cli.identification import (
 )
 from identknee.runs.files import prepare_folder
 from identknee.runs.record import Recording, record
+from identknee.runs.resume import finish_work
 
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 Chosen = Annotated[
@@ -114,6 +115,7 @@ def profile(
         lambda: _profiled(its, wanted, couples, about, out=out, workers=workers)
     )
     summary = _written(out, its, answer, {"seconds": seconds}, recording)
+    finish_work(out / WORK)
     show(summary, _lines(its, answer, out), as_json=as_json)
 
 

@@ -21,6 +21,7 @@ from identknee.cli.identification import (
 from identknee.runs.errors import InputError
 from identknee.runs.files import check_readable, digest, prepare_folder
 from identknee.runs.record import Recording, record
+from identknee.runs.resume import finish_work
 
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 Basins = Annotated[
@@ -90,6 +91,7 @@ def sample(
         f"{seconds:.0f} s.",
         f"Results: {out}",
     ]
+    finish_work(out / WORK)
     show(summary, lines, as_json=as_json)
     if not found.gates:
         raise NotComputed(

@@ -23,6 +23,7 @@ from identknee.cli.command import (
 from identknee.cli.identification import WORK, Fixed, Start
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.record import record
+from identknee.runs.resume import finish_work
 
 MethodName = Literal["morris", "sobol", "delta", "pawn", "hdmr", "shapley"]
 Data = Annotated[
@@ -115,6 +116,7 @@ def sensitivity(
     summary = write_result(
         out, _summary(found, seconds), sensitivity_groups(found), recording.finish()
     )
+    finish_work(out / WORK)
     show(summary, _lines(found, out), as_json=as_json)
     if found.failed_share[-1] == 1.0:
         raise NotComputed(

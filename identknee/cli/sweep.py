@@ -21,7 +21,7 @@ from identknee.cli.identification import (
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.files import prepare_folder
 from identknee.runs.record import Recording, record
-from identknee.runs.resume import open_work
+from identknee.runs.resume import finish_work, open_work
 from identknee.runs.store import Store
 
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
@@ -106,6 +106,7 @@ def sweep(
     answer = (found, cliffs)
     said = {"design": design, "seconds": seconds, "assumptions": its.assumptions}
     summary = _written(out, answer, said, recording)
+    finish_work(out / WORK)
     show(summary, [*its.assumptions, *_lines(*answer), f"Results: {out}"], as_json=as_json)
     if found.target is None:
         raise NotComputed(

@@ -15,6 +15,7 @@ from identknee.runs.store import Store
 
 STORE_FORMAT = 1
 HEADER = "about"
+FINISHED = "finished"
 # A kill loses what was finished in this time, and each commit waits for the disk.
 COMMIT_S = 1.0
 # Handed to the executor at a time, so that a million items are not a million tasks in memory.
@@ -27,6 +28,8 @@ _REMEDY = (
 
 def open_work(path: PathLike, about: Mapping[str, Any]) -> Store:
     """Store of unfinished work, new or left by an earlier run about the same.
+
+    What a run left that was finished (`finish_work`) is replaced where it is about something else.
 
     Parameters
     ----------
@@ -52,14 +55,30 @@ def open_work(path: PathLike, about: Mapping[str, Any]) -> Store:
     store = Store(path)
     try:
         kept = store.get(HEADER)
+        is_finished = isinstance(kept, dict) and kept.get(FINISHED, False)
         if kept is None and not store.keys():
             store.put_many({HEADER: header})
-        else:
+        elif not is_finished:
             _check_header(store, kept, header)
+        elif kept != {**header, FINISHED: True}:
+            store.clear()
+            store.put_many({HEADER: header})
     except BaseException:
         store.close()
         raise
     return store
+
+
+def finish_work(path: PathLike) -> None:
+    """Note in the store at `path` that its results are written elsewhere and may be replaced.
+
+    Raises
+    ------
+    InputError
+        If the store cannot be written.
+    """
+    with Store(path) as store:
+        store.put_many({HEADER: {**store.get(HEADER), FINISHED: True}})
 
 
 def resumable_map(

@@ -79,6 +79,11 @@ class Store:
         with self._explained():
             return {key for (key,) in self._connection.execute("SELECT key FROM rows")}
 
+    def clear(self) -> None:
+        """Forget all keys."""
+        with self._explained(), self._connection:
+            self._connection.execute("DELETE FROM rows")
+
     def close(self) -> None:
         """Close the file; what was put is on disk already."""
         self._connection.close()

@@ -22,6 +22,7 @@ MODULES = {
     "profile_ends": "verify_profile_ends",
     "coverage": "verify_coverage",
     "sbc": "verify_sbc",
+    "nested": "verify_nested",
     "equivalents": "verify_equivalents",
     "kill": "verify_kill",
 }

@@ -61,8 +61,14 @@ def test_the_same_command_again_computes_nothing_and_says_the_same(
     monkeypatch.setattr("identknee.identify.sweep.cliffs._way", never)
     assert run(*words, "--out", tmp_path).exit_code == 0
     assert summary(tmp_path) == first
-    sentence = refused(*words, "--seed", 1, "--out", tmp_path)
-    assert "seed was 0 and is 1 now" in sentence
+
+
+def test_another_question_in_the_same_folder_is_a_new_run(data: Path, tmp_path: Path) -> None:
+    words = ("sweep", "reference", data, *SHORT, "--out", tmp_path)
+    assert run(*words).exit_code == 0
+    first = summary(tmp_path)
+    assert run(*words, "--seed", 1).exit_code == 0
+    assert summary(tmp_path) != first
 
 
 def test_fixed_parameters_are_not_swept(data: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from identknee.runs import resume
 from identknee.runs.errors import InputError
 from identknee.runs.executors import WorkerDied, process_pool, threads
 from identknee.runs.outcome import Outcome
-from identknee.runs.resume import open_work, resumable_map
+from identknee.runs.resume import finish_work, open_work, resumable_map
 
 ABOUT = {
     "inputs": {"laxity.csv": "a" * 64, "subject": "b" * 64},
@@ -290,3 +290,19 @@ def test_ctrl_c_keeps_what_was_finished(tmp_path: Path) -> None:
     n_kept = len([x for x in found if x is not None])
     assert n_kept >= 4
     assert found == [*range(n_kept), *[None] * (100 - n_kept)]
+
+
+def test_finished_work_makes_room_for_other_work(tmp_path: Path) -> None:
+    path = tmp_path / "work.sqlite"
+    with open_work(path, {"seed": 1}) as store:
+        resumable_map(abs, [-1, -2], store=store, name="first")
+    with pytest.raises(InputError, match="seed was 1 and is 2 now"):
+        open_work(path, {"seed": 2})
+    finish_work(path)
+    with open_work(path, {"seed": 1}) as store:
+        assert "first/0" in store.keys()  # noqa: SIM118 - a store is no mapping
+    finish_work(path)
+    with open_work(path, {"seed": 2}) as store:
+        assert "first/0" not in store.keys()  # noqa: SIM118
+    with pytest.raises(InputError, match="seed was 2 and is 1 now"):
+        open_work(path, {"seed": 1})
