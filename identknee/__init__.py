@@ -17,14 +17,20 @@ if TYPE_CHECKING:
     from identknee.identify.design.design import Design, design
     from identknee.identify.equivalents.equivalents import Equivalents, equivalents
     from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
-    from identknee.identify.gate import SampleOutcome, StopRule
     from identknee.identify.information.geodesic import Boundary, Geodesic, geodesics
     from identknee.identify.information.information import Information, information
     from identknee.identify.information.structure import Structure, StructureCheck, check_structure
-    from identknee.identify.nested import NestedPosterior, nested_posterior, quantile_differences
     from identknee.identify.optimum import best_fit
-    from identknee.identify.posterior_sample import Posterior
-    from identknee.identify.power_scaling import prior_sensitivity
+    from identknee.identify.posterior.density import LogPosterior
+    from identknee.identify.posterior.gate import SampleOutcome, StopRule
+    from identknee.identify.posterior.nested import (
+        NestedPosterior,
+        nested_posterior,
+        quantile_differences,
+    )
+    from identknee.identify.posterior.posterior import Posterior
+    from identknee.identify.posterior.power_scaling import prior_sensitivity
+    from identknee.identify.posterior.sample import Ensembles, sample
     from identknee.identify.profile.pairs import PairProfile, profile_pair
     from identknee.identify.profile.profile import profile
     from identknee.identify.profile.profiles import (
@@ -39,7 +45,6 @@ if TYPE_CHECKING:
         f_threshold,
     )
     from identknee.identify.quantity import ParameterQuantity, Quantity, UserQuantity
-    from identknee.identify.sample import Ensembles, sample
     from identknee.identify.sensitivity.designs import Box, box_around
     from identknee.identify.sensitivity.sensitivity import Sensitivity, sensitivity
     from identknee.identify.sweep.cliffs import CliffMap, map_cliffs
@@ -78,7 +83,6 @@ if TYPE_CHECKING:
     from identknee.subject.opensim import import_opensim
     from identknee.subject.reference import reference_knee
     from identknee.subject.surface import Surface
-    from identknee.identify.posterior import LogPosterior
 
 __all__ = [  # noqa: RUF022 - in the order of the flow
     "read_subject",
@@ -253,18 +257,18 @@ _MODULES = {
         "PairProfile",
         "profile_pair",
     ),
-    "identify.posterior_sample": ("Posterior",),
-    "identify.sample": (
+    "identify.posterior.posterior": ("Posterior",),
+    "identify.posterior.sample": (
         "Ensembles",
         "sample",
     ),
-    "identify.gate": ("StopRule", "SampleOutcome"),
-    "identify.nested": (
+    "identify.posterior.gate": ("StopRule", "SampleOutcome"),
+    "identify.posterior.nested": (
         "NestedPosterior",
         "nested_posterior",
         "quantile_differences",
     ),
-    "identify.power_scaling": ("prior_sensitivity",),
+    "identify.posterior.power_scaling": ("prior_sensitivity",),
     "model.quantities": (
         "LigamentForce",
         "PredictedLaxity",
@@ -310,7 +314,7 @@ _MODULES = {
         "conformance_cases",
         "run_conformance",
     ),
-    "identify.posterior": ("LogPosterior",),
+    "identify.posterior.density": ("LogPosterior",),
     "report.scene": ("scene",),
     "runs.outcome": ("Outcome",),
     "runs.errors": ("InputError",),

@@ -8,9 +8,9 @@ from knees import model
 from scipy.stats import binom
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.gate import StopRule
-from identknee.identify.posterior import prior_draws
-from identknee.identify.sample import Ensembles, sample
+from identknee.identify.posterior.density import prior_draws
+from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.laxity.noise import add_noise
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.identify.posterior_sample import QUANTILES, Posterior
-from identknee.identify.power_scaling import PriorSensitivity
+from identknee.identify.posterior.posterior import QUANTILES, Posterior
+from identknee.identify.posterior.power_scaling import PriorSensitivity
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.groups import constant_data, observed_data

@@ -14,13 +14,13 @@ import numpy as np
 import platformdirs
 
 from identknee.calibrate.starts import named_start
-from identknee.identify.gate import StopRule
-from identknee.identify.nested import nested_posterior, quantile_differences
 from identknee.identify.optimum import best_fit
-from identknee.identify.posterior_sample import Posterior
-from identknee.identify.power_scaling import prior_sensitivity
+from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.nested import nested_posterior, quantile_differences
+from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.power_scaling import prior_sensitivity
+from identknee.identify.posterior.sample import sample
 from identknee.identify.profile.profiles import profile_parameters
-from identknee.identify.sample import sample
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS

@@ -6,7 +6,7 @@ import time
 from noisy_knees import NOISE, noisy
 from rows import Measure, Row
 
-from identknee.identify.sample import sample
+from identknee.identify.posterior.sample import sample
 from identknee.runs.executors import process_pool
 
 WORKERS = 2

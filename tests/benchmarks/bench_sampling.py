@@ -9,9 +9,9 @@ from problems import sloppy_springs
 from rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.gate import StopRule
-from identknee.identify.posterior_sample import Posterior
-from identknee.identify.sample import Ensembles, sample
+from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.sample import Ensembles, sample
 
 MOVES = ("stretch", "difference", "newton")
 BAR = {"newton": 60.0, "difference": 20.0, "stretch": None}

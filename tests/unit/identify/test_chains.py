@@ -4,7 +4,7 @@ import emcee
 import numpy as np
 import pytest
 
-from identknee.identify.chains import (
+from identknee.identify.posterior.chains import (
     autocorrelation_time,
     bulk_draws,
     effective_draws,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identknee.identify.gate import Gate, SampleOutcome, StopRule, check
+from identknee.identify.posterior.gate import Gate, SampleOutcome, StopRule, check
 from identknee.runs.arrays import Array
 
 RULE = StopRule()

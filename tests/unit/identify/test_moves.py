@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal, multivariate_t
 
-from identknee.identify.moves import MOVES, KernelMixture, NewtonMove, SnookerMove
+from identknee.identify.posterior.moves import MOVES, KernelMixture, NewtonMove, SnookerMove
 from identknee.runs.arrays import Array
 
 STEPS = 4000

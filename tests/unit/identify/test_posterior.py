@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.stats import lognorm, norm
 
 from identknee.identify.evaluation import evaluate
-from identknee.identify.posterior import (
+from identknee.identify.posterior.density import (
     LogPosterior,
     excluded_mass,
     from_working,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from problems import Linear, plain_parameters
 
-from identknee.identify.gate import StopRule
-from identknee.identify.posterior_sample import Posterior
-from identknee.identify.power_scaling import prior_sensitivity
-from identknee.identify.sample import sample
+from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.power_scaling import prior_sensitivity
+from identknee.identify.posterior.sample import sample
 
 QUICK = StopRule(drift=np.inf)
 

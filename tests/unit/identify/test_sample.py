@@ -18,9 +18,9 @@ from problems import (
 from scipy.integrate import quad
 
 from identknee.calibrate.problem import restricted
-from identknee.identify.gate import SampleOutcome, StopRule
-from identknee.identify.posterior_sample import Posterior
-from identknee.identify.sample import Ensembles, sample
+from identknee.identify.posterior.gate import SampleOutcome, StopRule
+from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool, threads

@@ -7,10 +7,10 @@ import pytest
 from matplotlib.figure import Figure
 from problems import Cliff, Linear, linear, plain_parameters
 
-from identknee.identify.gate import StopRule
-from identknee.identify.posterior_sample import Posterior
-from identknee.identify.power_scaling import prior_sensitivity
-from identknee.identify.sample import sample
+from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.power_scaling import prior_sensitivity
+from identknee.identify.posterior.sample import sample
 from identknee.report.sample_figures import (
     corner_figure,
     forces_figure,
@@ -96,7 +96,7 @@ def test_every_figure_is_drawn(posterior: Posterior) -> None:
 
 
 def test_a_budget_that_ran_out_is_in_the_summary(posterior: Posterior) -> None:
-    from identknee.identify.gate import SampleOutcome
+    from identknee.identify.posterior.gate import SampleOutcome
 
     stopped = replace(posterior, outcome=SampleOutcome.BUDGET)
     assert sample_summary(stopped)["sentence"] == SampleOutcome.BUDGET.sentence

@@ -9,8 +9,7 @@ import numpy as np
 
 from identknee.calibrate.fit import fit
 from identknee.identify.evaluation import evaluate
-from identknee.identify.moves import MOVES
-from identknee.identify.posterior import (
+from identknee.identify.posterior.density import (
     LogPosterior,
     from_working,
     inside,
@@ -18,6 +17,7 @@ from identknee.identify.posterior import (
     prior_draws,
     to_working,
 )
+from identknee.identify.posterior.moves import MOVES
 from identknee.runs.arrays import Array
 
 # Walkers start around an optimum with this many times the spread that its curvature promises; less
@@ -41,7 +41,7 @@ class Ensemble:
     steps
         Steps of a block.
     moves
-        A key of `identknee.identify.moves.MOVES`.
+        A key of `identknee.identify.posterior.moves.MOVES`.
     seed
         Of the sample.
     """

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.identify.posterior import log_prior_working, to_working
-from identknee.identify.posterior_sample import Posterior
+from identknee.identify.posterior.density import log_prior_working, to_working
+from identknee.identify.posterior.posterior import Posterior
 from identknee.runs.arrays import Array, frozen
 
 DELTA = 0.01

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.identify.chains import quantile_error
-from identknee.identify.gate import Gate, SampleOutcome
-from identknee.identify.posterior import ExcludedMass, log_prior
+from identknee.identify.posterior.chains import quantile_error
+from identknee.identify.posterior.density import ExcludedMass, log_prior
+from identknee.identify.posterior.gate import Gate, SampleOutcome
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.record import Record

@@ -6,7 +6,7 @@ from enum import Enum, unique
 
 import numpy as np
 
-from identknee.identify.chains import (
+from identknee.identify.posterior.chains import (
     autocorrelation_time,
     bulk_draws,
     mean_error,

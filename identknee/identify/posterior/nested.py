@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
 from identknee.identify.evaluation import evaluate
-from identknee.identify.posterior import LogPosterior, prior_quantiles
-from identknee.identify.posterior_sample import QUANTILES, Posterior
+from identknee.identify.posterior.density import LogPosterior, prior_quantiles
+from identknee.identify.posterior.posterior import QUANTILES, Posterior
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.record import Record, record

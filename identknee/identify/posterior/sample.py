@@ -9,17 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.ensembles import (
-    Block,
-    Ensemble,
-    advanced,
-    optimum_near_prior,
-    started,
-)
 from identknee.identify.evaluation import evaluate
-from identknee.identify.gate import Gate, SampleOutcome, StopRule, check
-from identknee.identify.moves import MOVES
-from identknee.identify.posterior import (
+from identknee.identify.posterior.density import (
     ExcludedMass,
     LogPosterior,
     excluded_mass,
@@ -28,7 +19,16 @@ from identknee.identify.posterior import (
     log_prior_working,
     prior_draws,
 )
-from identknee.identify.posterior_sample import Posterior
+from identknee.identify.posterior.ensembles import (
+    Block,
+    Ensemble,
+    advanced,
+    optimum_near_prior,
+    started,
+)
+from identknee.identify.posterior.gate import Gate, SampleOutcome, StopRule, check
+from identknee.identify.posterior.moves import MOVES
+from identknee.identify.posterior.posterior import Posterior
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial
