@@ -20,11 +20,11 @@ class NewtonMove(Move):  # type: ignore[misc]
 
     Each walker carries, as its blob, the normal density that approximates the posterior as seen
     from where it stands (`identknee.identify.posterior.density.NewtonKernel`). One half of the
-    walkers moves at a time: a proposal is drawn from the mixture of the other half's kernels, whatever the
-    place of the walker that moves, and is accepted by the rule of Metropolis and Hastings with the
-    density of that mixture. Where the residuals are linear nearly every proposal is accepted and
-    the draws are independent; where walkers stand in several basins, proposals lead from one to
-    another.
+    walkers moves at a time: a proposal is drawn from the mixture of the other half's kernels,
+    whatever the place of the walker that moves, and is accepted by the rule of Metropolis and
+    Hastings with the density of that mixture. Where the residuals are linear nearly every proposal
+    is accepted and the draws are independent; where walkers stand in several basins, proposals lead
+    from one to another.
 
     The densities are exact and the other half stands still meanwhile, so the posterior is
     invariant.
