@@ -1,4 +1,4 @@
-"""`identknee demo`: the paper's question on the reference knee, in about a minute."""
+"""`identknee demo`: the paper's question on the reference knee, and the answer, in a minute."""
 
 import threading
 from collections.abc import Sequence
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import identknee as ik
+from identknee.calibrate.scales import STIFFNESS_UNIT
 from identknee.cli.command import Json, Out, Seed, Workers, knee_digest, nested, show, warm_up
 from identknee.runs.executors import Executor, serial, threads
 from identknee.runs.files import prepare_folder, write_atomically
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 STARTS = ("IG1", "IG2", "IG3", "IG4")
 SHORT_SETTINGS = "short settings"
+NOISE_MM, NOISE_DEG = 0.5, 0.5
 # Below this a parameter error is rounding.
 EXACT_KN = 1e-6
 
@@ -37,10 +39,11 @@ def demo(
     workers: Workers = 2,
     as_json: Json = False,
 ) -> None:
-    """The paper's question, in about a minute.
+    """The paper's question and its answer, in about a minute.
 
     Laxity of known parameters is simulated (63 trials) and fitted from the paper's four initial
     guesses, by its Complex method and by least squares: does a good fit mean right parameters?
+    Then noise is added, and profiles say within what limits the data determine each parameter.
     Short settings: a few runs a start.
     """
     prepare_folder(out)
@@ -58,8 +61,10 @@ def demo(
             *fit_all("complex", runs, executor=executor),
             *fit_all("least-squares", 1, executor=serial),
         ]
-    summary = _write(out, rows, simulation, recording.finish())
-    show(summary, _lines(rows, out), as_json=as_json)
+        _say(f"Profiling with noise of {NOISE_MM:g} mm and {NOISE_DEG:g} deg.", as_json)
+        profiles = _profile_all(simulation, seed=seed, executor=executor)
+    summary = _write(out, rows, profiles, simulation, recording.finish())
+    show(summary, _lines(rows, profiles, out), as_json=as_json)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,17 +116,39 @@ def _fit_all(
     ]
 
 
+def _profile_all(
+    simulation: "ik.Simulation", *, seed: int, executor: Executor
+) -> "tuple[ik.Profile, ...]":
+    """Profiles of all parameters from noisy data."""
+    noisy = ik.add_noise(simulation.laxity, sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=seed)
+    problem = ik.LaxityResiduals(model=simulation.model, laxity=noisy, weighting="noise")
+    interruptible = _Interruptible(problem=problem)
+    try:
+        best = ik.best_fit(interruptible, seed=seed, executor=executor)
+        return ik.profile_parameters(interruptible, best.theta, executor=executor)
+    except BaseException:
+        interruptible.is_stopped.set()
+        raise
+
+
 def _write(
-    out: Path, rows: "Sequence[StartRow]", simulation: "ik.Simulation", finished: Any
+    out: Path,
+    rows: "Sequence[StartRow]",
+    profiles: "Sequence[ik.Profile]",
+    simulation: "ik.Simulation",
+    finished: Any,
 ) -> dict[str, Any]:
     from identknee.report.groups import simulation_groups
     from identknee.report.picture import png
+    from identknee.report.profile_figures import profiles_figure
+    from identknee.report.profile_groups import profile_groups, profile_summary
     from identknee.report.result_files import write_result
     from identknee.report.starts import starts_dataset
     from identknee.report.starts_figure import starts_figure
 
     ik.write_laxity(simulation.laxity, out / "laxity.csv")
     write_atomically(out / "starts.png", png(starts_figure(rows)))
+    write_atomically(out / "profiles.png", png(profiles_figure(profiles)))
     write_atomically(out / "knee.png", png(ik.scene(simulation.model.knee)))
     names = simulation.model.parameters.names
     summary = {
@@ -130,12 +157,19 @@ def _write(
         "protocol": simulation.model.protocol.name,
         "truth": nested(dict(zip(names, simulation.prediction.theta, strict=True))),
         "starts": [row.to_dict() for row in rows],
+        "noise": {"mm": NOISE_MM, "deg": NOISE_DEG},
+        "profiles": {profile.name: profile_summary(profile) for profile in profiles},
     }
-    groups = {**simulation_groups(simulation, simulation.laxity), "fits": starts_dataset(rows)}
+    groups = {
+        **simulation_groups(simulation, simulation.laxity),
+        "fits": starts_dataset(rows),
+        **profile_groups(profiles, names),
+    }
     return write_result(out, summary, groups, finished)
 
 
-def _lines(rows: "Sequence[StartRow]", out: Path) -> list[str]:
+def _lines(rows: "Sequence[StartRow]", profiles: "Sequence[ik.Profile]", out: Path) -> list[str]:
+    from identknee.report.profile_table import profile_table
     from identknee.report.starts import starts_table
 
     searches = [x for x in rows if x.method == "complex"]
@@ -147,6 +181,9 @@ def _lines(rows: "Sequence[StartRow]", out: Path) -> list[str]:
         "",
         _what_complex_shows(max(searches, key=lambda x: float(x.to_dict()["error"]["kN"]))),
         _what_least_squares_shows(descents),
+        "",
+        *profile_table(profiles),
+        _what_profiles_show(profiles),
         f"The table ({SHORT_SETTINGS}: {searches[0].n_runs} runs a start), figures, data: {out}",
     ]
 
@@ -169,6 +206,25 @@ def _what_least_squares_shows(rows: "Sequence[StartRow]") -> str:
         f"Least squares with exact derivatives finds the true parameters from all {len(rows)} "
         "starts: the wrong sets are places where Complex stopped, not other minima."
     )
+
+
+def _what_profiles_show(profiles: "Sequence[ik.Profile]") -> str:
+    closed = [x for x in profiles if x.lower is not None and x.upper is not None]
+    known = (
+        f"With noise of {NOISE_MM:g} mm and {NOISE_DEG:g} deg, {len(closed)} of {len(profiles)} "
+        "parameters have a 95 % interval that closes"
+    )
+    stiffness = [x for x in closed if x.name.endswith(STIFFNESS_UNIT)]
+    if not stiffness:
+        return f"{known}."
+    widest = max(stiffness, key=_width)
+    return f"{known}; the widest of the stiffnesses, {widest.name}, leaves {_width(widest):.1f} kN."
+
+
+def _width(profile: "ik.Profile") -> float:
+    if profile.lower is None or profile.upper is None:
+        return float("inf")
+    return profile.upper - profile.lower
 
 
 def _say(line: str, as_json: bool) -> None:

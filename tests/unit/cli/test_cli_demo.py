@@ -35,6 +35,7 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     assert {x.name for x in out.iterdir()} == {
         "knee.png",
         "laxity.csv",
+        "profiles.png",
         "result.json",
         "result.nc",
         "starts.png",
@@ -48,6 +49,8 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
         ("least-squares", "IG4"),
     ]
     assert summary["truth"]["ACL"]["stiffness_kN"] == 10.0
+    assert len(summary["profiles"]) == 8
+    assert "parameters have a 95 % interval that closes" in result.stdout
     with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
         assert tree["fits"]["theta"].sizes == {"fit": 4, "parameter": 8}
 
@@ -85,5 +88,9 @@ def test_ctrl_c_leaves_a_sentence_and_no_result(tmp_path: Path) -> None:
     # Far shorter than the fits that were under way.
     _, rest = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert rest == "identknee: stopped; the same command does it again from the start\n"
+    # On a busy machine it may still be loading what the fits need.
+    assert rest in {
+        "identknee: stopped; the same command does it again from the start\n",
+        "identknee: stopped while starting\n",
+    }
     assert not (tmp_path / "out" / "result.json").exists()
