@@ -24,7 +24,12 @@ FIFTH = Ligament(
 
 
 def posed_reference(
-    seed: int = 0, *, side: Side = "left", edge_mm: float = 2.0, scale: float | None = None
+    seed: int = 0,
+    *,
+    side: Side = "left",
+    edge_mm: float = 2.0,
+    scale: float | None = None,
+    is_moved: bool = True,
 ) -> Knee:
     """The reference knee scaled, put anywhere in the scanner, renamed, with a fifth line.
 
@@ -34,8 +39,10 @@ def posed_reference(
     knee = reference_knee(edge_mm)
     if scale is None:
         scale = float(generator.uniform(0.9, 1.1))
-    turn = Rotation.random(random_state=generator).as_matrix()
-    shift = generator.uniform(-300.0, 300.0, 3)
+    turn, shift = np.eye(3), np.zeros(3)
+    if is_moved:
+        turn = Rotation.random(random_state=generator).as_matrix()
+        shift = generator.uniform(-300.0, 300.0, 3)
 
     def placed(point: Array) -> Array:
         moved: Array = turn @ (scale * point) + shift

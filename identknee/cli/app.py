@@ -51,14 +51,18 @@ def identknee(
     """
 
 
-app.command()(demo)
 app.add_typer(subject.app, name="subject")
-app.command()(simulate)
-app.command()(fit)
-app.command()(sweep)
-app.command()(profile)
-app.command()(sample)
-app.command()(information)
-app.command()(sensitivity)
-app.command()(equivalents)
-app.command()(design)
+# Each verb with what its help gives as an example.
+for verb, words in (
+    (demo, "--out story"),
+    (simulate, "reference --noise 0.5mm,0.5deg --out knee"),
+    (fit, "reference data.csv --start IG4"),
+    (sweep, "reference data.csv --n-starts 200 --workers 2"),
+    (profile, "reference data.csv --parameter ACL.stiffness_kN"),
+    (sample, "reference data.csv --workers 2"),
+    (information, "reference data.csv --noise 0.5mm,0.5deg"),
+    (sensitivity, "reference --method morris --workers 2"),
+    (equivalents, "reference data.csv --criterion paper"),
+    (design, "reference data.csv --target ACL.stiffness_kN"),
+):
+    app.command(epilog=f"Example: identknee {verb.__name__} {words}")(verb)

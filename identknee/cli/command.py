@@ -29,7 +29,7 @@ Subject = Annotated[
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of all random numbers; it is recorded.")]
 Workers = Annotated[
-    int, typer.Option(min=1, help="Threads to use where there is more than one task.")
+    int, typer.Option(min=1, help="Tasks to work on at once; results are the same.")
 ]
 Json = Annotated[
     bool, typer.Option("--json", help="Print result.json to standard output, and nothing else.")
@@ -52,6 +52,13 @@ class Verbs(typer.core.TyperGroup):
         """Result of the verb, its mistakes turned into exit codes."""
         try:
             return super().invoke(ctx)
+        except typer.BadParameter as error:
+            # A missing argument is better answered by the usage, which typer shows.
+            if type(error) is not typer.BadParameter:
+                raise
+            where = "identknee" if error.ctx is None else error.ctx.command_path
+            sentence = f"{error.format_message()}. See: {where} --help"
+            code = WRONG_INPUT
         except KeyboardInterrupt:
             is_kept = ctx.invoked_subcommand in RESUMING
             sentence, code = STOPPED_WORK if is_kept else STOPPED, INTERRUPTED

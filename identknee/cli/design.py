@@ -8,7 +8,15 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
-from identknee.cli.identification import Bounds, Fixed, Identification, Noise, Start, identification
+from identknee.cli.identification import (
+    Bounds,
+    Fixed,
+    Identification,
+    Noise,
+    Start,
+    best_fit,
+    identification,
+)
 from identknee.runs.files import prepare_folder
 from identknee.runs.record import record
 
@@ -28,8 +36,9 @@ Targets = Annotated[
 CriterionName = Annotated[
     Literal["width", "c", "D", "A", "E"],
     typer.Option(
-        help="width: predicted profiles of the targets; c: their variances at the best fit; D, A, "
-        "E: all parameters."
+        help="What is to shrink. width: the predicted intervals of the targets; c: their "
+        "variances at the best fit; D, A, E: volume, mean and largest axis of the confidence "
+        "ellipsoid of all parameters."
     ),
 ]
 CandidateTrials = Annotated[
@@ -41,7 +50,7 @@ CandidateTrials = Annotated[
         "repeats.",
     ),
 ]
-Level = Annotated[float, typer.Option(help="Confidence level of the intervals.")]
+Level = Annotated[float, typer.Option(help="Confidence level of the intervals, as in 0.95.")]
 
 
 def design(
@@ -62,7 +71,7 @@ def design(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Choose laxity trials of SUBJECT that would tell what DATA.csv leaves open.
+    """Choose laxity trials that would tell what is left open.
 
     The advice is verified: the trials are simulated at the best fit, added to the data, and the
     intervals computed again. advised_trials.csv lists them, to be filled in and appended.
@@ -92,7 +101,7 @@ def design(
         "advised": list(advised.protocol.trials),
         "seconds": seconds,
         "degrees_of_freedom": its.degrees_of_freedom,
-        "assumptions": its.assumptions,
+        "assumptions": its.assumptions_at(found.before[0].deviance),
     }
     groups = design_groups(found, offered.protocol, its.problem.parameters.names)
     summary = write_result(out, summary, groups, recording.finish())
@@ -113,9 +122,8 @@ def _designed(
     threshold = ik.chi2_threshold(level)
     if its.degrees_of_freedom is not None:
         threshold = ik.f_threshold(level, its.degrees_of_freedom)
-    start = its.start[list(its.free)]
     with process_pool(workers) as executor:
-        best = ik.best_fit(its.problem, start=start, seed=seed, executor=executor)
+        best = best_fit(its, seed=seed, executor=executor)
         return ik.design(
             its.problem,
             best.theta,
@@ -160,6 +168,7 @@ def _target(its: Identification, name: str) -> "ik.Quantity":
     from identknee.model.quantities import AT, quantity_named
 
     if AT not in name:
+        its.free_index(name, "--target")
         return ik.ParameterQuantity(parameters=its.problem.parameters, name=name)
     quantity = quantity_named(its.model, name)
     return RestrictedQuantity(quantity=quantity, free=its.free, at=its.start)
@@ -186,7 +195,8 @@ def _advised(its: Identification, found: "ik.Design", offered: "ik.CandidateLaxi
 
 
 def _lines(its: Identification, found: "ik.Design", out: Path) -> list[str]:
-    lines = [f"{i}. {name}" for i, name in enumerate(found.trials, 1)]
+    lines = ["Trials to add, the most telling first:"]
+    lines += [f"{i}. {name}" for i, name in enumerate(found.trials, 1)]
     width = max(len(name) for name in found.targets)
     lines.append(f"{'':{width}}  {'before':>20}  {'predicted':>20}  {'achieved':>20}")
     rows = zip(found.before, found.predicted[-1], found.after, strict=True)
@@ -203,7 +213,7 @@ def _lines(its: Identification, found: "ik.Design", out: Path) -> list[str]:
         lines.append(f"{n} of {len(found.names)} candidates were not offered: {example}")
     return [
         *lines,
-        *its.assumptions,
+        *its.assumptions_at(found.before[0].deviance),
         f"{found.n_simulations} simulations. Results: {out}, trials to measure: {out / ADVICE}",
     ]
 

@@ -8,7 +8,6 @@ import typer
 import identknee as ik
 from identknee.cli.command import (
     Json,
-    NotComputed,
     Out,
     Seed,
     Subject,
@@ -24,7 +23,10 @@ from identknee.cli.identification import (
     Identification,
     Noise,
     Start,
+    check_start,
+    file_digests,
     identification,
+    no_prediction,
 )
 from identknee.cli.values import named_bounds
 from identknee.runs.files import prepare_folder
@@ -41,7 +43,11 @@ Criterion = Annotated[
     ),
 ]
 Limit = Annotated[
-    float, typer.Option(help="The largest squared difference, in units of the criterion.")
+    float,
+    typer.Option(
+        help="The largest squared difference, in units of the criterion; 3.84 with noise allows "
+        "sets that a 5 % test would tell apart more often."
+    ),
 ]
 Forces = Annotated[
     Literal["largest", "all", "none"],
@@ -52,7 +58,11 @@ Forces = Annotated[
 ]
 Trials = Annotated[
     str | None,
-    typer.Option(metavar="PROTOCOL", help="Where these trials stand, if not in the data."),
+    typer.Option(
+        metavar="PROTOCOL",
+        help="Bound the forces in these trials instead of those of the data: seed63, table2, "
+        "drawer or a TOML file.",
+    ),
 ]
 MOST_SHOWN = 8
 # Of the options: those that the result depends on.
@@ -82,10 +92,11 @@ def equivalents(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Find parameter sets as different as can be that predict the same laxity as the fit.
+    """Find other parameter sets that the data cannot tell apart.
 
-    With them come the smallest and largest value that every parameter and ligament force has among
-    all such sets: what could be concluded wrongly. Every set is simulated. A stopped run resumes.
+    They are as different as can be and predict the same laxity as the fit. With them come the
+    smallest and largest value that every parameter and ligament force has among all such sets:
+    what could be concluded wrongly. Every set is simulated. A stopped run resumes.
     """
     prepare_folder(out)
     # These load xarray, which takes longer than reading a subject.
@@ -96,19 +107,19 @@ def equivalents(
     from identknee.runs.resume import open_work
 
     its = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
-    recording = record("equivalents", context.params, its.inputs, seed)
+    check_start(its)
+    wanted = _forces(its, forces, trials)
+    inputs = its.inputs | file_digests(trials=trials)
+    recording = record("equivalents", context.params, inputs, seed)
     about = {
         "verb": "equivalents",
-        "inputs": its.inputs,
+        "inputs": inputs,
         **{name: value for name, value in context.params.items() if name in DECIDING},
     }
     fitted = ik.fit(its.problem, its.start[list(its.free)])
     if fitted.outcome is ik.Outcome.START_FAILED:
-        raise NotComputed(
-            f"{fitted.message} Choose another --start, or see: identknee subject check {subject}"
-        )
+        raise no_prediction(its)
     region = _region(its, criterion, fitted.theta, limit, bounds=bounds, fixed=fixed)
-    wanted = _forces(its, forces, trials)
     with open_work(out / WORK, about) as store, process_pool(workers) as executor:
         found, seconds = timed(
             lambda: find(
@@ -120,14 +131,16 @@ def equivalents(
                 store=store,
             )
         )
+    assumptions = its.assumptions_at(2.0 * fitted.objective)
+    said = {"seconds": seconds, "assumptions": assumptions}
     summary = write_result(
         out,
-        _summary(its, found, criterion) | {"seconds": seconds},
+        _summary(its, found, criterion) | said,
         equivalents_groups(found, its.model, its.whole(found.sets)),
         recording.finish(),
     )
     finish_work(out / WORK)
-    show(summary, [*its.assumptions, *_lines(found, summary, out)], as_json=as_json)
+    show(summary, _lines(found, summary, out), as_json=as_json)
 
 
 def _region(
@@ -182,7 +195,6 @@ def _summary(its: Identification, found: Any, criterion: str) -> dict[str, Any]:
         "power_of_best_test": power,
         **equivalents_summary(found),
         "fit": nested(dict(zip(names, its.whole(found.fit), strict=True))),
-        "assumptions": its.assumptions,
     }
 
 
@@ -191,7 +203,15 @@ def _lines(found: Any, summary: dict[str, Any], out: Path) -> list[str]:
     ranked = sorted(found.extrema[n:], key=lambda x: float(x.lower.value - x.upper.value))
     shown = [*found.extrema[:n], *ranked[:MOST_SHOWN]]
     width = max(len(x.name) for x in shown)
-    lines = [f"{'':{width}}  {'fit':>9}  {'lowest':>9}  {'highest':>9}"]
+    apart = (
+        f"{len(found.sets)} parameter sets, each simulated: the two farthest apart by "
+        f"{found.farthest:.3g} typical steps (3 kN, 2 %) of at most {found.diameter:.3g}, the two "
+        f"closest by {found.closest:.2g}. {found.outcome.sentence}"
+    )
+    lines = [
+        apart,
+        f"{'':{width}}  {'fit':>9}  {'lowest':>9}  {'highest':>9}",
+    ]
     lines += [
         f"{x.name:{width}}  {x.at_fit:9.4g}  {x.lower.value:9.4g}  {x.upper.value:9.4g}"
         + "".join(f"  {note}" for note in _notes(x))
@@ -199,19 +219,16 @@ def _lines(found: Any, summary: dict[str, Any], out: Path) -> list[str]:
     ]
     if len(ranked) > MOST_SHOWN:
         lines.append(f"Of {len(ranked)} forces those that differ most; all are in result.json.")
-    apart = (
-        f"{len(found.sets)} parameter sets, each simulated: the two farthest apart by "
-        f"{found.farthest:.3g} typical steps (3 kN, 2 %) of at most {found.diameter:.3g}, the two "
-        f"closest by {found.closest:.2g}. {found.outcome.sentence}"
-    )
-    lines.append(apart)
     if summary["power_of_best_test"] is not None:
         lines.append(
             "The best 5 % test tells any one of them from the fit in "
             f"{100 * summary['power_of_best_test']:.0f} of 100 measurements at most."
         )
-    lines.append(f"{found.n_simulations} simulations. Results: {out}")
-    return lines
+    return [
+        *lines,
+        *summary["assumptions"],
+        f"{found.n_simulations} simulations. Results: {out}",
+    ]
 
 
 def _notes(of: Any) -> list[str]:

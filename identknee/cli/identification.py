@@ -9,27 +9,45 @@ import numpy as np
 import typer
 
 import identknee as ik
-from identknee.cli.command import knee_digest, warm_up
+from identknee.cli.command import NotComputed, knee_digest, warm_up
 from identknee.cli.values import named_bounds, noise_sizes
+from identknee.runs.executors import Executor
 from identknee.runs.files import digest
 
 WORK = "unfinished.sqlite"
+# A misfit that noise alone would leave less often than this makes the model doubtful.
+DOUBT = 1e-3
 
 Noise = Annotated[
     str | None,
     typer.Option(
         metavar="MM,DEG",
-        help="Standard deviation of the data, as in 0.5mm,0.5deg, in place of their sd_ columns.",
+        help="Standard deviations of lengths and angles, as in 0.5mm,0.5deg, in place of the sd_ "
+        "columns of the data.",
     ),
 ]
-Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]
+Start = Annotated[
+    str,
+    typer.Option(
+        help="Where fits begin, and the values of --fix: subject (its own values), IG1 to IG4 of "
+        "the paper, or a file ending in .toml."
+    ),
+]
 Fixed = Annotated[
     list[str] | None,
-    typer.Option("--fix", metavar="NAME", help="A parameter held at its start; repeatable."),
+    typer.Option(
+        "--fix",
+        metavar="NAME",
+        help="A parameter held at its start, such as ACL.stiffness_kN; repeatable.",
+    ),
 ]
 Bounds = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME=LOW:HIGH", help="Bounds of a parameter; repeatable."),
+    typer.Option(
+        metavar="NAME=LOW:HIGH",
+        help="Bounds in place of 0 to 40 kN and -15 to 15 %, as in ACL.stiffness_kN=5:15; "
+        "repeatable.",
+    ),
 ]
 
 
@@ -71,6 +89,35 @@ class Identification:
         values[..., list(self.free)] = theta
         return values
 
+    def assumptions_at(self, deviance: float) -> tuple[str, ...]:
+        """The assumptions, and that the model is right where its best fit makes that doubtful."""
+        from scipy.stats import chi2
+
+        degrees = int(self.laxity.is_measured.sum()) - self.problem.parameters.n
+        if self.degrees_of_freedom is not None or degrees < 1:
+            return self.assumptions
+        if not chi2.sf(deviance, degrees) < DOUBT:
+            return self.assumptions
+        doubt = (
+            f"The best fit leaves {deviance / degrees:.3g} times the misfit that noise of the "
+            "stated size would: the data have a mistake, the model is wrong somewhere or the noise "
+            "is larger, and nothing said here allows for that."
+        )
+        return (*self.assumptions, doubt)
+
+    def free_index(self, name: str, option: str) -> int:
+        """Where the parameter called `name` stands among those that vary.
+
+        Raises
+        ------
+        ValueError
+            If there is no such parameter, or `--fix` holds it.
+        """
+        index = self.model.parameters.index(name)
+        if index not in self.free:
+            raise ValueError(f"{option} {name}: --fix holds this parameter; leave out one of both")
+        return self.free.index(index)
+
 
 def identification(
     subject: str,
@@ -94,6 +141,7 @@ def identification(
     limits = named_bounds(bounds or [], "--bounds")
     laxity, knee = ik.read_laxity(data), ik.read_subject(subject)
     laxity = laxity if noise is None else _with_stated_noise(laxity, noise)
+    _check_stated_noise(laxity)
     model = ik.LaxityModel(knee=knee, protocol=laxity.protocol)
     residuals = ik.LaxityResiduals(
         model=model, laxity=laxity, weighting="unit" if laxity.sd is None else "noise"
@@ -115,8 +163,76 @@ def identification(
         free=part.free,
         degrees_of_freedom=degrees,
         assumptions=tuple(assumptions),
-        inputs={"subject": knee_digest(knee), "data": digest(data)},
+        inputs={
+            "subject": knee_digest(knee),
+            "data": digest(data),
+            **file_digests(start=start),
+        },
     )
+
+
+def best_fit(its: Identification, *, seed: int, executor: Executor) -> "ik.Fit":
+    """The lowest of several fits, from the start and from around it.
+
+    Raises
+    ------
+    ValueError
+        If the start lies outside the bounds.
+    NotComputed
+        If none of them found a prediction; it says which trials are to blame.
+    """
+    start = its.start[list(its.free)]
+    check_start(its)
+    try:
+        return ik.best_fit(its.problem, start=start, seed=seed, executor=executor)
+    except ValueError as error:
+        raise no_prediction(its) from error
+
+
+def check_start(its: Identification) -> None:
+    """Refuse a start outside the bounds.
+
+    Raises
+    ------
+    ValueError
+        Naming the first parameter that is outside.
+    """
+    from identknee.identify.optimum import check_inside
+
+    check_inside(its.start[list(its.free)], its.problem.parameters)
+
+
+def no_prediction(its: Identification) -> NotComputed:
+    """The error that no parameters near the start predict all measured trials; it names them."""
+    prediction = its.model.predict(its.start, derivatives=False)
+    used = np.any(its.laxity.is_measured, axis=1).tolist()
+    lost = [
+        (trial, outcome)
+        for trial, outcome, is_used in zip(
+            its.model.protocol.trials, prediction.outcomes, used, strict=True
+        )
+        if is_used and outcome is not ik.Outcome.CONVERGED
+    ]
+    where = ""
+    if lost:
+        trial, outcome = lost[0]
+        where = (
+            f" (at the start {len(lost)} of {sum(used)} trials have none; {trial}: "
+            f"{outcome.sentence.rstrip('.')})"
+        )
+    return NotComputed(
+        f"no parameters near the start have a prediction in every measured trial{where}. Choose "
+        "another --start, leave the cells of such trials blank, or see: identknee subject check"
+    )
+
+
+def file_digests(**options: str | None) -> dict[str, str]:
+    """SHA-256, by option, of those options that name a file rather than something built in."""
+    return {
+        name: digest(value)
+        for name, value in options.items()
+        if value is not None and Path(value).suffix == ".toml" and Path(value).is_file()
+    }
 
 
 def _with_stated_noise(laxity: "ik.Laxity", noise: str) -> "ik.Laxity":
@@ -127,6 +243,20 @@ def _with_stated_noise(laxity: "ik.Laxity", noise: str) -> "ik.Laxity":
         raise ValueError(f"--noise {noise}: both must be more than 0, for example 0.5mm,0.5deg")
     sd = np.where(laxity.is_measured, np.array([mm] * 3 + [deg] * 2), np.nan)
     return replace(laxity, sd=sd)
+
+
+def _check_stated_noise(laxity: "ik.Laxity") -> None:
+    from identknee.laxity.table import COORDINATES
+
+    if laxity.sd is None:
+        return
+    lacking = np.any(np.isnan(laxity.sd) & laxity.is_measured, axis=0).tolist()
+    if any(lacking):
+        columns = [f"sd_{x}" for x, lacks in zip(COORDINATES, lacking, strict=True) if lacks]
+        raise ValueError(
+            f"the data state the noise of some coordinates only: {', '.join(columns)} is missing. "
+            "Add it, or state the noise of all with --noise, for example --noise 0.5mm,0.5deg"
+        )
 
 
 def _with_estimated_noise(

@@ -7,7 +7,15 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
-from identknee.cli.identification import Bounds, Fixed, Identification, Noise, Start, identification
+from identknee.cli.identification import (
+    Bounds,
+    Fixed,
+    Identification,
+    Noise,
+    Start,
+    best_fit,
+    identification,
+)
 from identknee.runs.files import prepare_folder
 from identknee.runs.record import record
 
@@ -15,7 +23,8 @@ Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured lax
 ScalingName = Annotated[
     Literal["typical", "prior"],
     typer.Option(
-        help="What directions are measured in: 3 kN and 2 %, or the prior's standard deviations."
+        help="What directions are measured in. typical: 3 kN and 2 %. prior: the prior's "
+        "standard deviations."
     ),
 ]
 
@@ -34,10 +43,10 @@ def information(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Say which combinations of SUBJECT's parameters DATA.csv determines, and how well.
+    """Say which combinations of parameters the data determine.
 
-    Eigenvalues of the Fisher information at the best fit with the noise of the solver below them,
-    the rank at random points of the box, and where the least known combination leads.
+    And how well: eigenvalues of the Fisher information at the best fit with the noise of the solver
+    below them, the rank at random points of the box, and where the least known combination leads.
     """
     prepare_folder(out)
     its = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
@@ -50,7 +59,7 @@ def information(
         **information_summary(*answer),
         "seconds": seconds,
         "degrees_of_freedom": its.degrees_of_freedom,
-        "assumptions": its.assumptions,
+        "assumptions": _assumptions(its, answer[0]),
     }
     summary = write_result(out, summary, information_groups(*answer), recording.finish())
     show(summary, _lines(its, answer, out), as_json=as_json)
@@ -61,9 +70,8 @@ def _found(
 ) -> "tuple[ik.Information, ik.StructureCheck, tuple[ik.Geodesic, ik.Geodesic]]":
     from identknee.runs.executors import process_pool
 
-    start = its.start[list(its.free)]
     with process_pool(workers) as executor:
-        best = ik.best_fit(its.problem, start=start, seed=seed, executor=executor)
+        best = best_fit(its, seed=seed, executor=executor)
         structure = ik.check_structure(its.problem, seed=seed, executor=executor)
     return (
         ik.information(its.problem, best.theta, scaling=scaling, seed=seed),
@@ -72,22 +80,37 @@ def _found(
     )
 
 
-def _lines(its: Identification, answer: Any, out: Path) -> list[str]:
-    found, structure, paths = answer
-    lines = [f"{'eigenvalue':>10}  {'floor':>8}  combination, in scaled units"]
-    lines += [
-        f"{value:10.4g}  {floor:8.1e}  {found.combination(i)}"
-        for i, (value, floor) in enumerate(zip(found.eigenvalues, found.floors, strict=True))
-    ]
+def _assumptions(its: Identification, found: "ik.Information") -> tuple[str, ...]:
+    residuals = its.problem.residuals(found.theta)
+    return its.assumptions_at(float(residuals @ residuals))
+
+
+def _table(found: "ik.Information") -> list[str]:
     names = found.parameters.names
     width = max(len(name) for name in names)
-    lines += [f"{name:{width}}  sd {sd:.4g}" for name, sd in zip(names, found.sd, strict=True)]
+    rows = zip(names, found.theta, found.sd, strict=True)
+    return [
+        f"{'':{width}}  {'best':>9}  {'sd':>9}",
+        *(f"{name:{width}}  {best:9.4f}  {sd:9.4g}" for name, best, sd in rows),
+        "These sd take the model for straight around the best fit; identknee profile does not.",
+        f"{'eigenvalue':>10}  {'floor':>8}  combination, in scaled units",
+        *(
+            f"{value:10.4g}  {floor:8.1e}  {found.combination(i)}"
+            for i, (value, floor) in enumerate(zip(found.eigenvalues, found.floors, strict=True))
+        ),
+    ]
+
+
+def _lines(its: Identification, answer: Any, out: Path) -> list[str]:
+    found, structure, paths = answer
+    names = found.parameters.names
     pair, index = found.collinear_sets(2)[0] if len(names) > 1 else (names, 1.0)
-    lines += [
+    return [
         (
             f"{found.n_above_noise} of {len(names)} directions stand above the solver's noise; "
             f"condition {found.condition:.3g}."
         ),
+        *_table(found),
         (
             f"Most alike: {' and '.join(pair)}, collinearity {index:.3g} (all: "
             f"{found.collinearity():.3g})."
@@ -98,7 +121,6 @@ def _lines(its: Identification, answer: Any, out: Path) -> list[str]:
             "prediction)"
         ),
         *(f"Least known direction: {path.sentence}" for path in paths),
-        *its.assumptions,
+        *_assumptions(its, found),
         f"Results: {out}",
     ]
-    return lines

@@ -16,6 +16,8 @@ from identknee.cli.identification import (
     Identification,
     Noise,
     Start,
+    best_fit,
+    file_digests,
     identification,
 )
 from identknee.runs.files import prepare_folder
@@ -25,14 +27,19 @@ from identknee.runs.resume import finish_work
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 Chosen = Annotated[
     list[str] | None,
-    typer.Option("--parameter", metavar="NAME", help="One parameter only; repeatable."),
+    typer.Option(
+        "--parameter",
+        metavar="NAME",
+        help="This parameter only, such as ACL.stiffness_kN, instead of all; repeatable.",
+    ),
 ]
 Quantities = Annotated[
     list[str] | None,
     typer.Option(
         "--quantity",
         metavar="NAME",
-        help="A prediction too: ACL.tension_N@TRIAL or varus_deg@TRIAL; repeatable.",
+        help="A prediction too: ACL.tension_N@TRIAL or varus_deg@TRIAL, with a name from the "
+        "column trial of the data; repeatable.",
     ),
 ]
 Forces = Annotated[
@@ -43,21 +50,29 @@ Trials = Annotated[
     str | None,
     typer.Option(
         metavar="PROTOCOL",
-        help="Where the trials of --quantity and --forces stand, if not in the data.",
+        help="Where the trials of --quantity and --forces stand, if not in the data: seed63, "
+        "table2, drawer or a TOML file.",
     ),
 ]
 Pairs = Annotated[
     list[str] | None,
-    typer.Option("--pair", metavar="NAME,NAME", help="Two parameters at once; repeatable."),
+    typer.Option(
+        "--pair",
+        metavar="NAME,NAME",
+        help="The joint set of two parameters, as an outline; repeatable.",
+    ),
 ]
-Level = Annotated[float, typer.Option(help="Confidence level of the sets.")]
-Budget = Annotated[int, typer.Option(min=1, help="Simulations a profile may make.")]
+Level = Annotated[float, typer.Option(help="Confidence level of the sets, as in 0.95.")]
+Budget = Annotated[
+    int, typer.Option(min=1, help="Simulations a profile may make; most need 50 to 200.")
+]
 Bootstrap = Annotated[
     int,
     typer.Option(
         min=0,
         metavar="N",
-        help="Thresholds from N simulated data sets instead of the chi-squared law.",
+        help="Thresholds from N simulated data sets, at least 20 for a level of 0.95, instead of "
+        "the chi-squared law.",
     ),
 ]
 
@@ -91,7 +106,7 @@ def profile(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Profile the parameters of SUBJECT and say which of their values DATA.csv allows.
+    """Say which values of each parameter of SUBJECT the data allow.
 
     Each parameter gets the set of values that the data do not exclude, with an end only where the
     data give it one, and a verdict. An open end is null in result.json. A stopped run resumes.
@@ -103,14 +118,17 @@ def profile(
             "--bootstrap simulates noise of a stated size; state it with --noise, for example "
             "--noise 0.5mm,0.5deg"
         )
-    recording = record("profile", context.params, its.inputs, seed)
+    inputs = its.inputs | file_digests(trials=trials)
+    recording = record("profile", context.params, inputs, seed)
     about = {
         "verb": "profile",
-        "inputs": its.inputs,
+        "inputs": inputs,
         **{name: value for name, value in context.params.items() if name in DECIDING},
     }
+    # Refuses a level that is none before anything takes time.
+    _plain_threshold(its, level)
     wanted = [*_parameters(its, chosen), *_predictions(its, quantities, forces, trials)]
-    couples = [_couple(x) for x in pairs or []]
+    couples = [_couple(its, x) for x in pairs or []]
     answer, seconds = timed(
         lambda: _profiled(its, wanted, couples, about, out=out, workers=workers)
     )
@@ -122,6 +140,8 @@ def profile(
 def _parameters(its: Identification, chosen: list[str] | None) -> "list[ik.Quantity]":
     parameters = its.problem.parameters
     names = chosen or parameters.names
+    for name in names:
+        its.free_index(name, "--parameter")
     return [ik.ParameterQuantity(parameters=parameters, name=name) for name in names]
 
 
@@ -145,14 +165,18 @@ def _predictions(
     ]
 
 
-def _couple(text: str) -> tuple[str, str]:
-    first, comma, second = text.partition(",")
+def _couple(its: Identification, text: str) -> tuple[str, str]:
+    first, comma, second = (x.strip() for x in text.partition(","))
     if not comma:
         raise ValueError(
             f"--pair {text}: there is no second name. "
             "Write for example --pair ACL.stiffness_kN,ACL.reference_strain_pct"
         )
-    return first.strip(), second.strip()
+    for name in (first, second):
+        its.free_index(name, "--pair")
+    if first == second:
+        raise ValueError(f"--pair {text}: a pair needs two different parameters")
+    return first, second
 
 
 def _profiled(
@@ -164,19 +188,12 @@ def _profiled(
     out: Path,
     workers: int,
 ) -> "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]":
-    from identknee.identify.profile.profiles import other_optima
     from identknee.runs.executors import process_pool
     from identknee.runs.resume import open_work
 
     level = about["level"]
-    start = its.start[list(its.free)]
     with open_work(out / WORK, about) as store, process_pool(workers) as executor:
-        seed = about["seed"]
-        best = ik.best_fit(its.problem, start=start, seed=seed, executor=executor)
-        likely = _plain_threshold(its, level)
-        others = other_optima(
-            its.problem, best.theta, threshold=likely, seed=seed, executor=executor
-        )
+        best = best_fit(its, seed=about["seed"], executor=executor)
         profiles = ik.profile_quantities(
             its.problem,
             best.theta,
@@ -186,7 +203,6 @@ def _profiled(
             level=level,
             budget=about["budget"],
             thresholds=_thresholds(its, wanted, best.theta, about, (executor, store)),
-            starts=others,
         )
         theta = min(profiles, key=lambda x: x.deviance).optimum
         both = None
@@ -262,7 +278,7 @@ def _written(
         "deviance": best.deviance,
         "n_simulations": _cost(profiles, pairs),
         "degrees_of_freedom": its.degrees_of_freedom,
-        "assumptions": its.assumptions,
+        "assumptions": its.assumptions_at(best.deviance),
         **said,
     }
     groups = profile_groups(profiles, parameters, pairs)
@@ -276,7 +292,12 @@ def _lines(
 ) -> list[str]:
     profiles, pairs = answer
     width = max(len(x.name) for x in profiles)
-    lines = [f"{'':{width}}  {'lower':>9}  {'best':>9}  {'upper':>9}  verdict"]
+    level = 100 * profiles[0].level
+    n_closed = sum(x.lower is not None and x.upper is not None for x in profiles)
+    lines = [
+        f"At {level:g} % confidence the data give {n_closed} of {len(profiles)} both ends.",
+        f"{'':{width}}  {'lower':>9}  {'best':>9}  {'upper':>9}  verdict",
+    ]
     lines += [
         f"{x.name:{width}}  {_end(x.lower):>9}  {x.optimum_value:9.4f}  {_end(x.upper):>9}  "
         f"{x.verdict.value}"
@@ -289,12 +310,18 @@ def _lines(
         if side.end is None or side.is_cliff
     ]
     lines += [
+        f"{p.name}: the set has {len(p.intervals)} parts, {_parts(p)}."
+        for p in profiles
+        if len(p.intervals) > 1
+    ]
+    lines += [
         f"{' and '.join(x.names)}: {sum(r.status.value == 'closed' for r in x.rays)} of "
         f"{len(x.rays)} ways closed"
         for x in pairs
     ]
     n = _cost(profiles, pairs)
-    return [*lines, *its.assumptions, f"{n} simulations. Results: {out}"]
+    said = its.assumptions_at(min(x.deviance for x in profiles))
+    return [*lines, *said, f"{n} simulations. Results: {out}"]
 
 
 def _cost(profiles: "tuple[ik.Profile, ...]", pairs: "tuple[ik.PairProfile, ...]") -> int:
@@ -303,3 +330,7 @@ def _cost(profiles: "tuple[ik.Profile, ...]", pairs: "tuple[ik.PairProfile, ...]
 
 def _end(value: float | None) -> str:
     return "open" if value is None else f"{value:.4f}"
+
+
+def _parts(profile: "ik.Profile") -> str:
+    return " and ".join(f"{_end(low)} to {_end(high)}" for low, high in profile.intervals)

@@ -8,7 +8,7 @@ import numpy as np
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, NotComputed, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import (
     WORK,
     Bounds,
@@ -17,6 +17,7 @@ from identknee.cli.identification import (
     Noise,
     Start,
     identification,
+    no_prediction,
 )
 from identknee.runs.errors import InputError
 from identknee.runs.files import check_readable, digest, prepare_folder
@@ -28,13 +29,19 @@ Basins = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="The result.json of a sweep, in whose basins the walkers start; fits without.",
+        help="The result.json of a sweep, in whose basins the walkers start; without it they "
+        "start around fits from draws of the prior.",
     ),
 ]
 NEnsembles = Annotated[
     int, typer.Option("--ensembles", min=2, help="Independent ensembles of walkers.")
 ]
-Budget = Annotated[int, typer.Option(min=1, help="Simulations after which sampling ends anyway.")]
+Budget = Annotated[
+    int,
+    typer.Option(
+        min=1, help="Simulations after which sampling ends anyway; more in the same --out go on."
+    ),
+]
 Nested = Annotated[
     bool, typer.Option("--nested", help="Add a second opinion and the evidence, by dynesty.")
 ]
@@ -64,7 +71,7 @@ def sample(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Sample the posterior of the parameters of SUBJECT given DATA.csv.
+    """Sample the posterior of the parameters given the data.
 
     Walkers go on until one gate of written conditions is passed; its numbers go to result.json.
     result.nc has all draws, with laxity and ligament forces at some of them. A stopped run resumes.
@@ -81,12 +88,13 @@ def sample(
     }
     found, seconds = timed(lambda: _sampled(its, optima, about, budget, (out, workers)))
     opinion = ik.nested_posterior(its.problem, seed=seed) if nested and found.gates else None
-    assumptions = [*its.assumptions, *_about_noise(its)]
+    assumptions = [*_assumptions(its, found), *_about_noise(its)]
     said = {"seconds": seconds, "assumptions": assumptions, **_opinion(found, opinion)}
     summary = _written(out, its, found, said, recording)
     lines = [
-        *assumptions,
+        *_verdict(found),
         str(found),
+        *assumptions,
         *_opinion_lines(said),
         f"{seconds:.0f} s.",
         f"Results: {out}",
@@ -94,9 +102,7 @@ def sample(
     finish_work(out / WORK)
     show(summary, lines, as_json=as_json)
     if not found.gates:
-        raise NotComputed(
-            f"{found.outcome.sentence} Look for one with: identknee subject check {subject}"
-        )
+        raise no_prediction(its)
 
 
 def _sampled(
@@ -133,6 +139,28 @@ def _optima(path: Path, parameters: "ik.Parameters") -> Any:
     if not thetas:
         raise InputError(path, "", "it lists no basin", "Sweep from more starts, or leave it out.")
     return np.array(thetas)
+
+
+def _assumptions(its: Identification, found: "ik.Posterior") -> tuple[str, ...]:
+    if not found.gates:
+        return its.assumptions
+    return its.assumptions_at(-2.0 * float(found.kept_log_likelihood.max()))
+
+
+def _verdict(found: "ik.Posterior") -> list[str]:
+    """Whether the numbers below can be used, before them."""
+    from identknee.identify.posterior.gate import SampleOutcome
+
+    if not found.gates:
+        return []
+    if found.gate.is_passed:
+        return ["The gate is passed: the sample can be used."]
+    unmet = sum(not met for _, _, met in found.gate.conditions.values())
+    remedy = ""
+    if found.outcome is SampleOutcome.BUDGET:
+        remedy = " The same command with a larger --budget goes on from here."
+    n = len(found.gate.conditions)
+    return [f"A first look only: {unmet} of {n} conditions of the gate are not met.{remedy}"]
 
 
 def _about_noise(its: Identification) -> list[str]:

@@ -60,6 +60,14 @@ OF_MAIN_INTEREST = {
     "hdmr": "ST",
     "shapley": "shapley",
 }
+MEANINGS = {
+    "morris": "its mean effect (mm or deg) when it alone crosses its whole range",
+    "sobol": "the share of the variance that would be left if all others were known",
+    "delta": "how much knowing it changes the distribution of the output, 0 to 1",
+    "pawn": "how far knowing it shifts the distribution of the output, 0 to 1",
+    "hdmr": "the share of the variance that its terms explain",
+    "shapley": "its fair share of the variance, with what it shares with others",
+}
 
 
 def sensitivity(
@@ -77,7 +85,7 @@ def sensitivity(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Global sensitivity of SUBJECT's laxity to its parameters.
+    """Say which parameters the laxity of a knee depends on.
 
     Outputs are grouped by coordinate, flexion angle and kind of load; failures to converge are an
     output of their own. The middle of the box is --start. All indices with confidence intervals and
@@ -200,7 +208,10 @@ def _lines(found: "ik.Sensitivity", out: Path) -> list[str]:
     name = OF_MAIN_INTEREST[found.method]
     index = found.indices[name]
     width = max(len(x) for x in found.parameters.names)
-    lines = [f"{'':{width}}  {'largest ' + name:>18}  {'of failure':>10}  for"]
+    lines = [
+        f"Largest index of each parameter, {MEANINGS[found.method]}:",
+        f"{'':{width}}  {'largest ' + name:>18}  {'of failure':>10}  for",
+    ]
     for i, parameter in enumerate(found.parameters.names):
         top = _largest(index.final[:-1, i])
         value = f"{index.final[top, i]:.3f} +- {index.final_half_widths[top, i]:.3f}"

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, NotComputed, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import (
     WORK,
     Bounds,
@@ -17,6 +17,7 @@ from identknee.cli.identification import (
     Noise,
     Start,
     identification,
+    no_prediction,
 )
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.files import prepare_folder
@@ -31,7 +32,8 @@ Method = Annotated[
     typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
 ]
 Budget = Annotated[
-    int | None, typer.Option(help="Simulations a search may make; 2,500 as in the paper without.")
+    int | None,
+    typer.Option(help="Simulations a search may make; without it 2,500 as in the paper."),
 ]
 Design = Annotated[
     Literal["sobol", "shells"],
@@ -84,11 +86,12 @@ def sweep(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Search from many starts and tell minima, optimizers that stopped, and cliffs apart.
+    """Search from many starts and say what stopped each search.
 
-    Each end is polished by least squares with exact derivatives before it counts as a minimum.
-    Basins with their volumes, the recovery of the best end by the distance of the start and the
-    cliffs on the way go to result.json; all ends to result.nc. A stopped run resumes.
+    A minimum, an optimizer that gave up in a valley, or a cliff where the knee snaps: each end is
+    polished by least squares with exact derivatives before it counts as a minimum. Basins with
+    their volumes, the recovery of the best end by the distance of the start and the cliffs on the
+    way go to result.json; all ends to result.nc. A stopped run resumes.
     """
     prepare_folder(out)
     its = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
@@ -104,15 +107,15 @@ def sweep(
         found = ik.survey(its.problem, swept, within=within)
         cliffs = _cliffs(its, found, ways, executor, store)
     answer = (found, cliffs)
-    said = {"design": design, "seconds": seconds, "assumptions": its.assumptions}
+    assumptions = its.assumptions
+    if found.target is not None:
+        assumptions = its.assumptions_at(2.0 * float(swept.polished_objectives[swept.best]))
+    said = {"design": design, "seconds": seconds, "assumptions": assumptions}
     summary = _written(out, answer, said, recording)
     finish_work(out / WORK)
-    show(summary, [*its.assumptions, *_lines(*answer), f"Results: {out}"], as_json=as_json)
+    show(summary, [*_lines(*answer), *assumptions, f"Results: {out}"], as_json=as_json)
     if found.target is None:
-        raise NotComputed(
-            "the model has no prediction anywhere that the searches came; "
-            f"see: identknee subject check {subject}"
-        )
+        raise no_prediction(its)
 
 
 def _starts(its: Identification, design: str, distances: str, n_starts: int, seed: int) -> Any:
@@ -182,6 +185,11 @@ def _lines(found: "ik.Survey", cliffs: "ik.CliffMap | None") -> list[str]:
     sweep = found.sweep
     lines = [f"{sweep}."]
     lines += [
+        f"{name}: {ik.Outcome(name).sentence}"
+        for name in sweep.counts(sweep.kind_codes)
+        if name != ik.Outcome.MINIMUM.value
+    ]
+    lines += [
         f"basin {i}: objective {x.objective:.6g}, {x.share}"
         for i, x in enumerate(found.basins.basins[:MOST_SHOWN])
     ]
@@ -189,8 +197,8 @@ def _lines(found: "ik.Survey", cliffs: "ik.CliffMap | None") -> list[str]:
     lines += [f"and {more} more basins"] * (more > 0)
     if found.unseen.n:
         lines.append(
-            f"Basins that no start has shown: {100 * found.unseen.estimate:.2g} % of the starts "
-            f"that end in one (at most {100 * found.unseen.upper:.2g} %)."
+            f"Basins that no start has shown: {_pct(found.unseen.estimate)} % of the starts that "
+            f"end in one (at most {_pct(found.unseen.upper)} %)."
         )
     lines += [_radius(found, name, words) for name, words in ENDS.items() if name in found.radii]
     if cliffs is not None:
@@ -204,11 +212,20 @@ def _lines(found: "ik.Survey", cliffs: "ik.CliffMap | None") -> list[str]:
 
 def _radius(found: "ik.Survey", name: str, words: str) -> str:
     radius = found.radii[name]
+    if radius.value == 0.0:
+        return (
+            f"At no distance are nine of ten starts known to lead {words} back to within "
+            f"{found.within:g} kN and % of the best end: they are too few, or it is not so."
+        )
     return (
         f"Nine of ten starts within {_kN_and_pct(radius.value)} of the best end (95 %: "
         f"{_kN_and_pct(radius.lower)} to {_kN_and_pct(radius.upper)}) lead {words} back to within "
         f"{found.within:g} of it."
     )
+
+
+def _pct(share: float) -> str:
+    return f"{100 * share:.2g}" if share < 0.995 else "100"
 
 
 def _kN_and_pct(distance: float) -> str:  # noqa: N802 - the unit

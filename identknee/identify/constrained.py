@@ -9,12 +9,16 @@ from identknee.calibrate.scales import typical_steps
 from identknee.identify.bounded_step import Step, attainable, bounded_step
 from identknee.identify.evaluation import Evaluation, Evaluator
 from identknee.identify.quantity import Quantity
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.outcome import Outcome
 
 # Of the deviance: at a signed root of 2 this is 2.5e-9 of the root.
 TOLERANCE = 1e-8
 ROUNDING = 1e-13
+# A typical step that changes the residuals by less than this changes nothing: the squares of one
+# over it would overflow.
+UNSEEN = 1e-100
 MAX_STEPS = 60
 # Of the promised decrease: what a step must keep, and what lets the next one be longer.
 ENOUGH, GOOD = 1e-4, 0.75
@@ -119,6 +123,18 @@ def minimise(
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
+def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
+    """Standard deviation of each parameter where all others are known, shape ``(n,)``.
+
+    Its typical step where that says nothing: where the residuals do not change with it.
+    """
+    typical = typical_steps(parameters)
+    size = np.linalg.norm(jacobian, axis=0)
+    changes = size * typical
+    known = changes > max(ROUNDING * np.max(changes, initial=0.0), UNSEEN)
+    return np.where(known, 1.0 / np.where(known, size, 1.0), typical)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Point:
     """An evaluation with the quantity there."""
@@ -159,7 +175,6 @@ class _Search:
         self._tolerance = tolerance
         parameters = evaluator.parameters
         self._lower, self._upper = parameters.lower, parameters.upper
-        self._typical = typical_steps(parameters)
         self._radius = np.inf
         self._price = 0.0
         self._met_cliff = False
@@ -207,15 +222,9 @@ class _Search:
         value, gradient = self._quantity.evaluate(theta)
         return _Point(evaluation=evaluation, value=value, gradient=gradient)
 
-    def _scales(self, jacobian: Array) -> Array:
-        """One conditional standard deviation of each parameter, or its typical step, (n,)."""
-        size = np.linalg.norm(jacobian, axis=0)
-        known = size * self._typical > ROUNDING * np.max(size * self._typical, initial=0.0)
-        return np.where(known, 1.0 / np.where(known, size, 1.0), self._typical)
-
     def _plan(self, point: _Point) -> _Plan:
         at = point.evaluation
-        scales = self._scales(at.jacobian)
+        scales = conditional_sds(at.jacobian, self._evaluator.parameters)
         matrix = at.jacobian * scales
         low, high = (self._lower - at.theta) / scales, (self._upper - at.theta) / scales
         box = np.maximum(low, -self._radius), np.minimum(high, self._radius)
@@ -306,7 +315,7 @@ class _Search:
         gradient = point.gradient
         if gradient is None:  # pragma: no cover - asked for with a quantity only
             raise AssertionError
-        scales = self._scales(point.evaluation.jacobian)
+        scales = conditional_sds(point.evaluation.jacobian, self._evaluator.parameters)
         limit = np.where(held, 0.0, np.inf)
         # Rows of data are the parameters' own steps, so the linear model is d theta / d value.
         matrix = point.evaluation.jacobian * scales

@@ -105,7 +105,7 @@ def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> Es
         if not np.isfinite(found.objective):
             raise ValueError(
                 "the noise cannot be estimated because the model has no prediction at the start; "
-                "start elsewhere or state the noise in the columns sd_<coordinate>"
+                "start elsewhere with --start, or see: identknee subject check"
             )
         theta = found.theta
         shares, rank = _parameters_determined(scaled.jacobian(theta), groups)
@@ -127,7 +127,8 @@ def _sds(residuals: Array, groups: IntArray, degrees: Array) -> Array:
     if np.any(degrees < 1.0):
         raise ValueError(
             "there are too few measured values to estimate their noise beside the parameters; "
-            "state the noise in the columns sd_<coordinate>, measure more or fix parameters"
+            "state it in the columns sd_<coordinate> or with --noise, for example "
+            "--noise 0.5mm,0.5deg, measure more or fix parameters"
         )
     sds = np.sqrt(np.bincount(groups, weights=residuals**2) / degrees)
     if np.any(sds < SMALLEST_SD):

@@ -1,5 +1,6 @@
 """The laxity model: a knee under a protocol, its prediction and the prediction's exact Jacobian."""
 
+import threading
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal
@@ -38,6 +39,15 @@ _GENERALISED = np.array(
         [0.0, 0.0, 0.0, 0.0, 1.0],
     ]
 )
+
+
+class _Last(threading.local):
+    """Of each thread: the model that was last asked to predict once, and its prediction."""
+
+    made: "tuple[LaxityModel, Prediction] | None" = None
+
+
+_LAST = _Last()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,8 +100,8 @@ class LaxityModel:
         object.__setattr__(self, "parameters", parameters)
 
     def with_protocol(self, protocol: Protocol) -> "LaxityModel":
-        """The same model under another protocol."""
-        return replace(self, protocol=protocol)
+        """The same model under another protocol; itself where it is its own."""
+        return self if protocol is self.protocol else replace(self, protocol=protocol)
 
     def predict(
         self, theta: Array, *, derivatives: bool = True, near: Prediction | None = None
@@ -126,6 +136,22 @@ class LaxityModel:
             guesses=None if near is None else near.node_poses,
         )
         return self._prediction(np.array(theta, float), found, derivatives=derivatives)
+
+    def predict_once(self, theta: Array) -> Prediction:
+        """The prediction at theta with its Jacobian, not made again where it was the last one.
+
+        Residuals, their Jacobian and the quantities of one model thus share one simulation. Each
+        thread remembers one.
+
+        Raises
+        ------
+        ValueError
+            As `predict`; mesh contact has no derivatives.
+        """
+        last = _LAST.made
+        if last is None or last[0] is not self or not np.array_equal(last[1].theta, theta):
+            last = _LAST.made = self, self.predict(theta)
+        return last[1]
 
     def simulate(self, theta: Array) -> Laxity:
         """The laxity table of the prediction at theta; trials that did not converge are blank."""

@@ -176,7 +176,8 @@ def ligament_forces(model: LaxityModel, protocol: Protocol | None = None) -> lis
 def predicted_quantities(model: LaxityModel, theta: Array) -> PredictedQuantities:
     """Ligament forces and laxities in every trial at `theta`, with Jacobians, by one simulation.
 
-    The last ones asked for are kept, so that asking again at the same theta costs nothing.
+    It is that of the model's residuals where they were asked for last; and the last ones asked for
+    are kept, so that asking again at the same theta costs nothing.
 
     Raises
     ------
@@ -188,7 +189,7 @@ def predicted_quantities(model: LaxityModel, theta: Array) -> PredictedQuantitie
 
 @lru_cache(maxsize=_KEPT)
 def _predicted(model: LaxityModel, theta: bytes) -> PredictedQuantities:
-    prediction = model.predict(np.frombuffer(theta))
+    prediction = model.predict_once(np.frombuffer(theta))
     if prediction.jacobian is None:  # pragma: no cover - predict was asked for it
         raise AssertionError
     return PredictedQuantities(

@@ -1,6 +1,5 @@
 """The difference between a model's prediction and measured laxity, as residuals for calibration."""
 
-import threading
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -10,7 +9,6 @@ from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.unloaded import from_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
-from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array, IntArray
 
 Weighting = Literal["unit", "noise"]
@@ -42,9 +40,6 @@ class LaxityResiduals:
     laxity: Laxity
     weighting: Weighting = "unit"
     _whitening: Array = field(init=False, repr=False)
-    # The prediction each thread made last, with its derivatives: they cost next to nothing there,
-    # and the Jacobian is mostly wanted where the residuals were.
-    _last: dict[int, Prediction] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self.model.with_protocol(self.laxity.protocol))
@@ -67,8 +62,13 @@ class LaxityResiduals:
 
         All are infinite where a trial with data has no equilibrium at theta.
         """
-        prediction = self.model.predict(theta, derivatives=self.model.contact == "field")
-        self._last[threading.get_ident()] = prediction
+        # Its derivatives cost next to nothing here, and the Jacobian is mostly wanted here too.
+        is_smooth = self.model.contact == "field"
+        prediction = (
+            self.model.predict_once(theta)
+            if is_smooth
+            else self.model.predict(theta, derivatives=False)
+        )
         measured = self.laxity.is_measured
         if not prediction.is_converged[measured.any(axis=1)].all():
             return np.full(int(measured.sum()), np.inf)
@@ -76,13 +76,17 @@ class LaxityResiduals:
         return self._weighted(difference)
 
     def jacobian(self, theta: Array) -> Array:
-        """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite."""
-        last = self._last.get(threading.get_ident())
-        is_there = last is not None and np.array_equal(last.theta, theta)
-        prediction = last if last is not None and is_there else self.model.predict(theta)
-        if prediction.jacobian is None:  # pragma: no cover - predict was asked for it
+        """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite.
+
+        Raises
+        ------
+        ValueError
+            For mesh contact, which has no derivatives.
+        """
+        jacobian = self.model.predict_once(theta).jacobian
+        if jacobian is None:  # pragma: no cover - it was asked for
             raise AssertionError
-        return self._weighted(self._relative(prediction.jacobian))
+        return self._weighted(self._relative(jacobian))
 
     def _relative(self, values: Array) -> Array:
         if self.laxity.zero == "absolute":

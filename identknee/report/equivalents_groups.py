@@ -31,7 +31,6 @@ def equivalents_groups(
     """
     predictions = [model.predict(theta, derivatives=False) for theta in thetas]
     names = list(found.parameters.names)
-    steps = {"unit": "typical steps"}
     return {
         "equivalent_sets": xarray.Dataset(
             {
@@ -47,9 +46,9 @@ def equivalents_groups(
                     ("set", "trial", "ligament"),
                     np.array([model.tensions(x) for x in predictions]),
                 ),
-                "diameter": ((), found.diameter, steps),
+                "diameter": ((), found.diameter),
                 "farthest_pair": (("end", "parameter"), found.pair),
-                "pair_search": ("search", found.pair_searches, steps),
+                "pair_search": ("search", found.pair_searches),
                 **_extrema_variables(found),
             },
             coords={

@@ -169,7 +169,9 @@ def _nested_ends(profiles: Sequence[Profile]) -> Array:
         for place, level in zip(row, LEVELS, strict=True):
             if level < profile.level:
                 intervals = profile.intervals_at(level)
-                place[:] = [_number(intervals[0][0]), _number(intervals[-1][1])]
+                # A profile that ended early may know no value as likely as that.
+                if intervals:
+                    place[:] = [_number(intervals[0][0]), _number(intervals[-1][1])]
     return ends
 
 

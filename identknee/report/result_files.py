@@ -7,6 +7,7 @@ from typing import Any
 
 import xarray
 
+from identknee.report.units import with_units
 from identknee.runs.errors import InputError
 from identknee.runs.files import write_atomically, write_json
 from identknee.runs.record import Record
@@ -31,7 +32,8 @@ def write_result(
         What `result.json` holds beside the record, in JSON types and arrays.
     groups
         Datasets by group name: ``constant_data``, ``observed_data``, ``predictions`` and others.
-        They become the groups of an xarray DataTree, read with ``xarray.open_datatree``.
+        They become the groups of an xarray DataTree, read with ``xarray.open_datatree``; arrays
+        get their ``units``.
     record
         The call, its inputs, seed and versions; kept in both files.
 
@@ -48,7 +50,7 @@ def write_result(
 
 
 def _write_arrays(path: Path, groups: Mapping[str, xarray.Dataset], record: Record) -> None:
-    tree = xarray.DataTree.from_dict(dict(groups))
+    tree = xarray.DataTree.from_dict(with_units(groups))
     tree.attrs = {
         "verb": record.verb,
         "started": record.started,

@@ -95,6 +95,8 @@ def posterior_draws(folder: Path, names: tuple[str, ...], n: int) -> Array:
     """
     path = folder / ARRAYS
     remedy = "Give the folder --out of an identknee sample that has ended."
+    if not path.is_file():
+        raise InputError(path, "", "there are no results to read", remedy)
     try:
         tree = xarray.open_datatree(path, engine="h5netcdf")
     except OSError as error:

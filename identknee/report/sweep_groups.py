@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import xarray
 
+from identknee.identify.shares import Share
 from identknee.identify.sweep.basins import Basins
 from identknee.identify.sweep.cliffs import CliffMap
-from identknee.identify.sweep.shares import Share
 from identknee.identify.sweep.survey import Survey
 from identknee.identify.sweep.sweep import OUTCOMES, Sweep
 from identknee.model.laxity_model import LaxityModel
@@ -26,7 +26,7 @@ def sweep_groups(survey: Survey, cliffs: CliffMap | None) -> dict[str, xarray.Da
     groups = {
         "optimization": _optimization(survey.sweep, survey.basins.labels),
         "basins": _basins(survey.basins),
-        "timing": xarray.Dataset({"seconds": ("start", survey.sweep.seconds, {"unit": "s"})}),
+        "timing": xarray.Dataset({"seconds": ("start", survey.sweep.seconds)}),
     }
     if survey.recoveries:
         groups["recovery"] = _recovery(survey)

@@ -2,25 +2,20 @@
 
 import math
 
-import numpy as np
-from scipy.stats import qmc
-
-from identknee.calibrate.fit import fit_many
+from identknee.calibrate.problem import Problem
 from identknee.identify.conformance.case import Answer, Case
-from identknee.identify.profile.profile import profile
+from identknee.identify.profile.profiles import profile_quantities
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-
-N_STARTS, BUDGET = 16, 100
 
 
 def identknee_tool(case: Case) -> Answer:
-    """The answer of `identknee.identify.profile.profile.profile` with its default settings.
+    """The answer of `identknee.identify.profile.profiles.profile_quantities`, left to itself.
 
-    It is told the ends of sixteen fits from Sobol points of the box, as a user's sweep would tell
-    it, where the box is bounded. Their simulations are counted.
+    All its simulations are counted, those of the search for other optima among them.
     """
-    ends, n_simulations = _ends_of_fits(case)
-    found = profile(case.problem, case.optimum, case.quantity, level=case.level, starts=ends)
+    problem = _Counted(case.problem)
+    (found,) = profile_quantities(problem, case.optimum, [case.quantity], level=case.level)
     return Answer(
         intervals=tuple(
             (-math.inf if low is None else low, math.inf if high is None else high)
@@ -29,16 +24,24 @@ def identknee_tool(case: Case) -> Answer:
         lower=found.lower_status.value,
         upper=found.upper_status.value,
         verdict=found.verdict.value,
-        n_simulations=found.n_simulations + n_simulations,
+        n_simulations=problem.n_simulations,
     )
 
 
-def _ends_of_fits(case: Case) -> tuple[Array, int]:
-    parameters = case.problem.parameters
-    width = parameters.upper - parameters.lower
-    if not np.isfinite(width).all():
-        return np.empty((0, parameters.n)), 0
-    points = qmc.Sobol(parameters.n, seed=0).random(N_STARTS)
-    fits = fit_many(case.problem, parameters.lower + points * width, budget=BUDGET)
-    ends = [fit.theta for fit in fits if np.isfinite(fit.objective)]
-    return np.reshape(ends, (-1, parameters.n)), sum(fit.n_simulations for fit in fits)
+class _Counted:
+    """A problem that counts how often it is asked; a Jacobian comes with its residuals."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self.n_simulations = 0
+
+    @property
+    def parameters(self) -> Parameters:
+        return self._problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        self.n_simulations += 1
+        return self._problem.residuals(theta)
+
+    def jacobian(self, theta: Array) -> Array:
+        return self._problem.jacobian(theta)

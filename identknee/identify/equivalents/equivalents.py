@@ -176,7 +176,7 @@ def equivalents(
     Raises
     ------
     ValueError
-        If fewer than 2 sets are asked for, or the model has no prediction at the fit.
+        If fewer than 2 sets are asked for, or the model or a quantity has no prediction at the fit.
     """
     if n_sets < 2:
         raise ValueError(f"the number of sets must be at least 2, got {n_sets}")
@@ -187,6 +187,9 @@ def equivalents(
     everything = range(len(own) + len(quantities))
     fit = searches.pool
     at_fit = searches.measured(fit, "fit")[1]
+    for quantity, value in zip(quantities, at_fit[0, parameters.n :], strict=True):
+        if not np.isfinite(value):
+            raise ValueError(f"{quantity.name} has no prediction at the fit; leave it out")
     searches.extremes(range(parameters.n), fit, at_fit, "first extrema")
     searches.pairs(searches.axis_pairs() + searches.far_pairs(), "first pairs")
     chosen = origins = fit

@@ -177,7 +177,7 @@ class Searches:
     def measured(self, points: Array, name: str) -> tuple[Array, Array]:
         """Blocks, shape ``(n_points, n_blocks)``, and quantities of points simulated once more."""
         rows = self._map(_measure, list(points), name, "simulating sets")
-        self._n_simulations += len(rows)
+        self._n_simulations += sum(row["n_simulations"] for row in rows)
         blocks = np.array([row["blocks"] for row in rows])
         return blocks, np.array([row["quantities"] for row in rows])
 
@@ -253,9 +253,7 @@ def _search_extreme(region: Region, quantities: tuple[Quantity, ...], item: Row)
         for start in np.asarray(item["starts"])
         if np.isfinite(quantity.evaluate(start)[0])
     ]
-    # Every other quantity takes a simulation of its own at each point.
-    per_point = 1 if isinstance(quantity, ParameterQuantity) else 2
-    return {"ends": ends, "n_simulations": per_point * view.n_simulations}
+    return {"ends": ends, "n_simulations": _simulations(view, [quantity])}
 
 
 def _search_pair(region: Region, _: tuple[Quantity, ...], item: Array) -> Row:
@@ -275,10 +273,18 @@ def _search_rays(region: Region, _: tuple[Quantity, ...], item: Row) -> Row:
 
 
 def _measure(region: Region, quantities: tuple[Quantity, ...], point: Array) -> Row:
+    view = RegionView(region)
     return {
-        "blocks": RegionView(region)(point).values * region.limit,
+        "blocks": view(point).values * region.limit,
         "quantities": [quantity.evaluate(point)[0] for quantity in quantities],
+        "n_simulations": _simulations(view, quantities),
     }
+
+
+def _simulations(view: RegionView, quantities: Sequence[Quantity]) -> int:
+    """Those of the view, and as many again for quantities other than parameters, at the most."""
+    is_own = all(isinstance(x, ParameterQuantity) for x in quantities)
+    return view.n_simulations * (1 if is_own else 2)
 
 
 def _as_row(extreme: Extreme) -> Row:

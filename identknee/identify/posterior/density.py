@@ -3,14 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta, norm
+from scipy.stats import norm
 
 from identknee.calibrate.problem import Problem
 from identknee.identify.evaluation import Evaluation, evaluate
+from identknee.identify.shares import share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
-
-LEVEL = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -160,21 +159,14 @@ class ExcludedMass:
 
 
 def excluded_mass(parameters: Parameters, is_predicted: BoolArray) -> ExcludedMass:
-    """The excluded prior mass, from whether draws of the prior have a prediction, shape ``(n,)``.
-
-    References
-    ----------
-    C. J. Clopper and E. S. Pearson, The use of confidence or fiducial limits illustrated in the
-    case of the binomial, Biometrika 26 (1934) 404-413, doi:10.1093/biomet/26.4.404.
-    """
-    n, failed = len(is_predicted), int(np.sum(~is_predicted))
-    tail = 0.5 * (1.0 - LEVEL)
+    """The excluded prior mass; `is_predicted` tells of draws of the prior, shape ``(n,)``."""
+    failed = share(int(np.sum(~is_predicted)), len(is_predicted))
     return ExcludedMass(
         beyond_bounds=max(0.0, 1.0 - mass_within_bounds(parameters)),
-        without_prediction=failed / n if n else np.nan,
-        low=float(beta.ppf(tail, failed, n - failed + 1)) if failed else 0.0,
-        high=float(beta.ppf(1.0 - tail, failed + 1, n - failed)) if failed < n else 1.0,
-        n_draws=n,
+        without_prediction=failed.value,
+        low=failed.lower,
+        high=failed.upper,
+        n_draws=failed.n,
     )
 
 

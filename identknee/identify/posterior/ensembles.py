@@ -8,6 +8,7 @@ import emcee
 import numpy as np
 
 from identknee.calibrate.fit import fit
+from identknee.calibrate.scales import typical_steps
 from identknee.identify.evaluation import evaluate
 from identknee.identify.posterior.density import (
     LogPosterior,
@@ -18,6 +19,7 @@ from identknee.identify.posterior.density import (
     to_working,
 )
 from identknee.identify.posterior.moves import MOVES
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
 # Walkers start around an optimum with this many times the spread that its curvature promises; less
@@ -25,6 +27,8 @@ from identknee.runs.arrays import Array
 OVERDISPERSION = (2.0, 1.0, 0.5, 0.25)
 TRIES = 5
 START_DRAWS = 20
+# Of a typical step: the logarithm of a bound and back may come out beyond it.
+EDGE = 1e-9
 Block = Mapping[str, Any]
 
 
@@ -96,8 +100,7 @@ def started(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     rows: list[Array] = []
     for walker in range(task.n_walkers):
         own = number if walker % 2 == 0 else walker // 2
-        optimum = to_working(np.asarray(optima[own % len(optima)]), parameters)
-        row = _near(walk, optimum, generator)
+        row = _near(walk, _within(optima[own % len(optima)], parameters), generator)
         if row is None:
             return {"positions": None, "n_simulations": walk.n_simulations}
         rows.append(row)
@@ -142,6 +145,8 @@ def advanced(task: Ensemble, item: tuple[int, int, Block]) -> Block:
     sampler = emcee.EnsembleSampler(
         n_walkers, n, walk, moves=MOVES[task.moves](), vectorize=True, blobs_dtype=np.float64
     )
+    # The sampler's own wrapper prints a traceback before it lets Ctrl-C through.
+    sampler.log_prob_fn = walk
     end = sampler.run_mcmc(state, task.steps, skip_initial_state_check=True)
     return {
         "positions": end.coords,
@@ -188,6 +193,13 @@ def _near(walk: _Walk, optimum: Array, generator: np.random.Generator) -> Array 
             if np.isfinite(found[0]):
                 return _joined(point, found)
     return None
+
+
+def _within(optimum: Array, parameters: Parameters) -> Array:
+    """The optimum in working coordinates; one at a bound is moved so far that it stays inside."""
+    margin = EDGE * typical_steps(parameters)
+    inner = np.clip(optimum, parameters.lower + margin, parameters.upper - margin)
+    return to_working(inner, parameters)
 
 
 def _joined(*parts: float | Array) -> Array:

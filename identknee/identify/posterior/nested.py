@@ -93,8 +93,8 @@ def weighted_quantiles(values: Array, weights: Array, probabilities: ArrayLike) 
 def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -> NestedPosterior:
     """The posterior and the evidence by nested sampling with dynesty.
 
-    It shares the density with `identknee.identify.sample.sample` and nothing else: no starts, no
-    derivatives, no chains. It is a check, slower and not resumable.
+    It shares the density with `identknee.identify.posterior.sample.sample` and nothing else: no
+    starts, no derivatives, no chains. It is a check, slower and not resumable.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def prior_sensitivity(posterior: Posterior) -> PriorSensitivity:
     parameters = posterior.parameters
     working = to_working(posterior.kept, parameters)
     draws = working.reshape(-1, parameters.n)
-    likelihood = posterior.log_likelihood[:, :, posterior.gate.burn_in :].ravel()
+    likelihood = posterior.kept_log_likelihood.ravel()
     prior = log_prior_working(draws, parameters)
     return PriorSensitivity(
         names=parameters.names,

@@ -1,12 +1,10 @@
 """The profile of a pair of parameters: which combinations of their values the data allow."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.stats
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
@@ -15,7 +13,9 @@ from identknee.identify.constrained import minimise
 from identknee.identify.evaluation import Evaluator
 from identknee.identify.profile.hermite import crossings
 from identknee.identify.profile.march import march
+from identknee.identify.profile.profile import OPTIMUM_TOLERANCE
 from identknee.identify.profile.result import SideStatus
+from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
 from identknee.identify.profile.walk import BetterFound, Walk, as_point
 from identknee.identify.quantity import ParameterQuantity
 from identknee.model.parameters import Parameters
@@ -28,7 +28,6 @@ from identknee.runs.store import Store
 BUDGET = 4000
 N_RAYS = 24
 RADIUS = "radius"
-OPTIMUM_TOLERANCE = 1e-6
 MOST_ROUNDS = 4
 # Of the largest: a variance below this is that of a combination the data fix, or none at all.
 SMALLEST = 1e-12
@@ -107,12 +106,7 @@ class PairProfile:
         ValueError
             If the level is not above 0 or is above the profile's own.
         """
-        if not 0.0 < level <= self.level:
-            raise ValueError(
-                f"the level must be above 0 and at most the profile's {self.level:g}, got {level:g}"
-            )
-        law = scipy.stats.chi2(2)
-        threshold = self.threshold * float(law.ppf(level) / law.ppf(self.level))
+        threshold = threshold_below(self.threshold, self.level, level, 2)
         return np.array([self._crossing(ray, threshold) for ray in self.rays])
 
     def _crossing(self, ray: PairRay, threshold: float) -> Array:
@@ -166,9 +160,10 @@ def profile_pair(
     """
     parameters = problem.parameters
     pair = parameters.index(names[0]), parameters.index(names[1])
-    _check(names, level)
-    if threshold is None:
-        threshold = float(scipy.stats.chi2.ppf(level, 2))
+    if pair[0] == pair[1]:
+        raise ValueError(f"a pair needs two different parameters, got {names[0]} twice")
+    likely = chi2_threshold(level, 2)
+    threshold = likely if threshold is None else threshold
     theta = np.asarray(optimum_theta, dtype=np.float64)
     directions = np.linspace(0.0, 2.0 * np.pi, N_RAYS, endpoint=False).tolist()
     n_simulations = 0
@@ -260,13 +255,6 @@ class AlongRay:
         everything[list(self.pair)] += theta[0] * self.direction
         parameters = self.problem.parameters
         return np.asarray(np.clip(everything, parameters.lower, parameters.upper))
-
-
-def _check(names: Sequence[str], level: float) -> None:
-    if names[0] == names[1]:
-        raise ValueError(f"a pair needs two different parameters, got {names[0]} twice")
-    if not 0.0 < level < 1.0:
-        raise ValueError(f"the level must be between 0 and 1, got {level:g}")
 
 
 def _shape(jacobian: Array, parameters: Parameters, pair: tuple[int, int]) -> Array:

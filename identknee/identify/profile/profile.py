@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
@@ -16,12 +15,14 @@ from identknee.identify.profile.search import (
     find_branches,
     walk_branch,
 )
+from identknee.identify.profile.thresholds import chi2_threshold
 from identknee.identify.profile.verdict import assembled
 from identknee.identify.profile.walk import BetterFound, Walk, as_point
 from identknee.identify.quantity import Quantity
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
+LEVEL = 0.95
 BUDGET = 1000
 MOST_RESTARTS = 5
 # Of the deviance: what the optimum may still promise.
@@ -33,7 +34,7 @@ def profile(
     optimum_theta: ArrayLike,
     quantity: Quantity,
     *,
-    level: float = 0.95,
+    level: float = LEVEL,
     threshold: float | None = None,
     budget: int = BUDGET,
     starts: ArrayLike = (),
@@ -43,6 +44,10 @@ def profile(
     The optimum is polished first. From it the profile is walked outward on both sides; then a fit
     far beyond each end looks for another valley and approaches the end from there. A better fit
     met anywhere starts everything over from it, at most five times.
+
+    That looks along the quantity only. Optima in which other parameters exchange their roles are
+    found from `starts` alone; `identknee.identify.profile.profiles.profile_quantities` looks for
+    them by itself.
 
     Parameters
     ----------
@@ -62,8 +67,7 @@ def profile(
     starts
         Other local optima, or places to look for them from, shape ``(k, n)``: for example the
         basins of a sweep, or `identknee.identify.profile.profiles.other_optima`. Where one is
-        likely, its own path counts too. Solutions that exchange the roles of other parameters
-        are found in no other way.
+        likely, its own path counts too; at most twelve paths are walked.
 
     Raises
     ------
@@ -71,10 +75,8 @@ def profile(
         If the level, the threshold or the budget is not one possible, or the model has no
         prediction at the optimum.
     """
-    if not 0.0 < level < 1.0:
-        raise ValueError(f"the level must be between 0 and 1, got {level:g}")
-    if threshold is None:
-        threshold = float(scipy.stats.chi2.ppf(level, 1))
+    likely = chi2_threshold(level)
+    threshold = likely if threshold is None else threshold
     if not 0.0 < threshold < np.inf:
         raise ValueError(f"the threshold must be positive and finite, got {threshold:g}")
     if budget < 1:

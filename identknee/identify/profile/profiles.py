@@ -12,8 +12,9 @@ from identknee.calibrate.fit import fit_many
 from identknee.calibrate.problem import Problem
 from identknee.identify.evaluation import evaluate
 from identknee.identify.profile.march import JUMP
-from identknee.identify.profile.profile import profile
+from identknee.identify.profile.profile import LEVEL, profile
 from identknee.identify.profile.result import Profile, Side, SideStatus, Verdict
+from identknee.identify.profile.thresholds import chi2_threshold
 from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.identify.sweep.starts_design import sobol_starts
 from identknee.runs.arrays import Array
@@ -33,7 +34,7 @@ class ProfileSettings(TypedDict, total=False):
     level: float
     thresholds: ArrayLike | None
     budget: int
-    starts: ArrayLike
+    starts: ArrayLike | None
 
 
 def profile_parameters(
@@ -45,7 +46,7 @@ def profile_parameters(
     store: Store | None = None,
     **settings: Unpack[ProfileSettings],
 ) -> tuple[Profile, ...]:
-    """One profile for each parameter, in their order.
+    """One profile for each parameter, in their order: `profile_quantities` of parameters.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def profile_parameters(
     store
         Where finished profiles are kept; from `identknee.runs.resume.open_work`.
     settings
-        Those of `profile`: ``level, budget, starts``, and ``thresholds``: one for all, or one each.
+        As for `profile_quantities`.
 
     Raises
     ------
@@ -86,8 +87,10 @@ def profile_quantities(
 ) -> tuple[Profile, ...]:
     """One profile for each quantity, in their order, all from the same optimum.
 
-    Where one of them meets a better fit, all are walked again from the best that was met, at most
-    three times.
+    Other likely optima are looked for once, by `other_optima`, and their paths count in every
+    profile; pass ``starts`` if they are known, or an empty tuple to do without. Where one of the
+    profiles meets a better fit, all are walked again from the best that was met, at most three
+    times.
 
     Parameters
     ----------
@@ -104,19 +107,29 @@ def profile_quantities(
         Where finished profiles are kept; from `identknee.runs.resume.open_work`.
     settings
         Those of `profile`: ``level, budget, starts``, and ``thresholds``: one for all, or one each.
+        The simulations of the search for other optima are no profile's, and not among theirs.
+
+    Raises
+    ------
+    ValueError
+        As `profile` does.
     """
+    if not quantities:
+        return ()
     theta = np.asarray(optimum_theta, dtype=np.float64)
-    thresholds = settings.pop("thresholds", None)
-    each = (
-        [None] * len(quantities)
-        if thresholds is None
-        else np.broadcast_to(np.asarray(thresholds, float), len(quantities)).tolist()
-    )
+    thresholds, starts = settings.pop("thresholds", None), settings.pop("starts", None)
+    if thresholds is None:
+        thresholds = chi2_threshold(settings.get("level", LEVEL))
+    each = np.broadcast_to(np.asarray(thresholds, float), len(quantities)).tolist()
+    if starts is None:
+        starts = other_optima(problem, theta, threshold=max(each), executor=executor)
+    # Sent together, problem and quantities keep the one model that they share simulations by.
+    asked = list(zip(quantities, each, strict=True))
     found: tuple[Profile, ...] = ()
-    for round_ in range(MOST_ROUNDS if quantities else 0):
+    for round_ in range(MOST_ROUNDS):
         kept = resumable_map(
-            partial(_profiled, problem, theta, dict(settings)),
-            list(zip(quantities, each, strict=True)),
+            partial(_profiled, problem, theta, asked, {**settings, "starts": starts}),
+            range(len(asked)),
             executor=executor,
             store=store,
             name=f"profile round {round_}",
@@ -201,10 +214,11 @@ def profile_from_plain(plain: Mapping[str, Any]) -> Profile:
 def _profiled(
     problem: Problem,
     theta: Array,
+    asked: Sequence[tuple[Quantity, float]],
     settings: dict[str, Any],
-    item: tuple[Quantity, float | None],
+    which: int,
 ) -> dict[str, Any]:
-    quantity, threshold = item
+    quantity, threshold = asked[which]
     return profile_to_plain(profile(problem, theta, quantity, threshold=threshold, **settings))
 
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from enum import Enum, unique
 
 import numpy as np
-import scipy.stats
 
 from identknee.identify.profile.hermite import crossings
+from identknee.identify.profile.thresholds import threshold_below
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 
 Interval = tuple[float | None, float | None]
@@ -127,8 +127,8 @@ class Profile:
     verdict
         What that means for the quantity.
     practical_level
-        The largest confidence level known to close on both sides: `level` or more where both ends
-        are closed, less where one is not.
+        The largest confidence level known to close on both sides: `level` where both ends are
+        closed, less where one is not.
     n_simulations
         Simulations made, each with its Jacobian.
     better_optimum
@@ -206,14 +206,9 @@ class Profile:
         ValueError
             If `level` is not above 0 or is above the profile's own.
         """
-        if not 0.0 < level <= self.level:
-            raise ValueError(
-                f"the level must be above 0 and at most the profile's {self.level:g}, got {level:g}"
-            )
+        threshold = threshold_below(self.threshold, self.level, level)
         if level == self.level:
             return self.intervals
-        law = scipy.stats.chi2(1)
-        threshold = self.threshold * float(law.ppf(level) / law.ppf(self.level))
         edges = crossings(self.values, self.deltas, self.slopes, threshold)
         ends: list[float | None] = [float(x) for x in edges]
         if self.deltas[0] < threshold:

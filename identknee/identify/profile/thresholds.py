@@ -1,5 +1,6 @@
 """How far the deviance may rise before a value is excluded: by chi2, by F, by simulated data."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -47,6 +48,36 @@ def chi2_threshold(level: float, n_quantities: int = 1) -> float:
     """
     _check_level(level)
     return float(scipy.stats.chi2.ppf(level, n_quantities))
+
+
+def threshold_below(threshold: float, level: float, wanted: float, n_quantities: int = 1) -> float:
+    """The threshold for a level up to that of another, in the chi-squared law's proportion.
+
+    Parameters
+    ----------
+    threshold, level
+        A threshold of any origin, and the level it stands for.
+    wanted
+        The level wanted, above 0 and up to `level`.
+    n_quantities
+        How many numbers are held at once.
+
+    Raises
+    ------
+    ValueError
+        If the level wanted is not one of those.
+
+    Examples
+    --------
+    >>> round(threshold_below(3.841459, 0.95, 0.68), 3)
+    0.989
+    """
+    if not 0.0 < wanted <= level:
+        raise ValueError(
+            f"the level must be above 0 and at most the profile's {level:g}, got {wanted:g}"
+        )
+    law = scipy.stats.chi2(n_quantities)
+    return threshold * float(law.ppf(wanted) / law.ppf(level))
 
 
 def f_threshold(level: float, degrees_of_freedom: int, n_quantities: int = 1) -> float:
@@ -128,7 +159,8 @@ class BootstrapStatistics:
         complete = self.statistics[~np.isnan(self.statistics).any(axis=1)]
         if len(complete) * min(level, 1.0 - level) < 1.0:
             raise ValueError(
-                f"{len(complete)} data sets do not determine a quantile at {level:g}; use more"
+                f"{len(complete)} data sets do not determine a quantile at {level:g}; use "
+                f"{math.ceil(1.0 / min(level, 1.0 - level))} or more"
             )
         return np.sort(complete, axis=0)[list(_ranks(len(complete), level))].T
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.stats
 
-from identknee.calibrate.scales import typical_steps
+from identknee.identify.constrained import conditional_sds
 from identknee.identify.profile.hermite import cubic
 from identknee.identify.profile.march import AT_END, FLAT
 from identknee.identify.profile.result import Interval, Profile, Side, SideStatus, Verdict
@@ -133,9 +133,7 @@ def _verdict(
 
 def _is_unseen(walk: Walk, origin: Point) -> bool:
     """Whether the quantity changes along a direction in which no residual does."""
-    size = np.linalg.norm(origin.evaluation.jacobian, axis=0)
-    typical = typical_steps(walk.evaluator.parameters)
-    scales = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), typical)
+    scales = conditional_sds(origin.evaluation.jacobian, walk.evaluator.parameters)
     gradient = walk.quantity.evaluate(origin.evaluation.theta)[1] * scales
     matrix = origin.evaluation.jacobian * scales
     padded = np.vstack([matrix, np.zeros((matrix.shape[1], matrix.shape[1]))])

@@ -7,7 +7,7 @@ import numpy as np
 from identknee.calibrate.objective import half_sum_of_squares
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.sweep.shares import Share, share
+from identknee.identify.shares import Share, share
 from identknee.identify.sweep.sweep import Sweep
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers

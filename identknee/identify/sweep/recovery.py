@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from identknee.identify.sweep.shares import Share, share
+from identknee.identify.shares import Share, share
 from identknee.identify.sweep.starts_design import distance
 from identknee.identify.sweep.sweep import Sweep
 from identknee.runs.arrays import Array, BoolArray, frozen

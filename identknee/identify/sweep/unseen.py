@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.identify.shares import share
 from identknee.identify.sweep.basins import NONE
-from identknee.identify.sweep.shares import share
 from identknee.runs.arrays import IntArray
 
 

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identknee.cli.identification import identification
+from identknee.cli.command import NotComputed
+from identknee.cli.identification import best_fit, file_digests, identification
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.laxity_model import LaxityModel
+from identknee.runs.executors import serial
 
 
 @pytest.fixture(scope="module")
@@ -91,3 +93,59 @@ def test_data_without_a_value_are_refused(measured: Laxity, tmp_path: Path) -> N
     blank = replace(measured, coordinates=np.full_like(measured.coordinates, np.nan), sd=None)
     with pytest.raises(ValueError, match="no coordinate was measured"):
         identification("reference", written(blank, tmp_path))
+
+
+def test_noise_stated_of_some_coordinates_only_is_refused(measured: Laxity, tmp_path: Path) -> None:
+    path = written(measured, tmp_path)
+    rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+    column = rows[0].index("sd_varus_deg")
+    kept = [",".join(row[:column] + row[column + 1 :]) for row in rows]
+    path.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"sd_varus_deg is missing\..*--noise 0\.5mm,0\.5deg"):
+        identification("reference", path)
+    assert identification("reference", path, noise="0.2mm,0.4deg").assumptions == ()
+
+
+def test_a_misfit_beyond_the_noise_is_said(measured: Laxity, tmp_path: Path) -> None:
+    setup = identification("reference", written(measured, tmp_path))
+    # 315 values, 8 parameters: noise leaves 307, with a standard deviation of 25.
+    assert setup.assumptions_at(307.0) == ()
+    (sentence,) = setup.assumptions_at(614.0)
+    assert "leaves 2 times the misfit" in sentence
+
+
+def test_a_parameter_held_is_no_choice(measured: Laxity, tmp_path: Path) -> None:
+    setup = identification("reference", written(measured, tmp_path), fixed=["ACL.stiffness_kN"])
+    assert setup.free_index("PCL.stiffness_kN", "--pair") == 0
+    with pytest.raises(ValueError, match=r"--pair ACL\.stiffness_kN: --fix holds this parameter"):
+        setup.free_index("ACL.stiffness_kN", "--pair")
+
+
+def test_the_content_of_a_start_file_is_an_input(measured: Laxity, tmp_path: Path) -> None:
+    start = tmp_path / "start.toml"
+    start.write_text("[ACL]\nstiffness_kN = 9.0\n", encoding="utf-8")
+    first = identification("reference", written(measured, tmp_path), start=str(start)).inputs
+    start.write_text("[ACL]\nstiffness_kN = 8.0\n", encoding="utf-8")
+    second = identification("reference", written(measured, tmp_path), start=str(start)).inputs
+    assert set(first) == {"subject", "data", "start"}
+    assert first["start"] != second["start"]
+    assert file_digests(trials="seed63", other=None) == {}
+
+
+def test_no_prediction_names_the_trials(measured: Laxity, tmp_path: Path) -> None:
+    slack = "\n".join(f"[{x}]\nreference_strain_pct = -15.0" for x in ("ACL", "PCL", "LCL", "MCL"))
+    start = tmp_path / "slack.toml"
+    start.write_text(slack, encoding="utf-8")
+    bounds = [f"{x}.reference_strain_pct=-15:-14.9" for x in ("ACL", "PCL", "LCL", "MCL")]
+    setup = identification(
+        "reference", written(measured, tmp_path), start=str(start), bounds=bounds
+    )
+    with pytest.raises(NotComputed, match="at the start 63 of 63 trials have none; flexion0_"):
+        best_fit(setup, seed=0, executor=serial)
+
+
+def test_a_start_outside_the_bounds_is_refused(measured: Laxity, tmp_path: Path) -> None:
+    bounds = ["ACL.stiffness_kN=20:30"]
+    setup = identification("reference", written(measured, tmp_path), bounds=bounds)
+    with pytest.raises(ValueError, match="stiffness_kN is 10, outside its bounds 20 to 30"):
+        best_fit(setup, seed=0, executor=serial)

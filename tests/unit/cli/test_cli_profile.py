@@ -65,6 +65,12 @@ def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path)
         (("--pair", "LCL.stiffness_kN"), "there is no second name"),
         (("--quantity", "varus"), "is not the name of a predicted quantity"),
         (("--level", "1.5"), "the level must be between 0 and 1, got 1.5"),
+        (("--pair", "LCL.stiffness_kN,LCL.stiffness_kN"), "needs two different parameters"),
+        (("--workers", "0"), "Invalid value for '--workers'"),
+        (
+            ("--parameter", "LCL.stiffness_kN", "--fix", "LCL.stiffness_kN"),
+            "--fix holds this parameter",
+        ),
     ],
 )
 def test_wrong_words_are_refused(

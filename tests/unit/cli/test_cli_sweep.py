@@ -87,7 +87,7 @@ def test_a_sweep_that_finds_nothing_is_not_computed(data: Path, tmp_path: Path) 
     words = ("--n-starts", 2, "--noise", "0.5mm,0.5deg", "--start", _slack_start(tmp_path))
     result = run("sweep", "reference", data, *words, *slack, "--out", tmp_path)
     assert result.exit_code == 1, result.output
-    assert "no prediction anywhere that the searches came" in result.stderr
+    assert "no parameters near the start have a prediction" in result.stderr
     assert summary(tmp_path)["kinds"] == {"start_failed": 2}
 
 

@@ -130,6 +130,24 @@ def test_a_good_start_takes_few_simulations() -> None:
     assert found.n_simulations <= 4
 
 
+def test_where_nothing_changes_the_residuals_it_goes_by_typical_steps() -> None:
+    """A decay so far gone that squares of one over its slopes would overflow."""
+    decay = ClosedForm(
+        name="decay",
+        parameters=plain_parameters(2, 0.0, 900.0),
+        start=np.full(2, 360.0),
+        minimum=np.full(2, 360.0),
+        lowest=0.0,
+        residuals_at=lambda x: np.exp(-x),
+        jacobian_at=lambda x: np.diag(-np.exp(-x)),
+    )
+    first = ParameterQuantity(parameters=decay.parameters, name=decay.parameters.names[0])
+    found = solve_constrained(Evaluator(decay), decay.start, quantity=first, target=362.0)
+    assert found.outcome is Outcome.MINIMUM
+    assert found.value == 362.0
+    np.testing.assert_allclose(found.tangent, [1.0, 0.0])
+
+
 def _distance_from(target: np.ndarray) -> ClosedForm:
     return ClosedForm(
         name="distance",

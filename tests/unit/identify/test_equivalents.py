@@ -110,6 +110,13 @@ def test_a_region_without_prediction_is_outside() -> None:
     assert upper.value == pytest.approx(center[0] + 0.1, rel=1e-4)
 
 
+def test_a_quantity_without_prediction_at_the_fit_is_named() -> None:
+    problem = linear()
+    nothing = UserQuantity(name="nothing", unit="", function=lambda _: np.nan)
+    with pytest.raises(ValueError, match="nothing has no prediction at the fit"):
+        equivalents(noise_region(problem, problem.minimum), quantities=[nothing], n_sets=N_SETS)
+
+
 def test_blocks_limit_the_region_together() -> None:
     """A square: each parameter its own block."""
     problem = Linear(parameters=plain_parameters(2), matrix=np.eye(2), data=np.zeros(2))

@@ -85,7 +85,7 @@ def test_a_better_fit_met_by_one_is_the_optimum_of_all() -> None:
         np.testing.assert_allclose(one.optimum, [2.0, 0.0], atol=1e-4)
 
 
-def test_other_optima_are_found_once_each() -> None:
+def test_other_optima_are_found_once_each_and_count_unless_declined() -> None:
     """Sum 3 and product 2: the two parameters may exchange their values."""
     exchangeable = ClosedForm(
         name="exchangeable",
@@ -98,8 +98,13 @@ def test_other_optima_are_found_once_each() -> None:
     )
     found = other_optima(exchangeable, exchangeable.minimum, threshold=4.0)
     np.testing.assert_allclose(found, [[2.0, 1.0]], atol=1e-5)
-    (first, _) = profile_parameters(exchangeable, exchangeable.minimum, starts=found)
-    assert len(first.intervals) == 2
+    given = profile_parameters(exchangeable, exchangeable.minimum, starts=found)
+    unasked = profile_parameters(exchangeable, exchangeable.minimum)
+    for one, other in zip(given, unasked, strict=True):
+        assert len(one.intervals) == 2
+        np.testing.assert_array_equal(one.intervals, other.intervals)
+    (alone, _) = profile_parameters(exchangeable, exchangeable.minimum, starts=())
+    assert len(alone.intervals) == 1
     problem = linear()
     assert other_optima(problem, problem.minimum, threshold=4.0).shape == (0, 3)
 

@@ -241,3 +241,21 @@ def test_independent_draws_lie_apart() -> None:
 def test_wrong_settings_are_refused(call: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()  # type: ignore[operator]
+
+
+def test_an_optimum_at_a_bound_is_a_place_to_start_from() -> None:
+    low = 20.0
+    # Past the bound in working coordinates and back.
+    assert np.exp(np.log(low)) < low
+    parameters = Parameters(
+        names=("x.stiffness_kN",),
+        center=np.array([10.0]),
+        lower=np.array([low]),
+        upper=np.array([30.0]),
+        prior_sd=np.array([0.35]),
+        is_log=(True,),
+    )
+    problem = Linear(parameters=parameters, matrix=np.eye(1), data=np.array([15.0]))
+    found = sample(problem, rule=StopRule(budget=1), seed=2)
+    np.testing.assert_allclose(found.optima, low, rtol=1e-6)
+    assert found.outcome is SampleOutcome.BUDGET

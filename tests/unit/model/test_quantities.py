@@ -20,6 +20,7 @@ from identknee.model.quantities import (
     predicted_quantities,
     quantity_named,
 )
+from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 
 # Differences of sixth order over steps of 1e-5 kN or %: rounding of poses over the step.
@@ -82,25 +83,29 @@ def test_a_force_and_a_laxity_are_entries_of_the_whole(small: LaxityModel) -> No
     np.testing.assert_array_equal(gradient, found.coordinate_jacobian[trial, 1])
 
 
-def test_many_at_one_theta_cost_one_simulation(
-    small: LaxityModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls = []
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[Array]:
+    """Every theta that a model was simulated at."""
+    calls: list[Array] = []
     predict = LaxityModel.predict
 
-    def counted(self: LaxityModel, theta: Array) -> object:
+    def counted(self: LaxityModel, theta: Array, *, derivatives: bool = True) -> object:
         calls.append(theta)
-        return predict(self, theta)
+        return predict(self, theta, derivatives=derivatives)
 
     monkeypatch.setattr(LaxityModel, "predict", counted)
     quantities._predicted.cache_clear()
+    return calls
+
+
+def test_many_at_one_theta_cost_one_simulation(small: LaxityModel, calls: list[Array]) -> None:
     theta = small.parameters.center * 1.01
     forces = ligament_forces(small)
     assert len(forces) == 24
     # Twice, and from copies of theta.
     values = [force.evaluate(np.array(theta))[0] for force in [*forces, *forces]]
     assert len(calls) == 1
-    expected = small.tensions(predict(small, theta)).ravel()
+    expected = small.tensions(small.predict(theta)).ravel()
     np.testing.assert_array_equal(values, np.r_[expected, expected])
 
 
@@ -173,6 +178,25 @@ def test_names_are_read_back(small: LaxityModel) -> None:
 def test_what_does_not_exist_is_named(small: LaxityModel, name: str, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         quantity_named(small, name)
+
+
+def test_residuals_and_quantities_share_their_simulation(
+    small: LaxityModel, calls: list[Array]
+) -> None:
+    """Whichever is asked first, for a trial of the data; also where a process is sent both."""
+    problem = LaxityResiduals(model=small, laxity=small.simulate(small.parameters.center))
+    together = problem, quantity_named(problem.model, f"front.tension_N@{TRIAL}")
+    for residuals, force in (together, pickle.loads(pickle.dumps(together))):
+        calls.clear()
+        first, second = small.parameters.center * 1.02, small.parameters.center * 1.03
+        residuals.residuals(first)
+        force.evaluate(first)
+        force.evaluate(second)
+        residuals.residuals(second)
+        residuals.jacobian(second)
+        assert len(calls) == 2
+        alone = LaxityResiduals(model=replace(small), laxity=problem.laxity)
+        np.testing.assert_array_equal(residuals.residuals(second), alone.residuals(second))
 
 
 def test_derivatives_of_tensions_need_those_of_the_prediction(small: LaxityModel) -> None:
