@@ -17,7 +17,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, process_pool, serial
 from identknee.runs.resume import resumable_map
 
-STARTS, REPEATS, BAR = 200, 5, 1.7
+STARTS, REPEATS, BAR = 100, 5, 1.7
 
 
 def measure(options: argparse.Namespace) -> Row:
