@@ -250,7 +250,7 @@ def test_a_store_of_another_format_is_refused(
 
 
 SCRIPT = """
-import sys, time
+import signal, sys, time
 from identknee.runs.executors import process_pool
 from identknee.runs.resume import open_work, resumable_map
 
@@ -260,6 +260,8 @@ def slowly(x):
     return x
 
 if __name__ == "__main__":
+    # A shell starts what runs in its background with Ctrl-C ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with open_work(sys.argv[1], {}) as store, process_pool(2) as executor:
         resumable_map(slowly, list(range(100)), executor=executor, store=store, name="s")
 """
