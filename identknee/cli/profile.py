@@ -290,18 +290,14 @@ def _lines(
     answer: "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]",
     out: Path,
 ) -> list[str]:
+    from identknee.report.profile_table import profile_table, shown_parts
+
     profiles, pairs = answer
-    width = max(len(x.name) for x in profiles)
     level = 100 * profiles[0].level
     n_closed = sum(x.lower is not None and x.upper is not None for x in profiles)
     lines = [
         f"At {level:g} % confidence the data give {n_closed} of {len(profiles)} both ends.",
-        f"{'':{width}}  {'lower':>9}  {'best':>9}  {'upper':>9}  verdict",
-    ]
-    lines += [
-        f"{x.name:{width}}  {_end(x.lower):>9}  {x.optimum_value:9.4f}  {_end(x.upper):>9}  "
-        f"{x.verdict.value}"
-        for x in profiles
+        *profile_table(profiles),
     ]
     ends = [(p, side) for p in profiles for side in (p.lower_side, p.upper_side)]
     lines += [
@@ -310,7 +306,7 @@ def _lines(
         if side.end is None or side.is_cliff
     ]
     lines += [
-        f"{p.name}: the set has {len(p.intervals)} parts, {_parts(p)}."
+        f"{p.name}: the set has {len(p.intervals)} parts, {shown_parts(p)}."
         for p in profiles
         if len(p.intervals) > 1
     ]
@@ -326,11 +322,3 @@ def _lines(
 
 def _cost(profiles: "tuple[ik.Profile, ...]", pairs: "tuple[ik.PairProfile, ...]") -> int:
     return sum(x.n_simulations for x in profiles) + sum(x.n_simulations for x in pairs)
-
-
-def _end(value: float | None) -> str:
-    return "open" if value is None else f"{value:.4f}"
-
-
-def _parts(profile: "ik.Profile") -> str:
-    return " and ".join(f"{_end(low)} to {_end(high)}" for low, high in profile.intervals)

@@ -18,5 +18,10 @@ def profile_table(profiles: Sequence[Profile]) -> list[str]:
     ]
 
 
+def shown_parts(profile: Profile) -> str:
+    """The parts of a set that is not one interval, in words."""
+    return " and ".join(f"{_end(low)} to {_end(high)}" for low, high in profile.intervals)
+
+
 def _end(value: float | None) -> str:
     return "open" if value is None else f"{value:.4f}"
