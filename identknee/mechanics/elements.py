@@ -16,6 +16,8 @@ from identknee.mechanics.spline_lanes import spline_at
 # the cell is near one that does.
 IS_NEAR = 256
 NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
+# mm; at this depth the pressure does not depend on the exponent of the contact law.
+REFERENCE_DEPTH = 0.3
 
 
 @compiled
@@ -84,7 +86,7 @@ def list_is_valid(R, t, radius, spacing, work):
 
 
 @compiled
-def contact_elements(R, t, field, work):
+def contact_elements(R, t, exponent, field, work):
     """Write an element for every point that may touch the femur; return their number and energy."""
     coefficients, reach, shape = field[0], field[1], field[4]
     elements, fractions, listed, counts, cells = work[0], work[1], work[2], work[3], work[5]
@@ -106,7 +108,7 @@ def contact_elements(R, t, field, work):
         touching[n] = which[j]
         n += (reach[cell] >> eighth) & 1
     inverse = 1.0 / field[3][0]
-    return n, spline_elements(n, coefficients, stride_x, stride_y, inverse, work)
+    return n, spline_elements(n, coefficients, stride_x, stride_y, inverse, exponent, work)
 
 
 @compiled
@@ -126,8 +128,11 @@ def spline_weights(u, weights, i, first):
 
 
 @compiled
-def spline_elements(n, coefficients, stride_x, stride_y, inverse, work):
-    """Write f and D of n contact points from the distance spline; return their energy."""
+def spline_elements(n, coefficients, stride_x, stride_y, inverse, exponent, work):
+    """Write f and D of n contact points from the distance spline; return their energy.
+
+    The force of a point is its stiffness times ``depth (depth / REFERENCE_DEPTH)^(exponent - 1)``.
+    """
     elements, fractions, cells, weights = work[0], work[1], work[5], work[15]
     for i in range(n):
         spline_weights(fractions[0, i], weights, i, 0)
@@ -139,21 +144,70 @@ def spline_elements(n, coefficients, stride_x, stride_y, inverse, work):
             coefficients, cells[i], stride_x, stride_y, weights, i
         )
         spring = fractions[3, i] if d < 0.0 else 0.0
-        energy += 0.5 * spring * d * d
+        if exponent != 1.0 and d < 0.0:
+            spring *= (-d / REFERENCE_DEPTH) ** (exponent - 1.0)
+        energy += spring * d * d / (exponent + 1.0)
         k1 = spring * d * inverse
         k2 = spring * inverse * inverse
         elements[3, i], elements[4, i], elements[5, i] = k1 * gx, k1 * gy, k1 * gz
-        elements[6, i] = k2 * (gx * gx + d * hxx)
-        elements[7, i] = k2 * (gy * gy + d * hyy)
-        elements[8, i] = k2 * (gz * gz + d * hzz)
-        elements[9, i] = k2 * (gx * gy + d * hxy)
-        elements[10, i] = k2 * (gx * gz + d * hxz)
-        elements[11, i] = k2 * (gy * gz + d * hyz)
+        elements[6, i] = k2 * (exponent * gx * gx + d * hxx)
+        elements[7, i] = k2 * (exponent * gy * gy + d * hyy)
+        elements[8, i] = k2 * (exponent * gz * gz + d * hzz)
+        elements[9, i] = k2 * (exponent * gx * gy + d * hxy)
+        elements[10, i] = k2 * (exponent * gx * gz + d * hxz)
+        elements[11, i] = k2 * (exponent * gy * gz + d * hyz)
+        elements[12, i] = -d
     return energy
 
 
 @compiled
-def ligament_elements(R, t, ligaments, n, elements):
+def line_shape(e0, e1, e2, lift, place, shape):
+    """Write length (1), gradient (3) and Hessian (xx yy zz xy xz yz) of a line into `shape`.
+
+    The line runs to (e0, e1, e2) from the origin; at the share `place` of the way back it is pushed
+    aside by `lift` along z.
+    """
+    if lift == 0.0:
+        length = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        g0, g1, g2 = e0 / length, e1 / length, e2 / length
+        shape[0], shape[1], shape[2], shape[3] = length, g0, g1, g2
+        a = 1.0 / length
+        shape[4], shape[5], shape[6] = a - a * g0 * g0, a - a * g1 * g1, a - a * g2 * g2
+        shape[7], shape[8], shape[9] = -a * g0 * g1, -a * g0 * g2, -a * g1 * g2
+        return
+    for k in range(10):
+        shape[k] = 0.0
+    for part in range(2):
+        share, aside = (place, -lift) if part == 0 else (1.0 - place, lift)
+        x, y, z = share * e0, share * e1, share * e2 + aside
+        length = math.sqrt(x * x + y * y + z * z)
+        x, y, z = x / length, y / length, z / length
+        shape[0] += length
+        shape[1] += share * x
+        shape[2] += share * y
+        shape[3] += share * z
+        a = share * share / length
+        shape[4] += a - a * x * x
+        shape[5] += a - a * y * y
+        shape[6] += a - a * z * z
+        shape[7] -= a * x * y
+        shape[8] -= a * x * z
+        shape[9] -= a * y * z
+
+
+@compiled
+def line_force(strain, stiffness, transition):
+    """Force of a line, its slope with strain and its integral over strain.
+
+    A ligament's, or that of a spring which also pushes where `transition` is negative.
+    """
+    if transition < 0.0:
+        return stiffness * strain, stiffness, 0.5 * stiffness * strain * strain
+    return tension(strain, stiffness, transition)
+
+
+@compiled
+def ligament_elements(R, t, ligaments, n, elements, shape):
     """Append an element for every ligament; return the new number of elements and their energy."""
     femoral, tibial, properties = ligaments
     energy = 0.0
@@ -165,23 +219,21 @@ def ligament_elements(R, t, ligaments, n, elements):
         e0 = p0 + t[0] - femoral[i, 0]
         e1 = p1 + t[1] - femoral[i, 1]
         e2 = p2 + t[2] - femoral[i, 2]
-        length = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        line_shape(e0, e1, e2, properties[i, 4], properties[i, 5], shape)
         slack_length = properties[i, 2] / (1.0 + properties[i, 1])
-        force, slope, work = tension(
-            length / slack_length - 1.0, properties[i, 0], properties[i, 3]
-        )
+        strain = shape[0] / slack_length - 1.0
+        force, slope, work = line_force(strain, properties[i, 0], properties[i, 3])
         energy += slack_length * work
-        a = force / length
-        b = slope / slack_length - a
-        e0, e1, e2 = e0 / length, e1 / length, e2 / length
+        b = slope / slack_length
+        g0, g1, g2 = shape[1], shape[2], shape[3]
         elements[0, n], elements[1, n], elements[2, n] = p0, p1, p2
-        elements[3, n], elements[4, n], elements[5, n] = force * e0, force * e1, force * e2
-        elements[6, n], elements[7, n], elements[8, n] = (
-            a + b * e0 * e0,
-            a + b * e1 * e1,
-            a + b * e2 * e2,
-        )
-        elements[9, n], elements[10, n], elements[11, n] = b * e0 * e1, b * e0 * e2, b * e1 * e2
+        elements[3, n], elements[4, n], elements[5, n] = force * g0, force * g1, force * g2
+        elements[6, n] = force * shape[4] + b * g0 * g0
+        elements[7, n] = force * shape[5] + b * g1 * g1
+        elements[8, n] = force * shape[6] + b * g2 * g2
+        elements[9, n] = force * shape[7] + b * g0 * g1
+        elements[10, n] = force * shape[8] + b * g0 * g2
+        elements[11, n] = force * shape[9] + b * g1 * g2
         n += 1
     return n, energy
 

@@ -7,23 +7,26 @@ axes that turn with flexion: ``x_femur = R x_tibia + Rz(-flexion) (x, y, z)`` wi
 Groups of arrays travel as tuples, laid out in `identknee.mechanics.equilibria`:
 
 * ``contact``: points (3, n), their distance from the tibial origin at most (1,), stiffness (n,),
-  the compartment each belongs to (n,);
+  the compartment each belongs to (n,), exponent of the contact law (1,);
 * ``field``: coefficients (flat), reach (flat), origin (3,), spacing (1,), shape (3,);
-* ``ligaments``: femoral (m, 3) and tibial (m, 3) insertions, properties (m, 4): stiffness [N],
-  reference strain, reference length [mm], transition strain.
+* ``ligaments``: femoral (m, 3) and tibial (m, 3) insertions, properties (m, 6): stiffness [N],
+  reference strain, reference length [mm], transition strain (negative for a spring that pushes
+  too), how far the line is pushed aside [mm] and at which share of the way from the tibia.
 """
 
 import math
 
 from identknee.mechanics.compiled import compiled
 from identknee.mechanics.elements import (
+    REFERENCE_DEPTH,
     contact_elements,
     ligament_elements,
+    line_force,
+    line_shape,
     list_candidates,
     list_is_valid,
     sum_elements,
 )
-from identknee.mechanics.ligament_law import tension
 
 
 @compiled
@@ -115,10 +118,10 @@ def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
     motion_axes(flexion, R, t, axes)
     if not list_is_valid(R, t, contact[1][0], field[3][0], work):
         list_candidates(R, t, contact, field, work)
-    n_contact, energy = contact_elements(R, t, field, work)
+    n_contact, energy = contact_elements(R, t, contact[4][0], field, work)
     work[3][1] = n_contact
     work[3][2] += 1
-    n, pulled = ligament_elements(R, t, ligaments, n_contact, elements)
+    n, pulled = ligament_elements(R, t, ligaments, n_contact, elements, work[16])
     energy += pulled
     sum_elements(n, elements, sums)
     generalised(sums, axes, g, H, h)
@@ -129,7 +132,7 @@ def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
 
 
 @compiled
-def parameter_columns(R, t, ligaments, axes, columns):
+def parameter_columns(R, t, ligaments, axes, shape, columns):
     """Write d gradient / d (stiffness [N], reference strain) of every ligament into `columns`."""
     femoral, tibial, properties = ligaments
     m = femoral.shape[0]
@@ -141,11 +144,11 @@ def parameter_columns(R, t, ligaments, axes, columns):
         e0 = p0 + t[0] - femoral[i, 0]
         e1 = p1 + t[1] - femoral[i, 1]
         e2 = p2 + t[2] - femoral[i, 2]
-        length = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
-        strain = length * (1.0 + properties[i, 1]) / properties[i, 2] - 1.0
-        force, slope, _ = tension(strain, 1.0, properties[i, 3])
-        by_strain = properties[i, 0] * slope / properties[i, 2]
-        force /= length
+        line_shape(e0, e1, e2, properties[i, 4], properties[i, 5], shape)
+        strain = shape[0] * (1.0 + properties[i, 1]) / properties[i, 2] - 1.0
+        force, slope, _ = line_force(strain, 1.0, properties[i, 3])
+        by_strain = properties[i, 0] * slope * shape[0] / properties[i, 2]
+        e0, e1, e2 = shape[1], shape[2], shape[3]
         m0, m1, m2 = p1 * e2 - p2 * e1, p2 * e0 - p0 * e2, p0 * e1 - p1 * e0
         for a in range(5):
             if a < 2:
@@ -154,3 +157,30 @@ def parameter_columns(R, t, ligaments, axes, columns):
                 along = axes[a, 0] * e0 + axes[a, 1] * e1 + axes[a, 2] * e2
             columns[a, i] = force * along
             columns[a, m + i] = by_strain * along
+
+
+@compiled
+def contact_columns(n_contact, elements, axes, columns, first):
+    """Write d gradient / d (ln modulus, exponent) of the contact into `columns`, from `first` on.
+
+    The elements are those of the pose evaluated last.
+    """
+    for k in range(2):
+        f0, f1, f2, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(n_contact):
+            depth = elements[12, n]
+            if depth <= 0.0:
+                continue
+            w = math.log(depth / REFERENCE_DEPTH) if k == 1 else 1.0
+            p0, p1, p2 = elements[0, n], elements[1, n], elements[2, n]
+            a0, a1, a2 = w * elements[3, n], w * elements[4, n], w * elements[5, n]
+            f0 += a0
+            f1 += a1
+            f2 += a2
+            m0 += p1 * a2 - p2 * a1
+            m1 += p2 * a0 - p0 * a2
+            m2 += p0 * a1 - p1 * a0
+        for a in range(5):
+            x, y, z = axes[a, 0], axes[a, 1], axes[a, 2]
+            along = x * m0 + y * m1 + z * m2 if a < 2 else x * f0 + y * f1 + z * f2
+            columns[a, first + k] = along

@@ -15,6 +15,22 @@ PRESSURE_MODULUS = 10.0  # N/mm3, the paper's 10 GN/m3
 TRANSITION_STRAIN = 0.03
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactLaw:
+    """Pressure of the contact, ``modulus depth (depth / REFERENCE_DEPTH)^(exponent - 1)``.
+
+    Attributes
+    ----------
+    modulus
+        [N/mm3], > 0.
+    exponent
+        Of the depth, > 0; the paper's law has 1.
+    """
+
+    modulus: float = PRESSURE_MODULUS
+    exponent: float = 1.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ContactPoints:
     """Points of the tibial surface that carry contact, in tibial axes.
@@ -27,11 +43,14 @@ class ContactPoints:
         Tributary areas [mm2], shape ``(n,)``.
     compartment
         Which tibial surface each belongs to, shape ``(n,)``.
+    law
+        The contact law, with sensitivities to it; the paper's, without them, where None.
     """
 
     points: Array
     areas: Array
     compartment: IntArray
+    law: ContactLaw | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -44,14 +63,16 @@ class ContactPoints:
         """How many tibial surfaces there are."""
         return int(self.compartment.max()) + 1
 
-    def arrays(self) -> tuple[Array, Array, Array, IntArray]:
+    def arrays(self) -> tuple[Array, Array, Array, IntArray, Array]:
         """The points as the kernel takes them."""
+        law = self.law or ContactLaw()
         radius = np.array([np.linalg.norm(self.points, axis=1).max()])
         return (
             np.ascontiguousarray(self.points.T),
             radius,
-            PRESSURE_MODULUS * self.areas,
+            law.modulus * self.areas,
             self.compartment,
+            np.array([law.exponent]),
         )
 
 
@@ -64,25 +85,36 @@ class Lines:
     femoral, tibial
         Insertions [mm], shape ``(m, 3)``.
     reference_length
-        Distance of the insertions in the scanned pose [mm], shape ``(m,)``.
+        Length in the scanned pose [mm], shape ``(m,)``.
+    transition
+        Strain at which the force-strain curve has half its final slope, shape ``(m,)``; negative
+        for a spring, linear in tension and compression.
+    lift
+        How far something pushes each line aside, towards femoral z [mm], shape ``(m,)``.
+    lift_place
+        Where it does, as a share of the way from the tibia to the femur, shape ``(m,)``.
     """
 
     femoral: Array
     tibial: Array
     reference_length: Array
+    transition: Array | float = TRANSITION_STRAIN
+    lift: Array | float = 0.0
+    lift_place: Array | float = 0.5
 
     def __post_init__(self) -> None:
         m = len(self.femoral)
-        for name, shape in (("femoral", (m, 3)), ("tibial", (m, 3)), ("reference_length", (m,))):
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+        for name in ("femoral", "tibial"):
+            object.__setattr__(self, name, frozen(getattr(self, name), m, 3, name=name))
+        for name in ("reference_length", "transition", "lift", "lift_place"):
+            values = np.broadcast_to(np.asarray(getattr(self, name), float), (m,))
+            object.__setattr__(self, name, frozen(values, m, name=name))
 
     def arrays(self, stiffness: Array, reference_strain: Array) -> tuple[Array, Array, Array]:
         """The ligaments with stiffness [N] and reference strain, as the kernel takes them."""
-        transition = np.full(len(self.reference_length), TRANSITION_STRAIN)
-        properties = np.stack(
-            [stiffness, reference_strain, self.reference_length, transition], axis=1
-        )
-        return self.femoral, self.tibial, properties
+        course = (self.reference_length, self.transition, self.lift, self.lift_place)
+        columns = [np.asarray(x, float) for x in (stiffness, reference_strain, *course)]
+        return self.femoral, self.tibial, np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,7 +128,11 @@ class Equilibria:
     hessians
         Second derivatives of the energy there, ``(n, 5, 5)``.
     sensitivities
-        d pose / d (stiffness [N], reference strain), ``(n, 5, 2m)``; zero where not converged.
+        d pose / d (stiffness [N], reference strain), ``(n, 5, 2m)``; under a stated contact law
+        also d pose / d (logarithm of the modulus, exponent), ``(n, 5, 2m + 2)``. Zero where not
+        converged.
+    flexed
+        d gradient of the energy / d flexion, shape ``(n, 5)``.
     codes
         Outcome codes of the kernel, ``(n,)``.
     reached
@@ -110,6 +146,7 @@ class Equilibria:
     poses: Array
     hessians: Array
     sensitivities: Array
+    flexed: Array
     codes: IntArray
     reached: Array
     centres: Array
@@ -136,7 +173,11 @@ def solve(
     """
     n, m = len(paths.flexion), len(ligaments[0])
     codes, solves = np.full(n, kernel.NO_EQUILIBRIUM), np.zeros(n, np.int64)
-    poses, hessians, slopes = np.zeros((n, 5)), np.zeros((n, 5, 5)), np.zeros((n, 5, 2 * m))
+    poses, hessians, slopes = (
+        np.zeros((n, 5)),
+        np.zeros((n, 5, 5)),
+        np.zeros((n, 5, 2 * m + 2 * (contact.law is not None))),
+    )
     residuals, reached, flexed = np.zeros(n), np.zeros(n), np.zeros((n, 5))
     centres = np.zeros((n, contact.n_compartments, 7))
     kernel.simulate_path(
@@ -154,6 +195,7 @@ def solve(
         poses=poses,
         hessians=hessians,
         sensitivities=slopes,
+        flexed=flexed,
         codes=codes,
         reached=reached,
         centres=centres,

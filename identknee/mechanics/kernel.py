@@ -6,7 +6,13 @@ import numpy as np
 
 from identknee.mechanics.compiled import compiled, compiled_apart
 from identknee.mechanics.elements import contact_centres
-from identknee.mechanics.energy import evaluate, motion_axes, parameter_columns, place_tibia
+from identknee.mechanics.energy import (
+    contact_columns,
+    evaluate,
+    motion_axes,
+    parameter_columns,
+    place_tibia,
+)
 from identknee.mechanics.small_matrices import (
     factorise,
     residual_norm,
@@ -191,15 +197,23 @@ def follow(path, q, H, h, guess, guessed, contact, field, ligaments, work, g):
 
 
 @compiled
-def sensitivities(flexion, q, H, ligaments, work, columns, S):
-    """Write dq / d(stiffness, reference strain) = -H^-1 d gradient / d parameter into S (5, 2m)."""
-    R, t, axes = work[6], work[7], work[9]
+def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns, S):
+    """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
+
+    The parameters are stiffness and reference strain of m ligaments, then the logarithm of the
+    contact modulus and the exponent of the contact law.
+    """
+    R, t, axes, m = work[6], work[7], work[9], ligaments[0].shape[0]
     L, right, step = work[10][0], work[10][1], work[10][2]
+    if S.shape[1] > 2 * m:
+        g, h, H_again = work[10][3], work[10][4], work[10][5]
+        evaluate(flexion, q, load, contact, field, ligaments, work, g, H_again, h)
+        contact_columns(work[3][1], work[0], axes, columns, 2 * m)
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
-    parameter_columns(R, t, ligaments, axes, columns)
+    parameter_columns(R, t, ligaments, axes, work[16], columns)
     factorise(H, 0.0, L)
-    for j in range(columns.shape[1]):
+    for j in range(S.shape[1]):
         for i in range(5):
             right[i] = -columns[i, j]
         substitute(L, right, step)
@@ -237,7 +251,7 @@ def workspace(n_points, n_ligaments):
         np.zeros(5),
     )
     return (
-        np.zeros((12, n)),  # 0 elements
+        np.zeros((13, n)),  # 0 elements
         np.zeros((4, n)),  # 1 place in the cell, stiffness
         np.zeros((4, n)),  # 2 listed points, stiffness
         counts,  # 3 listed points, contact elements, evaluations, listings
@@ -253,6 +267,7 @@ def workspace(n_points, n_ligaments):
         np.zeros(n, np.int64),  # 13 point of each listed one
         np.zeros((6, n)),  # 14 listed points, turned; their place in the grid
         np.zeros((n, 36)),  # 15 spline weights
+        np.zeros(10),  # 16 length, gradient and Hessian of a line
     )
 
 
@@ -263,16 +278,16 @@ def simulate_path(
     """Solve every node of a tree of load paths, each from its parent's state.
 
     `nodes`: flexion (n), load (n, 5), parent (n); a parent of -1 starts the search at `start`.
-    `results`: poses (n, 5), Hessians (n, 5, 5), sensitivities (n, 5, 2m), outcomes (n), residuals
-    (n), share of the path from the parent that was reached (n), d gradient / d flexion (n, 5),
-    solves (n), contact force and centres (n, compartments, 7).
+    `results`: poses (n, 5), Hessians (n, 5, 5), sensitivities (n, 5, 2m or 2m + 2), outcomes (n),
+    residuals (n), share of the path from the parent that was reached (n), d gradient / d flexion
+    (n, 5), solves (n), contact force and centres (n, compartments, 7).
     """
     flexion, loads, parent = nodes
     poses, hessians, slopes, outcomes, residuals, reached, flexed, solves, centres = results
     work = workspace(contact[0].shape[1], ligaments[0].shape[0])
     g, q, H, h = np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
     path = np.zeros(12)
-    columns = np.zeros((5, 2 * ligaments[0].shape[0]))
+    columns = np.zeros((5, slopes.shape[2]))
     for n in range(flexion.shape[0]):
         before = parent[n]
         if before < 0:
@@ -306,4 +321,6 @@ def simulate_path(
                 hessians[n, i, j] = H[i, j]
         contact_centres(contact, work, centres[n])
         if derivatives and outcome == CONVERGED:
-            sensitivities(flexion[n], q, H, ligaments, work, columns, slopes[n])
+            sensitivities(
+                flexion[n], q, loads[n], H, contact, field, ligaments, work, columns, slopes[n]
+            )

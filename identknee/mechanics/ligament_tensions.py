@@ -17,8 +17,11 @@ class LigamentTensions:
     ----------
     tensions
         [N], shape ``(n, m)``.
+    lengthening
+        Derivative of each length by varus, internal rotation [mm/rad], x, y and z, ``(n, m, 5)``.
     by_pose
-        Their derivatives by varus, internal rotation [N/rad], x, y and z [N/mm], ``(n, m, 5)``.
+        Derivatives of the tensions by varus, internal rotation [N/rad], x, y and z [N/mm], shape
+        ``(n, m, 5)``.
     by_stiffness
         Derivative of each by the stiffness of its own ligament [-], shape ``(n, m)``.
     by_strain
@@ -26,6 +29,7 @@ class LigamentTensions:
     """
 
     tensions: Array
+    lengthening: Array
     by_pose: Array
     by_stiffness: Array
     by_strain: Array
@@ -34,7 +38,14 @@ class LigamentTensions:
         n, m = np.shape(self.tensions)
         for name in ("tensions", "by_stiffness", "by_strain"):
             object.__setattr__(self, name, frozen(getattr(self, name), n, m, name=name))
-        object.__setattr__(self, "by_pose", frozen(self.by_pose, n, m, 5, name="by_pose"))
+        for name in ("lengthening", "by_pose"):
+            object.__setattr__(self, name, frozen(getattr(self, name), n, m, 5, name=name))
+
+    @property
+    def gradient(self) -> Array:
+        """Gradient of the ligaments' energy by the pose [N mm, N], shape ``(n, 5)``."""
+        gradient: Array = np.einsum("nm,nma->na", self.tensions, self.lengthening)
+        return gradient
 
 
 def ligament_tensions(
@@ -56,11 +67,12 @@ def ligament_tensions(
         Strain at the reference length [-], shape ``(m,)``.
     """
     offset, by_varus, by_internal = _offsets(lines, flexion, poses)
-    length = np.linalg.norm(offset, axis=2)
-    direction = offset / length[:, :, None]
+    length, direction = _course(lines, offset)
     slack_length = lines.reference_length / (1.0 + reference_strain)
     # The law is asked for unit stiffness, since stiffness zero has a slope by stiffness as well.
-    per_stiffness, slope = line_tensions(length / slack_length - 1.0, np.ones(len(stiffness)))
+    per_stiffness, slope = line_tensions(
+        length / slack_length - 1.0, np.ones(len(stiffness)), lines.transition
+    )
     lengthening = np.concatenate(
         [
             np.einsum("nmi,nmi->nm", by_varus, direction)[:, :, None],
@@ -71,10 +83,31 @@ def ligament_tensions(
     )
     return LigamentTensions(
         tensions=stiffness * per_stiffness,
+        lengthening=lengthening,
         by_pose=(stiffness * slope / slack_length)[:, :, None] * lengthening,
         by_stiffness=per_stiffness,
         by_strain=stiffness * slope * length / lines.reference_length,
     )
+
+
+def line_lengths(lines: Lines, flexion: float, pose: Array) -> Array:
+    """Lengths of the lines [mm], shape ``(m,)``, at `flexion` [rad] and a `pose` (5,)."""
+    offset, _, _ = _offsets(lines, np.array([flexion]), pose[None])
+    length, _ = _course(lines, offset)
+    return length.reshape(-1)
+
+
+def _course(lines: Lines, offset: Array) -> tuple[Array, Array]:
+    """Length of each line and its gradient by `offset` (n, m, 3), pushed aside where it is."""
+    length, direction = np.zeros(offset.shape[:2]), np.zeros(offset.shape)
+    place, lift = np.asarray(lines.lift_place), np.asarray(lines.lift)
+    for share, aside in ((place, -lift), (1.0 - place, lift)):
+        part = share[:, None] * offset
+        part[:, :, 2] += aside
+        size = np.linalg.norm(part, axis=2)
+        length += size
+        direction += share[:, None] * part / size[:, :, None]
+    return length, direction
 
 
 def _offsets(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array, Array]:

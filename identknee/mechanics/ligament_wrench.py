@@ -33,8 +33,12 @@ class LigamentWrench:
         object.__setattr__(self, "tensions", frozen(self.tensions, None, name="tensions"))
 
 
-def line_tensions(strain: Array, stiffness: Array) -> tuple[Array, Array]:
+def line_tensions(
+    strain: Array, stiffness: Array, transition: Array | float = TRANSITION_STRAIN
+) -> tuple[Array, Array]:
     """Tension [N] at `strain` of lines of `stiffness` [N], and its derivative by strain [N].
+
+    Where `transition` is negative the line is a spring, which pushes as well as it pulls.
 
     References
     ----------
@@ -47,13 +51,14 @@ def line_tensions(strain: Array, stiffness: Array) -> tuple[Array, Array]:
     >>> tension
     array([ 0. ,  7.5, 30. , 70. ])
     """
+    width = np.abs(transition)
     stretched = np.maximum(strain, 0.0)
-    toe = stretched < 2.0 * TRANSITION_STRAIN
-    tension = stiffness * np.where(
-        toe, stretched**2 / (4.0 * TRANSITION_STRAIN), stretched - TRANSITION_STRAIN
-    )
-    slope = stiffness * np.where(toe, stretched / (2.0 * TRANSITION_STRAIN), 1.0)
-    return tension, slope
+    toe = stretched < 2.0 * width
+    tension = np.where(toe, stretched**2 / (4.0 * width), stretched - width)
+    slope = np.where(toe, stretched / (2.0 * width), 1.0)
+    is_spring = np.asarray(transition) < 0.0
+    tension, slope = np.where(is_spring, strain, tension), np.where(is_spring, 1.0, slope)
+    return stiffness * tension, stiffness * slope
 
 
 def ligament_wrench(

@@ -1,6 +1,7 @@
 """The laxity model: a knee under a protocol, its prediction and the prediction's exact Jacobian."""
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal
@@ -10,24 +11,26 @@ import numpy as np
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_points import DEFAULT_NUMBER
-from identknee.mechanics.equilibria import Equilibria, solve
+from identknee.mechanics.equilibria import ContactLaw, Equilibria, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
-from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
+from identknee.model.effects.effect import Effect, Tests
+from identknee.model.extension import Extension, joined
 from identknee.model.joint import Joint, joint_of, sheets_of
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.model.prediction import LEFT_GEOMETRY, Prediction
-from identknee.runs.arrays import Array, BoolArray
+from identknee.model.setting import Setting
+from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
 Contact = Literal["field", "mesh"]
 RIM_MARGIN = 3.0  # mm
 # Kernel units per unit of theta: N per kN, strain per %.
-_PER_KN, _PER_PCT = 1000.0, 0.01
+PER_KN, PER_PCT = 1000.0, 0.01
 # Loads of a protocol (internal, varus moment, anterior, distraction, lateral force) to generalised
 # loads of (varus, internal, x, y, z).
 _GENERALISED = np.array(
@@ -66,6 +69,11 @@ class LaxityModel:
         the scanned pose at once, as the paper did.
     n_points
         About how many contact points to use; None for every vertex of the tibial surfaces.
+    effects
+        Physical effects that extend the knee, in the order in which they act; their amplitudes are
+        parameters after those of the ligaments.
+    order, phase
+        As in `Laxity`, for effects that depend on when a trial was run.
     contact
         ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
         ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
@@ -77,9 +85,13 @@ class LaxityModel:
     continuation: Continuation = "continuation"
     n_points: int | None = DEFAULT_NUMBER
     contact: Contact = "field"
+    effects: tuple[Effect, ...] = ()
+    order: IntArray | None = None
+    phase: tuple[str, ...] | None = None
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
+    extension: Extension = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         joint = joint_of(self.knee, self.n_points)
@@ -95,13 +107,41 @@ class LaxityModel:
             [x.stiffness_kN for x in ligaments],
             [x.reference_strain_pct for x in ligaments],
         )
+        object.__setattr__(self, "effects", tuple(self.effects))
+        extension = Extension(effects=self.effects)
+        if extension.parameters is not None:
+            parameters = joined([parameters, extension.parameters])
+            if self.contact == "mesh":
+                raise ValueError('effects need contact="field": mesh contact has no derivatives')
         object.__setattr__(self, "joint", joint)
         object.__setattr__(self, "paths", paths)
         object.__setattr__(self, "parameters", parameters)
+        object.__setattr__(self, "extension", extension)
+
+    @property
+    def n_ligament_parameters(self) -> int:
+        """How many parameters come before those of the effects."""
+        return 2 * len(self.knee.ligaments)
 
     def with_protocol(self, protocol: Protocol) -> "LaxityModel":
-        """The same model under another protocol; itself where it is its own."""
-        return self if protocol is self.protocol else replace(self, protocol=protocol)
+        """The same model under another protocol; itself where it is its own.
+
+        When trials of another protocol were run is not known.
+        """
+        if protocol is self.protocol:
+            return self
+        return replace(self, protocol=protocol, order=None, phase=None)
+
+    def with_tests(self, laxity: Laxity) -> "LaxityModel":
+        """The same model under the protocol of measured laxity, its trials run when stated."""
+        model = self.with_protocol(laxity.protocol)
+        if not self.effects or (model.order is laxity.order and model.phase is laxity.phase):
+            return model
+        return replace(model, order=laxity.order, phase=laxity.phase)
+
+    def with_effects(self, effects: Sequence[Effect]) -> "LaxityModel":
+        """The same model with these effects in place of its own."""
+        return replace(self, effects=tuple(effects))
 
     def predict(
         self, theta: Array, *, derivatives: bool = True, near: Prediction | None = None
@@ -126,16 +166,46 @@ class LaxityModel:
         """
         if self.contact == "mesh":
             return self._predict_on_meshes(theta, derivatives=derivatives)
+        setting = self.setting(theta)
         found = solve(
-            self.paths,
+            replace(self.paths, flexion=setting.flexion, loads=setting.loads),
             self.joint.start,
-            self.joint.contact,
+            replace(self.joint.contact, law=setting.law) if self.effects else self.joint.contact,
             self.joint.field,
-            self.joint.lines.arrays(*self._unpacked(theta)),
+            setting.lines.arrays(setting.stiffness, setting.reference_strain),
             derivatives=derivatives,
             guesses=None if near is None else near.node_poses,
         )
-        return self._prediction(np.array(theta, float), found, derivatives=derivatives)
+        return self._prediction(np.array(theta, float), setting, found, derivatives=derivatives)
+
+    def setting(self, theta: Array, *, is_changed: bool = True) -> Setting:
+        """Loads, lines and contact at theta, with the effects (`is_changed`) or without.
+
+        Raises
+        ------
+        ValueError
+            As `predict`.
+        """
+        stiffness, strain = self._unpacked(theta)
+        m = len(stiffness)
+        setting = Setting(
+            flexion=self.paths.flexion,
+            loads=self.paths.loads,
+            lines=self.joint.lines,
+            stiffness=stiffness,
+            reference_strain=strain,
+            owner=np.arange(m),
+            share=np.ones(m),
+            law=ContactLaw(),
+            start_flexion=self.joint.start_flexion,
+            start=self.joint.start,
+        )
+        return self.extension.change(setting, self.amplitudes(theta)) if is_changed else setting
+
+    @property
+    def tests(self) -> Tests:
+        """The trials as they were run."""
+        return Tests(protocol=self.protocol, order=self.order, phase=self.phase)
 
     def predict_once(self, theta: Array) -> Prediction:
         """The prediction at theta with its Jacobian, not made again where it was the last one.
@@ -158,47 +228,6 @@ class LaxityModel:
         prediction = self.predict(theta, derivatives=False)
         return Laxity(protocol=self.protocol, coordinates=prediction.coordinates)
 
-    def tensions(self, prediction: Prediction) -> Array:
-        """Tension of every ligament in every trial [N], shape ``(n, n_ligaments)``.
-
-        NaN in trials that did not converge.
-        """
-        tensions = np.array(self._ligaments(prediction).tensions)
-        tensions[~prediction.is_converged] = np.nan
-        return tensions
-
-    def tension_jacobian(self, prediction: Prediction) -> Array:
-        """Exact derivatives of `tensions` by theta [N per kN, N per %], ``(n, n_ligaments, p)``.
-
-        A parameter changes a tension directly and by moving the tibia. NaN in trials that did not
-        converge.
-
-        Raises
-        ------
-        ValueError
-            If the prediction was made without derivatives.
-        """
-        if prediction.jacobian is None:
-            raise ValueError("tensions have derivatives only where the prediction has them")
-        found = self._ligaments(prediction)
-        pose_jacobian = np.linalg.solve(
-            coordinate_jacobian(prediction.poses), np.nan_to_num(prediction.jacobian)
-        )
-        jacobian: Array = found.by_pose @ pose_jacobian
-        own, m = np.arange(found.tensions.shape[1]), self.parameters.n // 2
-        jacobian[:, own, own] += _PER_KN * found.by_stiffness
-        jacobian[:, own, m + own] += _PER_PCT * found.by_strain
-        jacobian[~prediction.is_converged] = np.nan
-        return jacobian
-
-    def _ligaments(self, prediction: Prediction) -> LigamentTensions:
-        return ligament_tensions(
-            self.joint.lines,
-            np.radians(self.protocol.flexion_deg),
-            prediction.poses,
-            *self._unpacked(prediction.theta),
-        )
-
     def _unpacked(self, theta: Array) -> tuple[Array, Array]:
         theta = np.asarray(theta, float)
         if theta.shape != (self.parameters.n,):
@@ -206,9 +235,10 @@ class LaxityModel:
                 f"theta must have {self.parameters.n} values, one for each of "
                 f"{', '.join(self.parameters.names)}; got shape {theta.shape}"
             )
-        m = self.parameters.n // 2
-        stiffness, strain = theta[:m] * _PER_KN, theta[m:] * _PER_PCT
-        allowed = np.isfinite(theta) & np.r_[stiffness >= 0.0, strain > -1.0]
+        m = self.n_ligament_parameters // 2
+        stiffness, strain = theta[:m] * PER_KN, theta[m : 2 * m] * PER_PCT
+        others = np.ones(theta.size - 2 * m, bool)
+        allowed = np.isfinite(theta) & np.r_[stiffness >= 0.0, strain > -1.0, others]
         if not allowed.all():
             worst = int(np.flatnonzero(~allowed)[0])
             raise ValueError(
@@ -217,23 +247,27 @@ class LaxityModel:
             )
         return stiffness, strain
 
-    def _prediction(self, theta: Array, found: Equilibria, *, derivatives: bool) -> Prediction:
+    def _prediction(
+        self, theta: Array, setting: Setting, found: Equilibria, *, derivatives: bool
+    ) -> Prediction:
         nodes = self.paths.trial_node
         codes = np.array(found.codes[nodes])
         codes[(codes == CONVERGED) & self._near_rim(found.centres[nodes])] = LEFT_GEOMETRY
         poses = found.poses[nodes]
         converged = codes == CONVERGED
-        coordinates = np.where(converged[:, None], coordinates_from_pose(poses), np.nan)
-        jacobian = None
+        actual = coordinates_from_pose(poses)
+        measured = self.extension.observe(actual, self.amplitudes(theta), self.tests)
+        coordinates = np.where(converged[:, None], measured, np.nan)
+        pose_jacobian = jacobian = None
         if derivatives:
-            m = self.parameters.n // 2
-            units = np.r_[np.full(m, _PER_KN), np.full(m, _PER_PCT)]
-            jacobian = coordinate_jacobian(poses) @ (found.sensitivities[nodes] * units)
+            pose_jacobian = self._pose_jacobian(theta, setting, found)
+            jacobian = self._jacobian(theta, actual, poses, pose_jacobian)
             jacobian[~converged] = np.nan
         return Prediction(
             theta=theta,
             coordinates=coordinates,
             jacobian=jacobian,
+            pose_jacobian=pose_jacobian,
             codes=codes,
             poses=poses,
             hessians=found.hessians[nodes],
@@ -241,6 +275,40 @@ class LaxityModel:
             centres=found.centres[nodes],
             node_poses=found.poses,
         )
+
+    def _pose_jacobian(self, theta: Array, setting: Setting, found: Equilibria) -> Array:
+        """D pose [rad, mm] / d theta in its units, shape ``(n, 5, p)``."""
+        nodes, m = self.paths.trial_node, self.n_ligament_parameters // 2
+        n_lines = setting.stiffness.size
+        by_line = found.sensitivities[nodes]
+        # A ligament moves every line that takes a share of it.
+        owned = setting.owned(m)
+        by_ligament = np.concatenate(
+            [
+                PER_KN * by_line[:, :, :n_lines] @ (owned * setting.share[:, None]),
+                PER_PCT * by_line[:, :, n_lines : 2 * n_lines] @ owned,
+            ],
+            axis=2,
+        )
+        if not self.effects:
+            return by_ligament
+        by_amplitude = self.extension.pose_columns(
+            self.setting(theta, is_changed=False), self.amplitudes(theta), found, nodes
+        )
+        return np.concatenate([by_ligament, by_amplitude], axis=2)
+
+    def _jacobian(self, theta: Array, actual: Array, poses: Array, pose_jacobian: Array) -> Array:
+        """D measured coordinates / d theta in their units, shape ``(n, 5, p)``."""
+        by_coordinate, by_amplitude = self.extension.observed_slopes(
+            actual, self.amplitudes(theta), self.tests
+        )
+        jacobian: Array = by_coordinate @ coordinate_jacobian(poses) @ pose_jacobian
+        jacobian[:, :, self.n_ligament_parameters :] += by_amplitude
+        return jacobian
+
+    def amplitudes(self, theta: Array) -> Array:
+        """The amplitudes of the effects in theta."""
+        return np.asarray(theta, float)[self.n_ligament_parameters :]
 
     def _predict_on_meshes(self, theta: Array, *, derivatives: bool) -> Prediction:
         if derivatives:
@@ -259,6 +327,7 @@ class LaxityModel:
             theta=np.array(theta, float),
             coordinates=np.where(converged[:, None], coordinates_from_pose(found.poses), np.nan),
             jacobian=None,
+            pose_jacobian=None,
             codes=np.where(converged, CONVERGED, NO_EQUILIBRIUM),
             poses=found.poses,
             hessians=None,

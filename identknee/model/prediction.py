@@ -33,6 +33,8 @@ class Prediction:
         ``(n, 5)``; NaN where a trial did not converge.
     jacobian
         d coordinates / d theta in their units, shape ``(n, 5, p)``; None if it was not asked for.
+    pose_jacobian
+        d pose / d theta, shape ``(n, 5, p)``; None with the Jacobian.
     codes
         How each trial ended, as places in `OUTCOMES`, shape ``(n,)``.
     poses
@@ -53,6 +55,7 @@ class Prediction:
     theta: Array
     coordinates: Array
     jacobian: Array | None
+    pose_jacobian: Array | None
     codes: IntArray
     poses: Array
     hessians: Array | None

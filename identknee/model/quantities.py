@@ -8,6 +8,7 @@ import numpy as np
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.tensions import tension_jacobian, tensions_of
 from identknee.runs.arrays import Array, frozen
 
 TENSION = "tension_N"
@@ -193,8 +194,8 @@ def _predicted(model: LaxityModel, theta: bytes) -> PredictedQuantities:
     if prediction.jacobian is None:  # pragma: no cover - predict was asked for it
         raise AssertionError
     return PredictedQuantities(
-        tensions=model.tensions(prediction),
-        tension_jacobian=model.tension_jacobian(prediction),
+        tensions=tensions_of(model, prediction),
+        tension_jacobian=tension_jacobian(model, prediction),
         coordinates=prediction.coordinates,
         coordinate_jacobian=prediction.jacobian,
     )

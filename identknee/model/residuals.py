@@ -42,7 +42,7 @@ class LaxityResiduals:
     _whitening: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "model", self.model.with_protocol(self.laxity.protocol))
+        object.__setattr__(self, "model", self.model.with_tests(self.laxity))
         self._relative(self.laxity.coordinates)
         object.__setattr__(self, "_whitening", _whitening(self.laxity, self.weighting))
 

@@ -9,6 +9,7 @@ from identknee.identify.equivalents.equivalents import Equivalents, Extrema
 from identknee.identify.equivalents.search import Side
 from identknee.laxity.table import COORDINATES
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.tensions import tensions_of
 from identknee.runs.arrays import Array
 
 SIDES = ("lower", "upper")
@@ -44,7 +45,7 @@ def equivalents_groups(
                 ),
                 "tension_N": (
                     ("set", "trial", "ligament"),
-                    np.array([model.tensions(x) for x in predictions]),
+                    np.array([tensions_of(model, x) for x in predictions]),
                 ),
                 "diameter": ((), found.diameter),
                 "farthest_pair": (("end", "parameter"), found.pair),

@@ -10,6 +10,7 @@ from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.simulate import Simulation
 from identknee.model.stability import StabilityReport
+from identknee.model.tensions import tensions_of
 from identknee.subject.knee import Knee
 
 Groups = Mapping[str, xarray.Dataset]
@@ -122,7 +123,7 @@ def _predictions(simulation: Simulation) -> xarray.Dataset:
             "coordinates": (("trial", "coordinate"), prediction.coordinates),
             "outcome": ("trial", [x.value for x in prediction.outcomes]),
             "margin_N_per_mm": ("trial", prediction.margins),
-            "tension_N": (("trial", "ligament"), model.tensions(prediction)),
+            "tension_N": (("trial", "ligament"), tensions_of(model, prediction)),
             "theta": ("parameter", prediction.theta),
         },
         coords={

@@ -10,6 +10,7 @@ from identknee.identify.posterior.posterior import QUANTILES, Posterior
 from identknee.identify.posterior.power_scaling import PriorSensitivity
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.tensions import tensions_of
 from identknee.report.groups import constant_data, observed_data
 from identknee.runs.arrays import Array
 
@@ -100,7 +101,7 @@ def predictive_groups(
             ),
             "tension_N": (
                 (*CHAIN, "trial", "ligament"),
-                np.array([[model.tensions(x) for x in predictions]]),
+                np.array([[tensions_of(model, x) for x in predictions]]),
             ),
         },
         coords={

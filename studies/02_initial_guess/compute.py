@@ -26,6 +26,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.stability import box_sample
+from identknee.model.tensions import tensions_of
 from identknee.report.comparison import largest_by, load_scenarios, parameter_error
 from identknee.report.study_records import (
     knee_digest,
@@ -217,7 +218,7 @@ def errors(its: Setting, theta: Array) -> Row:
     measured = its.problem.laxity
     simulated = Laxity(protocol=measured.protocol, coordinates=prediction.coordinates[: measured.n])
     kinematic = laxity_rmse(simulated, measured)
-    differences = np.abs(its.model.tensions(prediction) - its.model.tensions(its.at_truth))
+    differences = np.abs(tensions_of(its.model, prediction) - tensions_of(its.model, its.at_truth))
     flexion = its.model.protocol.flexion_deg
     return {
         "n_not_converged": int((~prediction.is_converged).sum()),
@@ -242,7 +243,7 @@ def profile(knee_name: str) -> Row:
     """Coordinates, tensions and margins at the truth, and the names that go with all arrays."""
     its = setting(knee_name)
     protocol = its.model.protocol
-    tensions = its.model.tensions(its.at_truth)
+    tensions = tensions_of(its.model, its.at_truth)
     row: Row = rounded(
         {
             "parameters": its.model.parameters.names,

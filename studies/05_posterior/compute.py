@@ -26,6 +26,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
+from identknee.model.tensions import tensions_of
 from identknee.report.sample_groups import predictive_groups, sample_summary
 from identknee.report.study_records import (
     knee_digest,
@@ -154,7 +155,7 @@ def predictions(
     chosen = np.flatnonzero(((loads == loads.max(axis=0)) & (loads > 0.0)).any(axis=1))
     half_widths = 0.5 * np.diff(np.quantile(laxity, [0.025, 0.975], axis=0), axis=0)[0]
     force_widths = 0.5 * np.diff(np.quantile(forces, [0.025, 0.975], axis=0), axis=0)[0]
-    tensions = model.tensions(true)
+    tensions = tensions_of(model, true)
     low, high = np.quantile(forces, [0.025, 0.975], axis=0)
     return {
         "ligaments": [x.name for x in model.knee.ligaments],

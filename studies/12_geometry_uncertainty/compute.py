@@ -27,6 +27,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import LigamentForce
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.stability import box_sample
+from identknee.model.tensions import tensions_of
 from identknee.report.study_records import (
     knee_digest,
     record_head,
@@ -160,7 +161,7 @@ class TrueSetting:
     def __init__(self, knee: Knee) -> None:
         self.model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
         self.truth = named_start(TRUTH, self.model.parameters)
-        self.tensions = self.model.tensions(self.model.predict(self.truth))
+        self.tensions = tensions_of(self.model, self.model.predict(self.truth))
         most = self.tensions.argmax(axis=0)
         self.peaks = [
             (ligament.name, self.model.protocol.trials[trial])
@@ -203,7 +204,7 @@ def replicate_row(knee: Knee, task: Row) -> Row:
     deviances, best = constrained_deviances(evaluator, best, wanted)
     theta = best.evaluation.theta
     prediction = model.predict(theta)
-    tensions = model.tensions(prediction)
+    tensions = tensions_of(model, prediction)
     at = [its.model.protocol.trials.index(trial) for _, trial in its.peaks]
     return {
         **row,

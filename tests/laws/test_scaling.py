@@ -31,7 +31,14 @@ def _solved(
     paths = load_paths(
         model.paths.flexion[nodes], model.paths.loads[nodes] * moment, joint.start_flexion
     )
-    properties = ligaments_of(model, model.parameters.center)[2] * [force, 1.0, length, 1.0]
+    properties = ligaments_of(model, model.parameters.center)[2] * [
+        force,
+        1.0,
+        length,
+        1.0,
+        length,
+        1.0,
+    ]
     lines = (joint.lines.femoral, joint.lines.tibial, properties)
     found = solve(paths, joint.start, joint.contact, joint.field, lines, derivatives=False)
     assert (found.codes[paths.trial_node] == CONVERGED).all()

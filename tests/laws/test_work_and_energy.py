@@ -19,6 +19,7 @@ from identknee.mechanics.pose import rotation_matrix
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
+from identknee.model.tensions import tensions_of
 from identknee.runs.arrays import Array
 
 # Simpson's rule over forces whose slope jumps where a point begins to touch: the worst of 1,500
@@ -90,7 +91,7 @@ def test_forces_on_the_tibia_balance(reference_model: LaxityModel, trial: int, s
     origin = rotation_matrix(flexion, 0.0, 0.0) @ pose[2:]
     tibial = single.joint.lines.tibial @ rotation.T + origin
     along = single.joint.lines.femoral - tibial
-    pulls = single.tensions(found)[0][:, None] * along / np.linalg.norm(along, axis=1)[:, None]
+    pulls = tensions_of(single, found)[0][:, None] * along / np.linalg.norm(along, axis=1)[:, None]
     force = forces.sum(axis=0) + pulls.sum(axis=0)
     moment = np.cross(places - origin, forces).sum(axis=0)
     moment += np.cross(tibial - origin, pulls).sum(axis=0)

@@ -16,6 +16,7 @@ from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.unloaded import relative_to_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
+from identknee.model.tensions import tensions_of
 
 PATH = Path(__file__).with_name("reference_knee.json")
 
@@ -26,7 +27,7 @@ def numbers(model: LaxityModel, prediction: Prediction) -> dict[str, Any]:
     values = np.linalg.svd(prediction.jacobian.reshape(-1, 8), compute_uv=False)
     return {
         "coordinates": prediction.coordinates.tolist(),
-        "tensions_N": model.tensions(prediction).tolist(),
+        "tensions_N": tensions_of(model, prediction).tolist(),
         "margins_N_per_mm": prediction.margins.tolist(),
         "singular_values": values.tolist(),
         "table2": table2(model),

@@ -78,7 +78,7 @@ def test_slopes_by_the_parameters_are_the_oracles(
     R, t, axes, columns = np.zeros(9), np.zeros(3), np.zeros((9, 3)), np.zeros((5, 8))
     place_tibia(flexion, pose, R, t)
     motion_axes(flexion, R, t, axes)
-    parameter_columns(R, t, ligaments, axes, columns)
+    parameter_columns(R, t, ligaments, axes, np.zeros(10), columns)
     state = state_of(flexion, load, ligaments)
     expected = np.array(oracle.parameter_slopes(slow_knee, state, pose.tolist()))
     for block in (slice(0, 4), slice(4, 8)):
@@ -102,7 +102,7 @@ def test_without_ligaments_and_load_it_is_the_springs_at_the_points(
     reference_model: LaxityModel, reference_prediction: Prediction, seed: int
 ) -> None:
     flexion, pose, _, ligaments = _case(reference_model, reference_prediction, seed)
-    slack = ligaments[2] * [0.0, 1.0, 1.0, 1.0]
+    slack = ligaments[2] * [0.0, 1.0, 1.0, 1.0, 1.0, 1.0]
     found = Evaluator(reference_model.joint)(flexion, pose, (ligaments[0], ligaments[1], slack))
     expected = contact_energy(reference_model.joint, depths(reference_model.joint, flexion, pose))
     assert found.energy == pytest.approx(expected, rel=DERIVATIVE)

@@ -105,7 +105,7 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
         areas=np.array([2.0, 0.5]),
         compartment=np.array([0, 1]),
     )
-    points, radius, stiffness, compartment = contact.arrays()
+    points, radius, stiffness, compartment, law = contact.arrays()
     assert points.shape == (3, 2)
     assert points.flags.c_contiguous
     assert radius[0] >= 5.0
@@ -116,7 +116,8 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
         femoral=np.zeros((1, 3)), tibial=np.ones((1, 3)), reference_length=np.array([3.0**0.5])
     )
     _, _, properties = lines.arrays(np.array([8000.0]), np.array([0.02]))
-    assert properties[0].tolist() == [8000.0, 0.02, 3.0**0.5, TRANSITION_STRAIN]
+    assert properties[0].tolist() == [8000.0, 0.02, 3.0**0.5, TRANSITION_STRAIN, 0.0, 0.5]
+    assert law.tolist() == [1.0]
 
 
 def test_points_of_the_wrong_shape_are_refused() -> None:

@@ -117,7 +117,14 @@ def test_sensitivities_are_the_oracles(
     evaluation = Evaluator(reference_model.joint)(search.flexion, pose, search.ligaments)
     slopes, columns = np.zeros((5, 8)), np.zeros((5, 8))
     sensitivities(
-        search.flexion, pose, evaluation.hessian, search.ligaments, search.work, columns, slopes
+        search.flexion,
+        pose,
+        search.load,
+        evaluation.hessian,
+        *search.arrays,
+        search.work,
+        columns,
+        slopes,
     )
     state = state_of(search.flexion, search.load, search.ligaments)
     expected = oracle.sensitivities(oracle_of(reference_model.joint), state, pose.tolist())

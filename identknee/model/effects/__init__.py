@@ -1,0 +1,1 @@
+"""Physical effects that extend the laxity model: one file a family."""

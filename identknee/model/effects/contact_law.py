@@ -1,0 +1,48 @@
+"""Contact: how stiff cartilage is, and how its pressure grows with depth."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from identknee.model.effects.effect import amplitudes
+from identknee.model.parameters import Parameters
+from identknee.model.setting import Setting
+from identknee.runs.arrays import Array
+
+# A law with another exponent than 1 is as stiff at the depth that the exponent leaves alone.
+MODULUS_SD, EXPONENT_SD = 0.7, 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cartilage:
+    """Another contact law: logarithm of the modulus over the paper's and change of the exponent.
+
+    Attributes
+    ----------
+    name
+        Of the cause.
+    parameters
+        ``ln_modulus`` and ``exponent``.
+    """
+
+    name: str = "cartilage"
+    parameters: Parameters = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        made = amplitudes(
+            self.name,
+            ["ln_modulus", "exponent"],
+            [MODULUS_SD, EXPONENT_SD],
+            lower=[-2.5, -0.3],
+            upper=[2.5, 1.5],
+        )
+        object.__setattr__(self, "parameters", made)
+
+    def change(self, setting: Setting, values: Array) -> Setting:
+        """The setting under the other contact law."""
+        law = replace(
+            setting.law,
+            modulus=setting.law.modulus * float(np.exp(values[0])),
+            exponent=setting.law.exponent + float(values[1]),
+        )
+        return replace(setting, law=law)

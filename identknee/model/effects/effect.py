@@ -1,0 +1,102 @@
+"""What an effect is: a physical cause that changes what a knee does or what is measured of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from identknee.laxity.protocol import Protocol as LaxityProtocol
+from identknee.model.parameters import Parameters
+from identknee.model.setting import Setting
+from identknee.runs.arrays import Array, IntArray
+
+
+class Effect(Protocol):
+    """A cause by name, with its amplitudes as parameters; zero amplitudes change nothing.
+
+    It also has either `change` (`MechanicalEffect`) or `observe` (`ObservationEffect`).
+    """
+
+    @property
+    def name(self) -> str:
+        """Of the cause, as in the first part of its parameters' names."""
+        ...
+
+    @property
+    def parameters(self) -> Parameters:
+        """Its amplitudes, with bounds, prior and unit; their centre is no effect."""
+        ...
+
+
+@runtime_checkable
+class MechanicalEffect(Effect, Protocol):
+    """An effect on loads, flexion, lines or contact."""
+
+    def change(self, setting: Setting, values: Array) -> Setting:
+        """The setting with the effect at amplitudes `values`, shape ``(n,)``."""
+        ...
+
+
+@runtime_checkable
+class ObservationEffect(Effect, Protocol):
+    """An effect on what is measured of a pose, not on the pose."""
+
+    def observe(self, coordinates: Array, values: Array, tests: "Tests") -> Array:
+        """What is measured, shape ``(n, 5)``, where the coordinates (n, 5) are as given."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tests:
+    """The trials as they were run.
+
+    Attributes
+    ----------
+    protocol
+        Flexion and loads as stated.
+    order
+        When each trial was run, counted from 1; None where it was not recorded.
+    phase
+        ``"loading"``, ``"unloading"`` or ``""`` of each trial; None where not recorded.
+    """
+
+    protocol: LaxityProtocol
+    order: IntArray | None = None
+    phase: tuple[str, ...] | None = None
+
+
+def amplitudes(
+    cause: str,
+    names: Sequence[str],
+    prior_sd: Sequence[float],
+    *,
+    lower: Sequence[float] | None = None,
+    upper: Sequence[float],
+    center: Sequence[float] | None = None,
+) -> Parameters:
+    """Parameters ``cause.name`` of an effect.
+
+    Parameters
+    ----------
+    cause
+        Name of the effect.
+    names
+        Of the amplitudes, each ending in its unit.
+    prior_sd
+        Prior standard deviations in those units.
+    lower, upper
+        Ends of the plausible range; `lower` is minus `upper` where None.
+    center
+        Middle of the prior, zero where None.
+    """
+    n = len(names)
+    low = [-x for x in upper] if lower is None else lower
+    return Parameters(
+        names=tuple(f"{cause}.{name}" for name in names),
+        center=np.zeros(n) if center is None else np.array(center, float),
+        lower=np.array(low, float),
+        upper=np.array(upper, float),
+        prior_sd=np.array(prior_sd, float),
+        is_log=(False,) * n,
+    )

@@ -1,0 +1,129 @@
+"""Errors of the loads: what acted on the knee was not what was meant or recorded."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from identknee.model.effects.effect import amplitudes
+from identknee.model.parameters import Parameters
+from identknee.model.setting import Setting
+from identknee.runs.arrays import Array
+
+VARUS, INTERNAL, X, Y, Z = range(5)
+PER_NM = 1000.0  # N mm
+Change = Callable[[Array, Array, Array], Array]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LoadError:
+    """An effect that turns the stated loads into those that acted.
+
+    Attributes
+    ----------
+    name
+        Of the cause.
+    parameters
+        Its amplitudes.
+    acted
+        The loads that acted, from loads (n, 5), flexion [rad] (n,) and amplitudes.
+    """
+
+    name: str
+    parameters: Parameters
+    acted: Change = field(repr=False)
+
+    def change(self, setting: Setting, values: Array) -> Setting:
+        """The setting with the loads that acted."""
+        return replace(setting, loads=self.acted(setting.loads, setting.flexion, values))
+
+
+def compression() -> LoadError:
+    """A constant axial force on the joint: muscle tone, or the weight that seats the knee [N]."""
+    made = amplitudes("compression", ["force_N"], [60.0], lower=[-60.0], upper=[300.0])
+    return LoadError(name="compression", parameters=made, acted=_compressed)
+
+
+def shank_gravity() -> LoadError:
+    """The weight of shank and foot, not taken off the load cell [N].
+
+    Two components, fixed to the femur since the rig's posture is: along it (distal) and backwards
+    (posterior).
+    """
+    made = amplitudes(
+        "shank_gravity", ["distal_N", "posterior_N"], [15.0, 15.0], upper=[40.0, 40.0]
+    )
+    return LoadError(name="shank_gravity", parameters=made, acted=_weighted)
+
+
+def moment_gain(axis: str) -> LoadError:
+    """A wrong scale of the moments about one axis, ``"IE"`` or ``"VV"`` [-]."""
+    name = f"moment_gain_{axis}"
+    made = amplitudes(name, ["gain"], [0.05], upper=[0.4])
+    column = {"IE": INTERNAL, "VV": VARUS}[axis]
+    return LoadError(name=name, parameters=made, acted=partial(_scaled, column))
+
+
+def moment_offset() -> LoadError:
+    """A zero error of both moments [N·m]."""
+    made = amplitudes("moment_offset", ["IE_Nm", "VV_Nm"], [0.3, 0.3], upper=[1.5, 1.5])
+    return LoadError(name="moment_offset", parameters=made, acted=_offset)
+
+
+def axis_misalignment() -> LoadError:
+    """Moments about axes that are not the joint's [deg]: a part acts about the other one."""
+    made = amplitudes(
+        "axis_misalignment", ["IE_to_VV_deg", "VV_to_IE_deg"], [4.0, 4.0], upper=[15.0, 15.0]
+    )
+    return LoadError(name="axis_misalignment", parameters=made, acted=_misaligned)
+
+
+def parasitic_shear() -> LoadError:
+    """Forces that come with the moments, anterior and lateral [N/N·m]."""
+    names = [f"{axis}_{towards}_N_per_Nm" for axis in ("IE", "VV") for towards in ("x", "z")]
+    made = amplitudes("parasitic_shear", names, 4 * [0.6], upper=4 * [3.0])
+    return LoadError(name="parasitic_shear", parameters=made, acted=_sheared)
+
+
+def _compressed(loads: Array, _flexion: Array, values: Array) -> Array:
+    acted = np.array(loads)
+    acted[:, Y] += values[0]
+    return acted
+
+
+def _weighted(loads: Array, flexion: Array, values: Array) -> Array:
+    acted = np.array(loads)
+    distal, posterior = values
+    # From femoral axes into those turned with flexion.
+    acted[:, X] += -posterior * np.cos(flexion) + distal * np.sin(flexion)
+    acted[:, Y] += -posterior * np.sin(flexion) - distal * np.cos(flexion)
+    return acted
+
+
+def _scaled(column: int, loads: Array, _flexion: Array, values: Array) -> Array:
+    acted = np.array(loads)
+    acted[:, column] *= 1.0 + values[0]
+    return acted
+
+
+def _offset(loads: Array, _flexion: Array, values: Array) -> Array:
+    acted = np.array(loads)
+    acted[:, INTERNAL] += PER_NM * values[0]
+    acted[:, VARUS] += PER_NM * values[1]
+    return acted
+
+
+def _misaligned(loads: Array, _flexion: Array, values: Array) -> Array:
+    internal_to_varus, varus_to_internal = np.radians(values)
+    acted = np.array(loads)
+    acted[:, VARUS] += np.sin(internal_to_varus) * loads[:, INTERNAL]
+    acted[:, INTERNAL] += np.sin(varus_to_internal) * loads[:, VARUS]
+    return acted
+
+
+def _sheared(loads: Array, _flexion: Array, values: Array) -> Array:
+    acted = np.array(loads)
+    per = values.reshape(2, 2) / PER_NM
+    acted[:, [X, Z]] += np.outer(loads[:, INTERNAL], per[0]) + np.outer(loads[:, VARUS], per[1])
+    return acted
