@@ -1,0 +1,388 @@
+"""Places on a knee that its own surfaces, frames and insertions tell, its lines called anything.
+
+Lengths taken from the literature or estimated are those of a knee whose plateaus are
+`TYPICAL_WIDTH` wide together and grow with the subject's knee.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from identknee.runs.arrays import Array, frozen
+from identknee.subject.frames import Frame
+from identknee.subject.knee import Knee
+from identknee.subject.ligament import Ligament
+from identknee.subject.surface import Surface
+
+CompartmentSide = Literal["medial", "lateral"]
+
+# From the medial to the lateral rim of the plateaus' cartilage [mm]; both knees at hand.
+TYPICAL_WIDTH = 66.0
+# Angles of the normal of a posterior condyle [deg], 0 downwards and 90 backwards, and its largest
+# component across: where a condyle is nearly a sphere.
+POSTERIOR = (40.0, 110.0)
+ACROSS = 0.5
+# Bone beyond the cartilage of the femur at the epicondyles [mm], an estimate.
+BEYOND_CARTILAGE = 4.0
+# Where collateral insertions lie from the epicondyle on the flexion axis, anterior and superior
+# [mm], and the fibular head from the lateral plateau: means of the two knees at hand, an estimate.
+COLLATERAL_FEMUR = {"medial": (1.0, 11.0, 0.0), "lateral": (0.5, 3.0, 0.0)}
+FIBULAR_HEAD = (-11.0, -28.0, 26.0)
+# Across the femur, in half distances of the condyles: collaterals lie further out, cruciates
+# further in; the same across the tibia for cruciates.
+OUTSIDE, BETWEEN_CONDYLES, BETWEEN_PLATEAUS = 1.35, 0.9, 0.75
+# A collateral ligament reaches at least this far below the joint line [mm].
+COLLATERAL_DEPTH = 15.0
+# Width over which points of a rim are averaged: in units of a sheet's size, and an angle [rad].
+SOFT_SHARE = 0.03
+SOFT_RADIUS = 0.015
+SOFT_ANGLE = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Compartment:
+    """The places of one side of a knee, in the common frame of the scanned pose [mm], ``(3,)``.
+
+    Attributes
+    ----------
+    side
+        ``"medial"`` or ``"lateral"``.
+    outward
+        1 where the tibial z axis points out of the knee, -1 where it points into it.
+    condyle_centre, condyle_radius
+        Sphere that fits the posterior condyle.
+    epicondyle
+        On the line through both condyle centres, at the width of the bone.
+    collateral_femur
+        Femoral insertion of the collateral ligament, the subject's own or an estimate.
+    plateau_centre
+        Centre of area of the tibial surface.
+    anterior_margin, posterior_margin, outer_margin, inner_margin
+        Where the tibial surface reaches furthest.
+    tibia
+        The tibial surface itself.
+    """
+
+    side: CompartmentSide
+    outward: float
+    condyle_centre: Array
+    condyle_radius: float
+    epicondyle: Array
+    collateral_femur: Array
+    plateau_centre: Array
+    anterior_margin: Array
+    posterior_margin: Array
+    outer_margin: Array
+    inner_margin: Array
+    tibia: Surface
+
+    def __post_init__(self) -> None:
+        for name in _PLACES:
+            place = frozen(getattr(self, name), 3, name=f"the {self.side} {name}")
+            object.__setattr__(self, name, place)
+
+
+_PLACES = (
+    "condyle_centre",
+    "epicondyle",
+    "collateral_femur",
+    "plateau_centre",
+    "anterior_margin",
+    "posterior_margin",
+    "outer_margin",
+    "inner_margin",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Anatomy:
+    """What the geometry of a knee tells about its anatomy.
+
+    Attributes
+    ----------
+    size
+        Width of the plateaus over the typical one; lengths from the literature are multiplied
+        by it.
+    medial, lateral
+        The places of either side.
+    joint_line
+        Mean height of both plateau centres in the tibial frame [mm].
+    fibular_head
+        Tibial insertion of the lateral collateral ligament, or an estimate from the plateau, in the
+        common frame [mm], shape ``(3,)``.
+    medial_collateral, lateral_collateral, anterior_cruciate, posterior_cruciate
+        Names of the subject's own lines that are like these ligaments, None where none is.
+    """
+
+    size: float
+    medial: Compartment
+    lateral: Compartment
+    joint_line: float
+    fibular_head: Array
+    medial_collateral: str | None
+    lateral_collateral: str | None
+    anterior_cruciate: str | None
+    posterior_cruciate: str | None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "fibular_head", frozen(self.fibular_head, 3, name="the fibular head")
+        )
+
+    @property
+    def compartments(self) -> tuple[Compartment, Compartment]:
+        """Medial, then lateral."""
+        return self.medial, self.lateral
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeniscusSpring:
+    """Where a meniscus ties a condyle to its plateau, in the common frame of the scanned pose.
+
+    Attributes
+    ----------
+    side
+        ``"medial"`` or ``"lateral"``.
+    femur
+        Centre of the condyle [mm], shape ``(3,)``.
+    tibia
+        Centre of the plateau [mm], shape ``(3,)``.
+    anterior, lateral
+        Unit vectors of the tibia along which it is sheared, shape ``(3,)``.
+    """
+
+    side: CompartmentSide
+    femur: Array
+    tibia: Array
+    anterior: Array
+    lateral: Array
+
+
+def anatomy(knee: Knee) -> Anatomy:
+    """The places that a knee's surfaces, frames and insertions tell.
+
+    The flexion axis is the line through the centres of spheres fitted to the posterior condyles
+    [1]_; the anatomical epicondyles lie 6.5 mm (lateral) and 8.4 mm (medial) off it on average
+    [2]_, so that what is called an epicondyle here is an estimate. Ligaments are recognised by
+    where they run: collaterals outside the condyles and well below the joint line, cruciates
+    between the condyles, the anterior one running forwards from the femur.
+
+    Raises
+    ------
+    ValueError
+        If the femoral surface has no posterior condyle on one side.
+
+    References
+    ----------
+    .. [1] Yin et al. (2015), PLoS ONE 10(6), e0128877.
+           https://doi.org/10.1371/journal.pone.0128877
+    .. [2] Relationship between the surgical epicondylar axis and the articular surface of the
+           distal femur (2008), Knee Surg Sports Traumatol Arthrosc 16(7), 674-682.
+           https://doi.org/10.1007/s00167-008-0551-9
+
+    Examples
+    --------
+    >>> from identknee.subject.reference import reference_knee
+    >>> found = anatomy(reference_knee())
+    >>> found.lateral_collateral, found.posterior_cruciate
+    ('LCL', 'PCL')
+    """
+    across = knee.tibia_frame.axes[2]
+    size = float(
+        ((knee.tibia[1].vertices @ across).max() - (knee.tibia[0].vertices @ across).min())
+        / TYPICAL_WIDTH
+    )
+    plateaus = np.array([x.centroid for x in knee.tibia])
+    centres, radii = zip(*(_condyle(knee, sign, plateaus) for sign in (-1.0, 1.0)), strict=True)
+    roles = _roles(knee, np.array(centres), plateaus, size)
+    collaterals = [_line(knee, roles[x]) for x in ("medial_collateral", "lateral_collateral")]
+    epicondyles = _epicondyles(knee, np.array(centres), collaterals, size)
+    sides: tuple[CompartmentSide, CompartmentSide] = ("medial", "lateral")
+    medial, lateral = (
+        Compartment(
+            side=side,
+            outward=sign,
+            condyle_centre=centre,
+            condyle_radius=radius,
+            epicondyle=epicondyle,
+            collateral_femur=(
+                own.femur
+                if own is not None
+                else epicondyle + shifted(knee.femur_frame, COLLATERAL_FEMUR[side], size)
+            ),
+            plateau_centre=sheet.centroid,
+            tibia=sheet,
+            **_margins(sheet, knee.tibia_frame, sign),
+        )
+        for side, sign, centre, radius, epicondyle, own, sheet in zip(
+            sides, (-1.0, 1.0), centres, radii, epicondyles, collaterals, knee.tibia, strict=True
+        )
+    )
+    fibula = (
+        collaterals[1].tibia
+        if collaterals[1] is not None
+        else plateaus[1] + shifted(knee.tibia_frame, FIBULAR_HEAD, size)
+    )
+    return Anatomy(
+        size=size,
+        medial=medial,
+        lateral=lateral,
+        joint_line=float(knee.tibia_frame.to_local(plateaus)[:, 1].mean()),
+        fibular_head=fibula,
+        **roles,
+    )
+
+
+def meniscus_springs(knee: Knee) -> tuple[MeniscusSpring, ...]:
+    """Where springs stand for the menisci, medial and lateral."""
+    anterior, _, lateral = knee.tibia_frame.axes
+    return tuple(
+        MeniscusSpring(
+            side=x.side,
+            femur=x.condyle_centre,
+            tibia=x.plateau_centre,
+            anterior=anterior,
+            lateral=lateral,
+        )
+        for x in anatomy(knee).compartments
+    )
+
+
+def shifted(frame: Frame, offset: tuple[float, float, float], size: float) -> Array:
+    """The vector ``(anterior, superior, lateral)`` [mm] of a frame times `size`, ``(3,)``."""
+    vector: Array = size * np.array(offset) @ frame.axes
+    return vector
+
+
+def rim_point(compartment: Compartment, frame: Frame, angle: float) -> Array:
+    """Where the rim of a plateau is met from its centre at `angle` [mm], shape ``(3,)``.
+
+    Parameters
+    ----------
+    compartment
+        The side of the knee.
+    frame
+        The tibial frame.
+    angle
+        [rad], 0 forwards, pi/2 outwards, pi backwards, in units of the plateau's own length and
+        width.
+    """
+    vertices = compartment.tibia.vertices
+    local = (vertices - compartment.plateau_centre) @ frame.axes[[0, 2]].T
+    local = local * [1.0, compartment.outward] / np.ptp(local, axis=0)
+    away = np.cos(np.arctan2(local[:, 1], local[:, 0]) - angle) - 1.0
+    # By distance rather than by open edges: a surface may be closed or have holes.
+    exponent = away / SOFT_ANGLE**2 + np.linalg.norm(local, axis=1) / SOFT_RADIUS
+    weights = np.exp(exponent - exponent.max())
+    point: Array = weights @ vertices / weights.sum()
+    return point
+
+
+def _condyle(knee: Knee, sign: float, plateaus: Array) -> tuple[Array, float]:
+    """Centre [mm] and radius [mm] of the sphere that fits a posterior condyle best by area."""
+    femur, (_, _, lateral) = knee.femur, knee.femur_frame.axes
+    normals = femur.normals @ knee.femur_frame.axes.T
+    points = femur.vertices[femur.faces].mean(axis=1)
+    angle = np.degrees(np.arctan2(-normals[:, 0], -normals[:, 1]))
+    is_here = sign * ((points - plateaus.mean(axis=0)) @ lateral) > 0.0
+    is_here &= (angle > POSTERIOR[0]) & (angle < POSTERIOR[1]) & (np.abs(normals[:, 2]) < ACROSS)
+    if is_here.sum() < 4:
+        side = "medial" if sign < 0.0 else "lateral"
+        raise ValueError(
+            f"the femoral surface has no posterior {side} condyle: only {is_here.sum()} triangles "
+            "face backwards there; give a surface that covers it, or correct the femoral frame"
+        )
+    points, weights = points[is_here], np.sqrt(femur.areas[is_here])
+    origin = points.mean(axis=0)
+    points = points - origin
+    matrix = np.c_[2.0 * points, np.ones(len(points))]
+    squares = (points**2).sum(axis=1)
+    solution = np.linalg.lstsq(matrix * weights[:, None], squares * weights, rcond=None)[0]
+    centre = solution[:3]
+    return origin + centre, float(np.sqrt(solution[3] + centre @ centre))
+
+
+def _roles(knee: Knee, condyles: Array, plateaus: Array, size: float) -> dict[str, str | None]:
+    """The name of the line that is like each of four ligaments."""
+    anterior, superior, lateral = knee.tibia_frame.axes
+    middle = plateaus.mean(axis=0)
+
+    def on_femur(line: Ligament) -> float:
+        half = 0.5 * (condyles[1] - condyles[0]) @ knee.femur_frame.axes[2]
+        return float((line.femur - condyles.mean(axis=0)) @ knee.femur_frame.axes[2] / half)
+
+    def on_tibia(line: Ligament) -> float:
+        return float(
+            (line.tibia - middle) @ lateral / (0.5 * (plateaus[1] - plateaus[0]) @ lateral)
+        )
+
+    def depth(line: Ligament) -> float:
+        return float((middle - line.tibia) @ superior) / size
+
+    def forwards(line: Ligament) -> float:
+        return float((line.tibia - line.femur) @ anterior) / line.length
+
+    def is_collateral(line: Ligament, sign: float) -> bool:
+        is_outside = sign * on_femur(line) > OUTSIDE and sign * on_tibia(line) > 0.0
+        is_behind = sign < 0.0 or (line.tibia - middle) @ anterior < 0.0
+        return bool(is_outside and is_behind and depth(line) > COLLATERAL_DEPTH)
+
+    def is_cruciate(line: Ligament, sign: float) -> bool:
+        is_between = (
+            abs(on_femur(line)) < BETWEEN_CONDYLES and abs(on_tibia(line)) < BETWEEN_PLATEAUS
+        )
+        return is_between and sign * forwards(line) > 0.0
+
+    def best(is_like: Callable[[Ligament], bool], rank: Callable[[Ligament], float]) -> str | None:
+        lines = [x for x in knee.ligaments if is_like(x)]
+        return max(lines, key=rank).name if lines else None
+
+    return {
+        "medial_collateral": best(lambda x: is_collateral(x, -1.0), depth),
+        "lateral_collateral": best(lambda x: is_collateral(x, 1.0), depth),
+        "anterior_cruciate": best(lambda x: is_cruciate(x, 1.0), forwards),
+        "posterior_cruciate": best(lambda x: is_cruciate(x, -1.0), lambda x: -forwards(x)),
+    }
+
+
+def _line(knee: Knee, name: str | None) -> Ligament | None:
+    return None if name is None else knee.ligament(name)
+
+
+def _epicondyles(
+    knee: Knee, condyles: Array, collaterals: list[Ligament | None], size: float
+) -> tuple[Array, Array]:
+    """Medial and lateral point [mm] of the flexion axis at the width of the femur."""
+    axis = condyles[1] - condyles[0]
+    axis = axis / np.linalg.norm(axis)
+    along = knee.femur.vertices @ axis
+
+    def at(sign: float, centre: Array, own: Ligament | None) -> Array:
+        width = sign * (sign * along).max() + sign * BEYOND_CARTILAGE * size
+        if own is not None:
+            width = own.femur @ axis
+        point: Array = centre + (width - centre @ axis) * axis
+        return point
+
+    return at(-1.0, condyles[0], collaterals[0]), at(1.0, condyles[1], collaterals[1])
+
+
+def _margins(sheet: Surface, frame: Frame, outward: float) -> dict[str, Array]:
+    anterior, _, lateral = frame.axes
+    return {
+        "anterior_margin": _furthest(sheet, anterior),
+        "posterior_margin": _furthest(sheet, -anterior),
+        "outer_margin": _furthest(sheet, outward * lateral),
+        "inner_margin": _furthest(sheet, -outward * lateral),
+    }
+
+
+def _furthest(sheet: Surface, direction: Array) -> Array:
+    """Where a surface reaches furthest along a unit vector [mm], between equally far vertices."""
+    reach = sheet.vertices @ direction
+    weights = np.exp((reach - reach.max()) / (SOFT_SHARE * np.ptp(reach)))
+    mean = weights @ sheet.vertices / weights.sum()
+    point: Array = mean + (reach.max() - mean @ direction) * direction
+    return point
