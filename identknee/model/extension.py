@@ -1,7 +1,8 @@
 """How effects change what a model predicts, and how that changes with their amplitudes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,6 +29,17 @@ class Extension:
     """
 
     effects: tuple[Effect, ...]
+    _mechanical: tuple[tuple[MechanicalEffect, slice], ...] = field(init=False, repr=False)
+    _observed: tuple[tuple[ObservationEffect, slice], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        ends = np.cumsum([0, *(x.parameters.n for x in self.effects)]).tolist()
+        parts = [slice(*x) for x in pairwise(ends)]
+        placed = list(zip(self.effects, parts, strict=True))
+        mechanical = tuple((x, part) for x, part in placed if isinstance(x, MechanicalEffect))
+        observed = tuple((x, part) for x, part in placed if isinstance(x, ObservationEffect))
+        object.__setattr__(self, "_mechanical", mechanical)
+        object.__setattr__(self, "_observed", observed)
 
     @property
     def parameters(self) -> Parameters | None:
@@ -36,16 +48,14 @@ class Extension:
 
     def change(self, setting: Setting, values: Array) -> Setting:
         """The setting with all effects at amplitudes `values`."""
-        for effect, part in zip(self.effects, self._parts(values), strict=True):
-            if isinstance(effect, MechanicalEffect):
-                setting = effect.change(setting, part)
+        for effect, part in self._mechanical:
+            setting = effect.change(setting, values[part])
         return setting
 
     def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
         """What is measured of coordinates, shape ``(n, 5)``."""
-        for effect, part in zip(self.effects, self._parts(values), strict=True):
-            if isinstance(effect, ObservationEffect):
-                coordinates = effect.observe(coordinates, part, tests)
+        for effect, part in self._observed:
+            coordinates = effect.observe(coordinates, values[part], tests)
         return coordinates
 
     def pose_columns(
@@ -65,11 +75,15 @@ class Extension:
             The node of each trial, shape ``(n,)``.
         """
         flexion = self.change(unchanged, values).flexion[nodes]
-        columns = np.empty((len(nodes), 5, len(values)))
-        for k, move in enumerate(self.moves()):
-            low, high = (self.change(unchanged, values + s * move) for s in (-1.0, 1.0))
-            columns[:, :, k] = -self._gradient_change(low, high, flexion, found, nodes)
-            columns[:, :, k] /= 2.0 * move[k]
+        columns = np.zeros((len(nodes), 5, len(values)))
+        moves, before = self.moves(), unchanged
+        for place, (effect, part) in enumerate(self._mechanical):
+            for k in range(part.start, part.stop):
+                pair = (values - moves[k], values + moves[k])
+                low, high = (self._from(place, before, x) for x in pair)
+                columns[:, :, k] = -self._gradient_change(low, high, flexion, found, nodes)
+                columns[:, :, k] /= 2.0 * moves[k, k]
+            before = effect.change(before, values[part])
         return np.asarray(np.linalg.solve(found.hessians[nodes], columns))
 
     def observed_slopes(
@@ -78,15 +92,16 @@ class Extension:
         """Derivatives of what is measured, by coordinates (n, 5, 5) and amplitudes (n, 5, a)."""
         by_coordinate = np.broadcast_to(np.eye(5), (len(coordinates), 5, 5))
         by_amplitude = np.zeros((len(coordinates), 5, len(values)))
-        if not any(isinstance(x, ObservationEffect) for x in self.effects):
+        if not self._observed:
             return by_coordinate, by_amplitude
         by_coordinate = np.empty(by_coordinate.shape)
         for j, move in enumerate(COORDINATE_STEP * np.eye(5)):
             seen = [self.observe(coordinates + s * move, values, tests) for s in (-1.0, 1.0)]
             by_coordinate[:, :, j] = (seen[1] - seen[0]) / (2.0 * COORDINATE_STEP)
-        for k, move in enumerate(self.moves()):
-            seen = [self.observe(coordinates, values + s * move, tests) for s in (-1.0, 1.0)]
-            by_amplitude[:, :, k] = (seen[1] - seen[0]) / (2.0 * move[k])
+        moves = self.moves()
+        for k in (k for _, part in self._observed for k in range(part.start, part.stop)):
+            seen = [self.observe(coordinates, values + s * moves[k], tests) for s in (-1.0, 1.0)]
+            by_amplitude[:, :, k] = (seen[1] - seen[0]) / (2.0 * moves[k, k])
         return by_coordinate, by_amplitude
 
     def moves(self) -> Array:
@@ -114,9 +129,11 @@ class Extension:
             change = change - np.einsum("nij,nj->ni", found.hessians[nodes], shift)
         return change
 
-    def _parts(self, values: Array) -> list[Array]:
-        ends = np.cumsum([x.parameters.n for x in self.effects])
-        return np.split(np.asarray(values, float), ends[:-1]) if len(ends) else []
+    def _from(self, place: int, setting: Setting, values: Array) -> Setting:
+        """The setting with the mechanical effects from number `place` on."""
+        for effect, part in self._mechanical[place:]:
+            setting = effect.change(setting, values[part])
+        return setting
 
 
 def joined(parts: Sequence[Parameters]) -> Parameters:
@@ -128,4 +145,5 @@ def joined(parts: Sequence[Parameters]) -> Parameters:
         upper=np.concatenate([x.upper for x in parts]),
         prior_sd=np.concatenate([x.prior_sd for x in parts]),
         is_log=tuple(flag for x in parts for flag in x.is_log),
+        own=None if all(x.own is None for x in parts) else np.concatenate([x.start for x in parts]),
     )

@@ -18,6 +18,7 @@ from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model.effects.effect import Effect, Tests
+from identknee.model.effects.stored import effects_of, values_of
 from identknee.model.extension import Extension, joined
 from identknee.model.joint import Joint, joint_of, sheets_of
 from identknee.model.parameters import Parameters, ligament_parameters
@@ -42,6 +43,12 @@ _GENERALISED = np.array(
         [0.0, 0.0, 0.0, 0.0, 1.0],
     ]
 )
+
+
+class _StoredWithKnee(tuple[Effect, ...]):
+    """Stands for the effects of the knee where a model is given none."""
+
+    __slots__ = ()
 
 
 class _Last(threading.local):
@@ -70,8 +77,9 @@ class LaxityModel:
     n_points
         About how many contact points to use; None for every vertex of the tibial surfaces.
     effects
-        Physical effects that extend the knee, in the order in which they act; their amplitudes are
-        parameters after those of the ligaments.
+        Physical effects that extend the knee, in the order in which they act; those stored with the
+        knee if not given. Their amplitudes are parameters after those of the ligaments, with the
+        values stored with the knee as the subject's own.
     order, phase
         As in `Laxity`, for effects that depend on when a trial was run.
     contact
@@ -85,7 +93,7 @@ class LaxityModel:
     continuation: Continuation = "continuation"
     n_points: int | None = DEFAULT_NUMBER
     contact: Contact = "field"
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...] = _StoredWithKnee()
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
     joint: Joint = field(init=False, repr=False)
@@ -107,10 +115,14 @@ class LaxityModel:
             [x.stiffness_kN for x in ligaments],
             [x.reference_strain_pct for x in ligaments],
         )
-        object.__setattr__(self, "effects", tuple(self.effects))
-        extension = Extension(effects=self.effects)
+        is_stored = isinstance(self.effects, _StoredWithKnee)
+        effects = effects_of(self.knee) if is_stored else tuple(self.effects)
+        object.__setattr__(self, "effects", effects)
+        extension = Extension(effects=effects)
         if extension.parameters is not None:
             parameters = joined([parameters, extension.parameters])
+            own = {x: y for x, y in values_of(self.knee).items() if x in parameters.names}
+            parameters = parameters.with_own(own)
             if self.contact == "mesh":
                 raise ValueError('effects need contact="field": mesh contact has no derivatives')
         object.__setattr__(self, "joint", joint)

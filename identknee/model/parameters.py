@@ -20,7 +20,7 @@ class Parameters:
     names
         For example ``"ACL.stiffness_kN"``; the unit is the last word of the name.
     center
-        The subject's own values, shape ``(n,)``: centre of the prior and default start.
+        Centre of the prior, shape ``(n,)``; also the subject's own values where `own` is None.
     lower, upper
         Bounds, shape ``(n,)``.
     prior_sd
@@ -28,6 +28,8 @@ class Parameters:
         parameter's own unit elsewhere.
     is_log
         Whether the prior is lognormal, shape ``(n,)``.
+    own
+        The subject's own values where they are not the centre of the prior, shape ``(n,)``.
     """
 
     names: tuple[str, ...]
@@ -36,6 +38,7 @@ class Parameters:
     upper: Array
     prior_sd: Array
     is_log: tuple[bool, ...]
+    own: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -43,6 +46,8 @@ class Parameters:
             raise ValueError(f"parameter names must differ, got {self.names}")
         for field in ("center", "lower", "upper", "prior_sd"):
             object.__setattr__(self, field, frozen(getattr(self, field), n, name=field))
+        if self.own is not None:
+            object.__setattr__(self, "own", frozen(self.own, n, name="own"))
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low < high:
                 raise ValueError(
@@ -53,6 +58,11 @@ class Parameters:
     def n(self) -> int:
         """How many there are."""
         return len(self.names)
+
+    @property
+    def start(self) -> Array:
+        """The subject's own values, where a search starts by default, shape ``(n,)``."""
+        return self.center if self.own is None else self.own
 
     def index(self, name: str) -> int:
         """Where `name` stands in theta."""
@@ -65,7 +75,7 @@ class Parameters:
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """Theta with `values` by name and the subject's own for the rest."""
-        theta = np.array(self.center)
+        theta = np.array(self.start)
         for name, value in values.items():
             theta[self.index(name)] = value
         return theta
@@ -80,6 +90,7 @@ class Parameters:
             upper=self.upper[chosen],
             prior_sd=self.prior_sd[chosen],
             is_log=tuple(self.is_log[i] for i in chosen),
+            own=None if self.own is None else self.own[chosen],
         )
 
     def with_bounds(self, bounds: Mapping[str, tuple[float, float]]) -> "Parameters":
@@ -88,6 +99,10 @@ class Parameters:
         for name, (low, high) in bounds.items():
             lower[self.index(name)], upper[self.index(name)] = low, high
         return replace(self, lower=lower, upper=upper)
+
+    def with_own(self, values: Mapping[str, float]) -> "Parameters":
+        """A copy in which the parameters named have other values of the subject's own."""
+        return replace(self, own=self.vector(values)) if values else self
 
 
 def ligament_parameters(

@@ -88,6 +88,18 @@ class LaxityResiduals:
             raise AssertionError
         return self._weighted(self._relative(jacobian))
 
+    def differences(self, theta: Array) -> Array:
+        """Measured less predicted coordinates, shape ``(n, 5)``; NaN where either is missing."""
+        predicted = self.model.predict_once(theta).coordinates
+        return np.asarray(self.laxity.coordinates - self._relative(predicted))
+
+    def rows(self, values: Array) -> Array:
+        """The rows of changes of the coordinates (n, 5, ...) that belong to residuals, ``(m, ...)``.
+
+        Weighted as the residuals are.
+        """
+        return self._weighted(self._relative(values))
+
     def _relative(self, values: Array) -> Array:
         if self.laxity.zero == "absolute":
             return values

@@ -13,7 +13,7 @@ from identknee.runs.arrays import Array, frozen
 from identknee.subject.knee import Knee
 
 SITE_SD = 4.0  # mm, how far insertions are from where anatomy puts them
-SITE_LIMIT = 12.0  # mm
+SITE_SDS = 3.0  # how many of these they may be away
 AXES = ("x", "y", "z")
 
 
@@ -31,6 +31,8 @@ class MissingStructure:
         Of the half-normal prior of the stiffness [kN].
     sites_vary
         Whether both insertions may be shifted; all lines are shifted together.
+    site_sd
+        Prior standard deviation of each shift [mm].
     """
 
     name: str
@@ -38,6 +40,7 @@ class MissingStructure:
     tibial: Array
     stiffness_sd: float
     sites_vary: bool = True
+    site_sd: float = SITE_SD
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -47,9 +50,9 @@ class MissingStructure:
         lower, upper = [0.0, -10.0], [6.0 * self.stiffness_sd, 12.0]
         if self.sites_vary:
             names += [f"{bone}_{axis}_mm" for bone in ("femur", "tibia") for axis in AXES]
-            sd += 6 * [SITE_SD]
-            lower += 6 * [-SITE_LIMIT]
-            upper += 6 * [SITE_LIMIT]
+            sd += 6 * [self.site_sd]
+            lower += 6 * [-SITE_SDS * self.site_sd]
+            upper += 6 * [SITE_SDS * self.site_sd]
         center = [0.0, 1.5, *[0.0] * (len(names) - 2)]
         made = amplitudes(self.name, names, sd, lower=lower, upper=upper, center=center)
         object.__setattr__(self, "parameters", made)

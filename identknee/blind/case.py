@@ -1,0 +1,323 @@
+"""A data set with a hidden effect, drawn by its seed."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identknee.blind.effects import EFFECTS, HISTORY, LISTED, UNLISTED
+from identknee.blind.experiment import (
+    REFERENCE_STRAIN,
+    STIFFNESS,
+    Experiment,
+    Run,
+    conduct,
+    experiment_of,
+    theta_slopes,
+)
+from identknee.blind.fitting import BaseFit, Noise, base_fit, left_over, scaled_to
+from identknee.blind.hidden import Hidden, Scene
+from identknee.blind.sites import places_of
+from identknee.blind.truth import Truth
+from identknee.laxity.noise import add_noise
+from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.table import Laxity
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.errors import suggestion
+from identknee.subject.knee import Knee
+
+RANDOM = "random"
+# Shares of what "random" draws: nothing hidden, an effect no library lists; a listed one otherwise.
+NULL_SHARE, UNLISTED_SHARE = 0.15, 0.15
+STIFFNESS_LOG_SD, STRAIN_SD_PCT, STRAIN_LIMIT_PCT = 0.2, 1.0, 2.0
+CORRELATION = 0.3
+HEAVY_SHARE, HEAVY_DEGREES = 0.1, 5.0
+STATED_RANGE = (0.8, 1.2)
+# Share of the cases with another effect that also tell the order of their trials.
+ORDER_SHARE = 0.3
+MOST_REDRAWS = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BlindCase:
+    """Data with a hidden effect.
+
+    Attributes
+    ----------
+    laxity
+        The data as they are handed out: noisy, with the stated standard deviations.
+    truth
+        What is behind them.
+    noise_free
+        The same without errors.
+    """
+
+    laxity: Laxity
+    truth: Truth
+    noise_free: Laxity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Found:
+    """A draw of parameters and effects all of whose trials have an equilibrium."""
+
+    theta: Array
+    run: Run
+    hidden: tuple[Hidden, ...]
+    sizes: tuple[float, ...]
+    signal: float
+    is_largest: bool
+
+
+def blind_case(
+    knee: Knee,
+    *,
+    seed: int,
+    effect: str | Sequence[str] | None = RANDOM,
+    signal: float | None = None,
+    protocol: Protocol | None = None,
+    sd_mm: float = 0.3,
+    sd_deg: float = 0.3,
+) -> BlindCase:
+    """A data set of `knee` with a hidden effect; the same seed gives the same numbers.
+
+    True ligament parameters are drawn around the subject's, the places of a missing structure
+    around its anatomical ones. A draw in which a trial finds no equilibrium or leaps is drawn
+    again.
+
+    Parameters
+    ----------
+    knee
+        The subject, whose surfaces and insertions the model is given too.
+    seed
+        Of everything random, >= 0.
+    effect
+        A name in `EFFECTS`, several of them, ``"random"`` for whatever the seed says, which may be
+        nothing, or None for nothing.
+    signal
+        Root of the chi-square that the best fit of the ligament parameters alone leaves of the
+        noise-free data, in units of the true noise; each effect is sized for it by itself. Sizes
+        from the literature where None.
+    protocol
+        The trials; ``seed63`` where None.
+    sd_mm, sd_deg
+        True standard deviation of the errors [mm], [deg], > 0; what the data state is off by up to
+        a fifth.
+
+    Raises
+    ------
+    ValueError
+        If an effect is unknown or given twice, the signal is not positive, or no draw has an
+        equilibrium in every trial.
+    """
+    protocol = load_protocol("seed63") if protocol is None else protocol
+    if signal is not None and not 0.0 < signal < np.inf:
+        raise ValueError(f"the signal must be greater than 0 and finite, got {signal:g}")
+    streams = [np.random.default_rng(x) for x in np.random.SeedSequence(seed).spawn(4)]
+    names = _names(effect, streams[0])
+    order, is_unloading = _history(protocol, streams[1])
+    scene = Scene(
+        places=places_of(knee),
+        n_lines=len(knee.ligaments),
+        start=_start(knee),
+        load_Nm=protocol.loads[:, :2],
+        order=order,
+        is_unloading=is_unloading,
+    )
+    noise = Noise(sd_mm=sd_mm, sd_deg=sd_deg, correlation=CORRELATION)
+    base = experiment_of(knee, protocol)
+    for redraws in range(MOST_REDRAWS):
+        found = _drawn(base, names, scene, (noise, signal), streams[2])
+        if found is not None:
+            break
+    else:
+        raise ValueError(
+            f"{MOST_REDRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
+            f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
+            "smaller loads"
+        )
+    tells_order = bool(HISTORY & set(names)) or streams[1].random() < ORDER_SHARE
+    exact = Laxity(
+        protocol=protocol,
+        coordinates=found.run.coordinates,
+        order=order if tells_order else None,
+        phase=_phase(protocol, is_unloading) if tells_order else None,
+        comments=(f"blind case, seed {seed}",),
+    )
+    laxity, facts = _noisy(exact, noise, streams[3])
+    truth = _truth(knee, seed, found, {**facts, "redraws": redraws, "wanted_signal": signal})
+    return BlindCase(laxity=laxity, truth=truth, noise_free=exact)
+
+
+def _names(effect: str | Sequence[str] | None, generator: np.random.Generator) -> tuple[str, ...]:
+    if effect is None:
+        return ()
+    if effect == RANDOM:
+        share = generator.random()
+        if share < NULL_SHARE:
+            return ()
+        pool = UNLISTED if share < NULL_SHARE + UNLISTED_SHARE else LISTED
+        return (str(generator.choice(list(pool))),)
+    names = (effect,) if isinstance(effect, str) else tuple(effect)
+    for name in names:
+        if name not in EFFECTS:
+            raise ValueError(f"no effect is called {name!r}. {suggestion(name, EFFECTS)}")
+        if names.count(name) > 1:
+            raise ValueError(f"the effect {name} is given twice; give it once")
+    return names
+
+
+def _start(knee: Knee) -> tuple[Array, Array]:
+    femur, tibia = knee.femur_frame, knee.tibia_frame
+    return femur.axes @ tibia.axes.T, femur.to_local(tibia.origin)
+
+
+def _history(protocol: Protocol, generator: np.random.Generator) -> tuple[IntArray, BoolArray]:
+    order = np.asarray(generator.permutation(protocol.n) + 1, np.int64)
+    return order, generator.random(protocol.n) < 0.5
+
+
+def _phase(protocol: Protocol, is_unloading: BoolArray) -> tuple[str, ...]:
+    return tuple(
+        "" if rests else "unloading" if down else "loading"
+        for rests, down in zip(protocol.is_unloaded, is_unloading, strict=True)
+    )
+
+
+def _drawn(
+    base: Experiment,
+    names: Sequence[str],
+    scene: Scene,
+    wanted: tuple[Noise, float | None],
+    generator: np.random.Generator,
+) -> _Found | None:
+    """Parameters and effects drawn and sized; None where a trial has no equilibrium."""
+    noise, signal = wanted
+    theta = _theta(base, scene.n_lines, generator)
+    hidden = tuple(EFFECTS[name](scene, generator) for name in names)
+    own = base.with_theta(theta)
+    run = conduct(own)
+    if not run.is_complete:
+        return None
+    null = BaseFit(theta=theta, run=run, signal=0.0)
+    sizes, is_largest = [], False
+    for x in hidden:
+        size = x.smallest * (x.largest / x.smallest) ** generator.random()
+        if signal is not None:
+            scaled = _sized(x, own, null, (noise, signal))
+            if scaled is None:
+                return None
+            size, reached_end = scaled
+            is_largest |= reached_end
+        sizes.append(x.sign * size)
+    if not hidden:
+        return _Found(theta=theta, run=run, hidden=(), sizes=(), signal=0.0, is_largest=False)
+    for x, size in zip(hidden, sizes, strict=True):
+        own = x.apply(own, size)
+    run = conduct(own)
+    if not run.is_complete:
+        return None
+    fit = base_fit(base, run.coordinates, noise, null)
+    return _Found(
+        theta=theta,
+        run=run,
+        hidden=hidden,
+        sizes=tuple(sizes),
+        signal=fit.signal,
+        is_largest=is_largest,
+    )
+
+
+def _sized(
+    hidden: Hidden, own: Experiment, null: BaseFit, wanted: tuple[Noise, float]
+) -> tuple[float, bool] | None:
+    """Amplitude > 0 for a signal, and whether it is the largest plausible one."""
+    noise, signal = wanted
+
+    slopes = theta_slopes(own, null.run, len(null.theta) // 2)
+    last = null
+
+    def run_at(amplitude: float) -> Run | None:
+        run = conduct(hidden.apply(own, hidden.sign * amplitude), null.run)
+        return run if run.is_complete else None
+
+    def projected(amplitude: float) -> float | None:
+        run = run_at(amplitude)
+        if run is None:
+            return None
+        return left_over(slopes, run.coordinates - null.run.coordinates, noise)
+
+    def fitted(amplitude: float) -> float | None:
+        nonlocal last
+        run = run_at(amplitude)
+        if run is None:
+            return None
+        last = base_fit(own, run.coordinates, noise, last)
+        return last.signal
+
+    scaled = scaled_to(projected, fitted, signal, hidden.largest)
+    return None if scaled is None else (scaled.amplitude, scaled.is_largest)
+
+
+def _theta(base: Experiment, n_lines: int, generator: np.random.Generator) -> Array:
+    """True stiffnesses [kN] and reference strains [%]: around the subject's, never the same."""
+    stiffness = (
+        0.001
+        * base.lines[:n_lines, STIFFNESS]
+        * np.exp(generator.normal(0.0, STIFFNESS_LOG_SD, n_lines))
+    )
+    shift = np.clip(
+        generator.normal(0.0, STRAIN_SD_PCT, n_lines), -STRAIN_LIMIT_PCT, STRAIN_LIMIT_PCT
+    )
+    theta: Array = np.r_[stiffness, 100.0 * base.lines[:n_lines, REFERENCE_STRAIN] + shift]
+    return theta
+
+
+def _noisy(
+    exact: Laxity, noise: Noise, generator: np.random.Generator
+) -> tuple[Laxity, dict[str, object]]:
+    """The data with errors and what they state about them, and the truth about that."""
+    is_heavy = bool(generator.random() < HEAVY_SHARE)
+    factors = generator.uniform(*STATED_RANGE, 2)
+    noisy = add_noise(
+        exact,
+        sd_mm=noise.sd_mm,
+        sd_deg=noise.sd_deg,
+        seed=int(generator.integers(2**31)),
+        correlation=noise.correlation,
+        student_degrees=HEAVY_DEGREES if is_heavy else None,
+    )
+    true = np.repeat([noise.sd_mm, noise.sd_deg], [3, 2])
+    stated = np.tile(true * np.repeat(factors, [3, 2]), (exact.n, 1))
+    facts: dict[str, object] = {
+        "sd_mm": noise.sd_mm,
+        "sd_deg": noise.sd_deg,
+        "stated_over_true_mm": float(factors[0]),
+        "stated_over_true_deg": float(factors[1]),
+        "within_trial_correlation": noise.correlation,
+        "student_degrees": HEAVY_DEGREES if is_heavy else None,
+    }
+    return replace(noisy, sd=stated, within_trial_correlation=0.0), facts
+
+
+def _truth(knee: Knee, seed: int, found: _Found, facts: Mapping[str, object]) -> Truth:
+    names = [f"{x.name}.stiffness_kN" for x in knee.ligaments]
+    names += [f"{x.name}.reference_strain_pct" for x in knee.ligaments]
+    amplitudes, lines = {}, {}
+    for x, size in zip(found.hidden, found.sizes, strict=True):
+        amplitudes[x.name] = {"amplitude": (size, x.unit), **dict(x.amplitudes(size))}
+        if x.line is not None:
+            lines[x.name] = (
+                knee.femur_frame.to_common(x.line[0]),
+                knee.tibia_frame.to_common(x.line[1]),
+            )
+    return Truth(
+        seed=seed,
+        effects=tuple(x.name for x in found.hidden),
+        amplitudes=amplitudes,
+        theta=dict(zip(names, found.theta.tolist(), strict=True)),
+        signal=found.signal,
+        is_largest=found.is_largest,
+        lines=lines,
+        facts=facts,
+    )

@@ -1,0 +1,356 @@
+"""A laxity test on a virtual knee: everything that acts in it, and where the tibia goes."""
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from identknee.blind import equilibrium
+from identknee.blind.femur import DistanceGrid, distance_grid
+from identknee.laxity.protocol import Protocol
+from identknee.runs.arrays import Array, IntArray
+from identknee.subject.knee import Knee
+from identknee.subject.surface import Surface
+
+# Contact: pressure = MODULUS depth (depth / 0.3 mm)^(EXPONENT - 1).
+MODULUS = 9.1
+EXPONENT = 1.15
+TOE_STRAIN = 0.03
+N_MM_PER_N_M = 1000.0
+# Columns of a line.
+OFFSET, REFERENCE_LENGTH, STIFFNESS, REFERENCE_STRAIN, TOE = range(6, 11)
+FEMUR_END, TIBIA_END = slice(0, 3), slice(3, 6)
+
+
+class TrialEnd(Enum):
+    """How a trial of the virtual test ended; each with its sentence."""
+
+    FOUND = "A stable equilibrium was found along the load."
+    STUCK = "No minimum of the energy was found."
+    SNAPPED = "The tibia leapt under a small step of the load."
+
+
+_ENDS = {
+    equilibrium.FOUND: TrialEnd.FOUND,
+    equilibrium.STUCK: TrialEnd.STUCK,
+    equilibrium.SNAPPED: TrialEnd.SNAPPED,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Experiment:
+    """A knee in a rig; an effect is a copy of it with something changed.
+
+    Lengths in mm, forces in N, moments in N mm, angles in rad; femoral and tibial places each in
+    the frame of their bone.
+
+    Attributes
+    ----------
+    points, areas
+        Places where contact is summed on the tibia, shape ``(p, 3)``, and their areas [mm2].
+    grid
+        Distance to the femur.
+    start
+        Rotation and position of the tibia in the femur in the scanned pose.
+    lines
+        One row a line: femoral end, tibial end, length added to their distance, reference length,
+        stiffness [N], reference strain, toe strain; shape ``(l, 11)``. The knee's own come first.
+    protocol
+        Trials with their stated flexion and loads.
+    loads
+        Loads that act at the full stated load, shape ``(n, 5)``: varus and internal moment,
+        anterior, distraction and lateral force.
+    preload
+        The same where no load is stated, shape ``(5,)``.
+    flexion_offset
+        Added to the stated flexion angle.
+    modulus
+        Of contact [N/mm3].
+    weights
+        Forces of fixed direction in the femur and the tibial place they act at, ``(w, 6)``.
+    springs
+        Femoral places held across the plateau where they rest unloaded, and how stiffly [N/mm];
+        shape ``(s, 4)``.
+    torsion
+        Stiffness [N mm/rad] and rest angle of a spring about the tibial axis.
+    femur_turn, tibia_turn
+        Rotation vectors from the bones' frames to those the rig assumes, in the bones' frames.
+    added
+        What the rig reads too much [mm, deg], shape ``(n, 5)``.
+    """
+
+    points: Array
+    areas: Array
+    grid: DistanceGrid
+    start: tuple[Array, Array]
+    lines: Array
+    protocol: Protocol
+    loads: Array
+    preload: Array
+    flexion_offset: float
+    modulus: float
+    weights: Array
+    springs: Array
+    torsion: tuple[float, float]
+    femur_turn: Array
+    tibia_turn: Array
+    added: Array
+
+    def with_theta(self, theta: Array) -> "Experiment":
+        """A copy with other stiffnesses [kN] and reference strains [%] of the knee's own lines."""
+        m = len(theta) // 2
+        lines = self.lines.copy()
+        lines[:m, STIFFNESS] = theta[:m] * 1000.0
+        lines[:m, REFERENCE_STRAIN] = theta[m:] * 0.01
+        return replace(self, lines=lines)
+
+    def arrays(self, springs: Array) -> tuple[Any, ...]:
+        """The knee as compiled functions take it."""
+        surface = (self.points, self.areas, np.array([self.modulus, EXPONENT]))
+        field = (self.grid.values, self.grid.origin, self.grid.spacing)
+        return surface, field, self.lines, self.weights, springs, np.array(self.torsion)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Run:
+    """What came out of an experiment.
+
+    Attributes
+    ----------
+    coordinates
+        As the rig reads them, in the order and units of a laxity table, shape ``(n, 5)``; NaN where
+        there is none.
+    ends
+        How each trial ended.
+    poses
+        Rotation and position of the tibia of each trial.
+    hessians
+        Second derivatives of the energy by the tangent step [N/mm], shape ``(n, 5, 5)``.
+    """
+
+    coordinates: Array
+    ends: tuple[TrialEnd, ...]
+    poses: tuple[tuple[Array, Array], ...]
+    hessians: Array
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every trial has its equilibrium."""
+        return all(end is TrialEnd.FOUND for end in self.ends)
+
+
+def experiment_of(knee: Knee, protocol: Protocol) -> Experiment:
+    """The experiment on a knee with nothing hidden, at the subject's own ligament values."""
+    femur, tibia = knee.femur_frame, knee.tibia_frame
+    surfaces = [_refined(Surface(vertices=tibia.to_local(x.vertices), faces=x.faces))
+                for x in knee.tibia]  # fmt: skip
+    lines = np.zeros((len(knee.ligaments), 11))
+    for line, x in zip(lines, knee.ligaments, strict=True):
+        line[FEMUR_END], line[TIBIA_END] = femur.to_local(x.femur), tibia.to_local(x.tibia)
+        line[REFERENCE_LENGTH], line[STIFFNESS] = x.length, 1000.0 * x.stiffness_kN
+        line[REFERENCE_STRAIN], line[TOE] = 0.01 * x.reference_strain_pct, TOE_STRAIN
+    return Experiment(
+        points=np.concatenate([x.vertices for x in surfaces]),
+        areas=np.concatenate([x.vertex_areas for x in surfaces]),
+        grid=distance_grid(knee),
+        start=(femur.axes @ tibia.axes.T, femur.to_local(tibia.origin)),
+        lines=lines,
+        protocol=protocol,
+        loads=_acting(protocol),
+        preload=np.zeros(5),
+        flexion_offset=0.0,
+        modulus=MODULUS,
+        weights=np.zeros((0, 6)),
+        springs=np.zeros((0, 4)),
+        torsion=(0.0, 0.0),
+        femur_turn=np.zeros(3),
+        tibia_turn=np.zeros(3),
+        added=np.zeros((protocol.n, 5)),
+    )
+
+
+def conduct(experiment: Experiment, near: Run | None = None) -> Run:
+    """The run of an experiment: from the unloaded pose of each flexion along the load.
+
+    Parameters
+    ----------
+    experiment
+        What is tested.
+    near
+        A complete run of nearly the same experiment. Equilibria are sought from its poses then,
+        and a trial whose pose leaps from there has none.
+    """
+    return _along_paths(experiment) if near is None else _from_poses(experiment, near)
+
+
+def theta_slopes(experiment: Experiment, run: Run, n_lines: int) -> Array:
+    """Change of the poses' coordinates [mm, deg] with stiffness [kN] and strain [%].
+
+    Of the first `n_lines` lines, shape ``(n, 5, 2 n_lines)``, by the implicit function theorem.
+    """
+    slopes = np.empty((len(run.poses), 5, 2 * n_lines))
+    flexion = _flexion(experiment)
+    for i, (R, t) in enumerate(run.poses):
+        forces = _line_slopes(R, t, experiment.lines[:n_lines])
+        tangent = -np.linalg.solve(run.hessians[i], forces)
+        slopes[i] = _coordinate_slopes(R, t, flexion[i]) @ tangent
+    slopes[:, 3:] *= 180.0 / np.pi
+    return slopes
+
+
+def _refined(surface: Surface) -> Surface:
+    """The surface with every triangle cut into four at the middles of its edges."""
+    edges, number = np.unique(np.sort(surface.edges, axis=1), axis=0, return_inverse=True)
+    n = len(surface.vertices)
+    a, b, c = surface.faces.T
+    ab, bc, ca = (number.ravel().reshape(-1, 3) + n).T
+    faces = np.concatenate(
+        [np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]]
+    )
+    middles = surface.vertices[edges].mean(axis=1)
+    return Surface(vertices=np.r_[surface.vertices, middles], faces=faces)
+
+
+def _acting(protocol: Protocol) -> Array:
+    loads = protocol.loads[:, [1, 0, 2, 3, 4]].copy()
+    loads[:, :2] *= N_MM_PER_N_M
+    return loads
+
+
+def _flexion(experiment: Experiment) -> Array:
+    angles: Array = np.radians(experiment.protocol.flexion_deg) + experiment.flexion_offset
+    return angles
+
+
+def _read(experiment: Experiment, poses: list[tuple[Array, Array] | None]) -> Array:
+    """Coordinates as the rig reads them [mm, deg]; NaN where there is no pose."""
+    result = np.full((len(poses), 5), np.nan)
+    femur = equilibrium.turned(experiment.femur_turn)
+    tibia = equilibrium.turned(experiment.tibia_turn)
+    for i, pose in enumerate(poses):
+        if pose is not None:
+            R, t = pose
+            result[i] = equilibrium.grood_suntay(
+                np.ascontiguousarray(femur.T @ R @ tibia), femur.T @ t
+            )[:5]
+    result[:, 3:] *= 180.0 / np.pi
+    return result + experiment.added
+
+
+def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> Run:
+    ends = tuple(_ENDS[x[0]] for x in found)
+    poses = [(x[1], x[2]) if x[0] == equilibrium.FOUND else None for x in found]
+    return Run(
+        coordinates=_read(experiment, poses),
+        ends=ends,
+        poses=tuple((x[1], x[2]) for x in found),
+        hessians=np.array([x[3] for x in found]),
+    )
+
+
+def _from_poses(experiment: Experiment, near: Run) -> Run:
+    flexion = _flexion(experiment)
+    arrays = experiment.arrays(np.zeros((0, 7)))
+    found = []
+    for i, (R, t) in enumerate(near.poses):
+        is_found, new_R, new_t, H = equilibrium.minimum(
+            R, t, flexion[i], experiment.loads[i], arrays
+        )
+        turn = np.arccos(np.clip(0.5 * (np.trace(R.T @ new_R) - 1.0), -1.0, 1.0))
+        is_same = turn < 0.2 and np.linalg.norm(new_t - t) < 6.0
+        end = equilibrium.FOUND if is_found and is_same else equilibrium.STUCK
+        found.append((end, new_R, new_t, H))
+    return _run(experiment, found)
+
+
+def _along_paths(experiment: Experiment) -> Run:
+    n = experiment.protocol.n
+    angles = _flexion(experiment)
+    found: list[Any] = [None] * n
+    for flexion, rest in _unloaded(experiment, np.unique(angles)).items():
+        arrays = experiment.arrays(_springs_at(experiment, rest))
+        base = _followed(rest, (flexion, flexion), (np.zeros(5), experiment.preload), arrays)
+        here = np.flatnonzero(angles == flexion)
+        for ray in _rays(experiment, here):
+            state, load = base, experiment.preload
+            for i in ray:
+                state = _followed(state, (flexion, flexion), (load, experiment.loads[i]), arrays)
+                load, found[i] = experiment.loads[i], state
+    return _run(experiment, found)
+
+
+def _followed(
+    state: tuple[Any, ...], flexions: tuple[float, float], loads: tuple[Array, Array], arrays: Any
+) -> tuple[Any, ...]:
+    """The state at the end of a path; one that failed earlier stays as it is."""
+    if state[0] != equilibrium.FOUND:
+        return state
+    result: tuple[Any, ...] = equilibrium.follow(
+        state[1], state[2], np.array(flexions), np.array(loads), arrays
+    )
+    return result
+
+
+def _unloaded(experiment: Experiment, angles: Array) -> dict[float, tuple[Any, ...]]:
+    """State of the unloaded knee at each flexion angle, walked to from extension."""
+    arrays = experiment.arrays(np.zeros((0, 7)))
+    R, t = experiment.start
+    is_found, R, t, H = equilibrium.minimum(R, t, 0.0, np.zeros(5), arrays)
+    extension = (equilibrium.FOUND if is_found else equilibrium.STUCK, R, t, H)
+    states = {}
+    no_load = (np.zeros(5), np.zeros(5))
+    for side in (angles[angles >= 0.0], angles[angles < 0.0][::-1]):
+        state, last = extension, 0.0
+        for angle in side:
+            state = _followed(state, (last, float(angle)), no_load, arrays)
+            states[float(angle)], last = state, float(angle)
+    return states
+
+
+def _springs_at(experiment: Experiment, rest: tuple[Any, ...]) -> Array:
+    """Springs as compiled functions take them: femoral place, tibial place at rest, stiffness."""
+    _, R, t, _ = rest
+    places = experiment.springs[:, :3]
+    rows: Array = np.c_[places, (places - t) @ R, experiment.springs[:, 3]]
+    return rows
+
+
+def _rays(experiment: Experiment, trials: IntArray) -> list[list[int]]:
+    """Trials of one flexion in groups of one direction of the stated load, the smallest first."""
+    stated = _acting(experiment.protocol) / [1000.0, 1000.0, 20.0, 20.0, 20.0]
+    sizes = np.linalg.norm(stated, axis=1)
+    groups: dict[tuple[float, ...], list[int]] = {}
+    for i in sorted(trials.tolist(), key=lambda i: sizes[i]):
+        direction = stated[i] / sizes[i] if sizes[i] > 0.0 else stated[i]
+        groups.setdefault(tuple(np.round(direction, 6) + 0.0), []).append(i)
+    return list(groups.values())
+
+
+def _line_slopes(R: Array, t: Array, lines: Array) -> Array:
+    """Change of the gradient with stiffness [kN] and strain [%], the pose held; ``(5, 2 l)``."""
+    arm = lines[:, TIBIA_END] @ R.T
+    way = arm + t - lines[:, FEMUR_END]
+    length = np.linalg.norm(way, axis=1)
+    whole = length + lines[:, OFFSET]
+    strain = whole * (1.0 + lines[:, REFERENCE_STRAIN]) / lines[:, REFERENCE_LENGTH] - 1.0
+    law = np.array(
+        [equilibrium.smooth_tension(*x)[:2] for x in zip(strain, lines[:, TOE], strict=True)]
+    )
+    pull = way / length[:, None]
+    unit = np.c_[np.cross(arm, pull) @ equilibrium.joint_axes(R).T / equilibrium.LEVER, pull]
+    by_stiffness = 1000.0 * law[:, 0, None] * unit
+    factor = 0.01 * lines[:, STIFFNESS] * law[:, 1] * whole / lines[:, REFERENCE_LENGTH]
+    slopes: Array = np.r_[by_stiffness, factor[:, None] * unit].T
+    return slopes
+
+
+def _coordinate_slopes(R: Array, t: Array, flexion: float) -> Array:
+    """Change of the coordinates [mm, rad] with a tangent step [mm], shape ``(5, 5)``."""
+    size = equilibrium.DIFFERENCE
+    columns = []
+    for step in size * np.eye(5):
+        ahead = equilibrium.grood_suntay(*equilibrium.moved(R, t, step, flexion))
+        behind = equilibrium.grood_suntay(*equilibrium.moved(R, t, -step, flexion))
+        columns.append((ahead - behind)[:5] / (2.0 * size))
+    return np.array(columns).T

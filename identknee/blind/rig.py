@@ -1,0 +1,273 @@
+"""Hidden effects of the rig: loads, frames, readings, and what depends on the order of trials."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from identknee.blind.experiment import N_MM_PER_N_M, Experiment
+from identknee.blind.hidden import Apply, Hidden, Scene
+from identknee.runs.arrays import Array
+
+# The shank's centre of mass below the tibial origin [mm].
+SHANK_MM = 180.0
+VARUS_MOMENT, INTERNAL_MOMENT, ANTERIOR, DISTRACTION, LATERAL = range(5)
+VARUS_READING, INTERNAL_READING = 3, 4
+# Share of a reading's amplitude that goes with varus, whose range is smaller.
+VARUS_SHARE = 0.4
+FULL_MOMENT_NM = 10.0
+
+
+def compression(_scene: Scene, _generator: np.random.Generator) -> Hidden:
+    """The joint is pressed together, in all trials alike."""
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        change = np.zeros(5)
+        change[DISTRACTION] = -amplitude
+        return _loaded(experiment, change)
+
+    return _scalar("compression", ("N", 20.0, 200.0), 1.0, apply)
+
+
+def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """The shank's weight hangs on the knee, towards the back or the foot of the femur."""
+    angle = float(generator.uniform(0.0, 0.5 * np.pi))
+    way = np.array([-np.cos(angle), -np.sin(angle), 0.0])
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        row = np.r_[amplitude * way, 0.0, -SHANK_MM, 0.0]
+        return replace(experiment, weights=np.vstack([experiment.weights, row]))
+
+    return Hidden(
+        name="shank_gravity",
+        unit="N",
+        smallest=8.0,
+        largest=40.0,
+        apply=apply,
+        amplitudes=lambda a: {
+            "weight": (a, "N"),
+            "posterior": (a * float(np.cos(angle)), "N"),
+            "distal": (a * float(np.sin(angle)), "N"),
+        },
+    )
+
+
+def moment_gain(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
+    """Draw of a moment that is more or less than stated, ``"IE"`` or ``"VV"``."""
+    which = INTERNAL_MOMENT if axis == "IE" else VARUS_MOMENT
+
+    def draw(_scene: Scene, generator: np.random.Generator) -> Hidden:
+        def apply(experiment: Experiment, amplitude: float) -> Experiment:
+            loads = experiment.loads.copy()
+            loads[:, which] += amplitude * _stated(experiment)[:, which]
+            return replace(experiment, loads=loads)
+
+        return _scalar(f"moment_gain_{axis}", ("1", 0.05, 0.4), _sign(generator), apply)
+
+    return draw
+
+
+def moment_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """A constant moment on top, about both axes."""
+    angle = float(generator.uniform(0.0, 2.0 * np.pi))
+    share = np.array([np.sin(angle), np.cos(angle)])
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        return _loaded(experiment, np.r_[amplitude * N_MM_PER_N_M * share, 0.0, 0.0, 0.0])
+
+    return Hidden(
+        name="moment_offset",
+        unit="N·m",
+        smallest=0.2,
+        largest=1.5,
+        apply=apply,
+        amplitudes=lambda a: {
+            "total": (a, "N·m"),
+            "internal": (a * float(share[1]), "N·m"),
+            "varus": (a * float(share[0]), "N·m"),
+        },
+    )
+
+
+def axis_misalignment(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Either moment also turns the tibia about the other's axis."""
+    ratio = float(generator.uniform(-1.0, 1.0))
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        stated, loads = _stated(experiment), experiment.loads.copy()
+        loads[:, VARUS_MOMENT] += np.sin(np.radians(ratio * amplitude)) * stated[:, INTERNAL_MOMENT]
+        loads[:, INTERNAL_MOMENT] += np.sin(np.radians(amplitude)) * stated[:, VARUS_MOMENT]
+        return replace(experiment, loads=loads)
+
+    return Hidden(
+        name="axis_misalignment",
+        unit="deg",
+        smallest=2.0,
+        largest=10.0,
+        sign=_sign(generator),
+        apply=apply,
+        amplitudes=lambda a: {
+            "varus_to_internal": (a, "deg"),
+            "internal_to_varus": (ratio * a, "deg"),
+        },
+    )
+
+
+def parasitic_shear(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Each moment comes with a force across the tibia, forward or to the side."""
+    way = generator.normal(size=(2, 2))
+    way /= np.linalg.norm(way)
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        loads = experiment.loads.copy()
+        forces = amplitude * (_stated(experiment)[:, :2] / N_MM_PER_N_M) @ way
+        loads[:, [ANTERIOR, LATERAL]] += forces
+        return replace(experiment, loads=loads)
+
+    names = ("varus_to_anterior", "varus_to_lateral", "internal_to_anterior", "internal_to_lateral")
+    return Hidden(
+        name="parasitic_shear",
+        unit="N/N·m",
+        smallest=0.3,
+        largest=4.0,
+        apply=apply,
+        amplitudes=lambda a: {
+            "total": (a, "N/N·m"),
+            **{x: (a * float(w), "N/N·m") for x, w in zip(names, way.ravel(), strict=True)},
+        },
+    )
+
+
+def femur_frame(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """The rig takes the femur's frame for turned about its anterior and superior axis."""
+    way = np.r_[_unit(generator, 2), 0.0]
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        return replace(experiment, femur_turn=np.radians(amplitude) * way)
+
+    return _turn_effect("femur_frame", way, apply)
+
+
+def tibia_frame(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """The rig takes the tibia's frame for turned about any axis."""
+    way = _unit(generator, 3)
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        return replace(experiment, tibia_turn=np.radians(amplitude) * way)
+
+    return _turn_effect("tibia_frame", way, apply)
+
+
+def flexion_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """The knee is flexed more or less than stated."""
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        return replace(experiment, flexion_offset=float(np.radians(amplitude)))
+
+    return _scalar("flexion_offset", ("deg", 1.0, 6.0), _sign(generator), apply)
+
+
+def rig_compliance(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
+    """Draw of a rig that yields and adds its own rotation, ``"IE"`` or ``"VV"``."""
+    column, reading = (0, INTERNAL_READING) if axis == "IE" else (1, VARUS_READING)
+
+    def draw(scene: Scene, _generator: np.random.Generator) -> Hidden:
+        return _reading_effect(
+            f"rig_compliance_{axis}",
+            ("deg/N·m", 0.05, 0.6),
+            _at(reading, scene.load_Nm[:, column]),
+        )
+
+    return draw
+
+
+def hysteresis(scene: Scene, _generator: np.random.Generator) -> Hidden:
+    """Readings lag behind the load: less while it grows, more while it comes down.
+
+    The amplitude is the width of the internal loop; the varus loop is 0.4 times as wide.
+    """
+    lag = np.sign(scene.load_Nm) * np.where(scene.is_unloading, 0.5, -0.5)[:, None]
+    shape = _at(INTERNAL_READING, lag[:, 0]) + VARUS_SHARE * _at(VARUS_READING, lag[:, 1])
+    return _reading_effect("hysteresis", ("deg", 0.3, 6.0), shape)
+
+
+def creep(scene: Scene, _generator: np.random.Generator) -> Hidden:
+    """The rotation under load grows with the logarithm of the number of trials made.
+
+    The amplitude belongs to internal rotation at 10 N·m for each e-fold; varus has 0.4 times it.
+    """
+    grown = np.log(scene.order)[:, None] * scene.load_Nm / FULL_MOMENT_NM
+    shape = _at(INTERNAL_READING, grown[:, 0]) + VARUS_SHARE * _at(VARUS_READING, grown[:, 1])
+    return _reading_effect("creep", ("deg", 0.1, 2.0), shape)
+
+
+def drift(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """All readings wander in proportion to the number of trials made."""
+    way = _unit(generator, 5)
+    share = (scene.order - 1.0) / max(len(scene.order) - 1, 1) - 0.5
+    return _reading_effect("drift", ("mm or deg", 0.2, 4.0), share[:, None] * way)
+
+
+def _loaded(experiment: Experiment, change: Array) -> Experiment:
+    """A copy with a load added to every trial and to the unloaded state."""
+    return replace(experiment, loads=experiment.loads + change, preload=experiment.preload + change)
+
+
+def _stated(experiment: Experiment) -> Array:
+    """Loads as stated: varus and internal moment [N mm], forces [N], shape ``(n, 5)``."""
+    loads = experiment.protocol.loads[:, [1, 0, 2, 3, 4]].copy()
+    loads[:, :2] *= N_MM_PER_N_M
+    return loads
+
+
+def _scalar(name: str, size: tuple[str, float, float], sign: float, apply: Apply) -> Hidden:
+    unit, smallest, largest = size
+    return Hidden(
+        name=name,
+        unit=unit,
+        smallest=smallest,
+        largest=largest,
+        sign=sign,
+        apply=apply,
+        amplitudes=lambda a: {name: (a, unit)},
+    )
+
+
+def _reading_effect(name: str, size: tuple[str, float, float], shape: Array) -> Hidden:
+    """Effect that adds its amplitude times `shape` (n, 5) to what is read."""
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        return replace(experiment, added=experiment.added + amplitude * shape)
+
+    return _scalar(name, size, 1.0, apply)
+
+
+def _turn_effect(name: str, way: Array, apply: Apply) -> Hidden:
+    return Hidden(
+        name=name,
+        unit="deg",
+        smallest=1.0,
+        largest=6.0,
+        apply=apply,
+        amplitudes=lambda a: {
+            "total": (a, "deg"),
+            **{f"about_{x}": (a * float(w), "deg") for x, w in zip("xyz", way, strict=True)},
+        },
+    )
+
+
+def _at(reading: int, values: Array) -> Array:
+    """Values ``(n,)`` in the column of one reading, shape ``(n, 5)``."""
+    columns = np.zeros((len(values), 5))
+    columns[:, reading] = values
+    return columns
+
+
+def _unit(generator: np.random.Generator, n: int) -> Array:
+    vector = generator.normal(size=n)
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _sign(generator: np.random.Generator) -> float:
+    return float(generator.choice([-1.0, 1.0]))

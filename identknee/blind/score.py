@@ -1,0 +1,175 @@
+"""How a diagnosis compares with the truth."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from identknee.blind.effects import UNLISTED
+from identknee.blind.truth import Truth
+from identknee.runs.arrays import Array
+
+ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "ADEQUATE", "NAMED", "AMBIGUOUS", "UNEXPLAINED"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Score:
+    """A diagnosis beside the truth.
+
+    Attributes
+    ----------
+    verdict
+        The diagnosis's verdict.
+    correct
+        Whether it named all that is hidden and nothing else, gave a group that holds it, found
+        nothing where nothing is hidden, or left unexplained what no library lists.
+    wrong
+        Whether it named a cause that is not there.
+    in_group
+        Whether all that is hidden is among the causes named and the group; None for a null.
+    sentence
+        All this for a person.
+    line_offset_mm, line_angle_deg
+        Distance of the line found from the middle of the true one [mm], and the angle between them
+        [deg]; None without either.
+    amplitude_covered
+        Whether the interval of each true cause named holds its amplitude; None without any.
+    stiffness_error_kN, strain_error_pct
+        Mean absolute error of the ligament parameters before and after; None where not given.
+    covered_before, covered_after
+        Share of the parameters' intervals that hold the truth; None where not given.
+    """
+
+    verdict: str
+    correct: bool
+    wrong: bool
+    in_group: bool | None
+    sentence: str
+    line_offset_mm: float | None
+    line_angle_deg: float | None
+    amplitude_covered: bool | None
+    stiffness_error_kN: tuple[float | None, float | None]  # noqa: N815 - the unit
+    strain_error_pct: tuple[float | None, float | None]
+    covered_before: float | None
+    covered_after: float | None
+
+
+def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
+    """Score of a diagnosis, the parsed ``result.json`` of `identknee diagnose`.
+
+    Read are ``verdict``, ``causes[].{name,amplitude,unit,ci95}``, ``group[]``, ``line`` with its
+    ends ``femur`` and ``tibia`` [mm], and ``parameters_before`` and ``parameters_after``: a number
+    for each parameter, or a mapping with ``value`` and ``ci95``.
+
+    Raises
+    ------
+    ValueError
+        If there is no verdict.
+    """
+    if "verdict" not in diagnosis:
+        raise ValueError("the diagnosis has no verdict; give the result.json of identknee diagnose")
+    verdict = str(diagnosis["verdict"])
+    named = {str(x["name"]) for x in diagnosis.get("causes") or ()}
+    group = {str(x) for x in diagnosis.get("group") or ()}
+    hidden = set(truth.effects)
+    is_named = verdict == NAMED
+    correct = {
+        ADEQUATE: not hidden,
+        NAMED: bool(hidden) and named == hidden,
+        AMBIGUOUS: bool(hidden) and hidden <= group | named,
+        UNEXPLAINED: bool(hidden & set(UNLISTED)),
+    }.get(verdict, False)
+    wrong = is_named and bool(named - hidden)
+    before, after = (_parameters(diagnosis.get(f"parameters_{x}")) for x in ("before", "after"))
+    offset, angle = _line(truth, diagnosis.get("line"))
+    return Score(
+        verdict=verdict,
+        correct=correct,
+        wrong=wrong,
+        in_group=hidden <= group | named if hidden else None,
+        sentence=_sentence(truth, verdict, named, group, correct=correct, wrong=wrong),
+        line_offset_mm=offset,
+        line_angle_deg=angle,
+        amplitude_covered=_amplitude_covered(truth, diagnosis.get("causes") or ()),
+        stiffness_error_kN=(_error(truth, before, "_kN"), _error(truth, after, "_kN")),
+        strain_error_pct=(_error(truth, before, "_pct"), _error(truth, after, "_pct")),
+        covered_before=_coverage(truth, before),
+        covered_after=_coverage(truth, after),
+    )
+
+
+def _sentence(
+    truth: Truth, verdict: str, named: set[str], group: set[str], *, correct: bool, wrong: bool
+) -> str:
+    hidden = " and ".join(truth.effects) or "nothing"
+    given = " and ".join(sorted(named | group))
+    said = f"{verdict} ({given})" if given else verdict
+    judged = "right" if correct else "a wrong name" if wrong else "not right, no wrong name"
+    return f"Hidden: {hidden}, signal {truth.signal:.1f}. Diagnosed: {said}: {judged}."
+
+
+def _line(truth: Truth, found: Mapping[str, Any] | None) -> tuple[float | None, float | None]:
+    """Distance [mm] and angle [deg] of a found line to the true one."""
+    if not found or len(truth.lines) != 1:
+        return None, None
+    (ends,) = truth.lines.values()
+    femur, tibia = (np.asarray(found[x], float) for x in ("femur", "tibia"))
+    way = _unit(tibia - femur)
+    gap = 0.5 * (ends[0] + ends[1]) - femur
+    offset = float(np.linalg.norm(gap - (gap @ way) * way))
+    cosine = abs(float(way @ _unit(ends[1] - ends[0])))
+    return offset, float(np.degrees(np.arccos(min(cosine, 1.0))))
+
+
+def _unit(vector: Array) -> Array:
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _amplitude_covered(truth: Truth, causes: Sequence[Mapping[str, Any]]) -> bool | None:
+    answers = []
+    for cause in causes:
+        size, unit = truth.amplitudes.get(str(cause["name"]), {}).get("amplitude", (0.0, None))
+        if unit is not None and cause.get("unit") == unit and cause.get("ci95"):
+            answers.append(_holds(cause["ci95"], size))
+    return all(answers) if answers else None
+
+
+def _holds(interval: Sequence[float | None], value: float) -> bool:
+    """Whether an interval, whose open ends are None, holds a value."""
+    low, high = interval
+    return (low is None or low <= value) and (high is None or value <= high)
+
+
+def _parameters(tree: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Values by the name of the parameter, from a tree by ligament and quantity or a flat table."""
+    flat = {}
+    for owner, value in (tree or {}).items():
+        if "." in owner or not isinstance(value, Mapping):
+            flat[owner] = value
+        else:
+            flat.update({f"{owner}.{quantity}": x for quantity, x in value.items()})
+    return flat
+
+
+def _error(truth: Truth, parameters: Mapping[str, Any], ending: str) -> float | None:
+    errors = [
+        abs(_value(parameters[name]) - value)
+        for name, value in truth.theta.items()
+        if name.endswith(ending) and name in parameters
+    ]
+    return float(np.mean(errors)) if errors else None
+
+
+def _value(entry: Any) -> float:
+    return float(entry["value"] if isinstance(entry, Mapping) else entry)
+
+
+def _coverage(truth: Truth, parameters: Mapping[str, Any]) -> float | None:
+    answers = [
+        _holds(entry["ci95"], truth.theta[name])
+        for name, entry in parameters.items()
+        if isinstance(entry, Mapping) and entry.get("ci95") and name in truth.theta
+    ]
+    return float(np.mean(answers)) if answers else None

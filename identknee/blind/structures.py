@@ -1,0 +1,357 @@
+"""Hidden effects inside the knee: missing structures, wrong tissue, wrong insertions."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identknee.blind.experiment import (
+    FEMUR_END,
+    OFFSET,
+    REFERENCE_LENGTH,
+    REFERENCE_STRAIN,
+    STIFFNESS,
+    TIBIA_END,
+    TOE,
+    Experiment,
+)
+from identknee.blind.hidden import Apply, Draw, Hidden, Scene, line_row
+from identknee.blind.sites import structure_ends
+from identknee.runs.arrays import Array
+
+# Jitter of each coordinate of a structure's ends [mm], and its slack strain [%].
+JITTER_MM = 3.0
+STRAIN_PCT, STRAIN_JITTER_PCT = 3.0, 2.0
+N_MM_PER_N_M_DEG = 1000.0 * 180.0 / np.pi
+
+
+def with_lines(experiment: Experiment, rows: list[Array]) -> Experiment:
+    """A copy with lines added."""
+    return replace(experiment, lines=np.vstack([experiment.lines, *rows]))
+
+
+def structure(name: str, *, smallest_kN: float, largest_kN: float) -> Draw:
+    """Draw of a missing structure of one line, by its name in `structure_ends`."""
+
+    def draw(scene: Scene, generator: np.random.Generator) -> Hidden:
+        ends = [x + generator.normal(0.0, JITTER_MM, 3) for x in structure_ends(scene.places)[name]]
+        return _line_effect(name, scene, ends, _strain(generator), (smallest_kN, largest_kN))
+
+    return draw
+
+
+def missing_line(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """A line anywhere around the knee, from the femur down to the tibia."""
+    angle = generator.uniform(0.0, 2.0 * np.pi)
+    ends = _around(scene, angle, angle + generator.normal(0.0, 0.35), generator)
+    strain = float(generator.uniform(0.0, 6.0))
+    return _line_effect("missing_line", scene, ends, strain, (0.1, 1.0))
+
+
+def broad_strap(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """A broad strap: five strands side by side around the knee, tight one after the other."""
+    angle = generator.uniform(0.0, 2.0 * np.pi)
+    turn, height = generator.normal(0.0, 0.35), generator.uniform(-0.5, 0.5)
+    femur, tibia = _around(scene, angle, angle + turn, generator)
+    strains = STRAIN_PCT + np.linspace(-4.0, 4.0, 5) * np.sign(height)
+    strands = []
+    for share in np.linspace(-0.35, 0.35, 5):
+        R = _about_y(share)
+        strands.append((R @ femur, R @ tibia + np.array([0.0, 8.0 * height * share, 0.0])))
+    return _strands_effect("broad_strap", scene, strands, strains, (0.1, 1.5))
+
+
+def two_point_tether(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """A tether from one place on the femur to two on the tibia, 40 deg apart around it."""
+    angle = generator.uniform(0.0, 2.0 * np.pi)
+    femur, tibia = _around(scene, angle, angle, generator)
+    strands = [(femur, _about_y(share) @ tibia) for share in (-0.6, 0.6)]
+    return _strands_effect("two_point_tether", scene, strands, np.full(2, STRAIN_PCT), (0.1, 1.0))
+
+
+def rotational_spring(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """A spring that resists internal rotation either way, and acts along no line."""
+    rest = float(generator.normal(0.0, 5.0))
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        return replace(experiment, torsion=(amplitude * N_MM_PER_N_M_DEG, float(np.radians(rest))))
+
+    return Hidden(
+        name="rotational_spring",
+        unit="N·m/deg",
+        smallest=0.02,
+        largest=0.4,
+        apply=apply,
+        amplitudes=lambda a: {"stiffness": (a, "N·m/deg"), "rest_angle": (rest, "deg")},
+    )
+
+
+def posterior_capsule(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Medial and lateral posterior capsule, either as a line; the lateral one shares the size."""
+    ends = structure_ends(scene.places)
+    strands = [
+        [x + generator.normal(0.0, JITTER_MM, 3) for x in ends[f"posterior_capsule_{side}"]]
+        for side in ("medial", "lateral")
+    ]
+    ratio, strain = float(generator.uniform(0.6, 1.4)), _strain(generator)
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        sizes = (amplitude, amplitude * ratio)
+        rows = [
+            line_row(scene, x[0], x[1], size, strain)
+            for x, size in zip(strands, sizes, strict=True)
+        ]
+        return with_lines(experiment, rows)
+
+    return Hidden(
+        name="posterior_capsule",
+        unit="kN",
+        smallest=0.5,
+        largest=4.0,
+        apply=apply,
+        amplitudes=lambda a: {
+            "medial_stiffness": (a, "kN"),
+            "lateral_stiffness": (a * ratio, "kN"),
+            "reference_strain": (strain, "%"),
+        },
+    )
+
+
+def bundles(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Every ligament but the medial collateral is two bundles with different strain and place.
+
+    A percent of strain spread goes with 0.5 mm of distance of the insertions from the middle.
+    """
+    split = (scene.places.front, scene.places.rear, scene.places.lateral)
+    aside = _directions(generator, (len(split), 2))
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        lines, others = experiment.lines.copy(), []
+        for i, (femur, tibia) in zip(split, 0.5 * amplitude * aside, strict=True):
+            line = experiment.lines[i]
+            halves = [
+                line_row(
+                    scene,
+                    line[FEMUR_END] + sign * femur,
+                    line[TIBIA_END] + sign * tibia,
+                    0.0005 * line[STIFFNESS],
+                    100.0 * line[REFERENCE_STRAIN] + sign * amplitude,
+                )
+                for sign in (1.0, -1.0)
+            ]
+            lines[i] = halves[0]
+            others.append(halves[1])
+        return with_lines(replace(experiment, lines=lines), others)
+
+    return Hidden(
+        name="bundles",
+        unit="%",
+        smallest=2.0,
+        largest=8.0,
+        apply=apply,
+        amplitudes=lambda a: {"strain_spread": (a, "%"), "insertion_spread": (0.5 * a, "mm")},
+    )
+
+
+def mcl_wrapping(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """The medial collateral bends around a place beside the medial rim of the tibia."""
+    places = scene.places
+    height = places.plateaus[0, 1, 1] + generator.uniform(-12.0, -4.0) * places.scale
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        R, t = scene.start
+        lines = experiment.lines.copy()
+        line = lines[places.medial]
+        top, bottom = R.T @ (line[FEMUR_END] - t), line[TIBIA_END].copy()
+        share = (top[1] - height) / (top[1] - bottom[1])
+        way = bottom - top
+        out = np.array([0.0, 0.0, -1.0])
+        out = out - (out @ way) * way / (way @ way)
+        bend = top + share * way + amplitude * out / np.linalg.norm(out)
+        line[TIBIA_END], line[OFFSET] = bend, np.linalg.norm(bottom - bend)
+        line[REFERENCE_LENGTH] = np.linalg.norm(bend - top) + line[OFFSET]
+        return replace(experiment, lines=lines)
+
+    return Hidden(
+        name="mcl_wrapping",
+        unit="mm",
+        smallest=2.0,
+        largest=8.0,
+        apply=apply,
+        amplitudes=lambda a: {"lift": (a, "mm")},
+    )
+
+
+def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Each condyle is held across its plateau to where it rests unloaded."""
+    middles = scene.places.plateaus[:, 1] @ scene.start[0].T + scene.start[1]
+    centres = middles + np.array([0.0, 20.0 * scene.places.scale, 0.0])
+    ratio = float(generator.uniform(0.5, 1.0))
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        rows = np.c_[centres, [amplitude, amplitude * ratio]]
+        return replace(experiment, springs=rows)
+
+    return Hidden(
+        name="meniscus",
+        unit="N/mm",
+        smallest=5.0,
+        largest=60.0,
+        apply=apply,
+        amplitudes=lambda a: {"medial": (a, "N/mm"), "lateral": (a * ratio, "N/mm")},
+    )
+
+
+def toe_strain(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """The toe of every ligament ends at another strain."""
+    return _simple(
+        "toe_strain",
+        ("1", 0.005, 0.018),
+        generator,
+        lambda experiment, a: replace(
+            experiment, lines=experiment.lines + a * (np.arange(11) == TOE)
+        ),
+    )
+
+
+def cartilage(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Contact is stiffer or softer throughout; the amplitude is the logarithm of the factor."""
+    return _simple(
+        "cartilage",
+        ("1", 0.4, 2.3),
+        generator,
+        lambda experiment, a: replace(experiment, modulus=experiment.modulus * float(np.exp(a))),
+    )
+
+
+def insertion(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Every insertion lies elsewhere; the amplitude is the root mean square a coordinate."""
+    n = scene.n_lines
+    shifts = generator.normal(size=(n, 6))
+    shifts /= np.sqrt((shifts**2).mean())
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        R, t = scene.start
+        lines = experiment.lines.copy()
+        lines[:n, :6] += amplitude * shifts
+        way = lines[:n, TIBIA_END] @ R.T + t - lines[:n, FEMUR_END]
+        lines[:n, REFERENCE_LENGTH] = np.linalg.norm(way, axis=1)
+        return replace(experiment, lines=lines)
+
+    return Hidden(
+        name="insertion",
+        unit="mm",
+        smallest=1.0,
+        largest=4.0,
+        apply=apply,
+        amplitudes=lambda a: {"rms_shift": (a, "mm")},
+    )
+
+
+def _simple(
+    name: str,
+    size: tuple[str, float, float],
+    generator: np.random.Generator,
+    apply: Apply,
+) -> Hidden:
+    unit, smallest, largest = size
+    return Hidden(
+        name=name,
+        unit=unit,
+        smallest=smallest,
+        largest=largest,
+        sign=float(generator.choice([-1.0, 1.0])),
+        apply=apply,
+        amplitudes=lambda a: {name: (a, unit)},
+    )
+
+
+def _line_effect(
+    name: str,
+    scene: Scene,
+    ends: Sequence[Array],
+    strain_pct: float,
+    sizes_kN: tuple[float, float],
+) -> Hidden:
+    """Effect of one line more; its amplitude is the stiffness."""
+    femur, tibia = ends
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        return with_lines(experiment, [line_row(scene, femur, tibia, amplitude, strain_pct)])
+
+    return Hidden(
+        name=name,
+        unit="kN",
+        smallest=sizes_kN[0],
+        largest=sizes_kN[1],
+        apply=apply,
+        amplitudes=lambda a: {"stiffness": (a, "kN"), "reference_strain": (strain_pct, "%")},
+        line=(femur, tibia),
+    )
+
+
+def _strands_effect(
+    name: str,
+    scene: Scene,
+    strands: Sequence[tuple[Array, Array]],
+    strains_pct: Array,
+    sizes_kN: tuple[float, float],
+) -> Hidden:
+    """Effect of several lines that share a stiffness, no one line of action between them."""
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        rows = [
+            line_row(scene, *ends, amplitude / len(strands), float(strain))
+            for ends, strain in zip(strands, strains_pct, strict=True)
+        ]
+        return with_lines(experiment, rows)
+
+    return Hidden(
+        name=name,
+        unit="kN",
+        smallest=sizes_kN[0],
+        largest=sizes_kN[1],
+        apply=apply,
+        amplitudes=lambda a: {"stiffness": (a, "kN")},
+    )
+
+
+def _around(
+    scene: Scene, femoral_angle: float, tibial_angle: float, generator: np.random.Generator
+) -> tuple[Array, Array]:
+    """A place on either bone [mm] at an angle [rad] about the long axis, zero in front."""
+    places = scene.places
+    low, high = places.plateaus[:, 0].min(axis=0), places.plateaus[:, 2].max(axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low) + 2.0
+    femoral_half = np.array([26.0 * places.scale, 0.5 * np.ptp(places.epicondyles[:, 2])])
+    femur = np.array(
+        [
+            femoral_half[0] * np.cos(femoral_angle),
+            places.scale * generator.uniform(-5.0, 15.0),
+            femoral_half[1] * np.sin(femoral_angle) + places.epicondyles[:, 2].mean(),
+        ]
+    )
+    tibia = np.array(
+        [
+            middle[0] + half[0] * np.cos(tibial_angle),
+            middle[1] - places.scale * generator.uniform(3.0, 30.0),
+            middle[2] + half[2] * np.sin(tibial_angle),
+        ]
+    )
+    return femur, tibia
+
+
+def _about_y(angle: float) -> Array:
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+
+
+def _directions(generator: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Random unit vectors, shape ``(*shape, 3)``."""
+    vectors = generator.normal(size=(*shape, 3))
+    units: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return units
+
+
+def _strain(generator: np.random.Generator) -> float:
+    return float(STRAIN_PCT + generator.uniform(-STRAIN_JITTER_PCT, STRAIN_JITTER_PCT))

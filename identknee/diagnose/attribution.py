@@ -1,0 +1,251 @@
+"""Which causes a misfit speaks for: effects join the model one by one, each with its rivals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identknee.diagnose.library_signatures import Variant, library_variants
+from identknee.diagnose.refit import Refit, expected_distance, refit
+from identknee.diagnose.score import Scores, ScoreTest, score_test
+from identknee.model.effects.effect import Effect
+from identknee.runs.arrays import Array
+
+LEVEL = 0.05
+MOST_CAUSES = 4
+# Refitted at each step: those that score highest, and how low a score is still worth it.
+MOST_REFITS = 8
+LEAST_SCORE = 1.0
+# Steps before those far behind in evidence are left where they are; the highest scores never are.
+FEW_STEPS, FAR_BEHIND, ALWAYS = 6, 40.0, 2
+# Of the logarithm of the evidence: what a cause must gain to join, and to stay when another could
+# do without it.
+LEAST_GAIN = 2.0
+# Of the chi-square: what the largest of a library of scores reaches by chance, squared.
+LEAST_FALL = 9.0
+# A rival this much less likely is excluded if it could be told apart; beyond the second number
+# whether it could or not.
+NEAR_EVIDENCE, FAR_EVIDENCE = 6.0, 10.0
+LEAST_DISTANCE = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """One look at what a fit leaves.
+
+    Attributes
+    ----------
+    at
+        The fit.
+    variants
+        Signatures of the effects not in it.
+    test
+        The max-score test of them.
+    scores
+        What it found.
+    refits
+        The fit extended by each promising effect, the highest evidence first.
+    """
+
+    at: Refit
+    variants: tuple[Variant, ...]
+    test: ScoreTest
+    scores: Scores
+    refits: tuple[Refit, ...]
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether some effect scores higher than chance allows."""
+        return self.scores.p_value <= LEVEL
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rival:
+    """Another explanation.
+
+    Attributes
+    ----------
+    refit
+        The model with it.
+    lead
+        By how much the logarithm of its evidence is lower than that of the best explanation.
+    distance
+        How well the data could tell both apart, see `expected_distance`.
+    """
+
+    refit: Refit
+    lead: float
+    distance: float
+
+    @property
+    def is_excluded(self) -> bool:
+        """Whether the data speak against it clearly enough."""
+        if self.lead > FAR_EVIDENCE:
+            return True
+        return self.lead > NEAR_EVIDENCE and self.distance > LEAST_DISTANCE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Attribution:
+    """The best explanation of a misfit, and what could stand in its place.
+
+    Attributes
+    ----------
+    steps
+        The looks taken, from the base model on.
+    best
+        The model with all causes found; the base model where there is none.
+    rivals
+        Other explanations with as many causes, the most likely first.
+    """
+
+    steps: tuple[Step, ...]
+    best: Refit
+    rivals: tuple[Rival, ...]
+
+    @property
+    def base(self) -> Refit:
+        """The model without causes."""
+        return self.steps[0].at
+
+    @property
+    def is_left_unexplained(self) -> bool:
+        """Whether an effect not in the best explanation still scores higher than chance allows."""
+        return self.steps[-1].is_significant
+
+    @property
+    def open_rivals(self) -> tuple[Rival, ...]:
+        """Those that the data do not exclude."""
+        return tuple(x for x in self.rivals if not x.is_excluded)
+
+
+def attribute(
+    base: Refit, effects: Sequence[Effect], *, seed: int, is_forced: bool = False
+) -> Attribution:
+    """The explanation of what a fit leaves: forward steps, then a look back and at swaps.
+
+    At each step the effects that score highest join the model in turn; the one with most evidence
+    stays. It ends when no further effect scores higher than chance allows, when none gains
+    evidence or at four causes.
+
+    Parameters
+    ----------
+    base
+        The fit without causes.
+    effects
+        Candidates.
+    seed
+        Of the distribution of the largest score.
+    is_forced
+        Whether to try a first cause although none scores high: where other tests found a misfit.
+    """
+    current, steps = base, [_look(base, effects, seed)]
+    rest = tuple(steps[0].refits)
+    while len(current.causes) < MOST_CAUSES:
+        step = steps[-1]
+        if not (step.is_significant or (is_forced and not current.causes)):
+            break
+        step = _with_refits(step, base)
+        steps[-1] = step
+        if not step.refits or not _is_better(step.refits[0], current):
+            break
+        current, rest = step.refits[0], step.refits
+        left = [x for x in effects if x.name not in current.names]
+        steps.append(_look(current, left, seed))
+    current, rest = _looked_back(base, current, rest, steps)
+    rivals = [_rival(current, x) for x in rest if set(x.names) != set(current.names)]
+    return Attribution(
+        steps=tuple(steps),
+        best=current,
+        rivals=tuple(sorted(rivals, key=lambda x: x.lead)),
+    )
+
+
+def _look(at: Refit, effects: Sequence[Effect], seed: int) -> Step:
+    variants = library_variants(at.fitted, effects)
+    test = score_test(at.projector, [x.signature for x in variants], seed=seed, scale="unknown")
+    scores = test.evaluate(at.fitted.residual_rows())
+    return Step(at=at, variants=variants, test=test, scores=scores, refits=())
+
+
+def _with_refits(step: Step, base: Refit) -> Step:
+    """The step with its promising effects refitted: all a little way, the better ones to the end."""
+    promising = [x for x in step.scores.candidates if x.score > LEAST_SCORE][:MOST_REFITS]
+    begun = []
+    for candidate in promising:
+        variant = next(
+            x
+            for x in step.variants
+            if x.signature.name == candidate.name and x.signature.variant == candidate.variant
+        )
+        causes = (*step.at.causes, variant.effect)
+        starts = _starts(step.at, variant, candidate.amplitude, base)
+        begun.append((refit(base, causes, starts[:1], most_steps=FEW_STEPS), starts[1:]))
+    best = max((x.log_evidence for x, _ in begun), default=0.0)
+    found = [
+        refit(base, x.causes, [x.fitted.theta, *starts])
+        if place < ALWAYS or x.log_evidence > best - FAR_BEHIND
+        else x
+        for place, (x, starts) in enumerate(begun)
+    ]
+    return replace(step, refits=tuple(sorted(found, key=lambda x: -x.log_evidence)))
+
+
+def _starts(at: Refit, variant: Variant, amplitude: Array, base: Refit) -> list[Array]:
+    """Where the score expects the fit, the fit that there is, and the subject's own values."""
+    values = variant.start(amplitude)
+    evaluation = at.fitted.evaluation
+    # What the effect does to the predictions, the fitted parameters had taken on themselves.
+    shift = np.zeros(len(evaluation.residuals))
+    shift[: at.fitted.n_data] = variant.signature.columns @ (values - variant.values)[variant.moved]
+    moved = np.linalg.lstsq(evaluation.jacobian, -evaluation.residuals - shift, rcond=None)[0]
+    p = at.fitted.model.parameters
+    near = np.clip(at.fitted.theta + moved, p.lower, p.upper)
+    own = np.r_[base.fitted.model.parameters.center, at.fitted.theta[base.n_base :]]
+    return [np.r_[x, values] for x in (near, at.fitted.theta, own)]
+
+
+def _is_better(new: Refit, old: Refit) -> bool:
+    """Whether `new` is worth its causes: the data must say so, and the prior not forbid it."""
+    fall = old.fitted.misfit - new.fitted.misfit
+    return fall > LEAST_FALL and new.log_evidence > old.log_evidence + LEAST_GAIN
+
+
+def _looked_back(
+    base: Refit, current: Refit, rest: tuple[Refit, ...], steps: Sequence[Step]
+) -> tuple[Refit, tuple[Refit, ...]]:
+    """The explanation after leaving out and swapping single causes, and its alternatives."""
+    if len(current.causes) < 2:
+        return current, rest
+    alternatives = list(rest)
+    for cause in current.causes:
+        alternatives.append(_without(base, current, cause.name))
+        others = [x for x in steps[0].refits if x.names[0] not in current.names]
+        alternatives += [_swapped(base, current, cause.name, x) for x in others[:4]]
+    best = max([current, *alternatives], key=lambda x: x.log_evidence)
+    if best is current or not _is_better(best, current):
+        simpler = [x for x in alternatives if len(x.causes) < len(current.causes)]
+        enough = [x for x in simpler if not _is_better(current, x)]
+        best = max(enough, key=lambda x: x.log_evidence) if enough else current
+    return best, tuple(x for x in (current, *alternatives) if x is not best)
+
+
+def _without(base: Refit, current: Refit, name: str) -> Refit:
+    kept = [x for x in current.causes if x.name != name]
+    theta = np.delete(current.fitted.theta, current.places(name))
+    return refit(base, kept, [theta])
+
+
+def _swapped(base: Refit, current: Refit, name: str, single: Refit) -> Refit:
+    kept = [x for x in current.causes if x.name != name]
+    theta = np.delete(current.fitted.theta, current.places(name))
+    start = np.r_[theta, single.amplitudes(single.names[0])]
+    return refit(base, [*kept, *single.causes], [start])
+
+
+def _rival(best: Refit, other: Refit) -> Rival:
+    return Rival(
+        refit=other,
+        lead=best.log_evidence - other.log_evidence,
+        distance=expected_distance(best, other),
+    )

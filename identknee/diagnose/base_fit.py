@@ -1,0 +1,185 @@
+"""The fit of a laxity model to data, with everything diagnosis needs to know about it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from identknee.diagnose.data_noise import DataNoise, noise_of
+from identknee.diagnose.noise_model import NoiseModel, build_noise_model
+from identknee.diagnose.surface_roughness import roughness_columns
+from identknee.diagnose.weighing import weighed
+from identknee.identify.constrained import Constrained, minimise
+from identknee.identify.evaluation import Evaluation, Evaluator
+from identknee.laxity.table import Laxity
+from identknee.model.effects.contact_law import Cartilage
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.residuals import LaxityResiduals
+from identknee.runs.arrays import Array
+from identknee.runs.outcome import Outcome
+from identknee.subject.knee import Knee
+
+# mm; how far the surfaces of a model are from those of the knee, bump by bump (DESIGN: measured on
+# a knee whose surfaces were known).
+ROUGHNESS = 0.03
+N_STARTS = 3
+# Prior standard deviations within which the other starts lie.
+REACH = 1.0
+# Of the deviance; the statistics that follow are known to a thousandth of a unit at best.
+TOLERANCE = 1e-4
+MOST_STEPS = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fitted:
+    """A model fitted to data: where, and what it leaves.
+
+    Attributes
+    ----------
+    model, laxity
+        What was fitted to what.
+    noise
+        Covariance of the measured values, nuisances included.
+    constrained
+        The fit.
+    """
+
+    model: LaxityModel
+    laxity: Laxity
+    noise: NoiseModel
+    constrained: Constrained
+
+    @property
+    def theta(self) -> Array:
+        """The parameters found, shape ``(p,)``."""
+        return self.constrained.evaluation.theta
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """Whitened residuals and Jacobian there, rows of the prior included."""
+        return self.constrained.evaluation
+
+    @property
+    def deviance(self) -> float:
+        """Misfit and priors, in units of the noise."""
+        return self.evaluation.deviance
+
+    @property
+    def misfit(self) -> float:
+        """Chi-square of the data alone."""
+        data = self.evaluation.residuals[: self.n_data]
+        return float(data @ data)
+
+    @property
+    def n_data(self) -> int:
+        """Values measured."""
+        return int(self.laxity.is_measured.sum())
+
+    @property
+    def compared(self) -> LaxityResiduals:
+        """Model and data, compared in mm and deg."""
+        return LaxityResiduals(model=self.model, laxity=self.laxity)
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the fit ended."""
+        return self.constrained.outcome
+
+    def residual_rows(self) -> Array:
+        """Measured less predicted, whitened, then the rows of the priors, shape ``(m + p,)``."""
+        return -self.evaluation.residuals
+
+    def columns(self, changes: Array) -> Array:
+        """Changes of the coordinates (n, 5, k), whitened, shape ``(m, k)``."""
+        return self.noise.whiten(self.compared.rows(changes))
+
+
+def fit_from(
+    model: LaxityModel,
+    laxity: Laxity,
+    noise: NoiseModel,
+    starts: Sequence[Array],
+    *,
+    most_steps: int = MOST_STEPS,
+) -> Fitted:
+    """The lowest of the fits from `starts`, each shape ``(p,)``, of so many steps."""
+    problem = weighed(model, laxity, noise)
+    fits = [
+        minimise(Evaluator(problem), start, tolerance=TOLERANCE, most_steps=most_steps)
+        for start in starts
+    ]
+    best = min(fits, key=lambda x: x.evaluation.deviance)
+    return Fitted(model=model, laxity=laxity, noise=noise, constrained=best)
+
+
+def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) -> "BaseFit | None":
+    """The base model's fit, its noise found on the way; None where the noise cannot be known.
+
+    The base model is the subject's knee with the contact law as a nuisance: how stiff cartilage is
+    and how its pressure grows is never known well, and must not pass for another cause.
+
+    Parameters
+    ----------
+    knee, laxity
+        The subject and the data.
+    starts
+        Ligament parameters to begin at besides the subject's own and Sobol points around those,
+        each shape ``(2m,)``.
+    seed
+        Of those points.
+    """
+    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=(Cartilage(),))
+    model = model.with_tests(laxity)
+    own = model.parameters.center[: model.n_ligament_parameters]
+    begin = [np.r_[x, np.zeros(2)] for x in (own, *starts, *_around(model, own, seed))]
+    stated = noise_of(laxity, laxity.coordinates)
+    if stated is None:
+        return None
+    fitted = fit_from(model, laxity, _plain(laxity, stated), begin)
+    if not fitted.evaluation.is_finite:
+        return BaseFit(fitted=fitted, found=stated)
+    found = noise_of(laxity, fitted.compared.differences(fitted.theta))
+    if found is None:  # pragma: no cover - it was found before
+        return None
+    rough = fitted.compared.rows(
+        roughness_columns(fitted.model, fitted.model.predict_once(fitted.theta))
+    )
+    noise = build_noise_model(
+        found.sd,
+        laxity.is_measured,
+        correlation=found.correlation,
+        nuisance=rough,
+        nuisance_sd=np.full(rough.shape[1], ROUGHNESS),
+    )
+    return BaseFit(fitted=fit_from(model, laxity, noise, [fitted.theta]), found=found)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BaseFit:
+    """The fit of the base model, and the noise found.
+
+    Attributes
+    ----------
+    fitted
+        The fit.
+    found
+        Errors of the data without nuisances.
+    """
+
+    fitted: Fitted
+    found: DataNoise
+
+
+def _plain(laxity: Laxity, noise: DataNoise) -> NoiseModel:
+    return build_noise_model(noise.sd, laxity.is_measured, correlation=noise.correlation)
+
+
+def _around(model: LaxityModel, start: Array, seed: int) -> list[Array]:
+    """Points within a prior standard deviation of the subject's values around `start`."""
+    n = model.n_ligament_parameters
+    p = model.parameters
+    unit = 2.0 * qmc.Sobol(n, seed=seed).random(N_STARTS + 1)[:N_STARTS] - 1.0
+    steps = REACH * p.prior_sd[:n] * unit
+    points = np.where(p.is_log[:n], start * np.exp(steps), start + steps)
+    return list(np.clip(points, p.lower[:n], p.upper[:n]))

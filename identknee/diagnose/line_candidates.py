@@ -1,0 +1,102 @@
+"""Lines of action that a cause outside the library may have, and what each would do."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
+from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.model.laxity_model import PER_KN, PER_PCT, LaxityModel
+from identknee.model.prediction import Prediction
+from identknee.runs.arrays import Array, frozen
+from identknee.subject.insertion_surfaces import insertion_surfaces
+from identknee.subject.knee import Knee
+
+LENGTHS = (12.0, 90.0)  # mm
+MOST_LINES = 5000
+SLACK_STRAINS = (-4.0, 0.0, 4.0, 8.0)  # %
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CandidateLines:
+    """Lines between femur and tibia.
+
+    Attributes
+    ----------
+    femoral, tibial
+        Their ends in femoral and tibial axes [mm], shape ``(m, 3)``.
+    """
+
+    femoral: Array
+    tibial: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "femoral", frozen(self.femoral, None, 3, name="femoral"))
+        object.__setattr__(self, "tibial", frozen(self.tibial, None, 3, name="tibial"))
+
+    @property
+    def n(self) -> int:
+        """How many there are."""
+        return len(self.femoral)
+
+
+def candidate_lines(knee: Knee, *, seed: int = 0) -> CandidateLines:
+    """Lines between places of both bones that lie on one side, 12 to 90 mm apart.
+
+    Central places go with either side. Where there are more than 5,000, some are taken at random.
+
+    Raises
+    ------
+    ValueError
+        If the femoral surface has no posterior condyle on one side.
+    """
+    femur, tibia = insertion_surfaces(knee)
+    length = np.linalg.norm(femur.positions[:, None] - tibia.positions, axis=2)
+    on_femur, on_tibia = np.array(femur.sides)[:, None], np.array(tibia.sides)
+    fits = (on_femur == on_tibia) | (on_femur == "central") | (on_tibia == "central")
+    fits &= (length > LENGTHS[0]) & (length < LENGTHS[1])
+    pairs = np.argwhere(fits)
+    chosen = np.random.default_rng(seed).permutation(len(pairs))[:MOST_LINES]
+    at_femur, at_tibia = pairs[np.sort(chosen)].T
+    return CandidateLines(
+        femoral=knee.femur_frame.to_local(femur.positions[at_femur]),
+        tibial=knee.tibia_frame.to_local(tibia.positions[at_tibia]),
+    )
+
+
+def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLines) -> Array:
+    """What each line of 1 kN would change of the measured coordinates, at every slack strain.
+
+    To first order, shape ``(n, 5, len(SLACK_STRAINS), m)`` [mm, deg per kN]; NaN in trials that did
+    not converge.
+
+    Raises
+    ------
+    ValueError
+        If the prediction is one of mesh contact, which has no Hessians.
+    """
+    if prediction.hessians is None:
+        raise ValueError('lines of action need a prediction with contact="field"')
+    setting = model.setting(prediction.theta)
+    flexion = setting.flexion[model.paths.trial_node]
+    unmeasured = Lines(
+        femoral=lines.femoral, tibial=lines.tibial, reference_length=np.ones(lines.n)
+    )
+    measured = replace(unmeasured, reference_length=setting.lengths_at_start(unmeasured))
+    converged = prediction.is_converged
+    hessians = np.where(converged[:, None, None], prediction.hessians, np.eye(5))
+    seen, _ = model.extension.observed_slopes(
+        coordinates_from_pose(prediction.poses), model.amplitudes(prediction.theta), model.tests
+    )
+    compliance = seen @ coordinate_jacobian(prediction.poses) @ np.linalg.inv(hessians)
+    stiffness = np.full(lines.n, PER_KN)
+    columns = np.empty((len(flexion), 5, len(SLACK_STRAINS), lines.n))
+    for k, strain in enumerate(SLACK_STRAINS):
+        pulled = ligament_tensions(
+            measured, flexion, prediction.poses, stiffness, np.full(lines.n, PER_PCT * strain)
+        )
+        pulls = pulled.tensions[:, :, None] * pulled.lengthening
+        columns[:, :, k] = -compliance @ pulls.transpose(0, 2, 1)
+    columns[~converged] = np.nan
+    return columns

@@ -1,0 +1,105 @@
+"""Where the surfaces of a pose touch: depth, force and stiffness of every contact point."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.elements import REFERENCE_DEPTH
+from identknee.mechanics.equilibria import ContactLaw, ContactPoints
+from identknee.mechanics.placement import place
+from identknee.runs.arrays import Array, BoolArray, IntArray
+
+MAY_TOUCH = 255  # bits of a cell's `reach` that say that part of it may lie within the femur
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ContactPlaces:
+    """The k points of the tibia that touch the femur in one pose.
+
+    Attributes
+    ----------
+    index
+        Which contact points they are, shape ``(k,)``.
+    femoral
+        Where they are, in femoral axes [mm], shape ``(k, 3)``.
+    jacobian
+        Derivatives of those places by the pose, shape ``(k, 5, 3)``.
+    deepening
+        Derivatives of the depths by the pose [mm/rad, -], shape ``(k, 5)``.
+    force
+        [N], shape ``(k,)``.
+    stiffness
+        Derivative of the force by the depth [N/mm], shape ``(k,)``.
+    """
+
+    index: IntArray
+    femoral: Array
+    jacobian: Array
+    deepening: Array
+    force: Array
+    stiffness: Array
+
+
+def contact_places(
+    contact: ContactPoints, law: ContactLaw, field: DistanceField, flexion: float, pose: Array
+) -> ContactPlaces:
+    """The contact at `flexion` [rad] and a pose (5,), with the forces of the kernel's law."""
+    placement = place(flexion, pose)
+    places = placement.to_femur(contact.points)
+    index = np.flatnonzero(_may_touch(field, places))
+    distance, outward = distances(field, places[index])
+    inside = distance < 0.0
+    index, depth = index[inside], -distance[inside]
+    jacobian = placement.jacobian(contact.points[index])
+    spring = law.modulus * contact.areas[index] * (depth / REFERENCE_DEPTH) ** (law.exponent - 1.0)
+    return ContactPlaces(
+        index=index,
+        femoral=places[index],
+        jacobian=jacobian,
+        deepening=-np.einsum("kai,ki->ka", jacobian, outward[inside]),
+        force=spring * depth,
+        stiffness=law.exponent * spring,
+    )
+
+
+def distances(field: DistanceField, places: Array) -> tuple[Array, Array]:
+    """Signed distance [mm] of places (n, 3) inside the grid, ``(n,)``, and its gradient (n, 3)."""
+    at = (places - field.origin) / field.spacing
+    cell = np.floor(at).astype(np.int64)
+    weights, slopes = _spline_weights(at - cell)
+    x, y, z = (cell[:, axis, None] + np.arange(-1, 3) for axis in range(3))
+    nodes = field.coefficients[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+
+    def summed(x: Array, y: Array, z: Array) -> Array:
+        along_y = np.einsum("nijk,nk,nj->ni", nodes, z, y)
+        total: Array = (along_y * x).sum(axis=1)
+        return total
+
+    gradient = [
+        summed(*(slopes[:, i] if i == axis else weights[:, i] for i in range(3)))
+        for axis in range(3)
+    ]
+    value = summed(weights[:, 0], weights[:, 1], weights[:, 2])
+    return value, np.stack(gradient, axis=1) / field.spacing
+
+
+def _may_touch(field: DistanceField, places: Array) -> BoolArray:
+    """Which places lie in cells that may hold contact; those at the grid's faces do not."""
+    last = np.array(field.reach.shape) - 1
+    cell = np.clip(np.floor((places - field.origin) / field.spacing), 0, last).astype(np.int64)
+    may: BoolArray = (field.reach[cell[:, 0], cell[:, 1], cell[:, 2]] & MAY_TOUCH) > 0
+    return may
+
+
+def _spline_weights(u: Array) -> tuple[Array, Array]:
+    """Cubic B-spline weights at places ``u`` within cells and their slopes, ``(..., 4)``."""
+    a = 1.0 - u
+    weights = [
+        a**3 / 6.0,
+        (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0,
+        (4.0 - 6.0 * a**2 + 3.0 * a**3) / 6.0,
+        u**3 / 6.0,
+    ]
+    slopes = [-(a**2) / 2.0, (3.0 * u**2 - 4.0 * u) / 2.0, (4.0 * a - 3.0 * a**2) / 2.0, u**2 / 2.0]
+    return np.stack(weights, axis=-1), np.stack(slopes, axis=-1)

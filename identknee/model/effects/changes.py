@@ -1,0 +1,110 @@
+"""Effects made of a function: on the setting of the mechanics, or on what is read of a pose."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from identknee.mechanics.equilibria import Lines
+from identknee.model.effects.effect import Effect, MechanicalEffect, ObservationEffect, Tests
+from identknee.model.parameters import Parameters
+from identknee.model.setting import Setting
+from identknee.runs.arrays import Array, BoolArray, IntArray
+
+Changed = Callable[[Setting, Array], Setting]
+Read = Callable[[Array, Array, Tests], Array]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SettingChange:
+    """An effect on lines or flexion.
+
+    Attributes
+    ----------
+    name
+        Of the cause.
+    parameters
+        Its amplitudes.
+    changed
+        The setting with the effect, from the setting without it and the amplitudes.
+    """
+
+    name: str
+    parameters: Parameters
+    changed: Changed = field(repr=False)
+
+    def change(self, setting: Setting, values: Array) -> Setting:
+        """The setting with the effect at amplitudes `values`."""
+        return self.changed(setting, values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReadingError:
+    """An effect that turns actual coordinates into those that are read.
+
+    Attributes
+    ----------
+    name
+        Of the cause.
+    parameters
+        Its amplitudes.
+    read
+        The coordinates read, from those that are actual (n, 5), amplitudes and tests.
+    """
+
+    name: str
+    parameters: Parameters
+    read: Read = field(repr=False)
+
+    def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
+        """The coordinates read, shape ``(n, 5)`` [mm, deg]."""
+        return self.read(coordinates, values, tests)
+
+
+def remeasured(setting: Setting, lines: Lines, changed: BoolArray) -> Setting:
+    """The setting with other lines, those `changed` (m,) as long as they are in the scanned pose.
+
+    A ligament's reference length is measured between its insertions: where they are put elsewhere,
+    or the way between them is another, so is what was measured.
+    """
+    lengths = np.where(changed, setting.lengths_at_start(lines), lines.reference_length)
+    return replace(setting, lines=replace(lines, reference_length=lengths))
+
+
+def held(effect: Effect, fixed: Mapping[str, float]) -> Effect:
+    """The effect with some of its amplitudes, by their whole names, held at given values."""
+    parameters = effect.parameters
+    names = [x for x in parameters.names if x not in fixed]
+    whole, free = parameters.vector(fixed), np.array([parameters.index(x) for x in names], int)
+    rest = parameters.select(names)
+    if isinstance(effect, MechanicalEffect):
+        changed = partial(_change_held, effect, whole, free)
+        return SettingChange(name=effect.name, parameters=rest, changed=changed)
+    if isinstance(effect, ObservationEffect):
+        read = partial(_read_held, effect, whole, free)
+        return ReadingError(name=effect.name, parameters=rest, read=read)
+    raise TypeError(f"{effect.name} changes neither the setting nor what is read")
+
+
+def _change_held(
+    effect: MechanicalEffect, whole: Array, free: IntArray, setting: Setting, values: Array
+) -> Setting:
+    return effect.change(setting, _filled(whole, free, values))
+
+
+def _read_held(
+    effect: ObservationEffect,
+    whole: Array,
+    free: IntArray,
+    coordinates: Array,
+    values: Array,
+    tests: Tests,
+) -> Array:
+    return effect.observe(coordinates, _filled(whole, free, values), tests)
+
+
+def _filled(whole: Array, free: IntArray, values: Array) -> Array:
+    filled = np.array(whole)
+    filled[free] = values
+    return filled

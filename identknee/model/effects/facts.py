@@ -1,0 +1,257 @@
+"""What a user reads of each cause: what it is, where its size comes from, from when on it matters.
+
+Sizes whose source is called an estimate are ours or common knowledge of the field.
+
+References
+----------
+.. [1] Helito et al. (2016), BMC Musculoskelet. Disord. 17, 193.
+       https://doi.org/10.1186/s12891-016-1052-5
+.. [2] Zens et al. (2015), J. Exp. Orthop. 2, 7. https://doi.org/10.1186/s40634-015-0023-3
+.. [3] Robinson et al. (2005), J. Biomech. 38(5), 1067-1074.
+       https://doi.org/10.1016/j.jbiomech.2004.05.034
+.. [4] Willinger et al. (2020), Knee Surg. Sports Traumatol. Arthrosc. 28, 3720-3732.
+       https://doi.org/10.1007/s00167-020-06050-0
+.. [5] LaPrade et al. (2005), Am. J. Sports Med. 33(9), 1386-1391.
+       https://doi.org/10.1177/0363546504274143
+.. [6] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
+       https://doi.org/10.1115/1.2894883
+.. [7] Shin et al. (2007), J. Biomech. 40(5), 1145-1152.
+       https://doi.org/10.1016/j.jbiomech.2006.05.004
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+Slot = Literal["force", "load", "observation", "parameter", "history"]
+MISSING_LINE = "missing_line"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectFacts:
+    """What there is to say about a cause.
+
+    Attributes
+    ----------
+    name
+        Of the cause.
+    slot
+        Where it acts: on the forces in the knee, its loads, what is read, the parameters of what
+        the model has already, or by when a trial was made.
+    sentence
+        What it is.
+    source
+        Of its plausible size.
+    relevant
+        The smallest amplitude worth knowing, in the unit of the effect's first parameter.
+    is_numerical
+        Whether it stands for an assumption of the computation, which no diagnosis may blame before
+        allowing for it.
+    """
+
+    name: str
+    slot: Slot
+    sentence: str
+    source: str
+    relevant: float
+    is_numerical: bool = False
+
+
+_ESTIMATE = "an estimate"
+_ALL = (
+    EffectFacts(
+        name="anterolateral",
+        slot="force",
+        sentence="An anterolateral structure resists internal rotation, most at 30 to 60 deg.",
+        source="42 +- 26 N/mm (Helito 2016) and 33 mm long (Zens 2015): about 1.4 kN",
+        relevant=0.2,
+    ),
+    EffectFacts(
+        name="posteromedial",
+        slot="force",
+        sentence="The posterior oblique ligament and the posteromedial capsule resist internal and "
+        "valgus rotation near extension and slacken with flexion.",
+        source="56 +- 20 N/mm (Robinson 2005): 1 to 3 kN; course with flexion (Willinger 2020)",
+        relevant=0.2,
+    ),
+    EffectFacts(
+        name="popliteofibular",
+        slot="force",
+        sentence="The popliteofibular ligament and the popliteus tendon resist external and varus "
+        "rotation, more with flexion.",
+        source="28.6 N/mm and 83.7 N/mm (LaPrade 2005): 1 to 3 kN",
+        relevant=0.2,
+    ),
+    EffectFacts(
+        name="deep_mcl",
+        slot="force",
+        sentence="The deep medial collateral ligament resists valgus and external rotation.",
+        source="42 N/mm (Robinson 2005): 1 to 2 kN",
+        relevant=0.2,
+    ),
+    EffectFacts(
+        name="posterior_capsule",
+        slot="force",
+        sentence="The posterior capsule resists extension and what tilts or turns the knee there.",
+        source="bundles of published models (Shin 2007): about 1 kN each, an estimate",
+        relevant=0.3,
+    ),
+    EffectFacts(
+        name="bundles",
+        slot="parameter",
+        sentence="A ligament's fibres do not tighten together: one bundle is tauter than another.",
+        source="bundles of one ligament differ by 4 to 33 % (Blankevoort 1991)",
+        relevant=2.0,
+    ),
+    EffectFacts(
+        name="mcl_wrapping",
+        slot="force",
+        sentence="The medial collateral ligament is pushed aside at the joint line, so it is no "
+        "straight line.",
+        source=f"2 to 8 mm, {_ESTIMATE}",
+        relevant=2.0,
+    ),
+    EffectFacts(
+        name="meniscus",
+        slot="force",
+        sentence="The menisci resist sliding of the condyles on the plateaus.",
+        source=f"5 to 50 N/mm, {_ESTIMATE}",
+        relevant=3.0,
+    ),
+    EffectFacts(
+        name="toe_strain",
+        slot="parameter",
+        sentence="The ligaments straighten over another range of strain than 3 %.",
+        source=f"1.5 to 4.5 %, {_ESTIMATE} around the usual value (Blankevoort 1991)",
+        relevant=0.5,
+    ),
+    EffectFacts(
+        name="cartilage",
+        slot="parameter",
+        sentence="Cartilage is softer or stiffer than the contact law says.",
+        source=f"a tenth to three times the modulus, {_ESTIMATE}",
+        relevant=0.4,
+        is_numerical=True,
+    ),
+    EffectFacts(
+        name="compression",
+        slot="load",
+        sentence="A constant axial force pressed the joint together in all trials.",
+        source=f"20 N to seat a knee in a rig, 20 to 200 N of muscle tone, {_ESTIMATE}",
+        relevant=10.0,
+    ),
+    EffectFacts(
+        name="shank_gravity",
+        slot="load",
+        sentence="The weight of shank and foot acted and was not taken off the loads.",
+        source=f"0 N where it was tared to 35 N, {_ESTIMATE}",
+        relevant=4.0,
+    ),
+    EffectFacts(
+        name="moment_gain_IE",
+        slot="load",
+        sentence="The internal and external moments were larger or smaller than stated.",
+        source=f"1 % of full scale for load cells, 5 to 10 % by hand, {_ESTIMATE}",
+        relevant=0.03,
+    ),
+    EffectFacts(
+        name="moment_gain_VV",
+        slot="load",
+        sentence="The varus and valgus moments were larger or smaller than stated.",
+        source=f"1 % of full scale for load cells, 5 to 10 % by hand, {_ESTIMATE}",
+        relevant=0.03,
+    ),
+    EffectFacts(
+        name="moment_offset",
+        slot="load",
+        sentence="The moments had a zero error.",
+        source=f"0.5 N·m tolerance of control, {_ESTIMATE}",
+        relevant=0.15,
+    ),
+    EffectFacts(
+        name="axis_misalignment",
+        slot="load",
+        sentence="Each moment acted partly about the other's axis.",
+        source=f"2 to 8 deg, {_ESTIMATE}",
+        relevant=1.0,
+    ),
+    EffectFacts(
+        name="parasitic_shear",
+        slot="load",
+        sentence="Each moment came with a force across the tibia.",
+        source=f"2 to 12 N at 10 N·m, {_ESTIMATE}",
+        relevant=0.3,
+    ),
+    EffectFacts(
+        name="femur_frame",
+        slot="observation",
+        sentence="The femur's axes were turned against those of the model.",
+        source=f"1 to 5 deg where axes come from landmarks, {_ESTIMATE}",
+        relevant=0.5,
+    ),
+    EffectFacts(
+        name="tibia_frame",
+        slot="observation",
+        sentence="The tibia's axes were turned against those of the model.",
+        source=f"1 to 5 deg where axes come from landmarks, {_ESTIMATE}",
+        relevant=0.5,
+    ),
+    EffectFacts(
+        name="flexion_offset",
+        slot="parameter",
+        sentence="The knee was flexed more or less than stated.",
+        source=f"1 to 4 deg, {_ESTIMATE}",
+        relevant=1.0,
+    ),
+    EffectFacts(
+        name="rig_compliance_IE",
+        slot="observation",
+        sentence="The rig itself yielded in internal and external rotation.",
+        source=f"0.01 to 0.05 deg/N·m with pins in bone, 0.2 to 1 deg/N·m in a boot, {_ESTIMATE}",
+        relevant=0.03,
+    ),
+    EffectFacts(
+        name="rig_compliance_VV",
+        slot="observation",
+        sentence="The rig itself yielded in varus and valgus rotation.",
+        source=f"0.01 to 0.05 deg/N·m with pins in bone, 0.2 to 1 deg/N·m in a boot, {_ESTIMATE}",
+        relevant=0.03,
+    ),
+    EffectFacts(
+        name="insertion",
+        slot="parameter",
+        sentence="Ligaments are attached beside where they were segmented.",
+        source=f"1 to 4 mm, {_ESTIMATE}",
+        relevant=1.0,
+    ),
+    EffectFacts(
+        name="hysteresis",
+        slot="history",
+        sentence="Readings lag behind the load, so loading and unloading differ.",
+        source=f"0.3 to 3 deg of internal rotation, {_ESTIMATE}",
+        relevant=0.3,
+    ),
+    EffectFacts(
+        name="creep",
+        slot="history",
+        sentence="The knee gave way under load more and more while it was tested.",
+        source=_ESTIMATE,
+        relevant=0.3,
+    ),
+    EffectFacts(
+        name="drift",
+        slot="history",
+        sentence="The readings wandered over the test series whatever the load.",
+        source=f"0.1 to 1 mm or deg, {_ESTIMATE}",
+        relevant=0.2,
+    ),
+    EffectFacts(
+        name=MISSING_LINE,
+        slot="force",
+        sentence="A line of action that no structure of the library has.",
+        source="found in the data",
+        relevant=0.2,
+    ),
+)
+FACTS: Mapping[str, EffectFacts] = MappingProxyType({x.name: x for x in _ALL})

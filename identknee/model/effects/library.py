@@ -1,0 +1,123 @@
+"""The library of causes: every effect by its name, placed on the subject's own anatomy."""
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from types import MappingProxyType
+
+from identknee.model.effects.bundles import bundles
+from identknee.model.effects.contact_law import Cartilage
+from identknee.model.effects.effect import Effect
+from identknee.model.effects.facts import FACTS
+from identknee.model.effects.frames import femur_frame, flexion_offset, tibia_frame
+from identknee.model.effects.history import creep, drift, hysteresis
+from identknee.model.effects.insertion import insertion
+from identknee.model.effects.loads import (
+    axis_misalignment,
+    compression,
+    moment_gain,
+    moment_offset,
+    parasitic_shear,
+    shank_gravity,
+)
+from identknee.model.effects.meniscus import meniscus
+from identknee.model.effects.placed import STIFFNESS_SD, structure
+from identknee.model.effects.rig_compliance import rig_compliance
+from identknee.model.effects.toe_strain import toe_strain
+from identknee.model.effects.wrapping import NAME as WRAPPING
+from identknee.model.effects.wrapping import mcl_wrapping
+from identknee.runs.errors import suggestion
+from identknee.subject.anatomy import anatomy
+from identknee.subject.knee import Knee
+from identknee.subject.structure_sites import structure_sites
+
+NEEDS_PHASE, NEEDS_ORDER = frozenset({"hysteresis"}), frozenset({"creep", "drift"})
+
+
+def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> tuple[Effect, ...]:
+    """All effects that can be tried on a subject, in the order of `FACTS`.
+
+    Wrapping of the medial collateral ligament is left out where the subject has no such line.
+
+    Parameters
+    ----------
+    knee
+        The subject.
+    has_order, has_phase
+        Whether it is known when each trial was made, and in which phase of loading: what depends on
+        it is left out otherwise.
+
+    Raises
+    ------
+    ValueError
+        If the femoral surface has no posterior condyle on one side.
+
+    Examples
+    --------
+    >>> from identknee.subject.reference import reference_knee
+    >>> [x.name for x in library(reference_knee())][:3]
+    ['anterolateral', 'posteromedial', 'popliteofibular']
+    """
+    left_out = set[str]()
+    if not has_order:
+        left_out |= NEEDS_ORDER
+    if not has_phase:
+        left_out |= NEEDS_PHASE
+    if anatomy(knee).medial_collateral is None:
+        left_out.add(WRAPPING)
+    return tuple(effect_named(knee, x) for x in _MAKERS if x not in left_out)
+
+
+def effect_named(knee: Knee, name: str) -> Effect:
+    """The effect of the library called `name`, on a subject.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or the subject lacks what it acts on.
+    """
+    if name not in _MAKERS:
+        raise ValueError(f"there is no effect {name!r}; {suggestion(name, _MAKERS)}")
+    return _MAKERS[name](knee)
+
+
+def _at_its_site(name: str, knee: Knee) -> Effect:
+    lines = tuple((x.femur, x.tibia) for x in _sites(knee)[name])
+    return structure(knee, name, lines)
+
+
+_sites = lru_cache(maxsize=4)(structure_sites)
+Maker = Callable[[Knee], Effect]
+
+
+def _anywhere(make: Callable[[], Effect]) -> Maker:
+    """A maker of an effect that is the same on every subject."""
+    return lambda _knee: make()
+
+
+_BY_NAME: dict[str, Maker] = {
+    **{name: partial(_at_its_site, name) for name in STIFFNESS_SD},
+    "bundles": bundles,
+    WRAPPING: mcl_wrapping,
+    "meniscus": meniscus,
+    "toe_strain": _anywhere(toe_strain),
+    "cartilage": _anywhere(Cartilage),
+    "compression": _anywhere(compression),
+    "shank_gravity": _anywhere(shank_gravity),
+    "moment_gain_IE": _anywhere(partial(moment_gain, "IE")),
+    "moment_gain_VV": _anywhere(partial(moment_gain, "VV")),
+    "moment_offset": _anywhere(moment_offset),
+    "axis_misalignment": _anywhere(axis_misalignment),
+    "parasitic_shear": _anywhere(parasitic_shear),
+    "femur_frame": _anywhere(femur_frame),
+    "tibia_frame": _anywhere(tibia_frame),
+    "flexion_offset": _anywhere(flexion_offset),
+    "rig_compliance_IE": _anywhere(partial(rig_compliance, "IE")),
+    "rig_compliance_VV": _anywhere(partial(rig_compliance, "VV")),
+    "insertion": insertion,
+    "hysteresis": _anywhere(hysteresis),
+    "creep": _anywhere(creep),
+    "drift": _anywhere(drift),
+}
+_MAKERS: Mapping[str, Maker] = MappingProxyType(
+    {name: _BY_NAME[name] for name in FACTS if name in _BY_NAME}
+)

@@ -1,0 +1,74 @@
+"""Menisci: springs against sliding of a condyle on its plateau."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identknee.mechanics.equilibria import Lines
+from identknee.model.effects.effect import amplitudes
+from identknee.model.parameters import Parameters
+from identknee.model.setting import Setting, with_lines
+from identknee.runs.arrays import Array, frozen
+from identknee.subject.anatomy import meniscus_springs
+from identknee.subject.knee import Knee
+
+# A spring to so far a point resists motion along itself alone [mm].
+FAR = 500.0
+# Negative: linear in tension and compression.
+BILATERAL = -1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Meniscus:
+    """Springs along and across each plateau, of one stiffness each side [N/mm].
+
+    They are relaxed in the scanned pose.
+
+    Attributes
+    ----------
+    name
+        Of the cause.
+    femoral, tibial
+        Ends of all springs in femoral and tibial axes [mm], shape ``(m, 3)``: two springs for each
+        amplitude.
+    parameters
+        Stiffness of the medial and the lateral meniscus.
+    """
+
+    name: str = "meniscus"
+    femoral: Array
+    tibial: Array
+    parameters: Parameters = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for bone in ("femoral", "tibial"):
+            object.__setattr__(self, bone, frozen(getattr(self, bone), 4, 3, name=bone))
+        names = ["medial_N_per_mm", "lateral_N_per_mm"]
+        made = amplitudes(self.name, names, [20.0, 20.0], lower=[0.0, 0.0], upper=[100.0, 100.0])
+        object.__setattr__(self, "parameters", made)
+
+    def change(self, setting: Setting, values: Array) -> Setting:
+        """The setting with the springs in place."""
+        springs = Lines(
+            femoral=self.femoral,
+            tibial=self.tibial,
+            reference_length=np.full(4, FAR),
+            transition=BILATERAL,
+        )
+        return with_lines(setting, springs, FAR * np.repeat(values, 2), np.zeros(4))
+
+
+def meniscus(knee: Knee) -> Meniscus:
+    """Shear stiffness of both menisci [N/mm], from the condyles' centres along the tibia's axes.
+
+    5 to 50 N/mm is an estimate; models without menisci are known to lack a restraint of sliding.
+    """
+    ends = [
+        (spring.femur, spring.femur + FAR * along)
+        for spring in meniscus_springs(knee)
+        for along in (spring.anterior, spring.lateral)
+    ]
+    return Meniscus(
+        femoral=knee.femur_frame.to_local([x for x, _ in ends]),
+        tibial=knee.tibia_frame.to_local([x for _, x in ends]),
+    )

@@ -1,0 +1,79 @@
+"""Structures placed on a subject's bones."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+from identknee.model.effects.capsule import PosteriorCapsule
+from identknee.model.effects.structures import SITE_SD, MissingStructure, structure_at
+from identknee.subject.effect_choice import Points
+from identknee.subject.knee import Knee
+
+CAPSULE = "posterior_capsule"
+# Prior standard deviation of the stiffness of structures [kN]; of any other name, the last.
+STIFFNESS_SD: Mapping[str, float] = MappingProxyType(
+    {
+        "anterolateral": 1.2,
+        "posteromedial": 1.5,
+        "popliteofibular": 1.2,
+        "deep_mcl": 1.2,
+        CAPSULE: 1.0,
+    }
+)
+OTHER_STIFFNESS_SD = 1.5
+Structure = MissingStructure | PosteriorCapsule
+
+
+def structure(
+    knee: Knee,
+    name: str,
+    lines: Sequence[Points],
+    *,
+    stiffness_sd: float | None = None,
+    site_sd: float | None = None,
+) -> Structure:
+    """A missing structure between points of the common frame of the scan.
+
+    The posterior capsule has a medial and then a lateral line, each with its own stiffness, where
+    they are; the lines of any other structure have one.
+
+    Parameters
+    ----------
+    knee
+        The subject.
+    name
+        Of the structure.
+    lines
+        Femoral and tibial point [mm] of each line, shape ``(3,)``.
+    stiffness_sd
+        Of the half-normal prior of the stiffness [kN]; that of the named structure where None.
+    site_sd
+        Prior standard deviation of the shifts of both ends [mm], 0 where they are not shifted; the
+        usual one where None.
+
+    Raises
+    ------
+    ValueError
+        If a posterior capsule has not two lines.
+    """
+    sd = stiffness_sd or STIFFNESS_SD.get(name, OTHER_STIFFNESS_SD)
+    if name != CAPSULE:
+        spread = SITE_SD if site_sd is None else site_sd
+        made = structure_at(knee, name, lines, stiffness_sd=sd, sites_vary=spread > 0.0)
+        return replace(made, site_sd=spread)
+    if len(lines) != 2:
+        raise ValueError(f"{CAPSULE} has a medial and a lateral line, got {len(lines)} lines")
+    medial, lateral = (
+        structure_at(knee, name, [line], stiffness_sd=sd, sites_vary=False) for line in lines
+    )
+    return PosteriorCapsule(medial=medial, lateral=lateral)
+
+
+def lines_of(knee: Knee, made: Structure) -> tuple[Points, ...]:
+    """The points between which the lines of a structure run, in the common frame [mm]."""
+    parts = (made.medial, made.lateral) if isinstance(made, PosteriorCapsule) else (made,)
+    return tuple(
+        (knee.femur_frame.to_common(femur), knee.tibia_frame.to_common(tibia))
+        for part in parts
+        for femur, tibia in zip(part.femoral, part.tibial, strict=True)
+    )
