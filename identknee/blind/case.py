@@ -35,7 +35,7 @@ HEAVY_SHARE, HEAVY_DEGREES = 0.1, 5.0
 STATED_RANGE = (0.8, 1.2)
 # Share of the cases with another effect that also tell the order of their trials.
 ORDER_SHARE = 0.3
-MOST_REDRAWS = 40
+MOST_DRAWS = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -126,13 +126,13 @@ def blind_case(
     )
     noise = Noise(sd_mm=sd_mm, sd_deg=sd_deg, correlation=CORRELATION)
     base = experiment_of(knee, protocol)
-    for redraws in range(MOST_REDRAWS):
-        found = _drawn(base, names, scene, (noise, signal), streams[2])
-        if found is not None:
-            break
-    else:
+    draws = (_drawn(base, names, scene, (noise, signal), streams[2]) for _ in range(MOST_DRAWS))
+    redraws, found = next(
+        ((i, x) for i, x in enumerate(draws) if x is not None), (MOST_DRAWS, None)
+    )
+    if found is None:
         raise ValueError(
-            f"{MOST_REDRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
+            f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
             f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
             "smaller loads"
         )
@@ -205,7 +205,7 @@ def _drawn(
         size = x.smallest * (x.largest / x.smallest) ** generator.random()
         if signal is not None:
             scaled = _sized(x, own, null, (noise, signal))
-            if scaled is None:
+            if scaled is None or (scaled[1] and x.name in UNLISTED):
                 return None
             size, reached_end = scaled
             is_largest |= reached_end

@@ -1,12 +1,13 @@
 """A laxity test on a virtual knee: everything that acts in it, and where the tibia goes."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
 import numpy as np
 
-from identknee.blind import equilibrium
+from identknee.blind import energy, equilibrium
 from identknee.blind.femur import DistanceGrid, distance_grid
 from identknee.laxity.protocol import Protocol
 from identknee.runs.arrays import Array, IntArray
@@ -18,8 +19,11 @@ MODULUS = 9.1
 EXPONENT = 1.15
 TOE_STRAIN = 0.03
 N_MM_PER_N_M = 1000.0
+# How far an equilibrium may lie from the pose it is sought from [rad, mm].
+FARTHEST_TURN, FARTHEST_SHIFT = 0.2, 6.0
 # Columns of a line.
-OFFSET, REFERENCE_LENGTH, STIFFNESS, REFERENCE_STRAIN, TOE = range(6, 11)
+REFERENCE_LENGTH, STIFFNESS, REFERENCE_STRAIN, TOE, LIFT, LIFT_SHARE = range(6, 12)
+LINE_COLUMNS = 12
 FEMUR_END, TIBIA_END = slice(0, 3), slice(3, 6)
 
 
@@ -54,8 +58,9 @@ class Experiment:
     start
         Rotation and position of the tibia in the femur in the scanned pose.
     lines
-        One row a line: femoral end, tibial end, length added to their distance, reference length,
-        stiffness [N], reference strain, toe strain; shape ``(l, 11)``. The knee's own come first.
+        One row a line: femoral end, tibial end, reference length, stiffness [N], reference strain,
+        toe strain, and how far it is pushed along the tibial z axis and at which share of its way
+        down; shape ``(l, 12)``. The knee's own come first.
     protocol
         Trials with their stated flexion and loads.
     loads
@@ -127,12 +132,15 @@ class Run:
         Rotation and position of the tibia of each trial.
     hessians
         Second derivatives of the energy by the tangent step [N/mm], shape ``(n, 5, 5)``.
+    unloaded
+        State of the knee without load or springs at each stated flexion, the smallest first.
     """
 
     coordinates: Array
     ends: tuple[TrialEnd, ...]
     poses: tuple[tuple[Array, Array], ...]
     hessians: Array
+    unloaded: tuple[tuple[Any, ...], ...]
 
     @property
     def is_complete(self) -> bool:
@@ -145,7 +153,7 @@ def experiment_of(knee: Knee, protocol: Protocol) -> Experiment:
     femur, tibia = knee.femur_frame, knee.tibia_frame
     surfaces = [_refined(Surface(vertices=tibia.to_local(x.vertices), faces=x.faces))
                 for x in knee.tibia]  # fmt: skip
-    lines = np.zeros((len(knee.ligaments), 11))
+    lines = np.zeros((len(knee.ligaments), LINE_COLUMNS))
     for line, x in zip(lines, knee.ligaments, strict=True):
         line[FEMUR_END], line[TIBIA_END] = femur.to_local(x.femur), tibia.to_local(x.tibia)
         line[REFERENCE_LENGTH], line[STIFFNESS] = x.length, 1000.0 * x.stiffness_kN
@@ -226,58 +234,72 @@ def _flexion(experiment: Experiment) -> Array:
 def _read(experiment: Experiment, poses: list[tuple[Array, Array] | None]) -> Array:
     """Coordinates as the rig reads them [mm, deg]; NaN where there is no pose."""
     result = np.full((len(poses), 5), np.nan)
-    femur = equilibrium.turned(experiment.femur_turn)
-    tibia = equilibrium.turned(experiment.tibia_turn)
+    femur = energy.turned(experiment.femur_turn)
+    tibia = energy.turned(experiment.tibia_turn)
     for i, pose in enumerate(poses):
         if pose is not None:
             R, t = pose
-            result[i] = equilibrium.grood_suntay(
-                np.ascontiguousarray(femur.T @ R @ tibia), femur.T @ t
-            )[:5]
+            result[i] = energy.grood_suntay(np.ascontiguousarray(femur.T @ R @ tibia), femur.T @ t)[
+                :5
+            ]
     result[:, 3:] *= 180.0 / np.pi
     return result + experiment.added
 
 
-def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> Run:
-    ends = tuple(_ENDS[x[0]] for x in found)
+def _run(
+    experiment: Experiment, found: list[tuple[Any, ...]], unloaded: Iterable[tuple[Any, ...]]
+) -> Run:
     poses = [(x[1], x[2]) if x[0] == equilibrium.FOUND else None for x in found]
     return Run(
         coordinates=_read(experiment, poses),
-        ends=ends,
+        ends=tuple(_ENDS[x[0]] for x in found),
         poses=tuple((x[1], x[2]) for x in found),
         hessians=np.array([x[3] for x in found]),
+        unloaded=tuple(unloaded),
     )
 
 
 def _from_poses(experiment: Experiment, near: Run) -> Run:
-    flexion = _flexion(experiment)
-    arrays = experiment.arrays(np.zeros((0, 7)))
-    found = []
-    for i, (R, t) in enumerate(near.poses):
-        is_found, new_R, new_t, H = equilibrium.minimum(
-            R, t, flexion[i], experiment.loads[i], arrays
-        )
-        turn = np.arccos(np.clip(0.5 * (np.trace(R.T @ new_R) - 1.0), -1.0, 1.0))
-        is_same = turn < 0.2 and np.linalg.norm(new_t - t) < 6.0
-        end = equilibrium.FOUND if is_found and is_same else equilibrium.STUCK
-        found.append((end, new_R, new_t, H))
-    return _run(experiment, found)
+    angles = _flexion(experiment)
+    distinct, place = np.unique(angles, return_inverse=True)
+    bare = experiment.arrays(np.zeros((0, 7)))
+    unloaded, knees = list(near.unloaded), [bare] * len(distinct)
+    if len(experiment.springs) > 0:
+        unloaded = [
+            _from_pose(x[1:3], angle, np.zeros(5), bare)
+            for x, angle in zip(near.unloaded, distinct, strict=True)
+        ]
+        knees = [experiment.arrays(_springs_at(experiment, x)) for x in unloaded]
+    found = [
+        _from_pose(pose, angles[i], experiment.loads[i], knees[place[i]])
+        for i, pose in enumerate(near.poses)
+    ]
+    return _run(experiment, found, unloaded)
+
+
+def _from_pose(
+    pose: tuple[Array, Array], flexion: float, load: Array, knee: tuple[Any, ...]
+) -> tuple[Any, ...]:
+    """State of the equilibrium next to a pose."""
+    is_found, R, t, H = equilibrium.minimum(*pose, flexion, load, knee)
+    cosine = 0.5 * (np.trace(pose[0].T @ R) - 1.0)
+    is_near = cosine > np.cos(FARTHEST_TURN) and np.linalg.norm(t - pose[1]) < FARTHEST_SHIFT
+    return (equilibrium.FOUND if is_found and is_near else equilibrium.STUCK), R, t, H
 
 
 def _along_paths(experiment: Experiment) -> Run:
-    n = experiment.protocol.n
     angles = _flexion(experiment)
-    found: list[Any] = [None] * n
-    for flexion, rest in _unloaded(experiment, np.unique(angles)).items():
+    found: list[Any] = [None] * experiment.protocol.n
+    unloaded = _unloaded(experiment, np.unique(angles))
+    for flexion, rest in unloaded.items():
         arrays = experiment.arrays(_springs_at(experiment, rest))
         base = _followed(rest, (flexion, flexion), (np.zeros(5), experiment.preload), arrays)
-        here = np.flatnonzero(angles == flexion)
-        for ray in _rays(experiment, here):
+        for ray in _rays(experiment, np.flatnonzero(angles == flexion)):
             state, load = base, experiment.preload
             for i in ray:
                 state = _followed(state, (flexion, flexion), (load, experiment.loads[i]), arrays)
                 load, found[i] = experiment.loads[i], state
-    return _run(experiment, found)
+    return _run(experiment, found, unloaded.values())
 
 
 def _followed(
@@ -305,7 +327,7 @@ def _unloaded(experiment: Experiment, angles: Array) -> dict[float, tuple[Any, .
         for angle in side:
             state = _followed(state, (last, float(angle)), no_load, arrays)
             states[float(angle)], last = state, float(angle)
-    return states
+    return dict(sorted(states.items()))
 
 
 def _springs_at(experiment: Experiment, rest: tuple[Any, ...]) -> Array:
@@ -329,19 +351,16 @@ def _rays(experiment: Experiment, trials: IntArray) -> list[list[int]]:
 
 def _line_slopes(R: Array, t: Array, lines: Array) -> Array:
     """Change of the gradient with stiffness [kN] and strain [%], the pose held; ``(5, 2 l)``."""
-    arm = lines[:, TIBIA_END] @ R.T
-    way = arm + t - lines[:, FEMUR_END]
-    length = np.linalg.norm(way, axis=1)
-    whole = length + lines[:, OFFSET]
-    strain = whole * (1.0 + lines[:, REFERENCE_STRAIN]) / lines[:, REFERENCE_LENGTH] - 1.0
-    law = np.array(
-        [equilibrium.smooth_tension(*x)[:2] for x in zip(strain, lines[:, TOE], strict=True)]
-    )
-    pull = way / length[:, None]
-    unit = np.c_[np.cross(arm, pull) @ equilibrium.joint_axes(R).T / equilibrium.LEVER, pull]
-    by_stiffness = 1000.0 * law[:, 0, None] * unit
-    factor = 0.01 * lines[:, STIFFNESS] * law[:, 1] * whole / lines[:, REFERENCE_LENGTH]
-    slopes: Array = np.r_[by_stiffness, factor[:, None] * unit].T
+    axes = energy.joint_axes(R)
+    columns = []
+    for line in lines:
+        length, arm, slope = energy.course(R, t, line)
+        stretch = length / line[REFERENCE_LENGTH]
+        strain = stretch * (1.0 + line[REFERENCE_STRAIN]) - 1.0
+        force, rise, _ = energy.smooth_tension(strain, line[TOE])
+        unit = np.r_[axes @ np.cross(arm, slope) / energy.LEVER, slope]
+        columns.append((1000.0 * force * unit, 0.01 * line[STIFFNESS] * rise * stretch * unit))
+    slopes: Array = np.array(columns).transpose(2, 1, 0).reshape(5, -1)
     return slopes
 
 
@@ -350,7 +369,7 @@ def _coordinate_slopes(R: Array, t: Array, flexion: float) -> Array:
     size = equilibrium.DIFFERENCE
     columns = []
     for step in size * np.eye(5):
-        ahead = equilibrium.grood_suntay(*equilibrium.moved(R, t, step, flexion))
-        behind = equilibrium.grood_suntay(*equilibrium.moved(R, t, -step, flexion))
+        ahead = energy.grood_suntay(*energy.moved(R, t, step, flexion))
+        behind = energy.grood_suntay(*energy.moved(R, t, -step, flexion))
         columns.append((ahead - behind)[:5] / (2.0 * size))
     return np.array(columns).T

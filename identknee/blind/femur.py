@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from platformdirs import user_cache_path
 from scipy.spatial import cKDTree
 
+from identknee.blind.compiling import cache_root
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder
@@ -121,8 +121,7 @@ def _cache_file(knee: Knee, local: Surface) -> Path:
     name = hashlib.sha256(f"{FORMAT} {SPACING_MM} {BAND_MM} {NEIGHBOURS} {WIDTH}".encode())
     name.update(local.vertices.tobytes() + local.faces.tobytes())
     name.update(repr(knee.femur_distance).encode() if knee.femur_distance is not None else b"")
-    root = Path(os.environ.get("IDENTKNEE_CACHE") or user_cache_path("identknee"))
-    return root / "blind" / f"{name.hexdigest()[:24]}.npy"
+    return cache_root() / f"femur-{name.hexdigest()[:24]}.npy"
 
 
 def _kept(path: Path) -> Array | None:

@@ -1,4 +1,4 @@
-"""How much of an effect the ligament parameters cannot absorb: its signal, and the amplitude for it."""
+"""The signal of an effect: what the ligament parameters cannot absorb; and the size for it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -7,6 +7,7 @@ import numpy as np
 
 from identknee.blind.experiment import (
     FEMUR_END,
+    LINE_COLUMNS,
     REFERENCE_LENGTH,
     REFERENCE_STRAIN,
     STIFFNESS,
@@ -89,7 +90,7 @@ def line_row(
 ) -> Array:
     """Row of an experiment's lines, its reference length measured in the scanned pose."""
     R, t = scene.start
-    row = np.zeros(11)
+    row = np.zeros(LINE_COLUMNS)
     row[FEMUR_END], row[TIBIA_END] = femur, tibia
     row[REFERENCE_LENGTH] = np.linalg.norm(R @ tibia + t - femur)
     row[STIFFNESS], row[REFERENCE_STRAIN] = 1000.0 * stiffness_kN, 0.01 * strain_pct

@@ -101,7 +101,7 @@ def structure_ends(places: Places) -> dict[str, tuple[Array, Array]]:
             np.array([low_m[0] + 2.0 * s, mid_m[1] - 5.0 * s, low_m[2] + 5.0 * s]),
         ),
         "popliteofibular": (
-            lateral + s * np.array([4.0, -10.0, -3.0]),
+            lateral + s * np.array([3.0, -7.0, -3.0]),
             places.fibula + s * np.array([-1.0, 4.0, -4.0]),
         ),
         "deep_mcl": (

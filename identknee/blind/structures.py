@@ -5,9 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from identknee.blind.energy import course
 from identknee.blind.experiment import (
     FEMUR_END,
-    OFFSET,
+    LIFT,
+    LIFT_SHARE,
+    LINE_COLUMNS,
     REFERENCE_LENGTH,
     REFERENCE_STRAIN,
     STIFFNESS,
@@ -44,7 +47,7 @@ def missing_line(scene: Scene, generator: np.random.Generator) -> Hidden:
     """A line anywhere around the knee, from the femur down to the tibia."""
     angle = generator.uniform(0.0, 2.0 * np.pi)
     ends = _around(scene, angle, angle + generator.normal(0.0, 0.35), generator)
-    strain = float(generator.uniform(0.0, 6.0))
+    strain = float(generator.uniform(1.0, 7.0))
     return _line_effect("missing_line", scene, ends, strain, (0.1, 1.0))
 
 
@@ -69,7 +72,7 @@ def two_point_tether(scene: Scene, generator: np.random.Generator) -> Hidden:
     return _strands_effect("two_point_tether", scene, strands, np.full(2, STRAIN_PCT), (0.1, 1.0))
 
 
-def rotational_spring(scene: Scene, generator: np.random.Generator) -> Hidden:
+def rotational_spring(_scene: Scene, generator: np.random.Generator) -> Hidden:
     """A spring that resists internal rotation either way, and acts along no line."""
     rest = float(generator.normal(0.0, 5.0))
 
@@ -154,29 +157,24 @@ def bundles(scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def mcl_wrapping(scene: Scene, generator: np.random.Generator) -> Hidden:
-    """The medial collateral bends around a place beside the medial rim of the tibia."""
+    """The medial collateral is pushed medially near the joint line, and bends there."""
     places = scene.places
-    height = places.plateaus[0, 1, 1] + generator.uniform(-12.0, -4.0) * places.scale
+    height = places.plateaus[0, 1, 1] + generator.uniform(-8.0, 4.0) * places.scale
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         R, t = scene.start
         lines = experiment.lines.copy()
         line = lines[places.medial]
-        top, bottom = R.T @ (line[FEMUR_END] - t), line[TIBIA_END].copy()
-        share = (top[1] - height) / (top[1] - bottom[1])
-        way = bottom - top
-        out = np.array([0.0, 0.0, -1.0])
-        out = out - (out @ way) * way / (way @ way)
-        bend = top + share * way + amplitude * out / np.linalg.norm(out)
-        line[TIBIA_END], line[OFFSET] = bend, np.linalg.norm(bottom - bend)
-        line[REFERENCE_LENGTH] = np.linalg.norm(bend - top) + line[OFFSET]
+        top, bottom = R.T @ (line[FEMUR_END] - t), line[TIBIA_END]
+        line[LIFT], line[LIFT_SHARE] = -amplitude, (top[1] - height) / (top[1] - bottom[1])
+        line[REFERENCE_LENGTH] = course(R, t, line)[0]
         return replace(experiment, lines=lines)
 
     return Hidden(
         name="mcl_wrapping",
         unit="mm",
         smallest=2.0,
-        largest=8.0,
+        largest=12.0,
         apply=apply,
         amplitudes=lambda a: {"lift": (a, "mm")},
     )
@@ -209,7 +207,7 @@ def toe_strain(_scene: Scene, generator: np.random.Generator) -> Hidden:
         ("1", 0.005, 0.018),
         generator,
         lambda experiment, a: replace(
-            experiment, lines=experiment.lines + a * (np.arange(11) == TOE)
+            experiment, lines=experiment.lines + a * (np.arange(LINE_COLUMNS) == TOE)
         ),
     )
 

@@ -59,7 +59,7 @@ def named_start(name: str, parameters: Parameters) -> Array:
         If there is no such start, or the model lacks a parameter the start speaks of.
     """
     if name == SUBJECT:
-        return parameters.center
+        return parameters.start
     published = _published()
     if name not in published:
         raise ValueError(

@@ -139,9 +139,7 @@ def identification(
     from identknee.calibrate.problem import restricted
 
     limits = named_bounds(bounds or [], "--bounds")
-    laxity, knee = ik.read_laxity(data), ik.read_subject(subject)
-    laxity = laxity if noise is None else _with_stated_noise(laxity, noise)
-    _check_stated_noise(laxity)
+    knee, laxity = measured(subject, data, noise)
     model = ik.LaxityModel(knee=knee, protocol=laxity.protocol)
     residuals = ik.LaxityResiduals(
         model=model, laxity=laxity, weighting="unit" if laxity.sd is None else "noise"
@@ -169,6 +167,20 @@ def identification(
             **file_digests(start=start),
         },
     )
+
+
+def measured(subject: str, data: Path, noise: str | None) -> "tuple[ik.Knee, ik.Laxity]":
+    """Subject and data, the noise of the data as `--noise` says where it is given.
+
+    Raises
+    ------
+    ValueError
+        If a file or the noise is wrong, or the data state the noise of some coordinates only.
+    """
+    laxity, knee = ik.read_laxity(data), ik.read_subject(subject)
+    laxity = laxity if noise is None else _with_stated_noise(laxity, noise)
+    _check_stated_noise(laxity)
+    return knee, laxity
 
 
 def best_fit(its: Identification, *, seed: int, executor: Executor) -> "ik.Fit":

@@ -14,6 +14,7 @@ from identknee.laxity.candidates import candidate_trials, repeated
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.candidate_laxity import CandidateLaxity, typical_errors
+from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
@@ -59,6 +60,8 @@ def advise(
 ) -> Advice | None:
     """The trials that separate the best explanation from its open rivals; None without any.
 
+    Causes that depend on the order of the trials are left out: no choice of loads tells them apart.
+
     Trials of the data may be advised once more. Each is taken to be measured as those made were.
 
     Parameters
@@ -70,10 +73,10 @@ def advise(
     n_trials
         How many trials to choose.
     """
-    rivals = attribution.open_rivals[:MOST_RIVALS]
-    if not rivals:
-        return None
     best = attribution.best
+    rivals = [x for x in attribution.open_rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
+    if not rivals or _depends_on_order(best):
+        return None
     candidates = candidate_trials(laxity.protocol)
     data = replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
     made, pairs = _table(best, rivals, partial(_in_data, best))
@@ -106,6 +109,11 @@ class _Predicted:
     jacobian: Array
 
 
+def _depends_on_order(explanation: Refit) -> bool:
+    """Whether it says what trials yield by when they are made, which nobody knows beforehand."""
+    return any(x in NEEDS_ORDER | NEEDS_PHASE for x in explanation.names)
+
+
 Predict = Callable[[LaxityModel, Array], _Predicted]
 
 
@@ -135,9 +143,7 @@ def _in_candidates(
     return _Predicted(values=values, jacobian=jacobian)
 
 
-def _table(
-    best: Refit, rivals: Sequence[Rival], predict: Predict
-) -> tuple[Array, list[Pair]]:
+def _table(best: Refit, rivals: Sequence[Rival], predict: Predict) -> tuple[Array, list[Pair]]:
     """Columns of the base parameters, of differences and of the rivals' causes, and the pairs.
 
     The difference between the predictions of the best explanation and of a rival is one column,

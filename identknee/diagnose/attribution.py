@@ -18,6 +18,8 @@ MOST_REFITS = 8
 LEAST_SCORE = 1.0
 # Steps before those far behind in evidence are left where they are; the highest scores never are.
 FEW_STEPS, FAR_BEHIND, ALWAYS = 6, 40.0, 2
+# Of the amplitude expected: where a refit begins that can begin nowhere else.
+LITTLE = 0.1
 # Of the logarithm of the evidence: what a cause must gain to join, and to stay when another could
 # do without it.
 LEAST_GAIN = 2.0
@@ -169,7 +171,7 @@ def _look(at: Refit, effects: Sequence[Effect], seed: int) -> Step:
 
 
 def _with_refits(step: Step, base: Refit) -> Step:
-    """The step with its promising effects refitted: all a little way, the better ones to the end."""
+    """The step with its promising effects refitted: all a little, the better ones to the end."""
     promising = [x for x in step.scores.candidates if x.score > LEAST_SCORE][:MOST_REFITS]
     begun = []
     for candidate in promising:
@@ -180,7 +182,11 @@ def _with_refits(step: Step, base: Refit) -> Step:
         )
         causes = (*step.at.causes, variant.effect)
         starts = _starts(step.at, variant, candidate.amplitude, base)
-        begun.append((refit(base, causes, starts[:1], most_steps=FEW_STEPS), starts[1:]))
+        for number in range(len(starts)):
+            first = refit(base, causes, starts[number : number + 1], most_steps=FEW_STEPS)
+            if first.fitted.evaluation.is_finite:
+                break
+        begun.append((first, starts[1:]))
     best = max((x.log_evidence for x, _ in begun), default=0.0)
     found = [
         refit(base, x.causes, [x.fitted.theta, *starts])
@@ -192,7 +198,11 @@ def _with_refits(step: Step, base: Refit) -> Step:
 
 
 def _starts(at: Refit, variant: Variant, amplitude: Array, base: Refit) -> list[Array]:
-    """Where the score expects the fit, the fit that there is, and the subject's own values."""
+    """Where a refit begins, the most promising place first.
+
+    Where the score expects it, the fit there is, the subject's own values; the fit there is with
+    little of the effect.
+    """
     values = variant.start(amplitude)
     evaluation = at.fitted.evaluation
     # What the effect does to the predictions, the fitted parameters had taken on themselves.
@@ -202,12 +212,16 @@ def _starts(at: Refit, variant: Variant, amplitude: Array, base: Refit) -> list[
     p = at.fitted.model.parameters
     near = np.clip(at.fitted.theta + moved, p.lower, p.upper)
     own = np.r_[base.fitted.model.parameters.center, at.fitted.theta[base.n_base :]]
-    return [np.r_[x, values] for x in (near, at.fitted.theta, own)]
+    little = np.array(variant.values)
+    little[variant.moved] += LITTLE * (values - variant.values)[variant.moved]
+    return [np.r_[x, values] for x in (near, at.fitted.theta, own)] + [
+        np.r_[at.fitted.theta, little]
+    ]
 
 
 def _is_better(new: Refit, old: Refit) -> bool:
     """Whether `new` is worth its causes: the data must say so, and the prior not forbid it."""
-    fall = old.fitted.misfit - new.fitted.misfit
+    fall = old.strain - new.strain
     return fall > LEAST_FALL and new.log_evidence > old.log_evidence + LEAST_GAIN
 
 
@@ -232,13 +246,13 @@ def _looked_back(
 
 def _without(base: Refit, current: Refit, name: str) -> Refit:
     kept = [x for x in current.causes if x.name != name]
-    theta = np.delete(current.fitted.theta, current.places(name))
+    theta = np.delete(current.fitted.theta, list(current.places(name)))
     return refit(base, kept, [theta])
 
 
 def _swapped(base: Refit, current: Refit, name: str, single: Refit) -> Refit:
     kept = [x for x in current.causes if x.name != name]
-    theta = np.delete(current.fitted.theta, current.places(name))
+    theta = np.delete(current.fitted.theta, list(current.places(name)))
     start = np.r_[theta, single.amplitudes(single.names[0])]
     return refit(base, [*kept, *single.causes], [start])
 

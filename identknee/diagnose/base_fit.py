@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
+from identknee.calibrate.problem import WithPriors
 from identknee.diagnose.data_noise import DataNoise, noise_of
 from identknee.diagnose.noise_model import NoiseModel, build_noise_model
 from identknee.diagnose.surface_roughness import roughness_columns
@@ -13,7 +14,7 @@ from identknee.diagnose.weighing import weighed
 from identknee.identify.constrained import Constrained, minimise
 from identknee.identify.evaluation import Evaluation, Evaluator
 from identknee.laxity.table import Laxity
-from identknee.model.effects.contact_law import Cartilage
+from identknee.model.effects.contact_law import contact_nuisance
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
@@ -29,6 +30,8 @@ REACH = 1.0
 # Of the deviance; the statistics that follow are known to a thousandth of a unit at best.
 TOLERANCE = 1e-4
 MOST_STEPS = 40
+# Of the largest load of the data: below this a knee seldom snaps, whatever its parameters.
+LOW_LOADS = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,12 +108,15 @@ def fit_from(
 ) -> Fitted:
     """The lowest of the fits from `starts`, each shape ``(p,)``, of so many steps."""
     problem = weighed(model, laxity, noise)
-    fits = [
-        minimise(Evaluator(problem), start, tolerance=TOLERANCE, most_steps=most_steps)
-        for start in starts
-    ]
-    best = min(fits, key=lambda x: x.evaluation.deviance)
+    best = min(
+        (_descended(problem, x, most_steps) for x in starts), key=lambda x: x.evaluation.deviance
+    )
     return Fitted(model=model, laxity=laxity, noise=noise, constrained=best)
+
+
+def _descended(problem: WithPriors, start: Array, most_steps: int) -> Constrained:
+    evaluator = Evaluator(problem)
+    return minimise(evaluator, start, tolerance=TOLERANCE, most_steps=most_steps)
 
 
 def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) -> "BaseFit | None":
@@ -129,13 +135,14 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     seed
         Of those points.
     """
-    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=(Cartilage(),))
+    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=(contact_nuisance(),))
     model = model.with_tests(laxity)
     own = model.parameters.center[: model.n_ligament_parameters]
     begin = [np.r_[x, np.zeros(2)] for x in (own, *starts, *_around(model, own, seed))]
     stated = noise_of(laxity, laxity.coordinates)
     if stated is None:
         return None
+    begin.append(_fitted_to_low_loads(model, laxity, stated, begin[0]))
     fitted = fit_from(model, laxity, _plain(laxity, stated), begin)
     if not fitted.evaluation.is_finite:
         return BaseFit(fitted=fitted, found=stated)
@@ -173,6 +180,20 @@ class BaseFit:
 
 def _plain(laxity: Laxity, noise: DataNoise) -> NoiseModel:
     return build_noise_model(noise.sd, laxity.is_measured, correlation=noise.correlation)
+
+
+def _fitted_to_low_loads(
+    model: LaxityModel, laxity: Laxity, noise: DataNoise, start: Array
+) -> Array:
+    """The fit to the trials of low loads, shape ``(p,)``: a way past parameters that snap."""
+    size = np.abs(laxity.protocol.loads)
+    largest = size.max(axis=0)
+    low = (size <= LOW_LOADS * np.where(largest > 0.0, largest, 1.0)).all(axis=1)
+    part = laxity.select(low)
+    if not part.is_measured.any():
+        return start
+    few = build_noise_model(noise.sd[low], part.is_measured, correlation=noise.correlation)
+    return np.array(fit_from(model.with_tests(part), part, few, [start]).theta)
 
 
 def _around(model: LaxityModel, start: Array, seed: int) -> list[Array]:

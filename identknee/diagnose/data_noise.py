@@ -5,12 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.diagnose.curves import load_curves
-from identknee.diagnose.noise_model import estimate_correlation, estimate_sds
+from identknee.diagnose.noise_model import EstimatedScale, estimate_correlation, estimate_scale
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
 from identknee.runs.arrays import Array, frozen
 
 # Fewer degrees of freedom say less about the noise than a stated standard deviation does.
 LEAST_DEGREES = 40.0
+# How well a stated standard deviation is usually known, as that of its logarithm, and from how many
+# of its standard deviations on it is taken for a mistake.
+STATED_SPREAD, DOUBT = 0.2, 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,7 +27,8 @@ class DataNoise:
     correlation
         What the errors of a trial share.
     factors
-        Found noise over stated noise, of lengths and of angles; NaN where one of both is unknown.
+        Found noise over stated noise, of lengths and of angles, NaN for what was not measured; None
+        where nothing was stated or found.
     degrees_of_freedom
         Of the standard deviations; infinite where they are taken as stated.
     sentence
@@ -33,7 +37,7 @@ class DataNoise:
 
     sd: Array
     correlation: float
-    factors: tuple[float, float]
+    factors: tuple[float, float] | None
     degrees_of_freedom: float
     sentence: str
 
@@ -41,11 +45,11 @@ class DataNoise:
         object.__setattr__(self, "sd", frozen(self.sd, None, None, name="sd"))
 
 
-def noise_of(laxity: Laxity, residuals: Array, *, estimates: bool = True) -> DataNoise | None:
+def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     """The noise of the data; None where it is neither stated nor to be seen in them.
 
     Along a load curve laxity is smooth, so that what is rough there is noise, whatever the model
-    gets wrong. With enough points this is trusted more than a stated standard deviation.
+    gets wrong. A stated standard deviation is taken to be right to 20 %, and both are weighed.
 
     Parameters
     ----------
@@ -53,46 +57,59 @@ def noise_of(laxity: Laxity, residuals: Array, *, estimates: bool = True) -> Dat
         The data.
     residuals
         Measured less predicted, shape ``(n, 5)``, from a model that follows most of the curvature.
-    estimates
-        Whether to look at the data; otherwise what they state is taken.
     """
     measured, curves = laxity.is_measured, load_curves(laxity.protocol)
-    found = estimate_sds(residuals, measured, curves) if estimates else None
-    degrees = 0.0 if found is None else float(found.degrees_of_freedom.sum())
-    if found is None or degrees < LEAST_DEGREES:
-        if laxity.sd is None:
-            return None
-        return DataNoise(
-            sd=laxity.sd,
-            correlation=laxity.within_trial_correlation,
-            factors=(np.nan, np.nan),
-            degrees_of_freedom=np.inf,
-            sentence="The noise is taken as stated: the load curves are too short to show it.",
-        )
-    sd, factors = np.full(measured.shape, np.nan), []
-    for columns in (TRANSLATIONS, ROTATIONS):
-        weight = found.degrees_of_freedom[columns]
-        stated = np.ones(measured[:, columns].shape) if laxity.sd is None else laxity.sd[:, columns]
-        typical = np.sqrt(np.nanmean(np.where(measured[:, columns], stated, np.nan) ** 2, axis=0))
-        ratios = found.sd[columns] / typical
-        seen = weight > 0
-        factor = float(np.sqrt(np.average(ratios[seen] ** 2, weights=weight[seen])))
-        sd[:, columns] = factor * stated
-        factors.append(factor if laxity.sd is not None else np.nan)
-    sd[~measured] = np.nan
+    stated = np.where(measured, 1.0, np.nan) if laxity.sd is None else np.array(laxity.sd)
+    relative = residuals / stated
+    groups = [x for x in (TRANSLATIONS, ROTATIONS) if measured[:, x].any()]
+    found = [estimate_scale(relative[:, x], measured[:, x], curves) for x in groups]
+    degrees = sum(x.degrees_of_freedom for x in found if x is not None)
+    if None in found or degrees < LEAST_DEGREES:
+        return _as_stated(laxity)
+    sd, factors = stated, dict.fromkeys(("mm", "deg"), np.nan)
+    for columns, scale in zip(groups, found, strict=True):
+        if scale is not None:
+            factor = scale.sd if laxity.sd is None else _weighed(scale)
+            sd[:, columns] *= factor
+            factors["mm" if columns is TRANSLATIONS else "deg"] = factor
     shared = estimate_correlation(residuals / sd, measured, curves)
     return DataNoise(
         sd=sd,
         correlation=laxity.within_trial_correlation if shared is None else shared,
-        factors=(factors[0], factors[1]),
+        factors=None if laxity.sd is None else (factors["mm"], factors["deg"]),
         degrees_of_freedom=degrees,
-        sentence=_sentence(sd, factors, laxity.sd is not None),
+        sentence=_sentence(sd, None if laxity.sd is None else list(factors.values())),
     )
 
 
-def _sentence(sd: Array, factors: list[float], is_stated: bool) -> str:
-    mm, deg = (float(np.nanmedian(sd[:, x])) for x in (TRANSLATIONS, ROTATIONS))
-    found = f"The roughness of the load curves shows a noise of {mm:.2g} mm and {deg:.2g} deg"
-    if not is_stated:
+def _weighed(scale: EstimatedScale) -> float:
+    """Noise over stated noise from both, by what they are worth; the data's own in doubt."""
+    spread = 0.5 / scale.degrees_of_freedom
+    seen = np.log(scale.sd)
+    if abs(seen) > DOUBT * np.sqrt(spread + STATED_SPREAD**2):
+        return scale.sd
+    return float(np.exp(seen * STATED_SPREAD**2 / (STATED_SPREAD**2 + spread)))
+
+
+def _as_stated(laxity: Laxity) -> DataNoise | None:
+    if laxity.sd is None:
+        return None
+    return DataNoise(
+        sd=laxity.sd,
+        correlation=laxity.within_trial_correlation,
+        factors=None,
+        degrees_of_freedom=np.inf,
+        sentence="The noise is taken as stated: the load curves are too short to show it.",
+    )
+
+
+def _sentence(sd: Array, factors: list[float] | None) -> str:
+    sizes = []
+    for columns, unit in ((TRANSLATIONS, "mm"), (ROTATIONS, "deg")):
+        if np.isfinite(sd[:, columns]).any():
+            sizes.append(f"{np.nanmedian(sd[:, columns]):.2g} {unit}")
+    found = f"The roughness of the load curves shows a noise of {' and '.join(sizes)}"
+    if factors is None:
         return f"{found}; the data state none."
-    return f"{found}, {factors[0]:.2f} and {factors[1]:.2f} times what the data state."
+    times = " and ".join(f"{x:.2f}" for x in factors if np.isfinite(x))
+    return f"{found}, {times} times what the data state."

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from identknee.diagnose.advice import Advice, advise
 from identknee.diagnose.attribution import Attribution, attribute
 from identknee.diagnose.base_fit import BaseFit, fit_base
@@ -83,15 +81,18 @@ def diagnose(
     seed
         Of the distributions under no effect.
     """
-    candidates = _candidates(knee, laxity) if effects is None else tuple(effects)
+    if effects is None:
+        effects = library(
+            knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None
+        )
     found = fit_base(knee, laxity, starts=starts, seed=seed)
     if found is None or not found.fitted.evaluation.is_finite:
         return None
     base = _base_refit(found)
-    attribution = attribute(base, candidates, seed=seed)
+    attribution = attribute(base, effects, seed=seed)
     p_value = alarm_p_value(base, attribution.steps[0].scores.p_value)
     if p_value <= LEVEL and not attribution.steps[0].is_significant:
-        attribution = attribute(base, candidates, seed=seed, is_forced=True)
+        attribution = attribute(base, effects, seed=seed, is_forced=True)
     conclusion = conclude(attribution, p_value)
     is_open = conclusion.verdict is Verdict.AMBIGUOUS
     return Diagnosis(
@@ -104,14 +105,6 @@ def diagnose(
         advice=advise(attribution, laxity, found.found) if is_open else None,
         seed=seed,
     )
-
-
-def _candidates(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:
-    """The library without the numerical nuisances, which are part of the base model."""
-    whole = library(
-        knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None
-    )
-    return tuple(x for x in whole if x.name != "cartilage")
 
 
 def _base_refit(found: BaseFit) -> Refit:

@@ -110,7 +110,8 @@ class Gain:
     before, after
         The base model, and the one with the cause.
     absorbed
-        The base model with a Gaussian process for what it leaves: it names nothing.
+        The base model with a Gaussian process for what it leaves: it names nothing. Its spreads and
+        lengths are those of all trials also where some are held out, to its favour.
     discrepancy
         That process.
     elpd
@@ -150,6 +151,10 @@ class Gain:
     def rmse_held_out(self, of: Assessment, family: str | None = None) -> Rmse:
         """Error of held values over the folds that both models predict."""
         return of.held_out.rmse(family, folds=self.shared_folds)
+
+    def expected_rmse(self, of: Assessment, family: str | None = None) -> Rmse:
+        """The error that `of` itself expects there, see `HeldOut.expected_rmse`."""
+        return of.held_out.expected_rmse(family, folds=self.shared_folds)
 
 
 def measure_gain(

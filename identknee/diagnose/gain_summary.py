@@ -12,9 +12,9 @@ def gain_summary(gain: Gain) -> dict[str, Any]:
     """The gain by name, ready for JSON; null where a number is not known.
 
     ``rmse_held_out_before`` and ``rmse_held_out_after`` are in units of the noise, all measured
-    coordinates together; ``elpd_difference`` and ``elpd_se`` are in nats. Below them the same in mm
-    and deg, by family of folds, for the base model (``before``), the cause (``after``) and a
-    Gaussian process in its place (``absorbed``).
+    coordinates and all families of folds together; ``elpd_difference`` and ``elpd_se`` are in nats.
+    Below them the same in mm and deg, by family of folds, for the base model (``before``), the
+    cause (``after``) and a Gaussian process in its place (``absorbed``), beside what each expects.
     """
     models = {"before": gain.before, "after": gain.after, "absorbed": gain.absorbed}
     return {
@@ -27,6 +27,9 @@ def gain_summary(gain: Gain) -> dict[str, Any]:
         "log_evidence_difference": _number(gain.log_evidence_difference),
         "rmse_in_sample": {name: x.in_sample.to_json() for name, x in models.items()},
         "rmse_held_out": {name: gain.rmse_held_out(x).to_json() for name, x in models.items()},
+        "rmse_held_out_expected": {
+            name: gain.expected_rmse(x).to_json() for name, x in models.items()
+        },
         "misfit": {name: _misfit(x) for name, x in models.items()},
         "families": _families(gain, models),
         "explained": {name: _number(x) for name, x in gain.explained.items()},
@@ -63,6 +66,9 @@ def _families(gain: Gain, models: dict[str, Assessment]) -> dict[str, Any]:
             "elpd_absorbed_se": absorbed[family]["elpd_se"],
             "rmse_held_out": {
                 name: gain.rmse_held_out(x, family).to_json() for name, x in models.items()
+            },
+            "rmse_held_out_expected": {
+                name: gain.expected_rmse(x, family).to_json() for name, x in models.items()
             },
         }
         for family, found in _by_family(gain.elpd).items()

@@ -108,14 +108,30 @@ class HeldOut:
 
     def rmse(self, family: str | None = None, *, folds: Sequence[Fold] | None = None) -> Rmse:
         """Error of the held values, of one family or all, in the scored folds among `folds`."""
-        chosen = [
-            x.errors
+        return self._pooled([x.errors for x in self._chosen(family, folds)])
+
+    def expected_rmse(
+        self, family: str | None = None, *, folds: Sequence[Fold] | None = None
+    ) -> Rmse:
+        """The error that the predictions themselves expect: noise, and what is not known.
+
+        It is more than the noise where the trials kept leave a parameter open that the held ones
+        depend on, be the model as right as it may.
+        """
+        return self._pooled([x.predicted for x in self._chosen(family, folds)])
+
+    def _chosen(self, family: str | None, folds: Sequence[Fold] | None) -> list[FoldScore]:
+        return [
+            x
             for x in self.scores
             if x.is_scored
             and family in (None, x.fold.family)
             and (folds is None or any(x.fold is fold for fold in folds))
         ]
-        return self.observations.rmse(np.array(chosen).reshape(-1, len(self.observations.trial)))
+
+    def _pooled(self, values: list[Array]) -> Rmse:
+        m = len(self.observations.trial)
+        return self.observations.rmse(np.array(values).reshape(-1, m))
 
 
 def held_out(
@@ -125,7 +141,9 @@ def held_out(
 
     Every fold is refitted from `theta`, priors included. The prediction of a held trial is Gaussian
     by the model's linearisation there: it holds the noise, what the parameters may still be, and
-    what errors shared between trials (nuisances, or a discrepancy) tell from the trials kept.
+    what errors shared between trials (nuisances, or a discrepancy) tell from the trials kept. A
+    trial whose pose turns sharply with a parameter, such as an unloaded one between two lax poses,
+    may stray further than that says.
 
     Parameters
     ----------
@@ -226,7 +244,7 @@ def _score(
     left = -(at.residuals[held] - weights @ at.residuals[kept])
     slope = at.jacobian[held] - weights @ at.jacobian[kept]
     spread = covariance[np.ix_(held, held)] - weights @ shared.T
-    spread += slope @ posterior_covariance(found) @ slope.T
+    spread += slope @ _posterior_covariance(found) @ slope.T
     errors, predicted = (np.full(len(covariance), np.nan) for _ in range(2))
     errors[held], predicted[held] = left, np.sqrt(np.diag(spread))
     return FoldScore(
@@ -239,7 +257,7 @@ def _score(
     )
 
 
-def posterior_covariance(found: Constrained) -> Array:
+def _posterior_covariance(found: Constrained) -> Array:
     """Covariance of the parameters of a fit with priors, shape ``(p, p)``.
 
     Parameters

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import log_ndtr, logsumexp, ndtri_exp
+from scipy.special import log_ndtr, logsumexp, ndtri, ndtri_exp
 from scipy.stats import qmc
 
 from identknee.identify.evaluation import Evaluation
@@ -15,8 +15,8 @@ from identknee.runs.arrays import Array, frozen
 LEAST_CUT = 1e-6
 # Points at which the share of a Gaussian within bounds is averaged, and the seed of their order.
 N_POINTS, POINTS_SEED = 1024, 0
-# Standard deviations to either side of a 95 % interval.
-REACH = 1.959963984540054
+# What a 95 % interval leaves out to either side; all of it on one side where a bound is the other.
+TAIL = 0.025
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,7 +90,7 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
         + log_box_probability(middle, covariance, lower, upper)
     )
     sd = np.sqrt(np.diag(covariance))
-    ends = [np.clip(middle + s * REACH * sd, lower, upper) for s in (-1.0, 1.0)]
+    ends = _interval(middle, sd, lower, upper)
     low, high = (np.where(is_log, np.exp(np.where(is_log, x, 0.0)), x) for x in ends)
     return Laplace(
         theta=at.theta,
@@ -98,6 +98,21 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
         lower=np.minimum(low, at.theta),
         upper=np.maximum(high, at.theta),
         log_evidence=float(log_evidence),
+    )
+
+
+def _interval(mean: Array, sd: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Ends of 95 % intervals of normal variables within bounds.
+
+    A bound that cuts off a tail of more than 2.5 % is the end of the interval.
+    """
+    low, high = (lower - mean) / sd, (upper - mean) / sd
+    from_low, to_high = low > ndtri(TAIL), high < ndtri(1.0 - TAIL)
+    start = _within(low, high, np.where(to_high, 2.0, 1.0) * TAIL)
+    end = _within(low, high, 1.0 - np.where(from_low, 2.0, 1.0) * TAIL)
+    return (
+        np.where(from_low, lower, mean + sd * start),
+        np.where(to_high, upper, mean + sd * end),
     )
 
 

@@ -9,7 +9,7 @@ from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_fr
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.laxity_model import PER_KN, PER_PCT, LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array, BoolArray, frozen
 from identknee.subject.insertion_surfaces import insertion_surfaces
 from identknee.subject.knee import Knee
 
@@ -24,21 +24,40 @@ class CandidateLines:
 
     Attributes
     ----------
-    femoral, tibial
-        Their ends in femoral and tibial axes [mm], shape ``(m, 3)``.
+    femur, tibia
+        Their ends in the common frame of the scanned pose [mm], shape ``(m, 3)``.
     """
 
-    femoral: Array
-    tibial: Array
+    femur: Array
+    tibia: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "femoral", frozen(self.femoral, None, 3, name="femoral"))
-        object.__setattr__(self, "tibial", frozen(self.tibial, None, 3, name="tibial"))
+        object.__setattr__(self, "femur", frozen(self.femur, None, 3, name="femur"))
+        object.__setattr__(self, "tibia", frozen(self.tibia, self.n, 3, name="tibia"))
 
     @property
     def n(self) -> int:
         """How many there are."""
-        return len(self.femoral)
+        return len(self.femur)
+
+    @property
+    def directions(self) -> Array:
+        """Unit vectors from tibia to femur, shape ``(m, 3)``."""
+        along = self.femur - self.tibia
+        return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
+
+    def close_to(self, line: int, distance: float) -> BoolArray:
+        """Which lines have both ends closer to the `line` than a distance [mm], shape ``(m,)``.
+
+        The line goes on beyond its own ends: how far along it a force acts makes no difference.
+        """
+        along = self.directions[line]
+        is_close = np.ones(self.n, bool)
+        for ends in (self.femur, self.tibia):
+            away = ends - self.femur[line]
+            away = away - (away @ along)[:, None] * along
+            is_close &= np.linalg.norm(away, axis=1) < distance
+        return is_close
 
 
 def candidate_lines(knee: Knee, *, seed: int = 0) -> CandidateLines:
@@ -59,10 +78,7 @@ def candidate_lines(knee: Knee, *, seed: int = 0) -> CandidateLines:
     pairs = np.argwhere(fits)
     chosen = np.random.default_rng(seed).permutation(len(pairs))[:MOST_LINES]
     at_femur, at_tibia = pairs[np.sort(chosen)].T
-    return CandidateLines(
-        femoral=knee.femur_frame.to_local(femur.positions[at_femur]),
-        tibial=knee.tibia_frame.to_local(tibia.positions[at_tibia]),
-    )
+    return CandidateLines(femur=femur.positions[at_femur], tibia=tibia.positions[at_tibia])
 
 
 def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLines) -> Array:
@@ -81,7 +97,9 @@ def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLin
     setting = model.setting(prediction.theta)
     flexion = setting.flexion[model.paths.trial_node]
     unmeasured = Lines(
-        femoral=lines.femoral, tibial=lines.tibial, reference_length=np.ones(lines.n)
+        femoral=model.knee.femur_frame.to_local(lines.femur),
+        tibial=model.knee.tibia_frame.to_local(lines.tibia),
+        reference_length=np.ones(lines.n),
     )
     measured = replace(unmeasured, reference_length=setting.lengths_at_start(unmeasured))
     converged = prediction.is_converged

@@ -17,6 +17,8 @@ LEAST_LEFT = 2
 LEAST_DEGREES = 8.0
 # Consecutive points whose deviation from a cubic is one look at the noise.
 WINDOW = 5
+# Share of normal errors within one standard deviation, and the efficiency of that quantile.
+WITHIN_ONE_SD, QUANTILE_EFFICIENCY = 0.6827, 0.54
 # A covariance beyond these is singular or nearly so, whatever the estimate says.
 LEAST_CORRELATION, MOST_CORRELATION = -0.2, 0.95
 
@@ -161,43 +163,38 @@ def estimate_correlation(
     return float(np.clip(np.mean(found), LEAST_CORRELATION, MOST_CORRELATION))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EstimatedSds:
-    """Noise of each coordinate as the roughness of its curves shows it.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimatedScale:
+    """The size of the noise as the roughness of load curves shows it.
 
     Attributes
     ----------
     sd
-        Standard deviation of each coordinate in its unit, shape ``(5,)``; NaN for a coordinate
-        that was never measured.
+        Standard deviation, in the unit of the values.
     degrees_of_freedom
-        Of each estimate, shape ``(5,)``; 0 for a coordinate that was never measured.
+        What the estimate is worth.
     """
 
-    sd: Array
-    degrees_of_freedom: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sd", frozen(self.sd, None, name="sd"))
-        degrees = frozen(self.degrees_of_freedom, None, name="degrees_of_freedom")
-        object.__setattr__(self, "degrees_of_freedom", degrees)
+    sd: float
+    degrees_of_freedom: float
 
 
-def estimate_sds(
-    residuals: Array, is_measured: BoolArray, curves: Sequence[Curve]
-) -> EstimatedSds | None:
-    """The noise of each coordinate from how curves deviate from a cubic on five points.
+def estimate_scale(
+    values: Array, is_measured: BoolArray, curves: Sequence[Curve]
+) -> EstimatedScale | None:
+    """The common noise of some columns from how their curves deviate from a cubic on five points.
 
-    The pure error of data without replicates. Kinks of the curves count as noise, so it errs to the
-    large side. None where a measured coordinate has too few points for an estimate.
+    The pure error of data without replicates. Kinks of a curve and outliers must not count as
+    noise: what 68 % of the deviations stay below is one standard deviation, however large the
+    others are. None where there are too few points.
 
     Parameters
     ----------
-    residuals
-        Measured less predicted, or the measured values, in their units, shape ``(n, 5)``; read
-        where measured.
+    values
+        Measured less predicted, or the measured values, in units of their noise up to one common
+        factor, shape ``(n, k)``; read where measured.
     is_measured
-        Which values there are, shape ``(n, 5)``.
+        Which values there are, shape ``(n, k)``.
     curves
         The load curves of the protocol.
 
@@ -206,16 +203,17 @@ def estimate_sds(
     T. Gasser, L. Sroka and C. Jennen-Steinmetz, Residual variance and residual pattern in nonlinear
     regression, Biometrika 73 (1986) 625-633, doi:10.1093/biomet/73.3.625.
     """
-    sd, degrees = np.full(residuals.shape[1], np.nan), np.zeros(residuals.shape[1])
-    for coordinate in np.flatnonzero(is_measured.any(axis=0)):
-        used = is_measured[:, coordinate]
-        left = _left_by_windows(used, curves)
-        degrees[coordinate] = _degrees_of_freedom(left)
-        if degrees[coordinate] < LEAST_DEGREES:
-            return None
-        values = np.where(used, residuals[:, coordinate], 0.0)
-        sd[coordinate] = np.sqrt(values @ left @ values / np.trace(left))
-    return EstimatedSds(sd=sd, degrees_of_freedom=degrees)
+    found, degrees = [], 0.0
+    for column in range(values.shape[1]):
+        used = is_measured[:, column]
+        contrasts = _window_contrasts(used, curves)
+        degrees += _degrees_of_freedom(contrasts.T @ contrasts)
+        found.append(contrasts @ np.where(used, values[:, column], 0.0))
+    degrees *= QUANTILE_EFFICIENCY
+    if degrees < LEAST_DEGREES:
+        return None
+    sd = float(np.quantile(np.abs(np.concatenate(found)), WITHIN_ONE_SD))
+    return EstimatedScale(sd=sd, degrees_of_freedom=degrees)
 
 
 def _degrees_of_freedom(left: Array) -> float:
@@ -237,18 +235,19 @@ def _left_by_polynomials(used: BoolArray, curves: Sequence[Curve]) -> Array:
     return left
 
 
-def _left_by_windows(used: BoolArray, curves: Sequence[Curve]) -> Array:
-    """The same for contrasts of five consecutive points that a cubic leaves at zero."""
-    left = np.zeros((len(used), len(used)))
+def _window_contrasts(used: BoolArray, curves: Sequence[Curve]) -> Array:
+    """Contrasts of five consecutive points that a cubic leaves at zero, a row each, ``(c, n)``."""
+    rows = [np.zeros((0, len(used)))]
     for curve in curves:
         on = used[curve.trials]
         trials, load = curve.trials[on], curve.load[on]
         for start in range(len(trials) - WINDOW + 1):
             window = slice(start, start + WINDOW)
             whole, _ = np.linalg.qr(_powers(load[window], WINDOW - 2), mode="complete")
-            contrast = whole[:, -1]
-            left[np.ix_(trials[window], trials[window])] += np.outer(contrast, contrast)
-    return left
+            row = np.zeros((1, len(used)))
+            row[0, trials[window]] = whole[:, -1]
+            rows.append(row)
+    return np.concatenate(rows)
 
 
 def _powers(load: Array, degree: int) -> Array:

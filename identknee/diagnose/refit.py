@@ -47,6 +47,12 @@ class Refit:
         return self.fitted.model.parameters.n - sum(x.parameters.n for x in self.causes)
 
     @property
+    def strain(self) -> float:
+        """Misfit of the data and how far the base parameters left their prior, as a chi-square."""
+        rows = self.fitted.evaluation.residuals[: self.fitted.n_data + self.n_base]
+        return float(rows @ rows)
+
+    @property
     def projector(self) -> Projector:
         """What the fitted parameters cannot explain."""
         return base_projector(self.fitted.evaluation.jacobian)
@@ -82,7 +88,7 @@ class Refit:
 
     def amplitudes(self, name: str) -> Array:
         """Fitted amplitudes of the cause called `name`."""
-        return self.fitted.theta[self.places(name)]
+        return np.asarray(self.fitted.theta[self.places(name)])
 
     def covariance(self) -> Array:
         """Of all parameters, priors included, shape ``(p, p)``."""
@@ -124,7 +130,9 @@ def refit(
     """
     model = base.fitted.model
     extended = model.with_effects([*model.effects, *causes])
-    fitted = fit_from(extended, base.fitted.laxity, base.fitted.noise, starts, most_steps=most_steps)
+    fitted = fit_from(
+        extended, base.fitted.laxity, base.fitted.noise, starts, most_steps=most_steps
+    )
     return Refit(
         causes=tuple(causes),
         fitted=fitted,

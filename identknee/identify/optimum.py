@@ -25,7 +25,7 @@ def best_fit(
         Its residuals in units of their noise.
     start
         Where the first fit begins and what the others lie around (Sobol points within two prior
-        standard deviations), shape ``(n,)``; the centre of the parameters if None.
+        standard deviations), shape ``(n,)``; the subject's own values if None.
     seed
         Of the Sobol points' scrambling and of the fits.
     executor
@@ -37,7 +37,7 @@ def best_fit(
         If the start lies outside the bounds, or no fit found a point with a prediction.
     """
     parameters = problem.parameters
-    first = parameters.center if start is None else np.asarray(start, dtype=np.float64)
+    first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
     check_inside(first, parameters)
     around = fit_many(problem, _around(first, parameters, seed), seed=seed, executor=executor)
     best = min([fit(problem, first, seed=seed), *around], key=lambda found: found.objective)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.check import unusable
+from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.frames import LANDMARKS, Frame, frames_from_landmarks
 from identknee.subject.knee import Knee, Landmark
 from identknee.subject.ligament import Ligament
@@ -85,7 +86,8 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
 
 def _knee(table: Table) -> Knee:
     table.check_keys(
-        ("format", "name", "side", "surfaces", "ligaments"), ("description", "frames", "landmarks")
+        ("format", "name", "side", "surfaces", "ligaments"),
+        ("description", "frames", "landmarks", "effects"),
     )
     side = table.text("side")
     if side not in ("right", "left"):
@@ -94,6 +96,7 @@ def _knee(table: Table) -> Knee:
     femur_frame, tibia_frame = _frames(table, landmarks, is_left=side == "left")
     surfaces = _surfaces(table)
     ligaments = [_ligament(x) for x in table.tables("ligaments")]
+    effects = [_effect(x) for x in table.tables("effects")] if "effects" in table.values else []
     knee = _made(
         table,
         lambda: Knee(
@@ -106,6 +109,7 @@ def _knee(table: Table) -> Knee:
             femur_frame=femur_frame,
             tibia_frame=tibia_frame,
             landmarks=landmarks,
+            effects=tuple(effects),
         ),
     )
     return knee.mirrored() if side == "left" else knee
@@ -157,6 +161,28 @@ def _ligament(table: Table) -> Ligament:
     )
 
 
+def _effect(table: Table) -> EffectChoice:
+    table.check_keys(("name",), ("values", "fixed", "lines", "stiffness_sd_kN", "site_sd_mm"))
+    name = table.text("name")
+    amplitudes = (
+        table.table("values", f"effect {name}, values") if "values" in table.values else None
+    )
+    lines = table.tables("lines") if "lines" in table.values else ()
+    for line in lines:
+        line.check_keys(("femur", "tibia"))
+    return _made(
+        table,
+        lambda: EffectChoice(
+            name=name,
+            values={x: amplitudes.number(x) for x in amplitudes.values} if amplitudes else {},
+            fixed=table.texts("fixed"),
+            lines=tuple((x.point("femur"), x.point("tibia")) for x in lines),
+            stiffness_sd_kN=table.optional_number("stiffness_sd_kN"),
+            site_sd_mm=table.optional_number("site_sd_mm"),
+        ),
+    )
+
+
 def _made(table: Table, make: Callable[[], Made]) -> Made:
     """What `make` makes; the values it refuses are a mistake in the table's file.
 
@@ -200,7 +226,26 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
             f"stiffness_kN = {_toml(float(ligament.stiffness_kN))}",
             f"reference_strain_pct = {_toml(float(ligament.reference_strain_pct))}",
         ]
+    if knee.effects:
+        lines += ["", "# Amplitudes of effects are those of a right knee, whose z is lateral."]
+    for effect in knee.effects:
+        lines += _effect_lines(effect)
     return "\n".join(lines) + "\n"
+
+
+def _effect_lines(effect: EffectChoice) -> list[str]:
+    lines = ["", "[[effects]]", f"name = {_toml(effect.name)}"]
+    if effect.fixed:
+        lines.append(f"fixed = {_toml(list(effect.fixed))}")
+    sds = {"stiffness_sd_kN": effect.stiffness_sd_kN, "site_sd_mm": effect.site_sd_mm}
+    lines += [f"{key} = {_toml(float(sd))}" for key, sd in sds.items() if sd is not None]
+    if effect.values:
+        lines += ["[effects.values]"]
+        lines += [f"{_toml(name)} = {_toml(value)}" for name, value in effect.values.items()]
+    for femur, tibia in effect.lines:
+        lines += ["[[effects.lines]]", f"femur = {_toml(femur.tolist())}"]
+        lines += [f"tibia = {_toml(tibia.tolist())}"]
+    return lines
 
 
 def _toml(value: Any) -> str:

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from identknee.runs.arrays import Array, frozen
+from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.frames import Frame
 from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface
@@ -60,6 +61,8 @@ class Knee:
         The bones' frames, moved along with them by the scanner.
     landmarks
         Places the frames were made from or are checked against.
+    effects
+        Physical effects that extend the model of this subject, in the order in which they act.
     femur_distance
         Signed distance [mm] of points ``(n, 3)`` to the femur, negative inside, where a closed form
         of it is known.
@@ -67,7 +70,8 @@ class Knee:
     Raises
     ------
     ValueError
-        If the side is unknown, there are not two tibial surfaces or two ligaments share a name.
+        If the side is unknown, there are not two tibial surfaces, or two ligaments or effects share
+        a name.
     """
 
     name: str
@@ -79,6 +83,7 @@ class Knee:
     tibia_frame: Frame
     description: str = ""
     landmarks: tuple[Landmark, ...] = ()
+    effects: tuple[EffectChoice, ...] = ()
     femur_distance: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
@@ -88,13 +93,16 @@ class Knee:
             raise ValueError(
                 f"a knee has a medial and a lateral tibial surface, got {len(self.tibia)}"
             )
-        names = [x.name for x in self.ligaments]
+        ligaments = [x.name for x in self.ligaments]
+        names = [*ligaments, *(x.name for x in self.effects)]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"two ligaments are called {name}; rename one of them")
+                kind = "ligaments" if ligaments.count(name) > 1 else "ligaments or effects"
+                raise ValueError(f"two {kind} are called {name}; rename one of them")
         object.__setattr__(self, "tibia", tuple(self.tibia))
         object.__setattr__(self, "ligaments", tuple(self.ligaments))
         object.__setattr__(self, "landmarks", tuple(self.landmarks))
+        object.__setattr__(self, "effects", tuple(self.effects))
 
     @property
     def reference_lengths(self) -> Array:
@@ -119,6 +127,10 @@ class Knee:
         """A copy with other ligaments."""
         return replace(self, ligaments=tuple(ligaments))
 
+    def with_effects(self, effects: Sequence[EffectChoice]) -> "Knee":
+        """A copy whose model is extended by other effects."""
+        return replace(self, effects=tuple(effects))
+
     def mirrored(self) -> "Knee":
         """The knee seen in the mirror z = 0, its frames turned so that z is lateral again.
 
@@ -136,6 +148,7 @@ class Knee:
                 Landmark(name=x.name, position=x.position * [1.0, 1.0, -1.0])
                 for x in self.landmarks
             ),
+            effects=tuple(x.mirrored() for x in self.effects),
             femur_distance=None if distance is None else _Mirrored(distance=distance),
         )
 

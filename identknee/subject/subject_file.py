@@ -62,6 +62,17 @@ class Table:
         """The finite number at `key`."""
         return self._number(key, self.values[key])
 
+    def optional_number(self, key: str) -> float | None:
+        """The finite number at `key`; None where there is none."""
+        return self.number(key) if key in self.values else None
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """The texts of the list at `key`; none where it is missing."""
+        value = self.values.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(x, str) for x in value):
+            self.refuse(key, f"{value!r} is not a list of texts", f'Write {key} = ["...", "..."].')
+        return tuple(value)
+
     def point(self, key: str) -> Array:
         """The three numbers at `key`, shape ``(3,)``."""
         return np.array(self._three(key, self.values[key]))

@@ -9,8 +9,10 @@ from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
 
+# Of the logarithm of the modulus: what cartilage may be, and what a computation may get wrong.
+CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.25
 # A law with another exponent than 1 is as stiff at the depth that the exponent leaves alone.
-MODULUS_SD, EXPONENT_SD = 0.7, 0.3
+EXPONENT_SD = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,18 +23,21 @@ class Cartilage:
     ----------
     name
         Of the cause.
+    modulus_sd
+        Prior standard deviation of the logarithm of the modulus.
     parameters
         ``ln_modulus`` and ``exponent``.
     """
 
     name: str = "cartilage"
+    modulus_sd: float = CARTILAGE_SD
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         made = amplitudes(
             self.name,
             ["ln_modulus", "exponent"],
-            [MODULUS_SD, EXPONENT_SD],
+            [self.modulus_sd, EXPONENT_SD],
             lower=[-2.5, -0.3],
             upper=[2.5, 1.5],
         )
@@ -46,3 +51,8 @@ class Cartilage:
             exponent=setting.law.exponent + float(values[1]),
         )
         return replace(setting, law=law)
+
+
+def contact_nuisance() -> Cartilage:
+    """How far any contact law may be from the knee's own, as a nuisance that is no cause."""
+    return Cartilage(name="contact_law", modulus_sd=NUMERICAL_SD)

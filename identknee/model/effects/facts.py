@@ -46,8 +46,7 @@ class EffectFacts:
     relevant
         The smallest amplitude worth knowing, in the unit of the effect's first parameter.
     is_numerical
-        Whether it stands for an assumption of the computation, which no diagnosis may blame before
-        allowing for it.
+        Whether it stands for what a computation gets wrong of any knee: allowed for, never a cause.
     """
 
     name: str
@@ -132,7 +131,6 @@ _ALL = (
         sentence="Cartilage is softer or stiffer than the contact law says.",
         source=f"a tenth to three times the modulus, {_ESTIMATE}",
         relevant=0.4,
-        is_numerical=True,
     ),
     EffectFacts(
         name="compression",
@@ -245,6 +243,14 @@ _ALL = (
         sentence="The readings wandered over the test series whatever the load.",
         source=f"0.1 to 1 mm or deg, {_ESTIMATE}",
         relevant=0.2,
+    ),
+    EffectFacts(
+        name="contact_law",
+        slot="parameter",
+        sentence="The computed contact is not quite the knee's: its law, its surfaces, its points.",
+        source=f"a quarter of the modulus, {_ESTIMATE}",
+        relevant=0.4,
+        is_numerical=True,
     ),
     EffectFacts(
         name=MISSING_LINE,

@@ -5,7 +5,7 @@ from functools import lru_cache, partial
 from types import MappingProxyType
 
 from identknee.model.effects.bundles import bundles
-from identknee.model.effects.contact_law import Cartilage
+from identknee.model.effects.contact_law import Cartilage, contact_nuisance
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import FACTS
 from identknee.model.effects.frames import femur_frame, flexion_offset, tibia_frame
@@ -34,9 +34,10 @@ NEEDS_PHASE, NEEDS_ORDER = frozenset({"hysteresis"}), frozenset({"creep", "drift
 
 
 def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> tuple[Effect, ...]:
-    """All effects that can be tried on a subject, in the order of `FACTS`.
+    """All causes that can be tried on a subject, in the order of `FACTS`.
 
-    Wrapping of the medial collateral ligament is left out where the subject has no such line.
+    Wrapping of the medial collateral ligament is left out where the subject has no such line, and
+    so is a structure where a ligament of the subject is called like it.
 
     Parameters
     ----------
@@ -57,7 +58,8 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
     >>> [x.name for x in library(reference_knee())][:3]
     ['anterolateral', 'posteromedial', 'popliteofibular']
     """
-    left_out = set[str]()
+    left_out = {x.name for x in knee.ligaments}
+    left_out |= {name for name, facts in FACTS.items() if facts.is_numerical}
     if not has_order:
         left_out |= NEEDS_ORDER
     if not has_phase:
@@ -68,7 +70,7 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
 
 
 def effect_named(knee: Knee, name: str) -> Effect:
-    """The effect of the library called `name`, on a subject.
+    """The effect called `name`, on a subject: of the library or what it allows for.
 
     Raises
     ------
@@ -117,6 +119,7 @@ _BY_NAME: dict[str, Maker] = {
     "hysteresis": _anywhere(hysteresis),
     "creep": _anywhere(creep),
     "drift": _anywhere(drift),
+    "contact_law": _anywhere(contact_nuisance),
 }
 _MAKERS: Mapping[str, Maker] = MappingProxyType(
     {name: _BY_NAME[name] for name in FACTS if name in _BY_NAME}

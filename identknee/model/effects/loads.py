@@ -60,7 +60,7 @@ def shank_gravity() -> LoadError:
 def moment_gain(axis: str) -> LoadError:
     """A wrong scale of the moments about one axis, ``"IE"`` or ``"VV"`` [-]."""
     name = f"moment_gain_{axis}"
-    made = amplitudes(name, ["gain"], [0.05], upper=[0.4])
+    made = amplitudes(name, ["gain"], [0.1], upper=[0.5])
     column = {"IE": INTERNAL, "VV": VARUS}[axis]
     return LoadError(name=name, parameters=made, acted=partial(_scaled, column))
 

@@ -93,7 +93,8 @@ class LinearLaxity:
         whitened = observations.noise.whiten(self.columns)
         information = whitened.T @ whitened + np.eye(len(whitened.T)) / self.prior_sd**2
         right = whitened.T @ observations.noise.whiten(self.measured)
-        return np.linalg.solve(information, right + self.parameters.center / self.prior_sd**2)
+        right = right + self.parameters.center / self.prior_sd**2
+        return np.asarray(np.linalg.solve(information, right))
 
     def marginal(self, observations: Observations) -> tuple[Array, Array]:
         """Mean and covariance of the measured values, the parameters integrated over."""

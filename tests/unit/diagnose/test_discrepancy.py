@@ -17,12 +17,19 @@ from linear_laxity import (
 from scipy.optimize import approx_fprime
 from tolerances import CLOSED_FORM, DIFFERENCE
 
-from identknee.diagnose.discrepancy import LEAST_LENGTH, LEAST_SPREAD, Discrepancy, fit_discrepancy
+from identknee.diagnose.discrepancy import (
+    LEAST_LENGTH,
+    LEAST_SPREAD,
+    Discrepancy,
+    _Kernel,
+    fit_discrepancy,
+)
 from identknee.diagnose.elpd import elpd_difference
 from identknee.diagnose.folds import FLEXION
 from identknee.diagnose.held_out import held_out
 from identknee.diagnose.noise_model import build_noise_model
 from identknee.diagnose.observations import Observations
+from identknee.diagnose.projection import base_projector
 from identknee.runs.arrays import Array
 
 SOLVED = 1e6 * CLOSED_FORM
@@ -125,9 +132,6 @@ def test_coordinates_not_measured_have_no_process() -> None:
 
 
 def test_derivatives_of_the_marginal_likelihood_are_exact() -> None:
-    from identknee.diagnose.discrepancy import _Kernel
-    from identknee.diagnose.projection import base_projector
-
     observations = linear_observations()
     _, base = cause_and_base(1.0)
     projector = base_projector(observations.noise.whiten(base.columns))

@@ -8,7 +8,7 @@ from identknee.diagnose.folds import DIRECTION, EXTREMES, FLEXION, Fold, held_ou
 from identknee.laxity.protocol import LOADS, Protocol, load_protocol
 
 
-def protocol(flexion: list[float], loads: list[list[float]]) -> Protocol:
+def protocol(flexion: list[float], loads: list[list[int]]) -> Protocol:
     return Protocol(
         name="made",
         trials=tuple(f"trial {i}" for i in range(len(flexion))),
@@ -40,8 +40,9 @@ def test_the_seed_protocol_has_three_angles_four_directions_and_the_extremes() -
 
 def test_a_trial_with_two_loads_is_held_out_for_either() -> None:
     trials = small_protocol()
-    by_name = {x.name: [trials.trials[i] for i in np.flatnonzero(x.held)] for x in
-               held_out_folds(trials)}
+    by_name = {
+        x.name: [trials.trials[i] for i in np.flatnonzero(x.held)] for x in held_out_folds(trials)
+    }
     assert by_name["0 deg"] == ["unloaded", "internal", "compressed"]
     assert by_name["varus moment"] == by_name["compression force"] == ["compressed"]
     assert by_name["external moment"] == by_name["medial force"] == ["medial"]
@@ -65,9 +66,7 @@ def test_one_angle_or_a_load_of_one_size_leave_nothing_to_learn_from() -> None:
 
 def test_a_load_held_constant_does_not_make_its_trials_extreme() -> None:
     loads = [[x, 0, 0, -50, 0] for x in (0, 2, 4, 5, -5)]
-    (extreme,) = [
-        x for x in held_out_folds(protocol(5 * [0.0], loads)) if x.family == EXTREMES
-    ]
+    (extreme,) = [x for x in held_out_folds(protocol(5 * [0.0], loads)) if x.family == EXTREMES]
     assert extreme.held.tolist() == [False, False, True, True, True]
 
 

@@ -96,6 +96,10 @@ def test_root_mean_squares_pool_the_folds_asked_for() -> None:
     assert of_flexion.noise == pytest.approx(np.sqrt(np.mean(flexion**2)) / SD, rel=SOLVED)
     assert found.rmse(folds=folds[:3]).to_json() == of_flexion.to_json()
     assert found.rmse().noise != of_flexion.noise
+    sds = np.concatenate([exact(made, fold)[1] for fold in folds[:3]])
+    expected = found.expected_rmse(FLEXION)
+    assert expected.noise == pytest.approx(np.sqrt(np.mean(sds**2)) / SD, rel=SOLVED)
+    assert expected.noise > 1
     nothing = found.rmse(DIRECTION, folds=folds[:3])
     assert nothing.to_json() == {"mm": None, "deg": None, "noise": None}
 

@@ -24,6 +24,7 @@ SOLVED = 1e4 * CLOSED_FORM
 SAMPLED = 3e-3
 SD = 0.5
 N_DATA = 12
+N_GRID = 501
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,10 +85,8 @@ def test_without_bounds_it_is_the_evidence_of_a_linear_model() -> None:
     sd = np.sqrt(np.diag(np.linalg.inv(information)))
     assert found.sd == pytest.approx(sd, rel=SOLVED)
     ends = stats.norm(mean, sd).interval(0.95)
-    assert (found.lower, found.upper) == (
-        pytest.approx(ends[0], rel=SOLVED),
-        pytest.approx(ends[1], rel=SOLVED),
-    )
+    assert found.lower == pytest.approx(ends[0], rel=SOLVED)
+    assert found.upper == pytest.approx(ends[1], rel=SOLVED)
 
 
 @pytest.mark.parametrize("truth", [2.0, 0.3, -1.0])
@@ -106,15 +105,14 @@ def test_one_bound_is_exact(truth: float) -> None:
 @pytest.mark.parametrize("truth", [[1.0, 0.2], [-1.0, -1.0], [0.0, 2.0]])
 def test_two_bounds_agree_with_a_grid(truth: list[float]) -> None:
     made = line(truth, lower=[0.0, 0.1])
+    x, y = np.linspace(0.0, 6.0, N_GRID), np.linspace(0.1, 10.0, N_GRID)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    errors = points @ made.columns.T - made.measured
+    likelihood = stats.norm(scale=SD).logpdf(errors).sum(axis=-1)
     wide = stats.norm(scale=2.0)
-    exact = integrate.dblquad(
-        lambda y, x: made.likelihood(np.array([x, y])) * stats.halfnorm.pdf(x) * wide.pdf(y),
-        0,
-        6,
-        0.1,
-        10,
-        epsrel=1e-6,
-    )[0] / wide.sf(0.1)
+    prior = stats.halfnorm.logpdf(x)[:, None] + wide.logpdf(y) - wide.logsf(0.1)
+    inner = integrate.simpson(np.exp(likelihood + prior), x=y, axis=1)
+    exact = integrate.simpson(inner, x=x)
     assert posterior(made).log_evidence == pytest.approx(np.log(exact), abs=SAMPLED)
 
 
@@ -164,3 +162,19 @@ def test_small_shares_keep_their_digits() -> None:
     exact = [0.0, stats.norm.logsf(30.0), stats.norm.logcdf(-30.0), np.log(0.6826894921370859)]
     exact.append(stats.norm.logcdf(-40.0))
     assert log_interval_mass(low, high) == pytest.approx(exact, rel=1e-10)
+
+
+def test_a_bound_is_the_end_of_an_interval() -> None:
+    for truth, is_bounded in ((-6.0, True), (0.3, True), (6.0, False)):
+        made = line([truth], lower=[0.0])
+        made = replace(made, columns=4 * made.columns, measured=4 * made.measured)
+        found = posterior(made)
+        information = float(np.sum(made.columns**2)) / SD**2 + 1.0
+        mean = float(made.columns[:, 0] @ made.measured) / SD**2 / information
+        sd = information**-0.5
+        exact = stats.truncnorm(-mean / sd, np.inf, loc=mean, scale=sd)
+        cut = stats.norm.cdf(-mean / sd) > 0.025
+        assert cut == is_bounded
+        low, high = (0.0, 0.95) if is_bounded else (0.025, 0.975)
+        assert found.lower[0] == pytest.approx(exact.ppf(low), rel=1e-8)
+        assert found.upper[0] == pytest.approx(exact.ppf(high), rel=1e-8)

@@ -1,0 +1,68 @@
+"""`identknee blind`: laxity of a knee with a hidden effect."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import identknee as ik
+from identknee.cli.command import Json, Out, Seed, Workers, knee_digest, show, timed
+from identknee.runs.files import prepare_folder, write_json
+from identknee.runs.record import record
+
+SubjectOrReference = Annotated[
+    str, typer.Argument(metavar="[SUBJECT]", help="A subject folder, or the word reference.")
+]
+Effect = Annotated[
+    list[str] | None,
+    typer.Option(metavar="ID", help="A cause, random, or none; two may be given."),
+]
+Signal = Annotated[
+    float | None,
+    typer.Option(help="Size of the effect beside the noise; sizes from the literature without."),
+]
+
+
+def blind(
+    context: typer.Context,
+    subject: SubjectOrReference = "reference",
+    effect: Effect = None,
+    signal: Signal = None,
+    out: Out = Path("identknee-blind"),
+    seed: Seed = 0,
+    workers: Workers = 1,
+    as_json: Json = False,
+) -> None:
+    """Make laxity data of SUBJECT with a hidden effect, by a generator of their own.
+
+    Writes laxity.csv for `diagnose`, and truth.json, sealed, for `reveal`. The signal is the root
+    of the chi-square that ligament parameters alone cannot fit. One thread does it: more workers
+    change nothing.
+    """
+    prepare_folder(out)
+    knee = ik.read_subject(subject)
+    recording = record("blind", _told(context.params), {"subject": knee_digest(knee)}, seed)
+    case, seconds = timed(
+        lambda: ik.blind_case(knee, seed=seed, effect=_chosen(effect), signal=signal)
+    )
+    ik.write_blind(case, out)
+    summary = {
+        "subject": knee.name,
+        "n_trials": case.laxity.n,
+        "seconds": seconds,
+        "record": recording.finish().to_dict(),
+    }
+    write_json(out / "result.json", summary)
+    show(summary, [f"{case.laxity.n} trials: {out / 'laxity.csv'}"], as_json=as_json)
+
+
+def _chosen(effect: list[str] | None) -> str | list[str] | None:
+    names = effect or ["random"]
+    if len(names) > 1:
+        return names
+    return None if names[0] == "none" else names[0]
+
+
+def _told(settings: dict[str, Any]) -> dict[str, Any]:
+    """The settings without what would give the hidden effect away."""
+    return {name: value for name, value in settings.items() if name not in ("effect", "signal")}

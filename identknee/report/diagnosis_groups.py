@@ -1,0 +1,109 @@
+"""A diagnosis as xarray datasets."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray
+
+from identknee.diagnose.causes import explanation_of
+from identknee.diagnose.diagnosis import Diagnosis
+from identknee.diagnose.exclusions import Exclusion
+from identknee.laxity.table import COORDINATES
+from identknee.report.groups import constant_data, observed_data
+
+
+def diagnosis_groups(found: Diagnosis, tested: Sequence[Exclusion]) -> dict[str, xarray.Dataset]:
+    """Groups ``constant_data``, ``observed_data``, ``misfit``, ``residuals``, ``scores``, ``refits``.
+
+    Parameters
+    ----------
+    found
+        The diagnosis.
+    tested
+        Of every effect, see `identknee.diagnose.exclusions`.
+    """
+    return {
+        "constant_data": constant_data(found.laxity.protocol),
+        "observed_data": observed_data(found.laxity),
+        "misfit": _misfit(found),
+        "residuals": _residuals(found),
+        "scores": _scores(tested),
+        "refits": _refits(found),
+    }
+
+
+def _misfit(found: Diagnosis) -> xarray.Dataset:
+    """Map of the misfit; NaN where a cell has no data or the parameters explain it."""
+    cells = found.localisation.cells
+    names = [x for x in COORDINATES if x in {y.coordinate for y in cells}]
+    angles = sorted({x.flexion_deg for x in cells})
+    directions = list(dict.fromkeys(x.direction for x in cells))
+    values = np.full((2, len(names), len(angles), len(directions)), np.nan)
+    for x in cells:
+        place = (
+            names.index(x.coordinate),
+            angles.index(x.flexion_deg),
+            directions.index(x.direction),
+        )
+        values[(slice(None), *place)] = x.score, x.p_value
+    dims = ("coordinate", "flexion_deg", "direction")
+    return xarray.Dataset(
+        {"score": (dims, values[0]), "p_value": (dims, values[1])},
+        coords={"coordinate": names, "flexion_deg": angles, "direction": directions},
+        attrs={"sentence": found.localisation.sentence},
+    )
+
+
+def _residuals(found: Diagnosis) -> xarray.Dataset:
+    """Measured less predicted, without and with the causes, and the noise found."""
+    dims = ("trial", "coordinate")
+    before, after = (
+        x.fitted.compared.differences(x.fitted.theta) for x in (found.base, explanation_of(found))
+    )
+    return xarray.Dataset(
+        {
+            "before": (dims, before),
+            "after": (dims, after),
+            "sd": (dims, found.noise.sd),
+        },
+        coords={"trial": list(found.laxity.protocol.trials), "coordinate": list(COORDINATES)},
+    )
+
+
+def _scores(tested: Sequence[Exclusion]) -> xarray.Dataset:
+    return xarray.Dataset(
+        {
+            name: ("effect", [getattr(x, name) for x in tested])
+            for name in ("score", "p_value", "detectable", "relevant", "power")
+        }
+        | {"cell": ("effect", [x.cell.value for x in tested])},
+        coords={
+            "effect": [x.name for x in tested],
+            "amplitude": ("effect", [x.parameter for x in tested]),
+            "unit": ("effect", [x.unit for x in tested]),
+        },
+    )
+
+
+def _refits(found: Diagnosis) -> xarray.Dataset:
+    """All explanations compared in the end: the base model, the best one, its rivals."""
+    attribution, best = found.attribution, found.conclusion.best
+    rivals = [x for x in attribution.rivals if x.refit is not found.base]
+    refits = [found.base, *([best] if best.causes else []), *(x.refit for x in rivals)]
+    n_other = len(refits) - len(rivals)
+    n = found.base.fitted.model.n_ligament_parameters
+    return xarray.Dataset(
+        {
+            "log_evidence": ("explanation", [x.log_evidence for x in refits]),
+            "chi_square": ("explanation", [x.fitted.misfit for x in refits]),
+            "p_value": ("explanation", [x.misfit_p_value for x in refits]),
+            "distance": ("explanation", [np.nan] * n_other + [x.distance for x in rivals]),
+            "is_excluded": ("explanation", [False] * n_other + [x.is_excluded for x in rivals]),
+            "outcome": ("explanation", [x.fitted.outcome.value for x in refits]),
+            "theta": (("explanation", "parameter"), np.array([x.fitted.theta[:n] for x in refits])),
+        },
+        coords={
+            "explanation": [" + ".join(x.names) or "none" for x in refits],
+            "parameter": list(found.base.fitted.model.parameters.names[:n]),
+        },
+    )

@@ -1,0 +1,199 @@
+"""A diagnosis as the flat, documented numbers of a summary."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from identknee.diagnose.attribution import Rival
+from identknee.diagnose.causes import (
+    Cause,
+    Estimate,
+    causes_of,
+    explanation_of,
+    ligament_estimates,
+)
+from identknee.diagnose.diagnosis import Diagnosis
+from identknee.diagnose.exclusions import Exclusion
+from identknee.diagnose.gain import Gain
+from identknee.diagnose.gain_summary import gain_summary
+from identknee.diagnose.verdict import Verdict
+from identknee.laxity.protocol import LOADS, Protocol
+from identknee.laxity.table import ROTATIONS, TRANSLATIONS
+from identknee.model.effects.facts import FACTS
+
+
+def diagnosis_summary(
+    found: Diagnosis, tested: Sequence[Exclusion], gain: Gain | None
+) -> dict[str, Any]:
+    """What ``result.json`` says of a diagnosis.
+
+    ``causes`` are those of the best explanation, where the verdict names any; ``group`` are the
+    names that the data leave open, those of the causes among them. ``parameters_before`` and
+    ``parameters_after`` are the ligaments' without and with the causes, their 95 % intervals under
+    the same keys with ``_ci95``. ``effects`` says of every effect tried whether it was seen and
+    which size would have been.
+
+    Parameters
+    ----------
+    found
+        The diagnosis.
+    tested
+        Of every effect, see `identknee.diagnose.exclusions`.
+    gain
+        What the causes gain; None where none is named.
+    """
+    conclusion, explanation = found.conclusion, explanation_of(found)
+    before, after = ligament_estimates(found.base), ligament_estimates(explanation)
+    return {
+        "verdict": conclusion.verdict,
+        "sentence": conclusion.verdict.sentence,
+        "p_value": conclusion.p_value,
+        "reasons": list(conclusion.reasons),
+        "causes": [_cause(x) for x in causes_of(explanation)],
+        "group": list(conclusion.group),
+        "rivals": [_rival(x) for x in found.attribution.rivals],
+        "misfit": _misfit(found),
+        "noise": _noise(found),
+        "advised_trials": [] if found.advice is None else trials_summary(found.advice.trials),
+        "advice": None if found.advice is None else _advice(found),
+        "gain": None if gain is None else gain_summary(gain),
+        "parameters_before": _values(before),
+        "parameters_after": _values(after),
+        "parameters_before_ci95": _intervals(before),
+        "parameters_after_ci95": _intervals(after),
+        "effects": {x.name: _tested(x) for x in tested},
+    }
+
+
+def untestable_summary(reason: str) -> dict[str, Any]:
+    """The same keys where the data cannot be tested, with the reason."""
+    verdict = Verdict.NOT_TESTABLE
+    empty: dict[str, Any] = {x: [] for x in ("causes", "group", "rivals", "advised_trials")}
+    nothing = ("p_value", "misfit", "noise", "advice", "gain")
+    parameters = [f"parameters_{x}{y}" for x in ("before", "after") for y in ("", "_ci95")]
+    return {
+        "verdict": verdict,
+        "sentence": verdict.sentence,
+        "reasons": [reason],
+        **empty,
+        **dict.fromkeys((*nothing, *parameters)),
+        "effects": {},
+    }
+
+
+def trials_summary(trials: Protocol) -> list[dict[str, Any]]:
+    """Each trial with its angle and its loads, those of zero left out."""
+    return [
+        {
+            "trial": name,
+            "flexion_deg": float(angle),
+            **{load: float(x) for load, x in zip(LOADS, row, strict=True) if x != 0.0},
+        }
+        for name, angle, row in zip(trials.trials, trials.flexion_deg, trials.loads, strict=True)
+    ]
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    size = cause.amplitude
+    return {
+        "name": cause.name,
+        "amplitude": size.value,
+        "unit": size.unit,
+        "ci95": list(size.ci95),
+        "parameter": size.name,
+        "parameters": {x.name: _estimate(x) for x in cause.parameters},
+        "meaning": FACTS[cause.name].sentence,
+        "source": FACTS[cause.name].source,
+    }
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {"value": estimate.value, "unit": estimate.unit, "ci95": list(estimate.ci95)}
+
+
+def _rival(rival: Rival) -> dict[str, Any]:
+    return {
+        "causes": list(rival.refit.names),
+        "log_evidence_below": rival.lead,
+        "distance": rival.distance,
+        "is_excluded": rival.is_excluded,
+    }
+
+
+def _misfit(found: Diagnosis) -> dict[str, Any]:
+    base, best = found.base, explanation_of(found)
+    return {
+        "sentence": found.localisation.sentence,
+        "share": found.localisation.share,
+        "cells": [
+            {
+                "coordinate": x.coordinate,
+                "flexion_deg": x.flexion_deg,
+                "direction": x.direction,
+                "score": x.score,
+                "p_value": x.p_value,
+            }
+            for x in found.localisation.region
+        ],
+        "chi_square_before": base.fitted.misfit,
+        "chi_square_after": best.fitted.misfit,
+        "n_measured": base.fitted.n_data,
+        "p_value_before": base.misfit_p_value,
+        "p_value_after": best.misfit_p_value,
+        "p_value_largest_score": found.attribution.steps[0].scores.p_value,
+    }
+
+
+def _noise(found: Diagnosis) -> dict[str, Any]:
+    noise = found.noise
+    sizes = {
+        unit: _median(noise.sd[:, columns])
+        for unit, columns in (("mm", TRANSLATIONS), ("deg", ROTATIONS))
+    }
+    return {
+        "sentence": noise.sentence,
+        "sd": sizes,
+        "within_trial_correlation": noise.correlation,
+        "times_stated": None if noise.factors is None else [x for x in noise.factors],
+        "degrees_of_freedom": noise.degrees_of_freedom,
+    }
+
+
+def _advice(found: Diagnosis) -> dict[str, Any]:
+    advice = found.advice
+    if advice is None:  # pragma: no cover - asked only where there is some
+        raise AssertionError
+    return {
+        "sentence": advice.sentence,
+        "rivals": [list(x) for x in advice.rivals],
+        "distance_before": [x for x in advice.before],
+        "distance_after": [x for x in advice.after],
+    }
+
+
+def _tested(effect: Exclusion) -> dict[str, Any]:
+    return {
+        "cell": effect.cell,
+        "score": effect.score,
+        "p_value": effect.p_value,
+        "parameter": effect.parameter,
+        "unit": effect.unit,
+        "detectable": effect.detectable,
+        "relevant": effect.relevant,
+        "power": effect.power,
+    }
+
+
+def _values(tree: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, float]]:
+    return {owner: {k: x.value for k, x in own.items()} for owner, own in tree.items()}
+
+
+def _intervals(tree: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, list[float]]]:
+    return {owner: {k: list(x.ci95) for k, x in own.items()} for owner, own in tree.items()}
+
+
+def _median(values: Iterable[Any]) -> float | None:
+    known = np.asarray(values)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if known.size else None

@@ -1,0 +1,167 @@
+"""A diagnosis as sentences and tables for a person."""
+
+from collections.abc import Iterable, Sequence
+
+from identknee.diagnose.advice import Advice
+from identknee.diagnose.attribution import Attribution, Rival
+from identknee.diagnose.causes import (
+    Cause,
+    Estimate,
+    causes_of,
+    explanation_of,
+    ligament_estimates,
+)
+from identknee.diagnose.diagnosis import Diagnosis
+from identknee.diagnose.exclusions import Exclusion
+from identknee.diagnose.gain import Gain
+from identknee.diagnose.power import Cell
+from identknee.diagnose.refit import Refit
+from identknee.diagnose.verdict import Verdict
+from identknee.model.effects.facts import FACTS
+
+MOST_RIVALS = 6
+
+
+def diagnosis_lines(
+    found: Diagnosis, tested: Sequence[Exclusion], gain: Gain | None
+) -> dict[str, list[str]]:
+    """What a person reads, lines by heading.
+
+    Parameters
+    ----------
+    found
+        The diagnosis.
+    tested
+        Of every effect, see `identknee.diagnose.exclusions`.
+    gain
+        What the causes gain; None where none is named.
+    """
+    conclusion, explanation = found.conclusion, explanation_of(found)
+    heading = conclusion.verdict.value
+    if explanation.causes:
+        is_open = conclusion.verdict is Verdict.AMBIGUOUS
+        heading += ": " + (" or ".join(conclusion.group) if is_open else listed(explanation.names))
+    sections = {
+        heading: [conclusion.verdict.sentence, *conclusion.reasons, found.noise.sentence],
+        "Where": [] if conclusion.verdict is Verdict.ADEQUATE else [found.localisation.sentence],
+        "Cause": [x for cause in causes_of(explanation) for x in _cause(cause)],
+        "Rivals": _rivals(found.attribution) if explanation.causes else [],
+        "What would tell them apart": _advice(found.advice),
+        "Excluded, and beyond the power of these data": _tested(tested, explanation.names),
+        "Gain": [] if gain is None else _gain(gain),
+        "Parameters": _parameters(found),
+    }
+    return {heading: lines for heading, lines in sections.items() if lines}
+
+
+def listed(words: Iterable[str]) -> str:
+    """Words as in a sentence.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"])
+    'a, b and c'
+    """
+    *most, last = [*words] or [""]
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def amount(value: float, unit: str) -> str:
+    """A number with its unit.
+
+    Examples
+    --------
+    >>> amount(0.7766, "kN"), amount(0.08, "1")
+    ('0.777 kN', '0.08')
+    """
+    return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
+
+
+def _cause(cause: Cause) -> list[str]:
+    size = cause.amplitude
+    lines = [
+        f"{cause.name}: {_shown(size)} ({size.name})",
+        f"  {FACTS[cause.name].sentence}",
+        f"  Plausible: {FACTS[cause.name].source}.",
+    ]
+    others = [x for x in cause.parameters if x is not size]
+    if others:
+        lines.append("  " + "; ".join(f"{x.name} {_shown(x)}" for x in others))
+    return lines
+
+
+def _shown(estimate: Estimate) -> str:
+    low, high = estimate.ci95
+    return f"{amount(estimate.value, estimate.unit)}, 95 % {low:.3g} to {high:.3g}"
+
+
+def _rivals(attribution: Attribution) -> list[str]:
+    rivals = attribution.rivals[:MOST_RIVALS]
+    if not rivals:
+        return ["No other cause came near."]
+    width = max(len(listed(x.refit.names)) for x in rivals)
+    return [f"{'':{width}}  log evidence  distance", *(_rival(x, width) for x in rivals)]
+
+
+def _rival(rival: Rival, width: int) -> str:
+    state = "excluded" if rival.is_excluded else "open"
+    name = listed(rival.refit.names) or "no cause"
+    return f"{name:{width}}  {-rival.lead:12.1f}  {rival.distance:8.1f}  {state}"
+
+
+def _advice(advice: Advice | None) -> list[str]:
+    if advice is None:
+        return []
+    trials = [f"{i}. {name}" for i, name in enumerate(advice.trials.trials, 1)]
+    return [advice.sentence, *trials]
+
+
+def _tested(tested: Sequence[Exclusion], named: Sequence[str]) -> list[str]:
+    others = [x for x in tested if x.name not in named]
+    width = max((len(x.name) for x in others), default=0)
+    lines = []
+    for cell in Cell:
+        own = [x for x in others if x.cell is cell]
+        if own:
+            lines.append(f"{cell.value}: {cell.sentence}")
+        lines += [f"  {x.name:{width}}  {_detectable(x)}" for x in own]
+    return lines
+
+
+def _detectable(x: Exclusion) -> str:
+    seen = "never" if x.detectable == float("inf") else f"from {amount(x.detectable, x.unit)} on"
+    return f"seen {seen}; {amount(x.relevant, x.unit)} would matter ({x.parameter})"
+
+
+def _gain(gain: Gain) -> list[str]:
+    before, after = (gain.rmse_held_out(x).noise for x in (gain.before, gain.after))
+    absorbed = gain.rmse_held_out(gain.absorbed).noise
+    return [
+        f"Error of trials held out, in units of the noise: {before:.2f} before, {after:.2f} with "
+        f"the cause, {absorbed:.2f} with a Gaussian process that absorbs the misfit unnamed.",
+        f"Log predictive density of trials held out: {gain.elpd.difference:+.1f} +- "
+        f"{gain.elpd.se:.1f} nats.",
+    ]
+
+
+def _parameters(found: Diagnosis) -> list[str]:
+    before = _flat(found.base)
+    after = _flat(explanation_of(found))
+    width = max(len(x) for x in before)
+    lines = [f"{'':{width}}  {'without cause':>26}  {'with cause':>26}"]
+    if not explanation_of(found).causes:
+        lines, after = [f"{'':{width}}  {'fitted, 95 %':>26}"], {}
+    return lines + [
+        f"{name:{width}}  {_interval(x):>26}"
+        + (f"  {_interval(after[name]):>26}" if name in after else "")
+        for name, x in before.items()
+    ]
+
+
+def _flat(refit: Refit) -> dict[str, Estimate]:
+    tree = ligament_estimates(refit)
+    return {f"{owner}.{x.name}": x for owner, own in tree.items() for x in own.values()}
+
+
+def _interval(x: Estimate) -> str:
+    return f"{x.value:.2f} ({x.ci95[0]:.2f} to {x.ci95[1]:.2f})"

@@ -1,0 +1,73 @@
+"""The generator and the model are neither twins nor strangers on a knee with nothing hidden."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identknee.blind.case import blind_case
+from identknee.blind.experiment import conduct, experiment_of, theta_slopes
+from identknee.calibrate.fit import fit
+from identknee.laxity.protocol import load_protocol
+from identknee.laxity.table import ROTATIONS, TRANSLATIONS
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
+from identknee.model.residuals import LaxityResiduals
+from identknee.subject.knee import Knee
+
+SD = 0.3
+# What a null may leave after the fit of the ligament parameters, in units of the noise.
+LEAST_SIGNAL, LARGEST_SIGNAL = 0.5, 3.0
+SEEDS = (1, 2, 3)
+
+
+def test_coordinates_are_close_and_not_the_same(
+    reference: Knee, reference_model: LaxityModel, reference_prediction: Prediction
+) -> None:
+    run = conduct(experiment_of(reference, reference_model.protocol))
+    assert run.is_complete
+    difference = np.abs(run.coordinates - reference_prediction.coordinates)
+    assert 0.01 < difference[:, TRANSLATIONS].max() < 1.0
+    assert 0.01 < difference[:, ROTATIONS].max() < 1.5
+
+
+def test_slopes_are_those_of_runs(reference: Knee) -> None:
+    protocol = load_protocol("seed63").select([0, 10, 30, 50])
+    experiment = experiment_of(reference, protocol)
+    theta = np.array(
+        [x.stiffness_kN for x in reference.ligaments]
+        + [x.reference_strain_pct for x in reference.ligaments]
+    )
+    run, size = conduct(experiment), 1e-3
+    slopes = theta_slopes(experiment, run, len(reference.ligaments))
+    for i, step in enumerate(size * np.eye(len(theta))):
+        ahead, behind = (
+            conduct(experiment.with_theta(theta + x), run).coordinates for x in (step, -step)
+        )
+        by_difference = (ahead - behind) / (2.0 * size)
+        # Its Hessian is differenced too, across points that come into contact.
+        np.testing.assert_allclose(slopes[:, :, i], by_difference, atol=5e-3)
+
+
+def _signals(model: LaxityModel) -> list[float]:
+    """What fits of the ligament parameters leave of nulls without noise."""
+    signals = []
+    for seed in SEEDS:
+        case = blind_case(model.knee, seed=seed, effect=None, protocol=model.protocol)
+        exact = replace(case.noise_free, sd=np.full((model.protocol.n, 5), SD))
+        problem = LaxityResiduals(model=model, laxity=exact, weighting="noise")
+        found = fit(problem, np.array(list(case.truth.theta.values())))
+        signals.append(float(np.sqrt(2.0 * found.objective)))
+    return signals
+
+
+def test_a_null_leaves_little_on_the_reference_knee(reference_model: LaxityModel) -> None:
+    signals = _signals(reference_model)
+    assert min(signals) > LEAST_SIGNAL
+    assert max(signals) < LARGEST_SIGNAL
+
+
+def test_a_null_leaves_little_on_a_real_knee(stable_model: LaxityModel) -> None:
+    signals = _signals(stable_model)
+    assert min(signals) > LEAST_SIGNAL
+    assert np.median(signals) == pytest.approx(LARGEST_SIGNAL, abs=LARGEST_SIGNAL - LEAST_SIGNAL)

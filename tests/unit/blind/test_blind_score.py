@@ -1,0 +1,110 @@
+"""Scores of diagnoses made by hand, and the sealed truth."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from identknee.blind.score import score
+from identknee.blind.truth import Truth, read_truth, write_truth
+from identknee.runs.errors import InputError
+
+TRUTH = Truth(
+    seed=7,
+    effects=("anterolateral",),
+    amplitudes={"anterolateral": {"amplitude": (0.5, "kN"), "stiffness": (0.5, "kN")}},
+    theta={"ACL.stiffness_kN": 10.0, "ACL.reference_strain_pct": 8.0},
+    signal=12.0,
+    is_largest=False,
+    lines={"anterolateral": (np.array([0.0, 0.0, 40.0]), np.array([0.0, -40.0, 40.0]))},
+    facts={"redraws": 0},
+)
+NULL = replace(TRUTH, effects=(), amplitudes={}, lines={}, signal=0.0)
+UNLISTED = replace(TRUTH, effects=("missing_line",))
+PAIR = replace(TRUTH, effects=("anterolateral", "drift"))
+
+
+def _diagnosis(verdict: str, *causes: str, group: tuple[str, ...] = ()) -> dict[str, Any]:
+    return {"verdict": verdict, "causes": [{"name": x} for x in causes], "group": list(group)}
+
+
+@pytest.mark.parametrize(
+    ("truth", "diagnosis", "correct", "wrong"),
+    [
+        (TRUTH, _diagnosis("NAMED", "anterolateral"), True, False),
+        (TRUTH, _diagnosis("NAMED", "meniscus"), False, True),
+        (TRUTH, _diagnosis("NAMED", "anterolateral", "meniscus"), False, True),
+        (TRUTH, _diagnosis("AMBIGUOUS", group=("anterolateral", "meniscus")), True, False),
+        (TRUTH, _diagnosis("AMBIGUOUS", group=("drift", "meniscus")), False, False),
+        (TRUTH, _diagnosis("ADEQUATE"), False, False),
+        (TRUTH, _diagnosis("UNEXPLAINED"), False, False),
+        (TRUTH, _diagnosis("NOT_TESTABLE"), False, False),
+        (NULL, _diagnosis("ADEQUATE"), True, False),
+        (NULL, _diagnosis("NAMED", "meniscus"), False, True),
+        (NULL, _diagnosis("AMBIGUOUS", group=("meniscus", "drift")), False, False),
+        (UNLISTED, _diagnosis("UNEXPLAINED"), True, False),
+        (UNLISTED, _diagnosis("NAMED", "meniscus"), False, True),
+        (PAIR, _diagnosis("NAMED", "anterolateral", "drift"), True, False),
+        (PAIR, _diagnosis("NAMED", "drift"), False, False),
+    ],
+)
+def test_right_and_wrong(
+    truth: Truth, diagnosis: dict[str, Any], correct: bool, wrong: bool
+) -> None:
+    found = score(truth, diagnosis)
+    assert (found.correct, found.wrong) == (correct, wrong)
+    assert diagnosis["verdict"] in found.sentence
+
+
+def test_a_line_is_compared_with_the_true_one() -> None:
+    line = {"femur": [5.0, 10.0, 40.0], "tibia": [5.0, -10.0, 40.0]}
+    found = score(TRUTH, {**_diagnosis("UNEXPLAINED"), "line": line})
+    assert found.line_offset_mm == pytest.approx(5.0)
+    assert found.line_angle_deg == pytest.approx(0.0)
+    tilted = {"femur": [0.0, 0.0, 40.0], "tibia": [40.0, -40.0, 40.0]}
+    found = score(TRUTH, {**_diagnosis("UNEXPLAINED"), "line": tilted})
+    assert found.line_angle_deg == pytest.approx(45.0)
+
+
+def test_parameters_and_intervals_are_compared_before_and_after() -> None:
+    before = {"ACL": {"stiffness_kN": 4.0, "reference_strain_pct": 9.0}}
+    after = {
+        "ACL": {
+            "stiffness_kN": {"value": 9.5, "ci95": [9.0, 10.5]},
+            "reference_strain_pct": {"value": 8.5, "ci95": [8.2, None]},
+        }
+    }
+    cause = {"name": "anterolateral", "amplitude": 0.4, "unit": "kN", "ci95": [0.3, 0.6]}
+    found = score(
+        TRUTH,
+        {
+            "verdict": "NAMED",
+            "causes": [cause],
+            "parameters_before": before,
+            "parameters_after": after,
+        },
+    )
+    assert found.stiffness_error_kN == pytest.approx((6.0, 0.5))
+    assert found.strain_error_pct == pytest.approx((1.0, 0.5))
+    assert found.covered_before is None
+    assert found.covered_after == 0.5
+    assert found.amplitude_covered is True
+
+
+def test_a_diagnosis_needs_a_verdict() -> None:
+    with pytest.raises(ValueError, match="no verdict"):
+        score(TRUTH, {})
+
+
+def test_the_truth_comes_back_and_cannot_be_read_by_accident(tmp_path: Path) -> None:
+    path = write_truth(TRUTH, tmp_path)
+    assert "anterolateral" not in path.read_text(encoding="utf-8")
+    assert read_truth(tmp_path).to_dict() == TRUTH.to_dict()
+
+
+def test_a_file_that_is_no_truth_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "truth.json").write_text('{"sealed": "x"}', encoding="utf-8")
+    with pytest.raises(InputError, match="no sealed truth"):
+        read_truth(tmp_path)
