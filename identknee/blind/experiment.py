@@ -15,8 +15,8 @@ from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface
 
 # Contact: pressure = MODULUS depth (depth / 0.3 mm)^(EXPONENT - 1).
-MODULUS = 9.1
-EXPONENT = 1.15
+MODULUS = 8.6
+EXPONENT = 1.25
 TOE_STRAIN = 0.03
 N_MM_PER_N_M = 1000.0
 # How far an equilibrium may lie from the pose it is sought from [rad, mm].

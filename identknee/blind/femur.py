@@ -96,7 +96,7 @@ def _from_vertices(surface: Surface, places: Array) -> Array:
     height = (offset * normals[number]).sum(axis=1)
     aside = np.linalg.norm(offset - height[:, None] * normals[number], axis=1)
     is_beyond = is_rim[number] & (aside > edge)
-    result = np.where(is_beyond, nearest, np.sign(height) * nearest)
+    result: Array = np.where(is_beyond, nearest, np.sign(height) * nearest)
     close = np.flatnonzero((nearest < BAND_MM) & ~is_beyond)
     for start in range(0, len(close), BLOCK):
         block = close[start : start + BLOCK]

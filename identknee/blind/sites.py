@@ -94,15 +94,15 @@ def structure_ends(places: Places) -> dict[str, tuple[Array, Array]]:
     return {
         "anterolateral": (
             lateral + s * np.array([-4.0, 4.0, 0.0]),
-            np.array([mid_l[0] + 4.0 * s, mid_l[1] - 8.0 * s, high_l[2] + 2.0 * s]),
+            np.array([places.fibula[0] + 22.0 * s, mid_l[1] - 8.0 * s, high_l[2] + 1.0 * s]),
         ),
         "posteromedial": (
-            medial + s * np.array([-9.0, 3.0, 3.0]),
+            medial + s * np.array([-8.0, 0.0, 3.0]),
             np.array([low_m[0] + 2.0 * s, mid_m[1] - 5.0 * s, low_m[2] + 5.0 * s]),
         ),
         "popliteofibular": (
             lateral + s * np.array([3.0, -7.0, -3.0]),
-            places.fibula + s * np.array([-1.0, 4.0, -4.0]),
+            places.fibula + s * np.array([-4.0, 6.0, -5.0]),
         ),
         "deep_mcl": (
             medial + s * np.array([1.0, -7.0, 3.0]),

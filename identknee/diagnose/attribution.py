@@ -5,14 +5,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identknee.diagnose.base_fit import fitted_to_low_loads
 from identknee.diagnose.library_signatures import Variant, library_variants
 from identknee.diagnose.refit import Refit, expected_distance, refit
 from identknee.diagnose.score import Scores, ScoreTest, score_test
 from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
+from identknee.runs.outcome import Outcome
 
-LEVEL = 0.05
-MOST_CAUSES = 4
+# What the highest score may be by chance for a first cause, and for one more: a cause found shifts
+# what is left, and its own model is only nearly right.
+LEVEL, FURTHER_LEVEL = 0.05, 0.01
+MOST_CAUSES = 3
 # Refitted at each step: those that score highest, and how low a score is still worth it.
 MOST_REFITS = 8
 LEAST_SCORE = 1.0
@@ -24,7 +28,7 @@ LITTLE = 0.1
 # do without it.
 LEAST_GAIN = 2.0
 # Of the chi-square: what the largest of a library of scores reaches by chance, squared.
-LEAST_FALL = 9.0
+LEAST_FALL, FURTHER_FALL = 9.0, 16.0
 # A rival this much less likely is excluded if it could be told apart; beyond the second number
 # whether it could or not.
 NEAR_EVIDENCE, FAR_EVIDENCE = 6.0, 10.0
@@ -58,7 +62,7 @@ class Step:
     @property
     def is_significant(self) -> bool:
         """Whether some effect scores higher than chance allows."""
-        return self.scores.p_value <= LEVEL
+        return self.scores.p_value <= (FURTHER_LEVEL if self.at.causes else LEVEL)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,7 +132,7 @@ def attribute(
 
     At each step the effects that score highest join the model in turn; the one with most evidence
     stays. It ends when no further effect scores higher than chance allows, when none gains
-    evidence or at four causes.
+    evidence or at three causes.
 
     Parameters
     ----------
@@ -189,12 +193,23 @@ def _with_refits(step: Step, base: Refit) -> Step:
         begun.append((first, starts[1:]))
     best = max((x.log_evidence for x, _ in begun), default=0.0)
     found = [
-        refit(base, x.causes, [x.fitted.theta, *starts])
+        _finished(base, x, starts)
         if place < ALWAYS or x.log_evidence > best - FAR_BEHIND
         else x
         for place, (x, starts) in enumerate(begun)
     ]
     return replace(step, refits=tuple(sorted(found, key=lambda x: -x.log_evidence)))
+
+
+def _finished(base: Refit, begun: Refit, starts: Sequence[Array]) -> Refit:
+    """A refit taken to its end, by way of low loads where it is stuck."""
+    found = refit(base, begun.causes, [begun.fitted.theta, *starts])
+    fitted = found.fitted
+    if fitted.outcome is Outcome.MINIMUM:
+        return found
+    low = fitted_to_low_loads(fitted.model, fitted.laxity, fitted.noise, starts[-1])
+    again = refit(base, begun.causes, [fitted.theta, low])
+    return max(found, again, key=lambda x: x.log_evidence)
 
 
 def _starts(at: Refit, variant: Variant, amplitude: Array, base: Refit) -> list[Array]:
@@ -222,7 +237,8 @@ def _starts(at: Refit, variant: Variant, amplitude: Array, base: Refit) -> list[
 def _is_better(new: Refit, old: Refit) -> bool:
     """Whether `new` is worth its causes: the data must say so, and the prior not forbid it."""
     fall = old.strain - new.strain
-    return fall > LEAST_FALL and new.log_evidence > old.log_evidence + LEAST_GAIN
+    least = FURTHER_FALL if old.causes else LEAST_FALL
+    return fall > least and new.log_evidence > old.log_evidence + LEAST_GAIN
 
 
 def _looked_back(

@@ -15,6 +15,7 @@ from identknee.identify.constrained import Constrained, minimise
 from identknee.identify.evaluation import Evaluation, Evaluator
 from identknee.laxity.table import Laxity
 from identknee.model.effects.contact_law import contact_nuisance
+from identknee.model.effects.toe_strain import toe_strain
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
@@ -24,6 +25,7 @@ from identknee.subject.knee import Knee
 # mm; how far the surfaces of a model are from those of the knee, bump by bump (DESIGN: measured on
 # a knee whose surfaces were known).
 ROUGHNESS = 0.03
+TOE = 0.15  # %; how well any formula of the toe region describes ligaments
 N_STARTS = 3
 # Prior standard deviations within which the other starts lie.
 REACH = 1.0
@@ -142,22 +144,21 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     stated = noise_of(laxity, laxity.coordinates)
     if stated is None:
         return None
-    begin.append(_fitted_to_low_loads(model, laxity, stated, begin[0]))
-    fitted = fit_from(model, laxity, _plain(laxity, stated), begin)
+    plain = build_noise_model(stated.sd, laxity.is_measured, correlation=stated.correlation)
+    begin.append(fitted_to_low_loads(model, laxity, plain, begin[0]))
+    fitted = fit_from(model, laxity, plain, begin)
     if not fitted.evaluation.is_finite:
         return BaseFit(fitted=fitted, found=stated)
     found = noise_of(laxity, fitted.compared.differences(fitted.theta))
     if found is None:  # pragma: no cover - it was found before
         return None
-    rough = fitted.compared.rows(
-        roughness_columns(fitted.model, fitted.model.predict_once(fitted.theta))
-    )
+    columns, sd = _nuisances(fitted)
     noise = build_noise_model(
         found.sd,
         laxity.is_measured,
         correlation=found.correlation,
-        nuisance=rough,
-        nuisance_sd=np.full(rough.shape[1], ROUGHNESS),
+        nuisance=columns,
+        nuisance_sd=sd,
     )
     return BaseFit(fitted=fit_from(model, laxity, noise, [fitted.theta]), found=found)
 
@@ -178,21 +179,37 @@ class BaseFit:
     found: DataNoise
 
 
-def _plain(laxity: Laxity, noise: DataNoise) -> NoiseModel:
-    return build_noise_model(noise.sd, laxity.is_measured, correlation=noise.correlation)
+def _nuisances(fitted: Fitted) -> tuple[Array, Array]:
+    """What nobody wants named: changes of the measured values, ``(m, k)``, and spreads, ``(k,)``.
+
+    Rough surfaces, and a force-strain curve whose toe is not quite the one of the equations.
+    """
+    model, compared = fitted.model, fitted.compared
+    rough = compared.rows(roughness_columns(model, model.predict_once(fitted.theta)))
+    with_toe = model.with_effects([*model.effects, toe_strain()])
+    found = with_toe.predict(np.r_[fitted.theta, 0.0])
+    if found.jacobian is None:  # pragma: no cover - it was asked for
+        raise AssertionError
+    toe = compared.rows(found.jacobian[:, :, -1:])
+    return np.hstack([rough, toe]), np.r_[np.full(rough.shape[1], ROUGHNESS), TOE]
 
 
-def _fitted_to_low_loads(
-    model: LaxityModel, laxity: Laxity, noise: DataNoise, start: Array
+def fitted_to_low_loads(
+    model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array
 ) -> Array:
-    """The fit to the trials of low loads, shape ``(p,)``: a way past parameters that snap."""
+    """The fit to the trials of low loads, shape ``(p,)``: a way past parameters that snap.
+
+    `start` itself where no trial has low loads.
+    """
     size = np.abs(laxity.protocol.loads)
     largest = size.max(axis=0)
-    low = (size <= LOW_LOADS * np.where(largest > 0.0, largest, 1.0)).all(axis=1)
+    low = np.all(size <= LOW_LOADS * np.where(largest > 0.0, largest, 1.0), axis=1)
     part = laxity.select(low)
-    if not part.is_measured.any():
+    rows = np.broadcast_to(low[:, None], laxity.is_measured.shape)[laxity.is_measured]
+    if laxity.zero != "absolute" or not part.is_measured.any():
         return start
-    few = build_noise_model(noise.sd[low], part.is_measured, correlation=noise.correlation)
+    covariance = noise.covariance[np.ix_(rows, rows)]
+    few = NoiseModel(covariance=covariance, factor=np.linalg.cholesky(covariance))
     return np.array(fit_from(model.with_tests(part), part, few, [start]).theta)
 
 

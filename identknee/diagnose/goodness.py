@@ -49,7 +49,7 @@ def omnibus_check(
     """
     projected = projector.project(residuals)
     degrees = projector.degrees_of_freedom
-    return _check(float(projected @ projected), degrees, noise_degrees)
+    return size_check(float(projected @ projected), degrees, noise_degrees)
 
 
 def nested_check(
@@ -93,11 +93,11 @@ def nested_check(
     squares_left = float(left @ left)
     square = float(whole @ whole) - squares_left
     if noise_degrees is not None:
-        return _check(square, rank, noise_degrees)
+        return size_check(square, rank, noise_degrees)
     degrees_left = wider.degrees_of_freedom
     if degrees_left < 1:
         raise ValueError("the patterns leave no residuals to measure the noise by; use fewer")
-    return _check(square / (squares_left / degrees_left), rank, degrees_left)
+    return size_check(square / (squares_left / degrees_left), rank, degrees_left)
 
 
 def succession_check(
@@ -218,8 +218,8 @@ def cauchy_combination(p_values: Sequence[float]) -> float:
     return float(np.arctan2(1.0, mean) / np.pi)
 
 
-def _check(square: float, degrees: int, noise_degrees: float) -> Check:
-    """A chi-square, or F where the noise is an estimate."""
+def size_check(square: float, degrees: int, noise_degrees: float) -> Check:
+    """Whether a sum of squares is larger than noise: chi-square, or F for an estimated noise."""
     if np.isinf(noise_degrees):
         p_value = float(stats.chi2.sf(square, degrees))
         return Check(statistic=square, degrees_of_freedom=degrees, p_value=p_value)

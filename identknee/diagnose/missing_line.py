@@ -101,8 +101,9 @@ class LineFinding:
     @property
     def sentence(self) -> str:
         """The finding in words."""
+        left = f"residuals of probability {self.refit.misfit_p_value:.2g}"
         if not self.is_line:
-            return f"Not a line force: the best line leaves residuals of probability {self.refit.misfit_p_value:.2g}."
+            return f"Not a line force: the best line leaves {left}."
         low, high = self.force_interval
         return (
             f"A line of force, {self.place.sentence}: {self.force:.0f} N "

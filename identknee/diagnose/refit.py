@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.diagnose.base_fit import MOST_STEPS, Fitted, fit_from
-from identknee.diagnose.goodness import cauchy_combination, nested_check, omnibus_check
+from identknee.diagnose.goodness import cauchy_combination, nested_check, size_check
 from identknee.diagnose.projection import Projector, base_projector
 from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
@@ -61,7 +61,10 @@ class Refit:
     def misfit_p_value(self) -> float:
         """Probability of so much misfit under noise: its size and its smooth part together."""
         rows, projector = self.fitted.residual_rows(), self.projector
-        whole = omnibus_check(rows, projector, noise_degrees=self.noise_degrees)
+        # Not projected: a fit that ended before its minimum must not seem better than it is.
+        whole = size_check(
+            float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees
+        )
         wider = projector.with_columns(projector.padded(self.smooth))
         smooth = nested_check(rows, projector, wider, noise_degrees=self.noise_degrees)
         return cauchy_combination([whole.p_value, smooth.p_value])

@@ -7,35 +7,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identknee.diagnose.attribution import Step
-from identknee.diagnose.causes import explanation_of, ligament_estimates
+from identknee.diagnose.causes import Estimate, explanation_of, ligament_estimates
 from identknee.diagnose.curves import load_curves
 from identknee.diagnose.diagnosis import Diagnosis
 from identknee.diagnose.isolability import LEAST_DISTANCE, Distances
 from identknee.diagnose.localisation import LEVEL, Localisation
 from identknee.diagnose.noise_model import Curve
-from identknee.diagnose.refit import Refit
-from identknee.diagnose.score import ScoreTest
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
 from identknee.runs.arrays import Array
 
 N_CANDIDATES = 3
-LOAD_NAMES = ("internal moment", "varus moment", "anterior force", "distraction", "lateral force")
-WORDS = {
-    "lateral_shift_mm": "lateral shift [mm]",
-    "anterior_drawer_mm": "anterior drawer [mm]",
-    "distraction_mm": "distraction [mm]",
-    "varus_deg": "varus [deg]",
-    "internal_deg": "internal [deg]",
-}
+SMALL, TINY = 8, 7
+# Scores beyond this are printed in white on their dark cell.
+DARK = 4.0
+QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "reference strain [%]"}
 
 
 def misfit_figure(localisation: Localisation) -> Figure:
     """The map of misfit: scores by coordinate, flexion and load direction.
 
-    Red where more was measured than predicted, blue where less. A ring marks scores that noise
-    hardly leaves anywhere on the map, a cross cells that the parameters explain or without data.
+    Red where more was measured than predicted, blue where less; bold and framed where noise alone
+    hardly leaves such a score anywhere on the map. Grey cells have no data, or the parameters
+    explain them.
 
     Parameters
     ----------
@@ -46,18 +41,311 @@ def misfit_figure(localisation: Localisation) -> Figure:
     rows = [x for x in COORDINATES if x in {y.coordinate for y in cells}]
     angles = sorted({x.flexion_deg for x in cells})
     directions = list(dict.fromkeys(x.direction for x in cells))
-    columns = [(a, d) for a in angles for d in directions]
+    columns = [(angle, x) for angle in angles for x in directions]
     scores = np.full((len(rows), len(columns)), np.nan)
-    figure = Figure(figsize=(2.6 + 0.52 * len(columns), 2.5 + 0.42 * len(rows)), layout="constrained")
+    size = (2.9 + 0.5 * len(columns), 2.1 + 0.42 * len(rows))
+    figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
     for x in cells:
-        place = rows.index(x.coordinate), columns.index((x.flexion_deg, x.direction))
-        scores[place] = x.score
-        weight = "bold" if x.p_value <= LEVEL else "normal"
-        colour = "white" if abs(x.score) > 4 else BLACK
-        axes.text(place[1], place[0], f"{x.score:.1f}", ha="center", va="center", fontsize=7,
-                  color=colour, weight=weight)
+        row, column = rows.index(x.coordinate), columns.index((x.flexion_deg, x.direction))
+        scores[row, column] = x.score
+        _write_cell(axes, column, row, f"{x.score:.1f}", is_dark=abs(x.score) > DARK)
+        if x.p_value <= LEVEL:
+            _frame_cell(axes, column, row)
     limit = max(5.0, float(np.nanmax(np.abs(scores), initial=0.0)))
+    axes.set_facecolor("0.85")
     image = axes.imshow(scores, cmap="RdBu_r", vmin=-limit, vmax=limit, aspect="auto")
-    figure.colorbar(image, ax=axes, label="score", shrink=0.8)
+    figure.colorbar(image, ax=axes, label="score of the misfit", shrink=0.9)
+    axes.set_yticks(range(len(rows)), [_words(x) for x in rows], fontsize=SMALL)
+    axes.set_xticks(range(len(columns)), [x for _, x in columns], fontsize=TINY, rotation=90)
+    for k, angle in enumerate(angles):
+        middle = (k + 0.5) * len(directions) - 0.5
+        axes.text(middle, -0.75, f"{angle:g} deg", ha="center", fontsize=9)
+        axes.axvline((k + 1) * len(directions) - 0.5, color=BLACK, linewidth=1.0)
+    figure.suptitle(localisation.sentence, fontsize=9)
     return figure
+
+
+def residual_curves_figure(found: Diagnosis) -> Figure:
+    """What the base model leaves along every load curve, with what the leading causes explain.
+
+    Dots are measured less predicted values, the band is two standard deviations of the noise. Lines
+    are what the model changes when a cause joins it and everything is fitted again: the cause that
+    is right goes through the dots.
+
+    Parameters
+    ----------
+    found
+        The diagnosis.
+    """
+    compared = found.base.fitted.compared
+    residuals = compared.differences(found.base.fitted.theta)
+    changes = _changes(found, residuals)
+    curves = load_curves(found.laxity.protocol)
+    rows = [i for i in range(len(COORDINATES)) if found.laxity.is_measured[:, i].any()]
+    size = (1.2 + 1.75 * len(curves), 1.0 + 1.45 * len(rows))
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(rows), len(curves), squeeze=False, sharey="row", sharex="col")
+    for column, curve in enumerate(curves):
+        for row, i in enumerate(rows):
+            axes = grid[row, column]
+            _draw_residuals(axes, curve, residuals[:, i], found.noise.sd[:, i])
+            for k, change in enumerate(changes.values()):
+                axes.plot(
+                    curve.load,
+                    change[curve.trials, i],
+                    STYLES[k],
+                    color=COLOURS[k],
+                    linewidth=1.3,
+                )
+        grid[0, column].set_title(_curve_title(found.laxity.protocol, curve), fontsize=SMALL)
+        grid[-1, column].set_xlabel(_load_name(found.laxity.protocol, curve), fontsize=SMALL)
+    for row, i in enumerate(rows):
+        grid[row, 0].set_ylabel(_words(COORDINATES[i]), fontsize=SMALL)
+    handles = [
+        figure.axes[0].plot([], [], STYLES[k], color=COLOURS[k], label=name)[0]
+        for k, name in enumerate(changes)
+    ]
+    if handles:
+        figure.legend(
+            handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9
+        )
+    figure.suptitle("measured less predicted by the model without causes", fontsize=10)
+    return figure
+
+
+def added_variable_figure(found: Diagnosis) -> Figure:
+    """What is left of the data against what the leading cause would leave, by flexion.
+
+    Both without what the fitted parameters explain. A cause that is right puts all points on the
+    line; clusters of one angle away from it speak against it.
+
+    Parameters
+    ----------
+    found
+        The diagnosis.
+    """
+    step = found.attribution.steps[0]
+    names = explanation_of(found).names
+    candidate = step.scores.named(names[0]) if names else step.scores.candidates[0]
+    signature = step.test.signature(candidate.name, candidate.variant)
+    fitted, n = found.base.fitted, found.base.fitted.n_data
+    left = step.test.projector.project(fitted.residual_rows())[:n]
+    expected = (signature.projected @ candidate.amplitude)[:n]
+    measured = found.laxity.is_measured
+    flexion = np.broadcast_to(found.laxity.protocol.flexion_deg[:, None], measured.shape)[measured]
+    figure = Figure(figsize=(5.0, 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    for k, angle in enumerate(np.unique(flexion)):
+        own = flexion == angle
+        axes.plot(
+            expected[own],
+            left[own],
+            MARKERS[k % len(MARKERS)],
+            color=COLOURS[k % len(COLOURS)],
+            markersize=4,
+            alpha=0.75,
+            label=f"{angle:g} deg",
+        )
+    reach = np.array([expected.min(initial=-1.0), expected.max(initial=1.0)])
+    axes.plot(reach, reach, color=BLACK, linewidth=1.0, label="as the cause would have it")
+    axes.set_xlabel(f"expected of {candidate.name} [sd of the noise]")
+    axes.set_ylabel("left of the data [sd of the noise]")
+    variant = f"\n{candidate.variant}" if candidate.variant else ""
+    axes.set_title(f"{candidate.name}, score {candidate.score:.1f}{variant}", fontsize=9)
+    axes.legend(fontsize=SMALL, frameon=False)
+    _bare(axes)
+    return figure
+
+
+def scores_figure(found: Diagnosis) -> Figure:
+    """The scores of all effects beside the model without causes, and beside the explanation.
+
+    Right of the line lies the largest score of all in 5 % of data without any effect.
+
+    Parameters
+    ----------
+    found
+        The diagnosis.
+    """
+    first, *others = found.attribution.steps
+    explanation = explanation_of(found)
+    shown = [first, *(x for x in others if x.at is explanation)]
+    order = [x.name for x in first.scores.candidates]
+    figure = Figure(figsize=(6.4, 1.3 + 0.24 * len(order)), layout="constrained")
+    axes = figure.add_subplot()
+    height = 0.8 / len(shown)
+    for k, step in enumerate(shown):
+        places = np.arange(len(order)) + (k - 0.5 * (len(shown) - 1)) * height
+        axes.barh(places, _scores(step, order), height, color=COLOURS[k], label=_beside(step))
+        axes.axvline(step.scores.quantile, color=COLOURS[k], linestyle=STYLES[1], linewidth=1.0)
+    axes.set_yticks(range(len(order)), order, fontsize=SMALL)
+    axes.set_ylim(len(order) - 0.4, -0.6)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel("score [normal deviate]; broken line: the largest of all by chance in 5 %")
+    if len(shown) > 1:
+        axes.legend(fontsize=SMALL, frameon=False, loc="lower right")
+    _bare(axes)
+    return figure
+
+
+def isolability_figure(distances: Distances) -> Figure:
+    """How far the data expected under each cause are from the best fit of each other one.
+
+    Rows are true, columns fitted in their place. Dark cells below 5 cannot be told apart.
+
+    Parameters
+    ----------
+    distances
+        Of all effects from one another.
+    """
+    names = distances.effects
+    order = [distances.rivals.index(x) for x in names]
+    values = np.array(distances.values[:, order])
+    np.fill_diagonal(values, np.nan)
+    values[~np.isfinite(values)] = np.nan
+    size = 2.6 + 0.33 * len(names)
+    figure = Figure(figsize=(size + 0.8, size), layout="constrained")
+    axes = figure.add_subplot()
+    axes.set_facecolor("0.85")
+    image = axes.imshow(values, cmap="magma", vmin=0.0, vmax=2.0 * LEAST_DISTANCE)
+    for (row, column), value in np.ndenumerate(values):
+        if np.isfinite(value) and value < LEAST_DISTANCE:
+            _write_cell(axes, column, row, f"{value:.1f}", is_dark=True)
+    figure.colorbar(image, ax=axes, label="distance [sd of the noise]", shrink=0.8)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=TINY)
+    axes.set_yticks(range(len(names)), names, fontsize=TINY)
+    axes.set_xlabel("fitted in its place")
+    axes.set_ylabel("true")
+    return figure
+
+
+def parameters_before_after_figure(
+    found: Diagnosis, truth: Mapping[str, float] | None = None
+) -> Figure:
+    """The ligaments' parameters without and with the causes, with their 95 % intervals.
+
+    Parameters
+    ----------
+    found
+        The diagnosis.
+    truth
+        True values by whole name, where they are known.
+    """
+    explanation = explanation_of(found)
+    fits = {"without cause": ligament_estimates(found.base)}
+    if explanation.causes:
+        fits[f"with {' and '.join(explanation.names)}"] = ligament_estimates(explanation)
+    ligaments = list(fits["without cause"])
+    figure = Figure(figsize=(1.0 + 1.5 * len(ligaments), 4.6), layout="constrained")
+    grid = figure.subplots(len(QUANTITIES), len(ligaments), squeeze=False)
+    for row, (quantity, label) in zip(grid, QUANTITIES.items(), strict=True):
+        for axes, ligament in zip(row, ligaments, strict=True):
+            for k, (name, tree) in enumerate(fits.items()):
+                _draw_estimate(axes, k, tree[ligament][quantity], name)
+            if truth is not None and f"{ligament}.{quantity}" in truth:
+                true = truth[f"{ligament}.{quantity}"]
+                axes.axhline(true, color=BLACK, linewidth=1.0, label="truth")
+            axes.set_xlim(-0.7, len(fits) - 0.3)
+            axes.set_xticks([])
+            axes.tick_params(labelsize=SMALL)
+            _bare(axes)
+        row[0].set_ylabel(label)
+    for axes, ligament in zip(grid[0], ligaments, strict=True):
+        axes.set_title(ligament, fontsize=9)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+def _changes(found: Diagnosis, residuals: Array) -> dict[str, Array]:
+    """What the leading explanations change of the predictions, shape ``(n, 5)`` each."""
+    attribution = found.attribution
+    refits = [attribution.best, *(x.refit for x in attribution.rivals)]
+    refits = [x for x in refits if x.causes and x.fitted.evaluation.is_finite][:N_CANDIDATES]
+    return {
+        " and ".join(x.names): residuals - x.fitted.compared.differences(x.fitted.theta)
+        for x in refits
+    }
+
+
+def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> None:
+    spread = 2.0 * sd[curve.trials]
+    axes.fill_between(curve.load, -spread, spread, color="0.9", linewidth=0)
+    axes.axhline(0.0, color=GREY, linewidth=0.7)
+    axes.plot(curve.load, residuals[curve.trials], "o", color=BLACK, markersize=2.8)
+    axes.tick_params(labelsize=TINY)
+    _bare(axes)
+
+
+def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
+    ends = np.array(estimate.ci95)[:, None]
+    axes.errorbar(
+        [k],
+        [estimate.value],
+        yerr=np.abs(ends - estimate.value),
+        fmt=MARKERS[k],
+        color=COLOURS[k],
+        capsize=4,
+        label=label,
+    )
+
+
+def _scores(step: Step, names: Sequence[str]) -> list[float]:
+    """The score of each effect, 0 for those that are in the model already."""
+    by_name = {x.name: x.score for x in step.scores.candidates}
+    return [by_name.get(x, 0.0) for x in names]
+
+
+def _beside(step: Step) -> str:
+    return f"with {' and '.join(step.at.names)}" if step.at.causes else "without cause"
+
+
+def _curve_title(protocol: Protocol, curve: Curve) -> str:
+    """Flexion, and the other loads where there are any."""
+    trial, axis = curve.trials[0], _axis(protocol, curve)
+    others = [
+        f"{_load_words(i)} {x:g}"
+        for i, x in enumerate(protocol.loads[trial])
+        if i != axis and x != 0.0
+    ]
+    return "\n".join([f"{protocol.flexion_deg[trial]:g} deg", *others])
+
+
+def _load_name(protocol: Protocol, curve: Curve) -> str:
+    return _load_words(_axis(protocol, curve))
+
+
+def _load_words(axis: int) -> str:
+    words, _, unit = LOADS[axis].rpartition("_")
+    return f"{words.replace('_', ' ')} [{unit.replace('Nm', 'N·m')}]"
+
+
+def _axis(protocol: Protocol, curve: Curve) -> int:
+    return int(np.argmax(np.ptp(protocol.loads[curve.trials], axis=0)))
+
+
+def _words(coordinate: str) -> str:
+    words, _, unit = coordinate.rpartition("_")
+    return f"{words.replace('_', ' ')} [{unit}]"
+
+
+def _write_cell(axes: Axes, column: int, row: int, text: str, *, is_dark: bool) -> None:
+    axes.text(
+        column,
+        row,
+        text,
+        ha="center",
+        va="center",
+        fontsize=TINY,
+        color="white" if is_dark else BLACK,
+    )
+
+
+def _frame_cell(axes: Axes, column: int, row: int) -> None:
+    corners = np.array([[-0.46, 0.46, 0.46, -0.46, -0.46], [-0.46, -0.46, 0.46, 0.46, -0.46]])
+    axes.plot(corners[0] + column, corners[1] + row, color=BLACK, linewidth=1.6)
+
+
+def _bare(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)

@@ -1,4 +1,4 @@
-"""The generator of blind data shares no code with the model it tests, but for what both are given."""
+"""The generator of blind data shares no code with the model, but for what both are given."""
 
 import ast
 from pathlib import Path
@@ -8,12 +8,6 @@ import identknee
 ROOT = Path(identknee.__file__).parent
 SHARED = {"subject", "laxity", "runs"}
 TESTED = ("mechanics", "model", "calibrate", "identify", "diagnose", "report")
-# What of the shared packages computes nothing of mechanics.
-HARMLESS = {
-    "identknee.laxity",
-    "identknee.runs",
-    "identknee.subject",
-}
 
 
 def _imports(path: Path) -> set[str]:
@@ -52,7 +46,7 @@ def _reached(package: str) -> set[str]:
 
 
 def _part(module: str) -> str:
-    return (module.split(".") + [""])[1]
+    return (*module.split("."), "")[1]
 
 
 def test_the_generator_imports_what_it_may() -> None:

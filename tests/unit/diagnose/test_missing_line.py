@@ -5,7 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identknee.diagnose.base_fit import fit_from
+from identknee.diagnose.goodness import smooth_patterns
 from identknee.diagnose.missing_line import find_line
+from identknee.diagnose.noise_model import build_noise_model
+from identknee.diagnose.refit import Refit
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity

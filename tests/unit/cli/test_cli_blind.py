@@ -1,0 +1,57 @@
+"""`identknee blind` and `identknee reveal`, from their words to their files and sentences."""
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_runs import refused, run
+
+import identknee as ik
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out: Path = tmp_path_factory.mktemp("blind")
+    result = run("blind", "--seed", 7, "--effect", "rig_compliance_IE", "--signal", 8, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "63 trials" in result.stdout
+    return out
+
+
+def _diagnosis(folder: Path, verdict: str, *causes: str) -> Path:
+    summary = {"verdict": verdict, "causes": [{"name": x} for x in causes], "group": []}
+    (folder / "result.json").write_text(json.dumps(summary), encoding="utf-8")
+    return folder
+
+
+def test_the_folder_gives_nothing_away(folder: Path) -> None:
+    laxity = ik.read_laxity(folder / "laxity.csv")
+    assert laxity.n == 63
+    assert laxity.sd is not None
+    for path in folder.iterdir():
+        assert "compliance" not in path.read_text(encoding="utf-8")
+
+
+def test_the_truth_is_revealed_and_a_right_name_scored(folder: Path, tmp_path: Path) -> None:
+    diagnosis = _diagnosis(tmp_path, "NAMED", "rig_compliance_IE")
+    result = run("reveal", folder, diagnosis)
+    assert result.exit_code == 0, result.output
+    assert "Hidden: rig_compliance_IE" in result.stdout
+    summary = json.loads(run("reveal", folder, diagnosis, "--json").stdout)
+    assert summary["correct"] is True
+    assert summary["wrong"] is False
+    assert summary["truth"]["effects"] == ["rig_compliance_IE"]
+
+
+def test_a_wrong_name_is_wrong(folder: Path, tmp_path: Path) -> None:
+    diagnosis = _diagnosis(tmp_path, "NAMED", "meniscus")
+    summary = json.loads(run("reveal", folder, diagnosis, "--json").stdout)
+    assert summary["wrong"] is True
+    assert summary["correct"] is False
+
+
+def test_mistakes_end_in_a_sentence(folder: Path, tmp_path: Path) -> None:
+    assert "menicus" in refused("blind", "--effect", "menicus", "--out", tmp_path)
+    assert "no such file" in refused("reveal", tmp_path / "none", tmp_path)
+    (tmp_path / "result.json").write_text("{}", encoding="utf-8")
+    assert "verdict" in refused("reveal", folder, tmp_path)
