@@ -17,6 +17,7 @@ from identknee.blind.experiment import (
 )
 from identknee.blind.fitting import BaseFit, Noise, base_fit, left_over, scaled_to
 from identknee.blind.hidden import Hidden, Scene
+from identknee.blind.rims import rims_of, stays_inside
 from identknee.blind.sites import places_of
 from identknee.blind.truth import Truth
 from identknee.laxity.noise import add_noise
@@ -59,9 +60,10 @@ class BlindCase:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Found:
-    """A draw of parameters and effects all of whose trials have an equilibrium."""
+    """A draw of parameters and effects all of whose trials have an equilibrium, and the knee."""
 
     theta: Array
+    own: Experiment
     run: Run
     hidden: tuple[Hidden, ...]
     sizes: tuple[float, ...]
@@ -125,8 +127,9 @@ def blind_case(
         is_unloading=is_unloading,
     )
     noise = Noise(sd_mm=sd_mm, sd_deg=sd_deg, correlation=CORRELATION)
-    base = experiment_of(knee, protocol)
-    draws = (_drawn(base, names, scene, (noise, signal), streams[2]) for _ in range(MOST_DRAWS))
+    base, rims = experiment_of(knee, protocol), rims_of(knee)
+    drawn = (_drawn(base, names, scene, (noise, signal), streams[2]) for _ in range(MOST_DRAWS))
+    draws = (x if x is not None and stays_inside(x.own, x.run, rims) else None for x in drawn)
     redraws, found = next(
         ((i, x) for i, x in enumerate(draws) if x is not None), (MOST_DRAWS, None)
     )
@@ -211,7 +214,9 @@ def _drawn(
             is_largest |= reached_end
         sizes.append(x.sign * size)
     if not hidden:
-        return _Found(theta=theta, run=run, hidden=(), sizes=(), signal=0.0, is_largest=False)
+        return _Found(
+            theta=theta, own=own, run=run, hidden=(), sizes=(), signal=0.0, is_largest=False
+        )
     for x, size in zip(hidden, sizes, strict=True):
         own = x.apply(own, size)
     run = conduct(own)
@@ -220,6 +225,7 @@ def _drawn(
     fit = base_fit(base, run.coordinates, noise, null)
     return _Found(
         theta=theta,
+        own=own,
         run=run,
         hidden=hidden,
         sizes=tuple(sizes),
@@ -307,9 +313,11 @@ def _truth(knee: Knee, seed: int, found: _Found, facts: Mapping[str, object]) ->
     for x, size in zip(found.hidden, found.sizes, strict=True):
         amplitudes[x.name] = {"amplitude": (size, x.unit), **dict(x.amplitudes(size))}
         if x.line is not None:
+            # A left knee was mirrored when it was read.
+            side = [1.0, 1.0, -1.0 if knee.side == "left" else 1.0]
             lines[x.name] = (
-                knee.femur_frame.to_common(x.line[0]),
-                knee.tibia_frame.to_common(x.line[1]),
+                knee.femur_frame.to_common(x.line[0]) * side,
+                knee.tibia_frame.to_common(x.line[1]) * side,
             )
     return Truth(
         seed=seed,

@@ -1,6 +1,5 @@
 """A laxity test on a virtual knee: everything that acts in it, and where the tibia goes."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
@@ -75,8 +74,8 @@ class Experiment:
     weights
         Forces of fixed direction in the femur and the tibial place they act at, ``(w, 6)``.
     springs
-        Femoral places held across the plateau where they rest unloaded, and how stiffly [N/mm];
-        shape ``(s, 4)``.
+        Femoral places held across the plateau, the tibial places where they rest, and how stiffly
+        [N/mm]; shape ``(s, 7)``.
     torsion
         Stiffness [N mm/rad] and rest angle of a spring about the tibial axis.
     femur_turn, tibia_turn
@@ -110,11 +109,11 @@ class Experiment:
         lines[:m, REFERENCE_STRAIN] = theta[m:] * 0.01
         return replace(self, lines=lines)
 
-    def arrays(self, springs: Array) -> tuple[Any, ...]:
+    def arrays(self) -> tuple[Any, ...]:
         """The knee as compiled functions take it."""
         surface = (self.points, self.areas, np.array([self.modulus, EXPONENT]))
         field = (self.grid.values, self.grid.origin, self.grid.spacing)
-        return surface, field, self.lines, self.weights, springs, np.array(self.torsion)
+        return surface, field, self.lines, self.weights, self.springs, np.array(self.torsion)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -132,15 +131,12 @@ class Run:
         Rotation and position of the tibia of each trial.
     hessians
         Second derivatives of the energy by the tangent step [N/mm], shape ``(n, 5, 5)``.
-    unloaded
-        State of the knee without load or springs at each stated flexion, the smallest first.
     """
 
     coordinates: Array
     ends: tuple[TrialEnd, ...]
     poses: tuple[tuple[Array, Array], ...]
     hessians: Array
-    unloaded: tuple[tuple[Any, ...], ...]
 
     @property
     def is_complete(self) -> bool:
@@ -170,7 +166,7 @@ def experiment_of(knee: Knee, protocol: Protocol) -> Experiment:
         flexion_offset=0.0,
         modulus=MODULUS,
         weights=np.zeros((0, 6)),
-        springs=np.zeros((0, 4)),
+        springs=np.zeros((0, 7)),
         torsion=(0.0, 0.0),
         femur_turn=np.zeros(3),
         tibia_turn=np.zeros(3),
@@ -246,35 +242,22 @@ def _read(experiment: Experiment, poses: list[tuple[Array, Array] | None]) -> Ar
     return result + experiment.added
 
 
-def _run(
-    experiment: Experiment, found: list[tuple[Any, ...]], unloaded: Iterable[tuple[Any, ...]]
-) -> Run:
+def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> Run:
     poses = [(x[1], x[2]) if x[0] == equilibrium.FOUND else None for x in found]
     return Run(
         coordinates=_read(experiment, poses),
         ends=tuple(_ENDS[x[0]] for x in found),
         poses=tuple((x[1], x[2]) for x in found),
         hessians=np.array([x[3] for x in found]),
-        unloaded=tuple(unloaded),
     )
 
 
 def _from_poses(experiment: Experiment, near: Run) -> Run:
-    angles = _flexion(experiment)
-    distinct, place = np.unique(angles, return_inverse=True)
-    bare = experiment.arrays(np.zeros((0, 7)))
-    unloaded, knees = list(near.unloaded), [bare] * len(distinct)
-    if len(experiment.springs) > 0:
-        unloaded = [
-            _from_pose(x[1:3], angle, np.zeros(5), bare)
-            for x, angle in zip(near.unloaded, distinct, strict=True)
-        ]
-        knees = [experiment.arrays(_springs_at(experiment, x)) for x in unloaded]
+    angles, knee = _flexion(experiment), experiment.arrays()
     found = [
-        _from_pose(pose, angles[i], experiment.loads[i], knees[place[i]])
-        for i, pose in enumerate(near.poses)
+        _from_pose(pose, angles[i], experiment.loads[i], knee) for i, pose in enumerate(near.poses)
     ]
-    return _run(experiment, found, unloaded)
+    return _run(experiment, found)
 
 
 def _from_pose(
@@ -288,54 +271,43 @@ def _from_pose(
 
 
 def _along_paths(experiment: Experiment) -> Run:
-    angles = _flexion(experiment)
+    angles, knee = _flexion(experiment), experiment.arrays()
     found: list[Any] = [None] * experiment.protocol.n
-    unloaded = _unloaded(experiment, np.unique(angles))
-    for flexion, rest in unloaded.items():
-        arrays = experiment.arrays(_springs_at(experiment, rest))
-        base = _followed(rest, (flexion, flexion), (np.zeros(5), experiment.preload), arrays)
+    for flexion, rest in _unloaded(experiment, np.unique(angles)).items():
+        base = _followed(rest, (flexion, flexion), (np.zeros(5), experiment.preload), knee)
         for ray in _rays(experiment, np.flatnonzero(angles == flexion)):
             state, load = base, experiment.preload
             for i in ray:
-                state = _followed(state, (flexion, flexion), (load, experiment.loads[i]), arrays)
+                state = _followed(state, (flexion, flexion), (load, experiment.loads[i]), knee)
                 load, found[i] = experiment.loads[i], state
-    return _run(experiment, found, unloaded.values())
+    return _run(experiment, found)
 
 
 def _followed(
-    state: tuple[Any, ...], flexions: tuple[float, float], loads: tuple[Array, Array], arrays: Any
+    state: tuple[Any, ...], flexions: tuple[float, float], loads: tuple[Array, Array], knee: Any
 ) -> tuple[Any, ...]:
     """The state at the end of a path; one that failed earlier stays as it is."""
     if state[0] != equilibrium.FOUND:
         return state
     result: tuple[Any, ...] = equilibrium.follow(
-        state[1], state[2], np.array(flexions), np.array(loads), arrays
+        state[1], state[2], np.array(flexions), np.array(loads), knee
     )
     return result
 
 
 def _unloaded(experiment: Experiment, angles: Array) -> dict[float, tuple[Any, ...]]:
     """State of the unloaded knee at each flexion angle, walked to from extension."""
-    arrays = experiment.arrays(np.zeros((0, 7)))
-    R, t = experiment.start
-    is_found, R, t, H = equilibrium.minimum(R, t, 0.0, np.zeros(5), arrays)
+    knee = experiment.arrays()
+    is_found, R, t, H = equilibrium.minimum(*experiment.start, 0.0, np.zeros(5), knee)
     extension = (equilibrium.FOUND if is_found else equilibrium.STUCK, R, t, H)
     states = {}
     no_load = (np.zeros(5), np.zeros(5))
     for side in (angles[angles >= 0.0], angles[angles < 0.0][::-1]):
         state, last = extension, 0.0
         for angle in side:
-            state = _followed(state, (last, float(angle)), no_load, arrays)
+            state = _followed(state, (last, float(angle)), no_load, knee)
             states[float(angle)], last = state, float(angle)
-    return dict(sorted(states.items()))
-
-
-def _springs_at(experiment: Experiment, rest: tuple[Any, ...]) -> Array:
-    """Springs as compiled functions take them: femoral place, tibial place at rest, stiffness."""
-    _, R, t, _ = rest
-    places = experiment.springs[:, :3]
-    rows: Array = np.c_[places, (places - t) @ R, experiment.springs[:, 3]]
-    return rows
+    return states
 
 
 def _rays(experiment: Experiment, trials: IntArray) -> list[list[int]]:

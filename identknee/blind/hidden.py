@@ -1,7 +1,7 @@
 """A hidden effect as drawn for one case: what it does to an experiment at any amplitude."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -66,8 +66,6 @@ class Hidden:
         Every number of the effect at a signed amplitude: value and unit by name.
     line
         Femoral and tibial end of a line structure in the bones' frames [mm].
-    facts
-        Other numbers drawn, by a name that says the unit.
     """
 
     name: str
@@ -78,7 +76,6 @@ class Hidden:
     apply: Callable[[Experiment, float], Experiment]
     amplitudes: Callable[[float], Mapping[str, tuple[float, str]]]
     line: tuple[Array, Array] | None = None
-    facts: Mapping[str, object] = field(default_factory=dict)
 
 
 Apply = Callable[[Experiment, float], Experiment]

@@ -90,13 +90,14 @@ def moment_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def axis_misalignment(_scene: Scene, generator: np.random.Generator) -> Hidden:
-    """Either moment also turns the tibia about the other's axis."""
-    ratio = float(generator.uniform(-1.0, 1.0))
+    """Either moment also turns the tibia about the other's axis; the amplitude is their total."""
+    way = _unit(generator, 2)
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         stated, loads = _stated(experiment), experiment.loads.copy()
-        loads[:, VARUS_MOMENT] += np.sin(np.radians(ratio * amplitude)) * stated[:, INTERNAL_MOMENT]
-        loads[:, INTERNAL_MOMENT] += np.sin(np.radians(amplitude)) * stated[:, VARUS_MOMENT]
+        sine = np.sin(np.radians(amplitude * way))
+        loads[:, INTERNAL_MOMENT] += sine[0] * stated[:, VARUS_MOMENT]
+        loads[:, VARUS_MOMENT] += sine[1] * stated[:, INTERNAL_MOMENT]
         return replace(experiment, loads=loads)
 
     return Hidden(
@@ -104,11 +105,11 @@ def axis_misalignment(_scene: Scene, generator: np.random.Generator) -> Hidden:
         unit="deg",
         smallest=2.0,
         largest=10.0,
-        sign=_sign(generator),
         apply=apply,
         amplitudes=lambda a: {
-            "varus_to_internal": (a, "deg"),
-            "internal_to_varus": (ratio * a, "deg"),
+            "total": (a, "deg"),
+            "varus_to_internal": (a * float(way[0]), "deg"),
+            "internal_to_varus": (a * float(way[1]), "deg"),
         },
     )
 
@@ -129,7 +130,7 @@ def parasitic_shear(_scene: Scene, generator: np.random.Generator) -> Hidden:
         name="parasitic_shear",
         unit="N/N·m",
         smallest=0.3,
-        largest=4.0,
+        largest=3.0,
         apply=apply,
         amplitudes=lambda a: {
             "total": (a, "N/N·m"),

@@ -59,8 +59,8 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     """Score of a diagnosis, the parsed ``result.json`` of `identknee diagnose`.
 
     Read are ``verdict``, ``causes[].{name,amplitude,unit,ci95}``, ``group[]``, ``line`` with its
-    ends ``femur`` and ``tibia`` [mm], and ``parameters_before`` and ``parameters_after``: a number
-    for each parameter, or a mapping with ``value`` and ``ci95``.
+    ends ``femur`` and ``tibia`` [mm], and ``parameters_before`` and ``parameters_after``, numbers
+    by ligament and quantity, with their intervals under the same names ending in ``_ci95``.
 
     Raises
     ------
@@ -81,7 +81,10 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
         UNEXPLAINED: bool(hidden & set(UNLISTED)),
     }.get(verdict, False)
     wrong = is_named and bool(named - hidden)
-    before, after = (_parameters(diagnosis.get(f"parameters_{x}")) for x in ("before", "after"))
+    before, after, covered_before, covered_after = (
+        _by_name(diagnosis.get(f"parameters_{x}"))
+        for x in ("before", "after", "before_ci95", "after_ci95")
+    )
     offset, angle = _line(truth, diagnosis.get("line"))
     return Score(
         verdict=verdict,
@@ -94,8 +97,8 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
         amplitude_covered=_amplitude_covered(truth, diagnosis.get("causes") or ()),
         stiffness_error_kN=(_error(truth, before, "_kN"), _error(truth, after, "_kN")),
         strain_error_pct=(_error(truth, before, "_pct"), _error(truth, after, "_pct")),
-        covered_before=_coverage(truth, before),
-        covered_after=_coverage(truth, after),
+        covered_before=_coverage(truth, covered_before),
+        covered_after=_coverage(truth, covered_after),
     )
 
 
@@ -142,34 +145,24 @@ def _holds(interval: Sequence[float | None], value: float) -> bool:
     return (low is None or low <= value) and (high is None or value <= high)
 
 
-def _parameters(tree: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Values by the name of the parameter, from a tree by ligament and quantity or a flat table."""
-    flat = {}
-    for owner, value in (tree or {}).items():
-        if "." in owner or not isinstance(value, Mapping):
-            flat[owner] = value
-        else:
-            flat.update({f"{owner}.{quantity}": x for quantity, x in value.items()})
-    return flat
+def _by_name(tree: Mapping[str, Mapping[str, Any]] | None) -> dict[str, Any]:
+    """Entries by the name of the parameter, from a tree by ligament and quantity."""
+    return {
+        f"{ligament}.{quantity}": entry
+        for ligament, quantities in (tree or {}).items()
+        for quantity, entry in quantities.items()
+    }
 
 
-def _error(truth: Truth, parameters: Mapping[str, Any], ending: str) -> float | None:
+def _error(truth: Truth, found: Mapping[str, float], ending: str) -> float | None:
     errors = [
-        abs(_value(parameters[name]) - value)
+        abs(found[name] - value)
         for name, value in truth.theta.items()
-        if name.endswith(ending) and name in parameters
+        if name.endswith(ending) and name in found
     ]
     return float(np.mean(errors)) if errors else None
 
 
-def _value(entry: Any) -> float:
-    return float(entry["value"] if isinstance(entry, Mapping) else entry)
-
-
-def _coverage(truth: Truth, parameters: Mapping[str, Any]) -> float | None:
-    answers = [
-        _holds(entry["ci95"], truth.theta[name])
-        for name, entry in parameters.items()
-        if isinstance(entry, Mapping) and entry.get("ci95") and name in truth.theta
-    ]
+def _coverage(truth: Truth, intervals: Mapping[str, Sequence[float | None]]) -> float | None:
+    answers = [_holds(intervals[name], x) for name, x in truth.theta.items() if name in intervals]
     return float(np.mean(answers)) if answers else None

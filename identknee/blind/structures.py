@@ -25,6 +25,8 @@ from identknee.runs.arrays import Array
 # Jitter of each coordinate of a structure's ends [mm], and its slack strain [%].
 JITTER_MM = 3.0
 STRAIN_PCT, STRAIN_JITTER_PCT = 3.0, 2.0
+# The middle of a condyle over its plateau [mm].
+CONDYLE_MM = 20.0
 N_MM_PER_N_M_DEG = 1000.0 * 180.0 / np.pi
 
 
@@ -90,19 +92,19 @@ def rotational_spring(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def posterior_capsule(scene: Scene, generator: np.random.Generator) -> Hidden:
-    """Medial and lateral posterior capsule, either as a line; the lateral one shares the size."""
+    """Medial and lateral posterior capsule, either as a line; the amplitude is the stiffer one."""
     ends = structure_ends(scene.places)
     strands = [
         [x + generator.normal(0.0, JITTER_MM, 3) for x in ends[f"posterior_capsule_{side}"]]
         for side in ("medial", "lateral")
     ]
-    ratio, strain = float(generator.uniform(0.6, 1.4)), _strain(generator)
+    shares, strain = np.r_[1.0, generator.uniform(0.5, 1.0)], _strain(generator)
+    generator.shuffle(shares)
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
-        sizes = (amplitude, amplitude * ratio)
         rows = [
-            line_row(scene, x[0], x[1], size, strain)
-            for x, size in zip(strands, sizes, strict=True)
+            line_row(scene, x[0], x[1], amplitude * share, strain)
+            for x, share in zip(strands, shares.tolist(), strict=True)
         ]
         return with_lines(experiment, rows)
 
@@ -113,8 +115,8 @@ def posterior_capsule(scene: Scene, generator: np.random.Generator) -> Hidden:
         largest=4.0,
         apply=apply,
         amplitudes=lambda a: {
-            "medial_stiffness": (a, "kN"),
-            "lateral_stiffness": (a * ratio, "kN"),
+            "medial_stiffness": (a * float(shares[0]), "kN"),
+            "lateral_stiffness": (a * float(shares[1]), "kN"),
             "reference_strain": (strain, "%"),
         },
     )
@@ -181,13 +183,14 @@ def mcl_wrapping(scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
-    """Each condyle is held across its plateau to where it rests unloaded."""
-    middles = scene.places.plateaus[:, 1] @ scene.start[0].T + scene.start[1]
-    centres = middles + np.array([0.0, 20.0 * scene.places.scale, 0.0])
+    """Each condyle is held across its plateau, at rest in the scanned pose."""
+    R, t = scene.start
+    up = np.array([0.0, CONDYLE_MM * scene.places.scale, 0.0])
+    rest = scene.places.plateaus[:, 1] + up + generator.normal(0.0, JITTER_MM, (2, 3))
     ratio = float(generator.uniform(0.5, 1.0))
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
-        rows = np.c_[centres, [amplitude, amplitude * ratio]]
+        rows = np.c_[rest @ R.T + t, rest, [amplitude, amplitude * ratio]]
         return replace(experiment, springs=rows)
 
     return Hidden(
@@ -204,10 +207,10 @@ def toe_strain(_scene: Scene, generator: np.random.Generator) -> Hidden:
     """The toe of every ligament ends at another strain."""
     return _simple(
         "toe_strain",
-        ("1", 0.005, 0.018),
+        ("%", 0.5, 1.8),
         generator,
         lambda experiment, a: replace(
-            experiment, lines=experiment.lines + a * (np.arange(LINE_COLUMNS) == TOE)
+            experiment, lines=experiment.lines + 0.01 * a * (np.arange(LINE_COLUMNS) == TOE)
         ),
     )
 

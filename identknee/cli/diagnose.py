@@ -19,6 +19,7 @@ from identknee.cli.command import (
     warm_up,
 )
 from identknee.cli.identification import Noise, file_digests, measured
+from identknee.cli.isolability import say_isolability, shown
 from identknee.runs.files import digest, prepare_folder, write_atomically
 from identknee.runs.record import Recording, record
 
@@ -26,7 +27,19 @@ if TYPE_CHECKING:
     from identknee.diagnose.diagnosis import Diagnosis
     from identknee.diagnose.gain import Gain
 
-Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
+Data = Annotated[
+    Path | None,
+    typer.Argument(metavar="[DATA.csv]", help="The measured laxity table; none with --protocol."),
+]
+Planned = Annotated[
+    str | None,
+    typer.Option(
+        "--protocol",
+        metavar="PROTOCOL",
+        help="Without data: say what the trials of seed63, table2, drawer or a TOML file could "
+        "tell, with the noise of --noise.",
+    ),
+]
 Start = Annotated[
     str,
     typer.Option(
@@ -40,7 +53,8 @@ EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
 def diagnose(
     context: typer.Context,
     subject: Subject,
-    data: Data,
+    data: Data = None,
+    protocol: Planned = None,
     noise: Noise = None,
     start: Start = "subject",
     out: Out = Path("identknee-diagnose"),
@@ -52,12 +66,22 @@ def diagnose(
 
     The verdict is one of ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED and NOT_TESTABLE, with what else
     would explain the data and which trials would tell. The folder extended is the subject with the
-    causes found, for every other verb. One thread does it: more workers change nothing.
+    causes found, for every other verb. With --protocol in place of DATA.csv it says which causes
+    such trials could show and tell apart. One thread does it: more workers change nothing.
     """
-    from identknee.diagnose.diagnosis import diagnose as find
-    from identknee.diagnose.exclusions import exclusions
-
+    if (data is None) == (protocol is None):
+        raise ValueError(
+            "diagnose needs either DATA.csv or --protocol; give one of both, for example "
+            "identknee diagnose reference --protocol seed63 --noise 0.3mm,0.3deg"
+        )
     prepare_folder(out)
+    if data is None:
+        if noise is None:
+            raise ValueError("--protocol needs --noise; add for example --noise 0.3mm,0.3deg")
+        say_isolability(context, subject, str(protocol), noise, out=out, seed=seed, as_json=as_json)
+        return
+    from identknee.diagnose.diagnosis import diagnose as find
+
     knee, laxity = measured(subject, data, noise)
     inputs = {"subject": knee_digest(knee), "data": digest(data), **file_digests(start=start)}
     recording = record("diagnose", context.params, inputs, seed)
@@ -67,18 +91,28 @@ def diagnose(
     if found is None:
         _say_untestable(out, knee, laxity, recording, as_json=as_json)
         return
-    gain = _gain(found)
-    tested = exclusions(found)
+    _say(found, seconds, out, recording, as_json=as_json)
+
+
+def _say(
+    found: "Diagnosis", seconds: float, out: Path, recording: Recording, *, as_json: bool
+) -> None:
+    from identknee.diagnose.exclusions import exclusions
+    from identknee.report.diagnosis_figures import diagnosis_figures
     from identknee.report.diagnosis_groups import diagnosis_groups
     from identknee.report.diagnosis_summary import diagnosis_summary
     from identknee.report.diagnosis_text import diagnosis_lines
+    from identknee.report.picture import png
     from identknee.report.result_files import write_result
 
+    gain, tested = _gain(found), exclusions(found)
     _write_extension(found, out)
+    for name, figure in diagnosis_figures(found).items():
+        write_atomically(out / f"{name}.png", png(figure))
     summary = {**diagnosis_summary(found, tested, gain), "seconds": seconds}
     groups = diagnosis_groups(found, tested)
     summary = write_result(out, summary, groups, recording.finish())
-    lines = _shown(diagnosis_lines(found, tested, gain))
+    lines = shown(diagnosis_lines(found, tested, gain))
     show(summary, [*lines, f"{seconds:.1f} s. Results: {out}"], as_json=as_json)
 
 
@@ -149,10 +183,3 @@ def _blank(laxity: "ik.Laxity", trials: "ik.Protocol") -> "ik.Laxity":
         zero=laxity.zero,
         comments=("Trials advised by identknee diagnose: measure, fill in, append to the data.",),
     )
-
-
-def _shown(sections: dict[str, list[str]]) -> list[str]:
-    lines: list[str] = []
-    for heading, texts in sections.items():
-        lines += [typer.style(heading, bold=True), *(f"  {x}" for x in texts), ""]
-    return lines

@@ -24,7 +24,7 @@ from identknee.subject.knee import Knee
 
 # mm; how far the surfaces of a model are from those of the knee, bump by bump (DESIGN: measured on
 # a knee whose surfaces were known).
-ROUGHNESS = 0.03
+ROUGHNESS = 0.015
 TOE = 0.15  # %; how well any formula of the toe region describes ligaments
 N_STARTS = 3
 # Prior standard deviations within which the other starts lie.

@@ -1,5 +1,6 @@
 """What a diagnosis says of every effect of the library: seen, excluded, or beyond its power."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,9 +65,7 @@ def exclusions(found: Diagnosis) -> tuple[Exclusion, ...]:
         has_order=laxity.order is not None,
         has_phase=laxity.phase is not None,
     )
-    return tuple(
-        _exclusion(first if x.name in explanation.names else beside, x) for x in effects
-    )
+    return tuple(_exclusion(first if x.name in explanation.names else beside, x) for x in effects)
 
 
 def _exclusion(step: Step, effect: Effect) -> Exclusion:
@@ -86,8 +85,7 @@ def _exclusion(step: Step, effect: Effect) -> Exclusion:
             power=LEVEL,
         )
     score = step.scores.named(effect.name)
-    typical = min(own, key=_distance_from_prior)
-    name, detectable, power = hardest(step.test, typical, relevant)
+    name, detectable, power = hardest(step.test, typical_variant(own), relevant)
     return Exclusion(
         name=effect.name,
         cell=judge(is_significant=score.p_value <= LEVEL, power=power),
@@ -121,7 +119,11 @@ def hardest(test: ScoreTest, variant: Variant, relevant: float) -> tuple[str, fl
     )
 
 
+def typical_variant(variants: Iterable[Variant]) -> Variant:
+    """Of the variants of one effect the one taken at the least unusual amplitudes."""
+    return min(variants, key=_distance_from_prior)
+
+
 def _distance_from_prior(variant: Variant) -> float:
-    """How unusual the amplitudes are that the signature was taken at."""
     p = variant.effect.parameters
     return float(np.sum(((variant.values - p.center) / p.prior_sd) ** 2))

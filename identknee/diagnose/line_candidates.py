@@ -14,7 +14,7 @@ from identknee.subject.insertion_surfaces import insertion_surfaces
 from identknee.subject.knee import Knee
 
 LENGTHS = (12.0, 90.0)  # mm
-MOST_LINES = 5000
+MOST_LINES = 3000
 SLACK_STRAINS = (-4.0, 0.0, 4.0, 8.0)  # %
 
 
@@ -63,7 +63,7 @@ class CandidateLines:
 def candidate_lines(knee: Knee, *, seed: int = 0) -> CandidateLines:
     """Lines between places of both bones that lie on one side, 12 to 90 mm apart.
 
-    Central places go with either side. Where there are more than 5,000, some are taken at random.
+    Central places go with either side. Where there are more than 3,000, some are taken at random.
 
     Raises
     ------

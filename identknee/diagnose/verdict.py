@@ -65,10 +65,9 @@ class Conclusion:
 def alarm_p_value(base: Refit, library_p_value: float) -> float:
     """Probability of a misfit as clear under noise: that of the library, size and shape together.
 
-    The library's largest score is the sharpest of the three tests and counts as one half.
+    The library's largest score is the sharpest of the three tests and counts three times as much.
     """
-    other = base.misfit_p_value
-    return cauchy_combination([library_p_value, other])
+    return cauchy_combination([*3 * [library_p_value], base.misfit_p_value])
 
 
 def conclude(attribution: Attribution, p_value: float) -> Conclusion:

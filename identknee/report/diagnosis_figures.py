@@ -147,7 +147,7 @@ def added_variable_figure(found: Diagnosis) -> Figure:
             alpha=0.75,
             label=f"{angle:g} deg",
         )
-    reach = np.array([expected.min(initial=-1.0), expected.max(initial=1.0)])
+    reach = 1.05 * np.abs(expected).max() * np.array([-1.0, 1.0])
     axes.plot(reach, reach, color=BLACK, linewidth=1.0, label="as the cause would have it")
     axes.set_xlabel(f"expected of {candidate.name} [sd of the noise]")
     axes.set_ylabel("left of the data [sd of the noise]")
@@ -256,6 +256,17 @@ def parameters_before_after_figure(
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     return figure
+
+
+def diagnosis_figures(found: Diagnosis) -> dict[str, Figure]:
+    """All figures of a diagnosis, by the name of their file."""
+    return {
+        "misfit": misfit_figure(found.localisation),
+        "residuals": residual_curves_figure(found),
+        "added_variable": added_variable_figure(found),
+        "scores": scores_figure(found),
+        "parameters": parameters_before_after_figure(found),
+    }
 
 
 def _changes(found: Diagnosis, residuals: Array) -> dict[str, Array]:

@@ -13,7 +13,7 @@ from identknee.report.groups import constant_data, observed_data
 
 
 def diagnosis_groups(found: Diagnosis, tested: Sequence[Exclusion]) -> dict[str, xarray.Dataset]:
-    """Groups ``constant_data``, ``observed_data``, ``misfit``, ``residuals``, ``scores``, ``refits``.
+    """Groups ``misfit``, ``residuals``, ``scores``, ``refits`` and those of the data.
 
     Parameters
     ----------

@@ -32,7 +32,8 @@ def diagnosis_summary(
     names that the data leave open, those of the causes among them. ``parameters_before`` and
     ``parameters_after`` are the ligaments' without and with the causes, their 95 % intervals under
     the same keys with ``_ci95``. ``effects`` says of every effect tried whether it was seen and
-    which size would have been.
+    which size would have been. Rivals that are not excluded have their own amplitudes and
+    parameters.
 
     Parameters
     ----------
@@ -118,6 +119,8 @@ def _rival(rival: Rival) -> dict[str, Any]:
         "log_evidence_below": rival.lead,
         "distance": rival.distance,
         "is_excluded": rival.is_excluded,
+        "amplitudes": [] if rival.is_excluded else [_cause(x) for x in causes_of(rival.refit)],
+        "parameters": None if rival.is_excluded else _values(ligament_estimates(rival.refit)),
     }
 
 
@@ -155,7 +158,7 @@ def _noise(found: Diagnosis) -> dict[str, Any]:
         "sentence": noise.sentence,
         "sd": sizes,
         "within_trial_correlation": noise.correlation,
-        "times_stated": None if noise.factors is None else [x for x in noise.factors],
+        "times_stated": None if noise.factors is None else list(noise.factors),
         "degrees_of_freedom": noise.degrees_of_freedom,
     }
 
@@ -167,8 +170,8 @@ def _advice(found: Diagnosis) -> dict[str, Any]:
     return {
         "sentence": advice.sentence,
         "rivals": [list(x) for x in advice.rivals],
-        "distance_before": [x for x in advice.before],
-        "distance_after": [x for x in advice.after],
+        "distance_before": advice.before,
+        "distance_after": advice.after,
     }
 
 

@@ -15,6 +15,7 @@ from identknee.diagnose.diagnosis import Diagnosis
 from identknee.diagnose.exclusions import Exclusion
 from identknee.diagnose.gain import Gain
 from identknee.diagnose.power import Cell
+from identknee.diagnose.protocol_isolability import Visibility
 from identknee.diagnose.refit import Refit
 from identknee.diagnose.verdict import Verdict
 from identknee.model.effects.facts import FACTS
@@ -46,6 +47,7 @@ def diagnosis_lines(
         "Where": [] if conclusion.verdict is Verdict.ADEQUATE else [found.localisation.sentence],
         "Cause": [x for cause in causes_of(explanation) for x in _cause(cause)],
         "Rivals": _rivals(found.attribution) if explanation.causes else [],
+        "Whichever of them it is": _whichever(found),
         "What would tell them apart": _advice(found.advice),
         "Excluded, and beyond the power of these data": _tested(tested, explanation.names),
         "Gain": [] if gain is None else _gain(gain),
@@ -75,6 +77,12 @@ def amount(value: float, unit: str) -> str:
     ('0.777 kN', '0.08')
     """
     return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
+
+
+def visibility_line(x: Exclusion | Visibility) -> str:
+    """Which size of an effect is seen, and which would matter."""
+    seen = "never" if x.detectable == float("inf") else f"from {amount(x.detectable, x.unit)} on"
+    return f"seen {seen}; {amount(x.relevant, x.unit)} would matter ({x.parameter})"
 
 
 def _cause(cause: Cause) -> list[str]:
@@ -112,8 +120,31 @@ def _rival(rival: Rival, width: int) -> str:
 def _advice(advice: Advice | None) -> list[str]:
     if advice is None:
         return []
+    before, after = float(advice.before.min()), float(advice.after.min())
     trials = [f"{i}. {name}" for i, name in enumerate(advice.trials.trials, 1)]
-    return [advice.sentence, *trials]
+    sentence = (
+        f"With these trials added the nearest rival would be {after:.1f} units of noise away "
+        f"instead of {before:.1f}; 5 are enough."
+    )
+    return [*trials, sentence]
+
+
+def _whichever(found: Diagnosis) -> list[str]:
+    """What the ligaments' parameters are under every explanation that is open."""
+    rivals = found.attribution.open_rivals
+    if not rivals or not explanation_of(found).causes:
+        return []
+    trees = [_flat(x.refit) for x in rivals]
+    lines = []
+    for name, best in _flat(explanation_of(found)).items():
+        values = [best.value, *(x[name].value for x in trees)]
+        low, high = best.ci95
+        is_free = low <= min(values) and max(values) <= high
+        lines.append(
+            f"{name}: {min(values):.2f} to {max(values):.2f}"
+            + ("" if is_free else ", which depends on the cause")
+        )
+    return lines
 
 
 def _tested(tested: Sequence[Exclusion], named: Sequence[str]) -> list[str]:
@@ -124,24 +155,19 @@ def _tested(tested: Sequence[Exclusion], named: Sequence[str]) -> list[str]:
         own = [x for x in others if x.cell is cell]
         if own:
             lines.append(f"{cell.value}: {cell.sentence}")
-        lines += [f"  {x.name:{width}}  {_detectable(x)}" for x in own]
+        lines += [f"  {x.name:{width}}  {visibility_line(x)}" for x in own]
     return lines
-
-
-def _detectable(x: Exclusion) -> str:
-    seen = "never" if x.detectable == float("inf") else f"from {amount(x.detectable, x.unit)} on"
-    return f"seen {seen}; {amount(x.relevant, x.unit)} would matter ({x.parameter})"
 
 
 def _gain(gain: Gain) -> list[str]:
     before, after = (gain.rmse_held_out(x).noise for x in (gain.before, gain.after))
     absorbed = gain.rmse_held_out(gain.absorbed).noise
-    return [
+    errors = (
         f"Error of trials held out, in units of the noise: {before:.2f} before, {after:.2f} with "
-        f"the cause, {absorbed:.2f} with a Gaussian process that absorbs the misfit unnamed.",
-        f"Log predictive density of trials held out: {gain.elpd.difference:+.1f} +- "
-        f"{gain.elpd.se:.1f} nats.",
-    ]
+        f"the cause, {absorbed:.2f} with a Gaussian process that absorbs the misfit unnamed."
+    )
+    density = f"{gain.elpd.difference:+.1f} +- {gain.elpd.se:.1f} nats"
+    return [errors, f"Log predictive density of trials held out: {density}."]
 
 
 def _parameters(found: Diagnosis) -> list[str]:

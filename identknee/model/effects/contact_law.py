@@ -10,7 +10,7 @@ from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
 
 # Of the logarithm of the modulus: what cartilage may be, and what a computation may get wrong.
-CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.25
+CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.15
 # A law with another exponent than 1 is as stiff at the depth that the exponent leaves alone.
 EXPONENT_SD = 0.3
 

@@ -70,12 +70,8 @@ def test_a_line_is_compared_with_the_true_one() -> None:
 
 def test_parameters_and_intervals_are_compared_before_and_after() -> None:
     before = {"ACL": {"stiffness_kN": 4.0, "reference_strain_pct": 9.0}}
-    after = {
-        "ACL": {
-            "stiffness_kN": {"value": 9.5, "ci95": [9.0, 10.5]},
-            "reference_strain_pct": {"value": 8.5, "ci95": [8.2, None]},
-        }
-    }
+    after = {"ACL": {"stiffness_kN": 9.5, "reference_strain_pct": 8.5}}
+    intervals = {"ACL": {"stiffness_kN": [9.0, 10.5], "reference_strain_pct": [8.2, None]}}
     cause = {"name": "anterolateral", "amplitude": 0.4, "unit": "kN", "ci95": [0.3, 0.6]}
     found = score(
         TRUTH,
@@ -84,6 +80,7 @@ def test_parameters_and_intervals_are_compared_before_and_after() -> None:
             "causes": [cause],
             "parameters_before": before,
             "parameters_after": after,
+            "parameters_after_ci95": intervals,
         },
     )
     assert found.stiffness_error_kN == pytest.approx((6.0, 0.5))

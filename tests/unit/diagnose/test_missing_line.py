@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from posed_knees import posed_reference
 
 from identknee.diagnose.base_fit import fit_from
 from identknee.diagnose.goodness import smooth_patterns
@@ -52,8 +53,12 @@ def with_structure(model: LaxityModel, femur: Array, tibia: Array, stiffness: fl
     return model.with_effects([hidden]).simulate(theta)
 
 
-@pytest.mark.parametrize("stiffness", [0.4, 1.0])
-def test_a_structure_is_found_where_it_is(stiffness: float, model: LaxityModel) -> None:
+@pytest.mark.parametrize(("stiffness", "is_posed"), [(1.0, True), (0.4, False)])
+def test_a_structure_is_found_where_it_is(
+    stiffness: float, is_posed: bool, model: LaxityModel
+) -> None:
+    if is_posed:
+        model = LaxityModel(knee=posed_reference(3), protocol=model.protocol)
     site = structure_sites(model.knee)["posteromedial"][0]
     femur, tibia = site.femur + np.array([4.0, -3.0, 2.0]), site.tibia + np.array([-3.0, 4.0, 0.0])
     laxity = with_structure(model, femur, tibia, stiffness)
