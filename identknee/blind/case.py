@@ -31,7 +31,7 @@ RANDOM = "random"
 # Shares of what "random" draws: nothing hidden, an effect no library lists; a listed one otherwise.
 NULL_SHARE, UNLISTED_SHARE = 0.15, 0.15
 STIFFNESS_LOG_SD, STRAIN_SD_PCT, STRAIN_LIMIT_PCT = 0.2, 1.0, 2.0
-CORRELATION = 0.3
+SD, CORRELATION = 0.3, 0.3  # mm and deg
 HEAVY_SHARE, HEAVY_DEGREES = 0.1, 5.0
 STATED_RANGE = (0.8, 1.2)
 # Share of the cases with another effect that also tell the order of their trials.
@@ -77,9 +77,8 @@ def blind_case(
     seed: int,
     effect: str | Sequence[str] | None = RANDOM,
     signal: float | None = None,
+    amplitude: float | None = None,
     protocol: Protocol | None = None,
-    sd_mm: float = 0.3,
-    sd_deg: float = 0.3,
 ) -> BlindCase:
     """A data set of `knee` with a hidden effect; the same seed gives the same numbers.
 
@@ -100,11 +99,11 @@ def blind_case(
         Root of the chi-square that the best fit of the ligament parameters alone leaves of the
         noise-free data, in units of the true noise; each effect is sized for it by itself. Sizes
         from the literature where None.
+    amplitude
+        Size of the effect in its own unit, in place of one for a signal: the same case once more
+        under another protocol.
     protocol
         The trials; ``seed63`` where None.
-    sd_mm, sd_deg
-        True standard deviation of the errors [mm], [deg], > 0; what the data state is off by up to
-        a fifth.
 
     Raises
     ------
@@ -126,9 +125,10 @@ def blind_case(
         order=order,
         is_unloading=is_unloading,
     )
-    noise = Noise(sd_mm=sd_mm, sd_deg=sd_deg, correlation=CORRELATION)
+    noise = Noise(sd_mm=SD, sd_deg=SD, correlation=CORRELATION)
     base, rims = experiment_of(knee, protocol), rims_of(knee)
-    drawn = (_drawn(base, names, scene, (noise, signal), streams[2]) for _ in range(MOST_DRAWS))
+    wanted = (noise, signal, amplitude)
+    drawn = (_drawn(base, names, scene, wanted, streams[2]) for _ in range(MOST_DRAWS))
     draws = (x if x is not None and stays_inside(x.own, x.run, rims) else None for x in drawn)
     redraws, found = next(
         ((i, x) for i, x in enumerate(draws) if x is not None), (MOST_DRAWS, None)
@@ -191,11 +191,11 @@ def _drawn(
     base: Experiment,
     names: Sequence[str],
     scene: Scene,
-    wanted: tuple[Noise, float | None],
+    wanted: tuple[Noise, float | None, float | None],
     generator: np.random.Generator,
 ) -> _Found | None:
     """Parameters and effects drawn and sized; None where a trial has no equilibrium."""
-    noise, signal = wanted
+    noise, signal, amplitude = wanted
     theta = _theta(base, scene.n_lines, generator)
     hidden = tuple(EFFECTS[name](scene, generator) for name in names)
     own = base.with_theta(theta)
@@ -206,7 +206,9 @@ def _drawn(
     sizes, is_largest = [], False
     for x in hidden:
         size = x.smallest * (x.largest / x.smallest) ** generator.random()
-        if signal is not None:
+        if amplitude is not None:
+            size = abs(amplitude)
+        elif signal is not None:
             scaled = _sized(x, own, null, (noise, signal))
             if scaled is None or (scaled[1] and x.name in UNLISTED):
                 return None

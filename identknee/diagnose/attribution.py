@@ -193,9 +193,7 @@ def _with_refits(step: Step, base: Refit) -> Step:
         begun.append((first, starts[1:]))
     best = max((x.log_evidence for x, _ in begun), default=0.0)
     found = [
-        _finished(base, x, starts)
-        if place < ALWAYS or x.log_evidence > best - FAR_BEHIND
-        else x
+        _finished(base, x, starts) if place < ALWAYS or x.log_evidence > best - FAR_BEHIND else x
         for place, (x, starts) in enumerate(begun)
     ]
     return replace(step, refits=tuple(sorted(found, key=lambda x: -x.log_evidence)))

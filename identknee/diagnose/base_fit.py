@@ -22,9 +22,9 @@ from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
-# mm; how far the surfaces of a model are from those of the knee, bump by bump (DESIGN: measured on
-# a knee whose surfaces were known).
-ROUGHNESS = 0.015
+# mm; how far the surfaces of a model are from those of the knee, bump by bump: where they are given
+# by a formula only their sampling is rough, a mesh has also been segmented and smoothed.
+FORMULA_ROUGHNESS, MESH_ROUGHNESS = 0.01, 0.02
 TOE = 0.15  # %; how well any formula of the toe region describes ligaments
 N_STARTS = 3
 # Prior standard deviations within which the other starts lie.
@@ -191,7 +191,9 @@ def _nuisances(fitted: Fitted) -> tuple[Array, Array]:
     if found.jacobian is None:  # pragma: no cover - it was asked for
         raise AssertionError
     toe = compared.rows(found.jacobian[:, :, -1:])
-    return np.hstack([rough, toe]), np.r_[np.full(rough.shape[1], ROUGHNESS), TOE]
+    is_formula = model.knee.femur_distance is not None
+    height = FORMULA_ROUGHNESS if is_formula else MESH_ROUGHNESS
+    return np.hstack([rough, toe]), np.r_[np.full(rough.shape[1], height), TOE]
 
 
 def fitted_to_low_loads(

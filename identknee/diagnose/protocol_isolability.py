@@ -98,7 +98,7 @@ class ProtocolIsolability:
     Attributes
     ----------
     protocol
-        The trials.
+        The trials that have a prediction.
     visibility
         Of every effect of the library.
     distances
@@ -147,7 +147,7 @@ def protocol_isolability(
     found = worst_distances(test.signatures, ROOT, test.signatures)
     together = groups(_among(found, [x for x in found.effects if x != IMITATOR]))
     return ProtocolIsolability(
-        protocol=protocol,
+        protocol=fitted.laxity.protocol,
         visibility=tuple(_visibility(test, x) for x in variants),
         distances=found,
         advice=tuple(
@@ -163,16 +163,17 @@ def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
     """The base model at the subject's own values, as if fitted to its own prediction."""
     model = LaxityModel(knee=knee, protocol=protocol, effects=(contact_nuisance(),))
     theta = model.parameters.center
-    prediction = model.predict_once(theta)
-    if not prediction.is_converged.any():
+    predicted = model.predict(theta, derivatives=False).is_converged
+    if not predicted.any():
         return None
-    coordinates = prediction.coordinates
-    known = np.isfinite(coordinates)
-    laxity = Laxity(protocol=protocol, coordinates=coordinates, sd=np.where(known, sd, np.nan))
+    model = model.with_protocol(protocol.select(np.flatnonzero(predicted)))
+    prediction = model.predict_once(theta)
+    sds = np.broadcast_to(sd, prediction.coordinates.shape)
+    laxity = Laxity(protocol=model.protocol, coordinates=prediction.coordinates, sd=sds)
     rough = LaxityResiduals(model=model, laxity=laxity).rows(roughness_columns(model, prediction))
     noise = build_noise_model(
-        np.where(known, sd, np.nan),
-        known,
+        sds,
+        laxity.is_measured,
         correlation=0.0,
         nuisance=rough,
         nuisance_sd=np.full(rough.shape[1], ROUGHNESS),

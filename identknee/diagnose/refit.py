@@ -62,9 +62,7 @@ class Refit:
         """Probability of so much misfit under noise: its size and its smooth part together."""
         rows, projector = self.fitted.residual_rows(), self.projector
         # Not projected: a fit that ended before its minimum must not seem better than it is.
-        whole = size_check(
-            float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees
-        )
+        whole = size_check(float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees)
         wider = projector.with_columns(projector.padded(self.smooth))
         smooth = nested_check(rows, projector, wider, noise_degrees=self.noise_degrees)
         return cauchy_combination([whole.p_value, smooth.p_value])

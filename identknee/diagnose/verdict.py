@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 
 from identknee.diagnose.attribution import Attribution
 from identknee.diagnose.goodness import cauchy_combination
@@ -13,7 +13,7 @@ LEVEL = 0.05
 FITS, HARDLY_FITS = 0.01, 0.001
 
 
-class Verdict(Enum):
+class Verdict(StrEnum):
     """The five ways in which a diagnosis ends."""
 
     ADEQUATE = "ADEQUATE"

@@ -45,6 +45,9 @@ def misfit_figure(localisation: Localisation) -> Figure:
     scores = np.full((len(rows), len(columns)), np.nan)
     size = (2.9 + 0.5 * len(columns), 2.1 + 0.42 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
+    figure.suptitle(localisation.sentence, fontsize=9)
+    if not cells:
+        return figure
     axes = figure.add_subplot()
     for x in cells:
         row, column = rows.index(x.coordinate), columns.index((x.flexion_deg, x.direction))
@@ -62,7 +65,6 @@ def misfit_figure(localisation: Localisation) -> Figure:
         middle = (k + 0.5) * len(directions) - 0.5
         axes.text(middle, -0.75, f"{angle:g} deg", ha="center", fontsize=9)
         axes.axvline((k + 1) * len(directions) - 0.5, color=BLACK, linewidth=1.0)
-    figure.suptitle(localisation.sentence, fontsize=9)
     return figure
 
 

@@ -11,6 +11,7 @@ from identknee.diagnose.causes import explanation_of
 from identknee.diagnose.diagnosis import diagnose
 from identknee.diagnose.extended import extended_knee, fitted_values
 from identknee.diagnose.refit import Refit
+from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.folder import read_subject, write_subject
 
@@ -33,7 +34,7 @@ def _predicted(refit: Refit, folder: Path) -> np.ndarray:
 
 def test_a_posed_and_mirrored_knee_keeps_its_causes(tmp_path: Path) -> None:
     knee = read_subject(write_subject(posed_reference(1), tmp_path / "subject"))
-    found = diagnose(knee, short_data(knee, FRAME))
+    found = diagnose(knee, short_data(knee, FRAME), effects=[effect_named(knee, FRAME)])
     assert found is not None
     best = explanation_of(found)
     assert FRAME in found.conclusion.group

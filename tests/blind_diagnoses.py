@@ -1,0 +1,156 @@
+"""Blind cases diagnosed: one case a task, its outcome in plain numbers."""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from knees import knee
+
+from identknee.blind.case import BlindCase, blind_case
+from identknee.blind.score import score
+from identknee.calibrate.starts import named_start
+from identknee.diagnose.causes import explanation_of
+from identknee.diagnose.diagnosis import Diagnosis, diagnose
+from identknee.diagnose.gain import measure_gain
+from identknee.diagnose.verdict import Verdict
+from identknee.laxity.protocol import Protocol, concatenate, load_protocol
+from identknee.laxity.table import Laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.report.diagnosis_summary import diagnosis_summary
+from identknee.subject.knee import Knee
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlindTask:
+    """A blind case to be made and diagnosed.
+
+    ``sd_factor`` multiplies the stated noise, ``start`` names one more start of the fit, and
+    ``adds_trials`` repeats the diagnosis with the trials that the first one advises.
+    """
+
+    subject: str
+    effects: tuple[str, ...]
+    signal: float | None
+    seed: int
+    sd_factor: float = 1.0
+    start: str = ""
+    adds_trials: bool = False
+    measures_gain: bool = True
+
+
+def outcome_of(task: BlindTask) -> dict[str, Any]:
+    """What came of a task; ``error`` where no case could be drawn."""
+    subject = knee(task.subject)
+    try:
+        case = blind_case(
+            subject, seed=task.seed, effect=list(task.effects) or None, signal=task.signal
+        )
+    except ValueError as error:
+        return {"error": str(error), "effects": list(task.effects), "signal": task.signal}
+    laxity = _restated(case.laxity, task.sd_factor)
+    began = time.perf_counter()
+    found = diagnose(subject, laxity, starts=_starts(subject, task.start))
+    seconds = time.perf_counter() - began
+    outcome = {
+        "effects": list(task.effects),
+        "wanted": task.signal,
+        "signal": case.truth.signal,
+        "is_largest": case.truth.is_largest,
+        "seed": task.seed,
+        "seconds": seconds,
+    }
+    if found is None:
+        return {**outcome, "verdict": Verdict.NOT_TESTABLE.value, "group": [], "causes": []}
+    outcome |= _judged(case, found, with_gain=task.measures_gain)
+    if task.adds_trials and found.advice is not None:
+        outcome["added"] = _with_added(subject, task, case, found.advice.trials)
+    return outcome
+
+
+def _judged(case: BlindCase, found: Diagnosis, *, with_gain: bool) -> dict[str, Any]:
+    summary = diagnosis_summary(found, (), None)
+    judged = score(case.truth, summary)
+    best = found.attribution.best
+    return {
+        "verdict": judged.verdict,
+        "causes": [x["name"] for x in summary["causes"]],
+        "group": summary["group"],
+        "correct": judged.correct,
+        "wrong": judged.wrong,
+        "in_group": judged.in_group,
+        "p_value": found.conclusion.p_value,
+        "p_after": best.misfit_p_value,
+        "covered": judged.amplitude_covered,
+        "stiffness_error": list(judged.stiffness_error_kN),
+        "strain_error": list(judged.strain_error_pct),
+        "coverage": [judged.covered_before, judged.covered_after],
+        "line": [judged.line_offset_mm, judged.line_angle_deg],
+        "nearest": _nearest(found, case.truth.effects),
+        "held_out": _held_out(found) if with_gain else None,
+    }
+
+
+def _nearest(found: Diagnosis, hidden: tuple[str, ...]) -> float | None:
+    """Distance of the nearest other explanation from that by what is hidden, where it was tried."""
+    best = found.attribution.best
+    if set(best.names) != set(hidden):
+        return None
+    others = [x.distance for x in found.attribution.rivals]
+    return min(others, default=None)
+
+
+def _held_out(found: Diagnosis) -> dict[str, float] | None:
+    if found.conclusion.verdict is not Verdict.NAMED:
+        return None
+    gain = measure_gain(
+        found.base.fitted,
+        explanation_of(found).fitted,
+        found.noise.sd,
+        noise_degrees=found.noise.degrees_of_freedom,
+    )
+    return {
+        "flexion_before": gain.before.held_out.rmse("flexion").noise,
+        "flexion_after": gain.after.held_out.rmse("flexion").noise,
+        "all_before": gain.rmse_held_out(gain.before).noise,
+        "all_after": gain.rmse_held_out(gain.after).noise,
+        "expected_after": gain.expected_rmse(gain.after).noise,
+        "elpd": gain.elpd.difference,
+        "elpd_se": gain.elpd.se,
+        "elpd_absorbed": gain.elpd_absorbed.difference,
+    }
+
+
+def _with_added(
+    subject: Knee, task: BlindTask, case: BlindCase, trials: Protocol
+) -> dict[str, Any] | None:
+    """The diagnosis with the advised trials made too; None where they have no equilibrium."""
+    protocol = concatenate([load_protocol("seed63"), trials], name="with advised trials")
+    (effect,) = task.effects
+    size = case.truth.amplitudes[effect]["amplitude"][0]
+    try:
+        again = blind_case(
+            subject, seed=task.seed, effect=[effect], amplitude=size, protocol=protocol
+        )
+    except ValueError:
+        return None
+    if again.truth.theta != case.truth.theta:
+        return None
+    found = diagnose(subject, again.laxity)
+    if found is None:
+        return None
+    judged = _judged(again, found, with_gain=False)
+    return {x: judged[x] for x in ("verdict", "causes", "group", "correct", "wrong")}
+
+
+def _restated(laxity: Laxity, factor: float) -> Laxity:
+    if factor == 1.0 or laxity.sd is None:
+        return laxity
+    return replace(laxity, sd=np.asarray(laxity.sd) * factor)
+
+
+def _starts(subject: Knee, name: str) -> list[np.ndarray]:
+    if not name:
+        return []
+    model = LaxityModel(knee=subject, protocol=load_protocol("seed63"), effects=())
+    return [named_start(name, model.parameters)]

@@ -1,0 +1,142 @@
+"""`identknee diagnose`, from its words to its files and sentences."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray
+from cli_runs import refused, run, short_protocol
+from diagnoses import FRAME, FRAME_DEG, short_data
+from posed_knees import posed_folder
+
+import identknee as ik
+
+PICTURES = {"misfit", "residuals", "added_variable", "scores", "parameters"}
+
+
+@pytest.fixture(scope="module")
+def framed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
+    """Data with a turned femoral frame, the folder of their diagnosis, and what it printed."""
+    folder = tmp_path_factory.mktemp("framed")
+    data = ik.write_laxity(short_data(ik.reference_knee(), FRAME), folder / "data.csv")
+    result = run("diagnose", "reference", data, "--start", "IG2", "--out", folder / "out")
+    assert result.exit_code == 0, result.output
+    return data, folder / "out", result.stdout
+
+
+def _summary(out: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    return content
+
+
+def test_the_keys_that_checks_read_are_there(framed: tuple[Path, Path, str]) -> None:
+    _, out, printed = framed
+    summary = _summary(out)
+    assert summary["verdict"] == "NAMED"
+    (cause,) = summary["causes"]
+    assert cause["name"] == FRAME
+    assert cause["unit"] == "deg"
+    assert cause["ci95"][0] < FRAME_DEG < cause["ci95"][1]
+    assert summary["group"] == [FRAME]
+    assert summary["advised_trials"] == []
+    gain = summary["gain"]
+    assert gain["rmse_held_out_after"] < gain["rmse_held_out_before"]
+    assert gain["elpd_difference"] > 2 * gain["elpd_se"]
+    for tree in (summary["parameters_before"], summary["parameters_after"]):
+        assert list(tree) == ["ACL", "PCL", "LCL", "MCL"]
+        assert all(isinstance(x["stiffness_kN"], float) for x in tree.values())
+    assert summary["record"]["seed"] == 0
+    assert printed.startswith(f"NAMED: {FRAME}")
+    assert "The femur's axes were turned" in printed
+
+
+def test_arrays_and_pictures_are_left_beside(framed: tuple[Path, Path, str]) -> None:
+    data, out, _ = framed
+    n = ik.read_laxity(data).n
+    with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
+        assert tree["residuals"]["before"].shape == (n, 5)
+        assert {"misfit", "scores", "refits", "observed_data"} <= set(tree.children)
+        explanations = tree["refits"]["explanation"].to_numpy().tolist()
+        assert explanations[:2] == ["none", FRAME]
+    assert {x.stem for x in out.glob("*.png")} == PICTURES
+
+
+def test_other_verbs_go_on_with_the_extended_subject(
+    framed: tuple[Path, Path, str], tmp_path: Path
+) -> None:
+    data, out, _ = framed
+    start = out / "extended" / "fitted.toml"
+    words = ("fit", out / "extended", data, "--start", start, "--priors", "--out", tmp_path)
+    result = run(*words, "--weighting", "noise")
+    assert result.exit_code == 0, result.output
+    found, before = _summary(tmp_path)["parameters"], _summary(out)
+    for ligament, own in before["parameters_after"].items():
+        for name, value in own.items():
+            low, high = before["parameters_after_ci95"][ligament][name]
+            # The same fit but for the roughness of the surfaces, which counts as noise here.
+            assert found[ligament][name] == pytest.approx(value, abs=0.25 * (high - low))
+
+
+def test_a_knee_of_another_side_place_and_names(tmp_path: Path) -> None:
+    subject = posed_folder(tmp_path / "subject", 1)
+    data = short_data(ik.read_subject(subject), None)
+    path = ik.write_laxity(data, tmp_path / "data.csv")
+    result = run("diagnose", subject, path, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    summary = _summary(tmp_path / "out")
+    assert summary["verdict"] == "ADEQUATE"
+    assert summary["causes"] == []
+    assert summary["gain"] is None
+    assert summary["parameters_after"] == summary["parameters_before"]
+    assert {x["cell"] for x in summary["effects"].values()} == {"excluded", "inconclusive"}
+
+
+def test_without_known_noise_nothing_can_be_said(tmp_path: Path) -> None:
+    silent = replace(short_data(ik.reference_knee(), None), sd=None)
+    path = ik.write_laxity(silent, tmp_path / "data.csv")
+    result = run("diagnose", "reference", path, "--out", tmp_path / "out", "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert summary["verdict"] == "NOT_TESTABLE"
+    assert "--noise" in summary["reasons"][0]
+    assert summary["causes"] == []
+
+
+def test_trials_say_what_they_could_tell_before_any_data(tmp_path: Path) -> None:
+    words = ("--protocol", short_protocol(tmp_path), "--noise", "0.3mm,0.3deg", "--out", tmp_path)
+    result = run("diagnose", "reference", *words)
+    assert result.exit_code == 0, result.output
+    summary = _summary(tmp_path)
+    assert summary["effects"][FRAME]["detectable"] > 0
+    for group in summary["groups"]:
+        assert len(group["effects"]) > 1
+        assert len(group["advised_trials"]) == 6
+        assert group["distance_with_advised_trials"] > group["distance"]
+    assert (tmp_path / "isolability.png").exists()
+    assert "What they could not tell apart" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ((), "diagnose needs either DATA.csv or --protocol"),
+        (("--protocol", "seed63"), "--protocol needs --noise"),
+        (("--protocol", "seed63", "--noise", "0mm,1deg"), "both must be more than 0"),
+        (("--protocol", "seed64", "--noise", "1mm,1deg"), "seed64"),
+    ],
+)
+def test_wrong_words_are_refused(tmp_path: Path, words: tuple[str, ...], sentence: str) -> None:
+    assert sentence in refused("diagnose", "reference", *words, "--out", tmp_path)
+
+
+def test_wrong_words_about_data_are_refused(framed: tuple[Path, Path, str], tmp_path: Path) -> None:
+    data = framed[0]
+
+    def refusal(*words: str) -> str:
+        return refused("diagnose", "reference", data, *words, "--out", tmp_path)
+
+    assert "either DATA.csv or --protocol" in refusal("--protocol", "seed63")
+    assert "there is no start 'IG5'" in refusal("--start", "IG5")
+    assert "this is not a size of noise" in refusal("--noise", "0.3")

@@ -1,0 +1,123 @@
+"""Figures, tables and sentences of a diagnosis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnoses import FRAME, diagnosed
+
+from identknee.diagnose.causes import explanation_of
+from identknee.diagnose.exclusions import exclusions
+from identknee.diagnose.isolability import Distances
+from identknee.diagnose.localisation import Localisation
+from identknee.diagnose.verdict import Verdict
+from identknee.laxity.table import COORDINATES
+from identknee.report.diagnosis_figures import (
+    added_variable_figure,
+    diagnosis_figures,
+    isolability_figure,
+    misfit_figure,
+    parameters_before_after_figure,
+    residual_curves_figure,
+)
+from identknee.report.diagnosis_groups import diagnosis_groups
+from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
+from identknee.report.diagnosis_text import diagnosis_lines
+from identknee.report.picture import png
+
+EFFECTS = (None, FRAME)
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_every_figure_can_be_drawn(effect: str | None) -> None:
+    for figure in diagnosis_figures(diagnosed(effect)).values():
+        assert png(figure).startswith(b"\x89PNG")
+
+
+def test_the_map_frames_what_is_significant_and_nothing_else() -> None:
+    for effect in EFFECTS:
+        cells = diagnosed(effect).localisation.cells
+        axes = misfit_figure(diagnosed(effect).localisation).axes[0]
+        assert len(axes.texts) == len(cells) + len({x.flexion_deg for x in cells})
+        frames = [x for x in axes.lines if np.size(x.get_xdata()) == 5]
+        assert len(frames) == sum(x.p_value <= 0.05 for x in cells)
+
+
+def test_an_empty_map_is_drawn_too() -> None:
+    nothing = Localisation(cells=(), region=(), share=0.0)
+    assert png(misfit_figure(nothing)).startswith(b"\x89PNG")
+
+
+def test_the_cause_goes_through_the_residuals_of_its_curves() -> None:
+    """The line of the right cause leaves less than the base model does."""
+    found = diagnosed(FRAME)
+    panels = [x for x in residual_curves_figure(found).axes if x.lines]
+    assert len(panels) == len(COORDINATES) * 4
+    left = before = 0.0
+    for axes in panels:
+        dots = next(x for x in axes.lines if x.get_marker() == "o")
+        x, measured = (np.asarray(values) for values in dots.get_data())
+        # Behind the dots is the line of zero, after them come the candidates, the best one first.
+        cause = axes.lines[list(axes.lines).index(dots) + 1]
+        np.testing.assert_array_equal(np.asarray(cause.get_xdata()), x)
+        before += float(np.sum(measured**2))
+        left += float(np.sum((measured - np.asarray(cause.get_ydata())) ** 2))
+    assert left < 0.5 * before
+
+
+def test_the_points_of_the_right_cause_follow_the_line() -> None:
+    axes = added_variable_figure(diagnosed(FRAME)).axes[0]
+    dots = [x for x in axes.lines if x.get_linestyle() == "None"]
+    x, y = (np.concatenate([np.asarray(d.get_data()[k]) for d in dots]) for k in range(2))
+    # Its amplitude is that of least squares, shrunk a little by its prior.
+    assert x @ y / (x @ x) == pytest.approx(1.0, abs=0.05)
+
+
+def test_truth_is_drawn_where_it_is_known() -> None:
+    found = diagnosed(FRAME)
+    figure = parameters_before_after_figure(found, {"ACL.stiffness_kN": 10.0})
+    first, second, *_ = figure.axes
+    assert len(first.lines) == len(second.lines) + 1
+
+
+def test_distances_below_the_limit_are_written() -> None:
+    values = np.array([[0.0, 2.5, 9.0], [3.0, 0.0, np.inf], [9.0, 9.0, 0.0]])
+    names = ("a", "b", "c")
+    axes = isolability_figure(Distances(effects=names, rivals=names, values=values)).axes[0]
+    assert sorted(x.get_text() for x in axes.texts) == ["2.5", "3.0"]
+
+
+def test_what_cannot_be_tested_has_the_same_keys() -> None:
+    found = diagnosed(None)
+    tested = diagnosis_summary(found, exclusions(found), None)
+    assert set(untestable_summary("why")) == set(tested)
+    assert untestable_summary("why")["reasons"] == ["why"]
+
+
+def test_rivals_that_are_open_come_with_their_own_numbers() -> None:
+    found = diagnosed(FRAME)
+    for rival in diagnosis_summary(found, exclusions(found), None)["rivals"]:
+        assert bool(rival["amplitudes"]) == (not rival["is_excluded"])
+        assert (rival["parameters"] is None) == rival["is_excluded"]
+
+
+def test_an_unexplained_misfit_changes_no_parameter() -> None:
+    found = diagnosed(FRAME)
+    conclusion = replace(found.conclusion, verdict=Verdict.UNEXPLAINED, group=())
+    unexplained = replace(found, conclusion=conclusion)
+    assert explanation_of(unexplained) is found.base
+    summary = diagnosis_summary(unexplained, exclusions(unexplained), None)
+    assert summary["causes"] == []
+    assert summary["parameters_after"] == summary["parameters_before"]
+    assert "Cause" not in diagnosis_lines(unexplained, (), None)
+
+
+def test_every_array_stands_over_the_trials_and_effects_it_is_of() -> None:
+    found = diagnosed(FRAME)
+    tested = exclusions(found)
+    groups = diagnosis_groups(found, tested)
+    assert groups["residuals"]["after"].shape == found.laxity.coordinates.shape
+    after = groups["residuals"]["after"].to_numpy()
+    assert np.nanstd(after) < np.nanstd(groups["residuals"]["before"].to_numpy())
+    assert groups["scores"]["effect"].to_numpy().tolist() == [x.name for x in tested]
+    assert int(np.isfinite(groups["misfit"]["score"]).sum()) == len(found.localisation.cells)
