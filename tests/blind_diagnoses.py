@@ -52,7 +52,7 @@ def outcome_of(task: BlindTask) -> dict[str, Any]:
     began = time.perf_counter()
     found = diagnose(subject, laxity, starts=_starts(subject, task.start))
     seconds = time.perf_counter() - began
-    outcome = {
+    outcome: dict[str, Any] = {
         "effects": list(task.effects),
         "wanted": task.signal,
         "signal": case.truth.signal,

@@ -152,7 +152,7 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     found = noise_of(laxity, fitted.compared.differences(fitted.theta))
     if found is None:  # pragma: no cover - it was found before
         return None
-    columns, sd = _nuisances(fitted)
+    columns, sd = nuisances(fitted)
     noise = build_noise_model(
         found.sd,
         laxity.is_measured,
@@ -179,7 +179,7 @@ class BaseFit:
     found: DataNoise
 
 
-def _nuisances(fitted: Fitted) -> tuple[Array, Array]:
+def nuisances(fitted: Fitted) -> tuple[Array, Array]:
     """What nobody wants named: changes of the measured values, ``(m, k)``, and spreads, ``(k,)``.
 
     Rough surfaces, and a force-strain curve whose toe is not quite the one of the equations.
@@ -191,9 +191,13 @@ def _nuisances(fitted: Fitted) -> tuple[Array, Array]:
     if found.jacobian is None:  # pragma: no cover - it was asked for
         raise AssertionError
     toe = compared.rows(found.jacobian[:, :, -1:])
-    is_formula = model.knee.femur_distance is not None
-    height = FORMULA_ROUGHNESS if is_formula else MESH_ROUGHNESS
-    return np.hstack([rough, toe]), np.r_[np.full(rough.shape[1], height), TOE]
+    heights = np.full(rough.shape[1], roughness_of(model.knee))
+    return np.hstack([rough, toe]), np.r_[heights, TOE]
+
+
+def roughness_of(knee: Knee) -> float:
+    """How far the surfaces of a model are from those of the knee [mm], bump by bump."""
+    return MESH_ROUGHNESS if knee.femur_distance is None else FORMULA_ROUGHNESS
 
 
 def fitted_to_low_loads(

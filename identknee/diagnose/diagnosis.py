@@ -9,6 +9,7 @@ from identknee.diagnose.base_fit import BaseFit, fit_base
 from identknee.diagnose.data_noise import DataNoise
 from identknee.diagnose.goodness import smooth_patterns
 from identknee.diagnose.localisation import Localisation, TrialLayout, localise
+from identknee.diagnose.missing_line import LineFinding, find_line
 from identknee.diagnose.refit import Refit
 from identknee.diagnose.verdict import LEVEL, Conclusion, Verdict, alarm_p_value, conclude
 from identknee.laxity.table import COORDINATES, Laxity
@@ -46,6 +47,8 @@ class Diagnosis:
         The verdict.
     advice
         Trials to add; None where nothing is to be told apart.
+    line
+        The line of force that explains most where no known cause does; None elsewhere.
     seed
         Of the distributions under no effect.
     """
@@ -57,6 +60,7 @@ class Diagnosis:
     attribution: Attribution
     conclusion: Conclusion
     advice: Advice | None
+    line: LineFinding | None
     seed: int
 
 
@@ -95,6 +99,7 @@ def diagnose(
         attribution = attribute(base, effects, seed=seed, is_forced=True)
     conclusion = conclude(attribution, p_value)
     is_open = conclusion.verdict is Verdict.AMBIGUOUS
+    is_unknown = conclusion.verdict is Verdict.UNEXPLAINED
     return Diagnosis(
         laxity=laxity,
         noise=found.found,
@@ -103,6 +108,7 @@ def diagnose(
         attribution=attribution,
         conclusion=conclusion,
         advice=advise(attribution, laxity, found.found) if is_open else None,
+        line=find_line(base, seed=seed) if is_unknown else None,
         seed=seed,
     )
 

@@ -7,7 +7,7 @@ from itertools import permutations
 
 import numpy as np
 
-from identknee.diagnose.base_fit import ROUGHNESS, Fitted, fit_from
+from identknee.diagnose.base_fit import Fitted, fit_from, nuisances
 from identknee.diagnose.causes import unit_of
 from identknee.diagnose.exclusions import hardest, typical_variant
 from identknee.diagnose.isolability import (
@@ -23,7 +23,6 @@ from identknee.diagnose.library_signatures import UNSEEN, Variant, library_varia
 from identknee.diagnose.noise_model import build_noise_model
 from identknee.diagnose.projection import base_projector
 from identknee.diagnose.score import ScoreTest, score_test
-from identknee.diagnose.surface_roughness import roughness_columns
 from identknee.laxity.candidates import candidate_trials, repeated
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
@@ -167,16 +166,13 @@ def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
     if not predicted.any():
         return None
     model = model.with_protocol(protocol.select(np.flatnonzero(predicted)))
-    prediction = model.predict_once(theta)
-    sds = np.broadcast_to(sd, prediction.coordinates.shape)
-    laxity = Laxity(protocol=model.protocol, coordinates=prediction.coordinates, sd=sds)
-    rough = LaxityResiduals(model=model, laxity=laxity).rows(roughness_columns(model, prediction))
+    coordinates = model.predict_once(theta).coordinates
+    sds = np.broadcast_to(sd, coordinates.shape)
+    laxity = Laxity(protocol=model.protocol, coordinates=coordinates, sd=sds)
+    plain = build_noise_model(sds, laxity.is_measured, correlation=0.0)
+    columns, spreads = nuisances(fit_from(model, laxity, plain, [theta]))
     noise = build_noise_model(
-        sds,
-        laxity.is_measured,
-        correlation=0.0,
-        nuisance=rough,
-        nuisance_sd=np.full(rough.shape[1], ROUGHNESS),
+        sds, laxity.is_measured, correlation=0.0, nuisance=columns, nuisance_sd=spreads
     )
     return fit_from(model, laxity, noise, [theta])
 

@@ -210,7 +210,7 @@ def isolability_figure(distances: Distances) -> Figure:
     figure = Figure(figsize=(size + 0.8, size), layout="constrained")
     axes = figure.add_subplot()
     axes.set_facecolor("0.85")
-    image = axes.imshow(values, cmap="magma", vmin=0.0, vmax=2.0 * LEAST_DISTANCE)
+    image = axes.imshow(values, cmap="magma", vmin=0.0)
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value) and value < LEAST_DISTANCE:
             _write_cell(axes, column, row, f"{value:.1f}", is_dark=True)

@@ -49,7 +49,7 @@ def diagnosis_lines(
         "Rivals": _rivals(found.attribution) if explanation.causes else [],
         "Whichever of them it is": _whichever(found),
         "What would tell them apart": _advice(found.advice),
-        "Excluded, and beyond the power of these data": _tested(tested, explanation.names),
+        "Excluded, and beyond the power of these data": _tested(tested, conclusion.group),
         "Gain": [] if gain is None else _gain(gain),
         "Parameters": _parameters(found),
     }

@@ -25,6 +25,7 @@ MODULES = {
     "nested": "verify_nested",
     "equivalents": "verify_equivalents",
     "kill": "verify_kill",
+    "blind": "verify_blind",
 }
 
 if __name__ == "__main__":

@@ -34,7 +34,8 @@ def _predicted(refit: Refit, folder: Path) -> np.ndarray:
 
 def test_a_posed_and_mirrored_knee_keeps_its_causes(tmp_path: Path) -> None:
     knee = read_subject(write_subject(posed_reference(1), tmp_path / "subject"))
-    found = diagnose(knee, short_data(knee, FRAME), effects=[effect_named(knee, FRAME)])
+    candidates = [effect_named(knee, x) for x in (FRAME, "flexion_offset")]
+    found = diagnose(knee, short_data(knee, FRAME), effects=candidates)
     assert found is not None
     best = explanation_of(found)
     assert FRAME in found.conclusion.group

@@ -6,7 +6,7 @@ from diagnoses import FRAME, SD, short_trials
 
 from identknee.diagnose.isolability import LEAST_DISTANCE
 from identknee.diagnose.protocol_isolability import ProtocolIsolability, protocol_isolability
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import Protocol, concatenate
 from identknee.model.effects.library import library
 from identknee.subject.knee import Knee
 
@@ -52,8 +52,15 @@ def test_less_noise_shows_smaller_effects(found: ProtocolIsolability, reference:
     assert LEAST_DISTANCE > 0
 
 
-def test_trials_that_no_knee_could_bear_say_nothing(reference: Knee) -> None:
+def test_trials_that_the_knee_cannot_bear_are_left_out(
+    reference: Knee, found: ProtocolIsolability
+) -> None:
     loads = np.zeros((1, 5))
-    loads[0, 1] = -100.0
+    loads[0, 1] = -50.0
     bent = Protocol(name="bent", trials=("bent",), flexion_deg=np.zeros(1), loads=loads)
     assert protocol_isolability(reference, bent, sd_mm=SD, sd_deg=SD) is None
+    both = concatenate([short_trials(), bent])
+    kept = protocol_isolability(reference, both, sd_mm=SD, sd_deg=SD)
+    assert kept is not None
+    assert kept.protocol.trials == short_trials().trials
+    assert kept.groups == found.groups
