@@ -81,9 +81,15 @@ def unit_of(parameter: str) -> str:
 
 
 def explanation_of(found: Diagnosis) -> Refit:
-    """The model with the causes that a diagnosis gives; the base model where it gives none."""
-    has_causes = found.conclusion.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
-    return found.conclusion.best if has_causes else found.base
+    """The model with the causes that a diagnosis gives; the base model where it gives none.
+
+    A line of force that explains what no known cause does is a cause too.
+    """
+    if found.conclusion.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS):
+        return found.conclusion.best
+    if found.line is not None and found.line.is_line:
+        return found.line.refit
+    return found.base
 
 
 def posterior_of(refit: Refit) -> Laplace:

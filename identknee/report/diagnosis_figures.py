@@ -129,7 +129,8 @@ def added_variable_figure(found: Diagnosis) -> Figure:
     """
     step = found.attribution.steps[0]
     names = explanation_of(found).names
-    candidate = step.scores.named(names[0]) if names else step.scores.candidates[0]
+    scored = [x for x in step.scores.candidates if x.name in names]
+    candidate = [*scored, *step.scores.candidates][0]
     signature = step.test.signature(candidate.name, candidate.variant)
     fitted, n = found.base.fitted, found.base.fitted.n_data
     left = step.test.projector.project(fitted.residual_rows())[:n]
@@ -274,12 +275,14 @@ def diagnosis_figures(found: Diagnosis) -> dict[str, Figure]:
 def _changes(found: Diagnosis, residuals: Array) -> dict[str, Array]:
     """What the leading explanations change of the predictions, shape ``(n, 5)`` each."""
     attribution = found.attribution
-    refits = [attribution.best, *(x.refit for x in attribution.rivals)]
-    refits = [x for x in refits if x.causes and x.fitted.evaluation.is_finite][:N_CANDIDATES]
-    return {
+    refits = [explanation_of(found), attribution.best, *(x.refit for x in attribution.rivals)]
+    # The explanation is mostly the best one, too: names come once.
+    changes = {
         " and ".join(x.names): residuals - x.fitted.compared.differences(x.fitted.theta)
         for x in refits
+        if x.causes and x.fitted.evaluation.is_finite
     }
+    return dict(list(changes.items())[:N_CANDIDATES])
 
 
 def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> None:

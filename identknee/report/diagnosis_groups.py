@@ -86,10 +86,11 @@ def _scores(tested: Sequence[Exclusion]) -> xarray.Dataset:
 
 
 def _refits(found: Diagnosis) -> xarray.Dataset:
-    """All explanations compared in the end: the base model, the best one, its rivals."""
-    attribution, best = found.attribution, found.conclusion.best
+    """All explanations compared in the end: the base model, the best ones, their rivals."""
+    attribution = found.attribution
     rivals = [x for x in attribution.rivals if x.refit is not found.base]
-    refits = [found.base, *([best] if best.causes else []), *(x.refit for x in rivals)]
+    best = {" + ".join(x.names): x for x in (explanation_of(found), attribution.best) if x.causes}
+    refits = [found.base, *best.values(), *(x.refit for x in rivals)]
     n_other = len(refits) - len(rivals)
     n = found.base.fitted.model.n_ligament_parameters
     return xarray.Dataset(

@@ -17,6 +17,7 @@ from identknee.diagnose.diagnosis import Diagnosis
 from identknee.diagnose.exclusions import Exclusion
 from identknee.diagnose.gain import Gain
 from identknee.diagnose.gain_summary import gain_summary
+from identknee.diagnose.missing_line import LineFinding
 from identknee.diagnose.verdict import Verdict
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
@@ -28,8 +29,9 @@ def diagnosis_summary(
 ) -> dict[str, Any]:
     """What ``result.json`` says of a diagnosis.
 
-    ``causes`` are those of the best explanation, where the verdict names any; ``group`` are the
-    names that the data leave open, those of the causes among them. ``parameters_before`` and
+    ``causes`` are those of the best explanation, where the verdict names any, or the line of force
+    where no known cause explains the data; ``group`` are the names that the data leave open, those
+    of the causes among them. ``parameters_before`` and
     ``parameters_after`` are the ligaments' without and with the causes, their 95 % intervals under
     the same keys with ``_ci95``. ``effects`` says of every effect tried whether it was seen and
     which size would have been. Rivals that are not excluded have their own amplitudes and
@@ -53,6 +55,7 @@ def diagnosis_summary(
         "reasons": list(conclusion.reasons),
         "causes": [_cause(x) for x in causes_of(explanation)],
         "group": list(conclusion.group),
+        "line": None if found.line is None else _line(found.line),
         "rivals": [_rival(x) for x in found.attribution.rivals],
         "misfit": _misfit(found),
         "noise": _noise(found),
@@ -71,7 +74,7 @@ def untestable_summary(reason: str) -> dict[str, Any]:
     """The same keys where the data cannot be tested, with the reason."""
     verdict = Verdict.NOT_TESTABLE
     empty: dict[str, Any] = {x: [] for x in ("causes", "group", "rivals", "advised_trials")}
-    nothing = ("p_value", "misfit", "noise", "advice", "gain")
+    nothing = ("p_value", "line", "misfit", "noise", "advice", "gain")
     parameters = [f"parameters_{x}{y}" for x in ("before", "after") for y in ("", "_ci95")]
     return {
         "verdict": verdict,
@@ -111,6 +114,24 @@ def _cause(cause: Cause) -> dict[str, Any]:
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:
     return {"value": estimate.value, "unit": estimate.unit, "ci95": list(estimate.ci95)}
+
+
+def _line(line: LineFinding) -> dict[str, Any]:
+    """The line of force where no known cause explains the data, ends in the scanned pose [mm]."""
+    return {
+        "is_line": line.is_line,
+        "sentence": line.sentence,
+        "femur": line.femur,
+        "tibia": line.tibia,
+        "offset_95_mm": line.offset_95,
+        "angle_95_deg": line.angle_95_deg,
+        "side": line.side,
+        "near": dict(line.place.shares),
+        "force_N": line.force,
+        "force_ci95_N": line.force_interval,
+        "force_trial": line.trial,
+        "p_value": line.p_value,
+    }
 
 
 def _rival(rival: Rival) -> dict[str, Any]:

@@ -46,6 +46,7 @@ def diagnosis_lines(
         heading: [conclusion.verdict.sentence, *conclusion.reasons, found.noise.sentence],
         "Where": [] if conclusion.verdict is Verdict.ADEQUATE else [found.localisation.sentence],
         "Cause": [x for cause in causes_of(explanation) for x in _cause(cause)],
+        "Where it would act": [] if found.line is None else [found.line.sentence],
         "Rivals": _rivals(found.attribution) if explanation.causes else [],
         "Whichever of them it is": _whichever(found),
         "What would tell them apart": _advice(found.advice),

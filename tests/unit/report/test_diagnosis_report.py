@@ -7,11 +7,16 @@ import pytest
 from diagnoses import FRAME, diagnosed
 
 from identknee.diagnose.causes import explanation_of
+from identknee.diagnose.diagnosis import Diagnosis
 from identknee.diagnose.exclusions import exclusions
 from identknee.diagnose.isolability import Distances
 from identknee.diagnose.localisation import Localisation
-from identknee.diagnose.verdict import Verdict
+from identknee.diagnose.missing_line import LineFinding
+from identknee.diagnose.refit import refit
+from identknee.diagnose.verdict import Conclusion, Verdict
 from identknee.laxity.table import COORDINATES
+from identknee.model.effects.facts import MISSING_LINE
+from identknee.model.effects.structures import structure_at
 from identknee.report.diagnosis_figures import (
     added_variable_figure,
     diagnosis_figures,
@@ -24,8 +29,14 @@ from identknee.report.diagnosis_groups import diagnosis_groups
 from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
 from identknee.report.diagnosis_text import diagnosis_lines
 from identknee.report.picture import png
+from identknee.subject.knee import Knee
+from identknee.subject.place_names import name_of_place
 
 EFFECTS = (None, FRAME)
+
+
+def _unexplained(conclusion: Conclusion) -> Conclusion:
+    return replace(conclusion, verdict=Verdict.UNEXPLAINED, group=())
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -103,13 +114,56 @@ def test_rivals_that_are_open_come_with_their_own_numbers() -> None:
 
 def test_an_unexplained_misfit_changes_no_parameter() -> None:
     found = diagnosed(FRAME)
-    conclusion = replace(found.conclusion, verdict=Verdict.UNEXPLAINED, group=())
-    unexplained = replace(found, conclusion=conclusion)
+    unexplained = replace(found, conclusion=_unexplained(found.conclusion))
     assert explanation_of(unexplained) is found.base
     summary = diagnosis_summary(unexplained, exclusions(unexplained), None)
     assert summary["causes"] == []
     assert summary["parameters_after"] == summary["parameters_before"]
     assert "Cause" not in diagnosis_lines(unexplained, (), None)
+
+
+def _with_line(found: Diagnosis, knee: Knee) -> Diagnosis:
+    """As if the data were unexplained and a line along the MCL had been found."""
+    ends = knee.ligament("MCL").femur, knee.ligament("MCL").tibia
+    cause = structure_at(knee, MISSING_LINE, [ends], stiffness_sd=1.0, sites_vary=False)
+    line = LineFinding(
+        refit=refit(found.base, [cause], [np.r_[found.base.fitted.theta, 0.1, 2.0]]),
+        femur=ends[0],
+        tibia=ends[1],
+        covariance=np.eye(6),
+        place=name_of_place(knee, *ends),
+        trial=found.laxity.protocol.trials[0],
+        force=50.0,
+        force_interval=np.array([30.0, 70.0]),
+        score=9.0,
+        p_value=0.001,
+        misfit_before=found.base.fitted.misfit,
+        n_simulations=10,
+        seed=0,
+    )
+    return replace(found, conclusion=_unexplained(found.conclusion), line=line)
+
+
+def test_a_line_of_force_is_a_cause_that_the_library_lacks(reference: Knee) -> None:
+    found = _with_line(diagnosed(None), reference)
+    tested = exclusions(found)
+    summary = diagnosis_summary(found, tested, None)
+    assert summary["line"]["side"] == "medial"
+    assert [x["name"] for x in summary["causes"]] == [MISSING_LINE]
+    assert summary["causes"][0]["unit"] == "kN"
+    for figure in diagnosis_figures(found).values():
+        assert png(figure).startswith(b"\x89PNG")
+    names = diagnosis_groups(found, tested)["refits"]["explanation"]
+    assert names.to_numpy().tolist()[:2] == ["none", MISSING_LINE]
+    assert "Where it would act" in diagnosis_lines(found, tested, None)
+
+
+def test_a_line_that_does_not_explain_the_data_is_no_cause(reference: Knee) -> None:
+    """A turned frame is no force along a line."""
+    found = _with_line(diagnosed(FRAME), reference)
+    summary = diagnosis_summary(found, exclusions(found), None)
+    assert not summary["line"]["is_line"]
+    assert summary["causes"] == []
 
 
 def test_every_array_stands_over_the_trials_and_effects_it_is_of() -> None:
