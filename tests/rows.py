@@ -222,6 +222,8 @@ def _described(measure: Mapping[str, Any]) -> str:
 def _number(value: float | None) -> str:
     if value is None or math.isnan(value):
         return "none"
+    if math.isinf(value):
+        return "infinity"
     if value == int(value) and abs(value) < 1e6:
         return f"{int(value):,}"
     return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.3g}"

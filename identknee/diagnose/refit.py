@@ -60,7 +60,11 @@ class Refit:
     @property
     def misfit_p_value(self) -> float:
         """Probability of so much misfit under noise: its size and its smooth part together."""
-        rows, projector = self.fitted.residual_rows(), self.projector
+        return self.misfit_p_value_at(1.0)
+
+    def misfit_p_value_at(self, factor: float) -> float:
+        """The same if the noise were so many times as large."""
+        rows, projector = self.fitted.residual_rows() / factor, self.projector
         # Not projected: a fit that ended before its minimum must not seem better than it is.
         whole = size_check(float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees)
         wider = projector.with_columns(projector.padded(self.smooth))

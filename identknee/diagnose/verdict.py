@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
+
 from identknee.diagnose.attribution import Attribution
 from identknee.diagnose.goodness import cauchy_combination
 from identknee.diagnose.refit import Refit
@@ -11,6 +13,12 @@ from identknee.diagnose.refit import Refit
 LEVEL = 0.05
 # A model whose misfit is less probable is not the explanation, or not all of it.
 FITS, HARDLY_FITS = 0.01, 0.001
+# A verdict that holds for only some of these multiples of a stated noise is none.
+NOISE_FACTORS = (0.75, 1.33)
+HANGS_ON_NOISE = (
+    "The verdict hangs on the noise, which the data state but do not show: with 0.75 or 1.33 times "
+    "that noise it would be another. Measure longer load curves or replicates."
+)
 
 
 class Verdict(StrEnum):
@@ -62,17 +70,28 @@ class Conclusion:
     reasons: tuple[str, ...]
 
 
-def alarm_p_value(base: Refit, library_p_value: float) -> float:
+def alarm_p_value(base: Refit, library_p_value: float, noise_factor: float = 1.0) -> float:
     """Probability of a misfit as clear under noise: that of the library, size and shape together.
 
     The library's largest score is the sharpest of the three tests and counts three times as much.
+
+    Parameters
+    ----------
+    base
+        The fit without causes.
+    library_p_value
+        Of the largest score, which does not depend on the size of the noise.
+    noise_factor
+        Noise over the noise that the fit was made with.
     """
-    return cauchy_combination([*3 * [library_p_value], base.misfit_p_value])
+    return cauchy_combination([*3 * [library_p_value], base.misfit_p_value_at(noise_factor)])
 
 
 def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     """The verdict on an attribution whose base model's misfit has this probability."""
     best, base = attribution.best, attribution.base
+    if _hangs_on_noise(attribution, p_value):
+        return _conclusion(Verdict.NOT_TESTABLE, p_value, base, (), [HANGS_ON_NOISE])
     if p_value > LEVEL:
         return Conclusion(
             verdict=Verdict.ADEQUATE,
@@ -93,6 +112,16 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     if len(group) > len(best.causes) or doubts:
         return _conclusion(Verdict.AMBIGUOUS, p_value, best, group, [*reasons, *doubts])
     return _conclusion(Verdict.NAMED, p_value, best, group, reasons)
+
+
+def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
+    """Whether noise that is only stated, if wrong by a quarter or a third, turns the verdict."""
+    base = attribution.base
+    if np.isfinite(base.noise_degrees):
+        return False
+    score = attribution.steps[0].scores.p_value
+    others = [alarm_p_value(base, score, factor) <= LEVEL for factor in NOISE_FACTORS]
+    return any(x != (p_value <= LEVEL) for x in others)
 
 
 def _conclusion(

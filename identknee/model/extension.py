@@ -7,7 +7,13 @@ from itertools import pairwise
 import numpy as np
 
 from identknee.mechanics.equilibria import Equilibria
-from identknee.model.effects.effect import Effect, MechanicalEffect, ObservationEffect, Tests
+from identknee.model.effects.effect import (
+    Effect,
+    MechanicalEffect,
+    ObservationEffect,
+    SelfContainedEffect,
+    Tests,
+)
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array, IntArray
@@ -77,12 +83,17 @@ class Extension:
         flexion = self.change(unchanged, values).flexion[nodes]
         columns = np.zeros((len(nodes), 5, len(values)))
         moves, before = self.moves(), unchanged
+        poses = found.poses[nodes]
         for place, (effect, part) in enumerate(self._mechanical):
-            for k in range(part.start, part.stop):
-                pair = (values - moves[k], values + moves[k])
-                low, high = (self._from(place, before, x) for x in pair)
-                columns[:, :, k] = -self._gradient_change(low, high, flexion, found, nodes)
-                columns[:, :, k] /= 2.0 * moves[k, k]
+            if isinstance(effect, SelfContainedEffect):
+                own = effect.gradient_columns(before, values[part], flexion, poses)
+                columns[:, :, part] = -own
+            else:
+                for k in range(part.start, part.stop):
+                    low = self._from(place, before, values - moves[k])
+                    high = self._from(place, before, values + moves[k])
+                    change = self._gradient_change(low, high, flexion, found, nodes)
+                    columns[:, :, k] = -change / (2.0 * moves[k, k])
             before = effect.change(before, values[part])
         return np.asarray(np.linalg.solve(found.hessians[nodes], columns))
 
@@ -115,7 +126,7 @@ class Extension:
         self, low: Setting, high: Setting, flexion: Array, found: Equilibria, nodes: IntArray
     ) -> Array:
         """Change of the energy's gradient at fixed poses from one setting to another, (n, 5)."""
-        poses, m = found.poses[nodes], low.stiffness.size
+        poses = found.poses[nodes]
         change = low.loads[nodes] - high.loads[nodes]
         if high.lines is not low.lines or high.stiffness is not low.stiffness:
             change = change + high.line_gradient(flexion, poses) - low.line_gradient(flexion, poses)
@@ -125,15 +136,23 @@ class Extension:
         )
         if law.any():
             # The sensitivities are -H^-1 times the columns that are wanted here.
-            shift = found.sensitivities[nodes][:, :, 2 * m :] @ law
+            shift = found.sensitivities[nodes][:, :, -2:] @ law
             change = change - np.einsum("nij,nj->ni", found.hessians[nodes], shift)
         return change
 
     def _from(self, place: int, setting: Setting, values: Array) -> Setting:
-        """The setting with the mechanical effects from number `place` on."""
-        for effect, part in self._mechanical[place:]:
-            setting = effect.change(setting, values[part])
-        return setting
+        """The setting with the mechanical effects from number `place` on.
+
+        The later ones are left out where that one changes nothing that they act on.
+        """
+        (effect, part), *later = self._mechanical[place:]
+        changed = effect.change(setting, values[part])
+        if changed.loads is setting.loads and changed.lines is setting.lines:
+            return changed
+        for effect, part in later:
+            if not isinstance(effect, SelfContainedEffect):
+                changed = effect.change(changed, values[part])
+        return changed
 
 
 def joined(parts: Sequence[Parameters]) -> Parameters:

@@ -94,9 +94,9 @@ class LaxityResiduals:
         return np.asarray(self.laxity.coordinates - self._relative(predicted))
 
     def rows(self, values: Array) -> Array:
-        """The rows of changes of the coordinates (n, 5, ...) that belong to residuals, ``(m, ...)``.
+        """The rows of changes of the coordinates (n, 5, ...) that belong to residuals.
 
-        Weighted as the residuals are.
+        Shape ``(m, ...)``, weighted as the residuals are.
         """
         return self._weighted(self._relative(values))
 

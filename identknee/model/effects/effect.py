@@ -39,6 +39,17 @@ class MechanicalEffect(Effect, Protocol):
 
 
 @runtime_checkable
+class SelfContainedEffect(MechanicalEffect, Protocol):
+    """A mechanical effect on lines of its own that no other effect changes."""
+
+    def gradient_columns(
+        self, setting: Setting, values: Array, flexion: Array, poses: Array
+    ) -> Array:
+        """Derivatives of the energy's gradient by the amplitudes at fixed poses, ``(n, 5, a)``."""
+        ...
+
+
+@runtime_checkable
 class ObservationEffect(Effect, Protocol):
     """An effect on what is measured of a pose, not on the pose."""
 

@@ -1,11 +1,12 @@
 """Missing structures: lines that the model of the subject lacks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.effects.effect import amplitudes
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.setting import Setting, with_lines
@@ -14,7 +15,10 @@ from identknee.subject.knee import Knee
 
 SITE_SD = 4.0  # mm, how far insertions are from where anatomy puts them
 SITE_SDS = 3.0  # how many of these they may be away
+SITE_STEP = 1e-4  # mm
 AXES = ("x", "y", "z")
+# Kernel units per unit of an amplitude: N per kN, strain per %.
+PER_KN, PER_PCT = 1000.0, 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,21 +63,60 @@ class MissingStructure:
 
     def change(self, setting: Setting, values: Array) -> Setting:
         """The setting with the structure in place."""
-        shift = values[2:] if self.sites_vary else np.zeros(6)
         m = len(self.femoral)
-        unmeasured = Lines(
-            femoral=self.femoral + shift[:3],
-            tibial=self.tibial + shift[3:],
-            reference_length=np.ones(m),
+        lines = _measured(setting, *self._insertions(values))
+        stiffness, strain = np.full(m, PER_KN * values[0]), np.full(m, PER_PCT * values[1])
+        return with_lines(setting, lines, stiffness, strain)
+
+    def gradient_columns(
+        self, setting: Setting, values: Array, flexion: Array, poses: Array
+    ) -> Array:
+        """Derivatives of the energy's gradient by the amplitudes at fixed poses, ``(n, 5, a)``.
+
+        Those by the sites are central differences of all lines shifted at once.
+        """
+        femoral, tibial = self._insertions(values)
+        m, strain = len(femoral), PER_PCT * values[1]
+        own = ligament_tensions(
+            _measured(setting, femoral, tibial),
+            flexion,
+            poses,
+            np.full(m, PER_KN * values[0]),
+            np.full(m, strain),
         )
-        lines = Lines(
-            femoral=unmeasured.femoral,
-            tibial=unmeasured.tibial,
-            reference_length=setting.lengths_at_start(unmeasured),
+        columns = np.zeros((len(flexion), 5, len(values)))
+        columns[:, :, 0] = PER_KN * np.einsum("nm,nma->na", own.by_stiffness, own.lengthening)
+        columns[:, :, 1] = PER_PCT * np.einsum("nm,nma->na", own.by_strain, own.lengthening)
+        if not self.sites_vary:
+            return columns
+        moves = SITE_STEP * np.concatenate([np.eye(6), -np.eye(6)])
+        shifted = _measured(
+            setting,
+            (femoral + moves[:, None, :3]).reshape(-1, 3),
+            (tibial + moves[:, None, 3:]).reshape(-1, 3),
         )
-        return with_lines(
-            setting, lines, np.full(m, 1000.0 * values[0]), np.full(m, 0.01 * values[1])
+        n_lines = len(moves) * m
+        found = ligament_tensions(
+            shifted,
+            flexion,
+            poses,
+            np.full(n_lines, PER_KN * values[0]),
+            np.full(n_lines, strain),
         )
+        pulls = (found.tensions[:, :, None] * found.lengthening).reshape(len(flexion), -1, m, 5)
+        ends = pulls.sum(axis=2).reshape(len(flexion), 2, 6, 5)
+        columns[:, :, 2:] = (ends[:, 0] - ends[:, 1]).transpose(0, 2, 1) / (2.0 * SITE_STEP)
+        return columns
+
+    def _insertions(self, values: Array) -> tuple[Array, Array]:
+        shift = values[2:] if self.sites_vary else np.zeros(6)
+        return self.femoral + shift[:3], self.tibial + shift[3:]
+
+
+def _measured(setting: Setting, femoral: Array, tibial: Array) -> Lines:
+    """Lines between insertions, their reference length that of the scanned pose."""
+    lines = Lines(femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral)))
+    return replace(lines, reference_length=setting.lengths_at_start(lines))
 
 
 def structure_at(
