@@ -8,10 +8,15 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from identknee.blind.case import BlindCase, blind_case
+    from identknee.blind.folder import write_blind
+    from identknee.blind.score import Score, score
+    from identknee.blind.truth import Truth, read_truth
     from identknee.calibrate.bounded import with_bounds
     from identknee.calibrate.fit import Fit, fit, fit_many, waterfall
     from identknee.calibrate.problem import Problem
     from identknee.calibrate.starts import load_start
+    from identknee.diagnose.diagnosis import Diagnosis, diagnose
     from identknee.identify.conformance.score import conformance_cases, run_conformance
     from identknee.identify.constrained import minimise, solve_constrained
     from identknee.identify.design.design import Design, design
@@ -57,6 +62,8 @@ if TYPE_CHECKING:
     from identknee.laxity.rmse import LaxityError, laxity_rmse
     from identknee.laxity.table import Laxity, read_laxity, write_laxity
     from identknee.model.candidate_laxity import CandidateLaxity
+    from identknee.model.effects.library import effect_named, library
+    from identknee.model.effects.stored import effects_of
     from identknee.model.equivalence import rms_blocks
     from identknee.model.laxity_model import LaxityModel
     from identknee.model.laxity_outputs import LaxityOutputs
@@ -185,6 +192,18 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "conformance_cases",
     "run_conformance",
     "LogPosterior",
+    "blind_case",
+    "BlindCase",
+    "write_blind",
+    "read_truth",
+    "Truth",
+    "score",
+    "Score",
+    "diagnose",
+    "Diagnosis",
+    "library",
+    "effect_named",
+    "effects_of",
     "scene",
     "Outcome",
     "InputError",
@@ -315,6 +334,28 @@ _MODULES = {
         "run_conformance",
     ),
     "identify.posterior.density": ("LogPosterior",),
+    "blind.case": (
+        "blind_case",
+        "BlindCase",
+    ),
+    "blind.folder": ("write_blind",),
+    "blind.truth": (
+        "read_truth",
+        "Truth",
+    ),
+    "blind.score": (
+        "score",
+        "Score",
+    ),
+    "diagnose.diagnosis": (
+        "diagnose",
+        "Diagnosis",
+    ),
+    "model.effects.library": (
+        "library",
+        "effect_named",
+    ),
+    "model.effects.stored": ("effects_of",),
     "report.scene": ("scene",),
     "runs.outcome": ("Outcome",),
     "runs.errors": ("InputError",),

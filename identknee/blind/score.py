@@ -10,6 +10,8 @@ from identknee.blind.effects import UNLISTED
 from identknee.blind.truth import Truth
 from identknee.runs.arrays import Array
 
+# A line found this near to the true one is the true one.
+NEAR_MM, NEAR_DEG = 10.0, 15.0
 ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "ADEQUATE", "NAMED", "AMBIGUOUS", "UNEXPLAINED"
 
 
@@ -58,9 +60,10 @@ class Score:
 def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     """Score of a diagnosis, the parsed ``result.json`` of `identknee diagnose`.
 
-    Read are ``verdict``, ``causes[].{name,amplitude,unit,ci95}``, ``group[]``, ``line`` with its
-    ends ``femur`` and ``tibia`` [mm], and ``parameters_before`` and ``parameters_after``, numbers
-    by ligament and quantity, with their intervals under the same names ending in ``_ci95``.
+    Read are ``verdict``, ``causes[].{name,amplitude,unit,ci95,line}``, ``group[]``, ``line`` with
+    its ends ``femur`` and ``tibia`` [mm], and ``parameters_before`` and ``parameters_after``,
+    numbers by ligament and quantity, with their intervals under the same names ending in
+    ``_ci95``.
 
     Raises
     ------
@@ -74,18 +77,21 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     group = {str(x) for x in diagnosis.get("group") or ()}
     hidden = set(truth.effects)
     is_named = verdict == NAMED
+    offset, angle = _nearest_line(truth, diagnosis)
+    # A structure is where its line runs, whatever it is called.
+    is_there = offset is not None and angle is not None and offset < NEAR_MM and angle < NEAR_DEG
+    is_placed = is_there and bool(hidden & set(UNLISTED))
     correct = {
         ADEQUATE: not hidden,
-        NAMED: bool(hidden) and named == hidden,
-        AMBIGUOUS: bool(hidden) and hidden <= group | named,
+        NAMED: (bool(hidden) and named == hidden) or is_placed,
+        AMBIGUOUS: (bool(hidden) and hidden <= group | named) or is_placed,
         UNEXPLAINED: bool(hidden & set(UNLISTED)),
     }.get(verdict, False)
-    wrong = is_named and bool(named - hidden)
+    wrong = is_named and bool(named - hidden) and not (is_placed and len(named) == 1)
     before, after, covered_before, covered_after = (
         _by_name(diagnosis.get(f"parameters_{x}"))
         for x in ("before", "after", "before_ci95", "after_ci95")
     )
-    offset, angle = _line(truth, diagnosis.get("line"))
     return Score(
         verdict=verdict,
         correct=correct,
@@ -110,6 +116,14 @@ def _sentence(
     said = f"{verdict} ({given})" if given else verdict
     judged = "right" if correct else "a wrong name" if wrong else "not right, no wrong name"
     return f"Hidden: {hidden}, signal {truth.signal:.1f}. Diagnosed: {said}: {judged}."
+
+
+def _nearest_line(truth: Truth, diagnosis: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """The same of the nearest of all lines that a diagnosis gives."""
+    given = [diagnosis.get("line"), *(x.get("line") for x in diagnosis.get("causes") or ())]
+    found = [_line(truth, x) for x in given]
+    known = [(offset, angle) for offset, angle in found if offset is not None]
+    return min(known, key=lambda x: x[0], default=(None, None))
 
 
 def _line(truth: Truth, found: Mapping[str, Any] | None) -> tuple[float | None, float | None]:

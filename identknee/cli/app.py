@@ -6,13 +6,16 @@ from typing import Annotated
 import typer
 
 from identknee.cli import subject
+from identknee.cli.blind import blind
 from identknee.cli.command import Verbs
 from identknee.cli.demo import demo
 from identknee.cli.design import design
+from identknee.cli.diagnose import diagnose
 from identknee.cli.equivalents import equivalents
 from identknee.cli.fit import fit
 from identknee.cli.information import information
 from identknee.cli.profile import profile
+from identknee.cli.reveal import reveal
 from identknee.cli.sample import sample
 from identknee.cli.sensitivity import sensitivity
 from identknee.cli.simulate import simulate
@@ -64,5 +67,8 @@ for verb, words in (
     (sensitivity, "reference --method morris --workers 2"),
     (equivalents, "reference data.csv --criterion paper"),
     (design, "reference data.csv --target ACL.stiffness_kN"),
+    (diagnose, "reference data.csv --noise 0.3mm,0.3deg"),
+    (blind, "reference --seed 7 --effect random --out blind7"),
+    (reveal, "blind7 identknee-diagnose"),
 ):
     app.command(epilog=f"Example: identknee {verb.__name__} {words}")(verb)

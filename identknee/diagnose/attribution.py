@@ -20,6 +20,8 @@ MOST_CAUSES = 3
 # Refitted at each step: those that score highest, and how low a score is still worth it.
 MOST_REFITS = 8
 LEAST_SCORE = 1.0
+# An effect with more can imitate most others, alone or together, and is no first choice.
+MOST_AMPLITUDES = 8
 # Steps before those far behind in evidence are left where they are; the highest scores never are.
 FEW_STEPS, FAR_BEHIND, ALWAYS = 6, 40.0, 2
 # Of the amplitude expected: where a refit begins that can begin nowhere else.
@@ -117,7 +119,8 @@ class Attribution:
     @property
     def is_left_unexplained(self) -> bool:
         """Whether an effect not in the best explanation still scores higher than chance allows."""
-        return self.steps[-1].is_significant
+        last = self.steps[-1]
+        return last.is_significant and len(last.at.causes) >= len(self.best.causes)
 
     @property
     def open_rivals(self) -> tuple[Rival, ...]:
@@ -146,19 +149,23 @@ def attribute(
         Whether to try a first cause although none scores high: where other tests found a misfit.
     """
     current, steps = base, [_look(base, effects, seed)]
-    rest = tuple(steps[0].refits)
+    rest: tuple[Refit, ...] = ()
     while len(current.causes) < MOST_CAUSES:
         step = steps[-1]
         if not (step.is_significant or (is_forced and not current.causes)):
             break
         step = _with_refits(step, base)
         steps[-1] = step
-        if not step.refits or not _is_better(step.refits[0], current):
+        simple = [x for x in step.refits if not _is_flexible(x.causes[-1])]
+        if not simple or not _is_better(simple[0], current):
             break
-        current, rest = step.refits[0], step.refits
+        current, rest = simple[0], step.refits
         left = [x for x in effects if x.name not in current.names]
+        if not left:
+            break
         steps.append(_look(current, left, seed))
     current, rest = _looked_back(base, current, rest, steps)
+    current, rest = _with_flexible(current, rest, steps[0])
     rivals = [_rival(current, x) for x in rest if set(x.names) != set(current.names)]
     return Attribution(
         steps=tuple(steps),
@@ -176,7 +183,12 @@ def _look(at: Refit, effects: Sequence[Effect], seed: int) -> Step:
 
 def _with_refits(step: Step, base: Refit) -> Step:
     """The step with its promising effects refitted: all a little, the better ones to the end."""
-    promising = [x for x in step.scores.candidates if x.score > LEAST_SCORE][:MOST_REFITS]
+    found_high = [x for x in step.scores.candidates if x.score > LEAST_SCORE]
+    if step.at.causes:
+        by_name = {x.effect.name: x.effect for x in step.variants}
+        found_high = [x for x in found_high if not _is_flexible(by_name[x.name])]
+    unseen = {x.effect.name for x in step.variants if x.is_secant and not step.at.causes}
+    promising = found_high[:MOST_REFITS] + [x for x in found_high[MOST_REFITS:] if x.name in unseen]
     begun = []
     for candidate in promising:
         variant = next(
@@ -248,7 +260,11 @@ def _looked_back(
     alternatives = list(rest)
     for cause in current.causes:
         alternatives.append(_without(base, current, cause.name))
-        others = [x for x in steps[0].refits if x.names[0] not in current.names]
+        others = [
+            x
+            for x in steps[0].refits
+            if x.names[0] not in current.names and not _is_flexible(x.causes[0])
+        ]
         alternatives += [_swapped(base, current, cause.name, x) for x in others[:4]]
     best = max([current, *alternatives], key=lambda x: x.log_evidence)
     if best is current or not _is_better(best, current):
@@ -256,6 +272,22 @@ def _looked_back(
         enough = [x for x in simpler if not _is_better(current, x)]
         best = max(enough, key=lambda x: x.log_evidence) if enough else current
     return best, tuple(x for x in (current, *alternatives) if x is not best)
+
+
+def _with_flexible(
+    current: Refit, rest: tuple[Refit, ...], first: Step
+) -> tuple[Refit, tuple[Refit, ...]]:
+    """The explanation beside effects that fit almost anything, which win by evidence alone."""
+    flexible = [x for x in first.refits if _is_flexible(x.causes[-1])]
+    rest = (*(rest or first.refits), *(x for x in flexible if rest and x not in rest))
+    best = max([current, *flexible], key=lambda x: x.log_evidence)
+    if best is current or not _is_better(best, first.at):
+        return current, rest
+    return best, tuple(x for x in (current, *rest) if x is not best and x.causes)
+
+
+def _is_flexible(effect: Effect) -> bool:
+    return effect.parameters.n > MOST_AMPLITUDES
 
 
 def _without(base: Refit, current: Refit, name: str) -> Refit:

@@ -13,8 +13,10 @@ from identknee.diagnose.surface_roughness import roughness_columns
 from identknee.diagnose.weighing import weighed
 from identknee.identify.constrained import Constrained, minimise
 from identknee.identify.evaluation import Evaluation, Evaluator
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.model.effects.contact_law import contact_nuisance
+from identknee.model.effects.contact_law import CONTACT_LAW, contact_nuisance
+from identknee.model.effects.stored import effects_of, values_of
 from identknee.model.effects.toe_strain import toe_strain
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
@@ -137,10 +139,11 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     seed
         Of those points.
     """
-    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=(contact_nuisance(),))
-    model = model.with_tests(laxity)
-    own = model.parameters.center[: model.n_ligament_parameters]
-    begin = [np.r_[x, np.zeros(2)] for x in (own, *starts, *_around(model, own, seed))]
+    model = base_model(knee, laxity.protocol).with_tests(laxity)
+    n = model.n_ligament_parameters
+    own = model.parameters.center[:n]
+    stored = model.parameters.vector(values_of(knee))[n:]
+    begin = [np.r_[x, stored] for x in (own, *starts, *_around(model, own, seed))]
     stated = noise_of(laxity, laxity.coordinates)
     if stated is None:
         return None
@@ -161,6 +164,14 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
         nuisance_sd=sd,
     )
     return BaseFit(fitted=fit_from(model, laxity, noise, [fitted.theta]), found=found)
+
+
+def base_model(knee: Knee, protocol: Protocol) -> LaxityModel:
+    """The model of a subject with the effects stored with it and the contact law as a nuisance."""
+    effects = effects_of(knee)
+    if not any(x.name == CONTACT_LAW for x in effects):
+        effects = (contact_nuisance(), *effects)
+    return LaxityModel(knee=knee, protocol=protocol, effects=effects)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -10,6 +10,8 @@ from identknee.diagnose.diagnosis import Diagnosis
 from identknee.diagnose.laplace import Laplace, laplace
 from identknee.diagnose.refit import Refit
 from identknee.diagnose.verdict import Verdict
+from identknee.model.effects.structures import MissingStructure
+from identknee.runs.arrays import Array
 
 TWO_SIDED = float(ndtri(0.975))
 # By how a parameter's name ends; the first that fits.
@@ -61,11 +63,15 @@ class Cause:
         The one number that says how large it is.
     parameters
         All of its amplitudes.
+    line
+        Femoral and tibial end in the common frame of the scanned pose [mm], shape ``(2, 3)``; None
+        for what is not one line.
     """
 
     name: str
     amplitude: Estimate
     parameters: tuple[Estimate, ...]
+    line: Array | None
 
 
 def unit_of(parameter: str) -> str:
@@ -130,7 +136,17 @@ def _cause(refit: Refit, name: str, posterior: Laplace, covariance: np.ndarray) 
         amplitude = _total(found, covariance[np.ix_(places, places)])
     else:
         amplitude = reduce(lambda x, y: y if y.value > x.value else x, [found[k] for k in same])
-    return Cause(name=name, amplitude=amplitude, parameters=found)
+    return Cause(name=name, amplitude=amplitude, parameters=found, line=_line(refit, name))
+
+
+def _line(refit: Refit, name: str) -> Array | None:
+    """Where the line of a structure runs with the shifts found."""
+    knee = refit.fitted.model.knee
+    effect = next(x for x in refit.causes if x.name == name)
+    if not isinstance(effect, MissingStructure) or len(effect.femoral) > 1:
+        return None
+    femoral, tibial = effect.insertions(refit.amplitudes(name))
+    return np.vstack([knee.femur_frame.to_common(femoral), knee.tibia_frame.to_common(tibial)])
 
 
 def _total(components: tuple[Estimate, ...], covariance: np.ndarray) -> Estimate:

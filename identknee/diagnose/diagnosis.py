@@ -86,9 +86,7 @@ def diagnose(
         Of the distributions under no effect.
     """
     if effects is None:
-        effects = library(
-            knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None
-        )
+        effects = _not_stored(knee, laxity)
     found = fit_base(knee, laxity, starts=starts, seed=seed)
     if found is None or not found.fitted.evaluation.is_finite:
         return None
@@ -111,6 +109,12 @@ def diagnose(
         line=find_line(base, seed=seed) if is_unknown else None,
         seed=seed,
     )
+
+
+def _not_stored(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:
+    """The library without what the subject has already."""
+    whole = library(knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None)
+    return tuple(x for x in whole if x.name not in {own.name for own in knee.effects})
 
 
 def _base_refit(found: BaseFit) -> Refit:

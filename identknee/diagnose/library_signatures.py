@@ -41,12 +41,15 @@ class Variant:
         All amplitudes where the signature was taken, shape ``(a,)``.
     moved
         Which of them the columns of the signature belong to.
+    is_secant
+        Whether the effect has no first derivative, so that its score holds for one size only.
     """
 
     effect: Effect
     signature: Signature
     values: Array
     moved: IntArray
+    is_secant: bool = False
 
     def start(self, amplitude: Array) -> Array:
         """All amplitudes with those of the signature as given, within their bounds, ``(a,)``."""
@@ -80,7 +83,8 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
         p = effect.parameters
         size = np.linalg.norm(changes, axis=0) * p.prior_sd
         seen = size > UNSEEN
-        if not seen.any():
+        is_secant = not seen.any()
+        if is_secant:
             changes = _secants(fitted, effect, values)
             seen = np.linalg.norm(changes, axis=0) * p.prior_sd > UNSEEN
         if not seen.any():
@@ -98,6 +102,7 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
             ),
             values=values,
             moved=moved,
+            is_secant=is_secant,
         )
 
 
@@ -113,7 +118,8 @@ def _columns(fitted: Fitted, base: LaxityModel, effect: Effect, values: Array) -
     """Whitened derivatives by the amplitudes of one effect, shape ``(m, a)``."""
     model = base.with_effects([*base.effects, effect])
     prediction = model.predict(np.r_[fitted.theta, values])
-    if prediction.jacobian is None or not prediction.is_converged.all():
+    used = fitted.laxity.is_measured.any(axis=1)
+    if prediction.jacobian is None or not prediction.is_converged[used].all():
         return np.zeros((fitted.n_data, len(values)))
     return fitted.columns(prediction.jacobian[:, :, len(fitted.theta) :])
 

@@ -22,6 +22,7 @@ from identknee.diagnose.verdict import Verdict
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
 from identknee.model.effects.facts import FACTS
+from identknee.runs.arrays import Array
 
 
 def diagnosis_summary(
@@ -107,9 +108,14 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "ci95": list(size.ci95),
         "parameter": size.name,
         "parameters": {x.name: _estimate(x) for x in cause.parameters},
+        "line": _ends(cause.line),
         "meaning": FACTS[cause.name].sentence,
         "source": FACTS[cause.name].source,
     }
+
+
+def _ends(line: Array | None) -> dict[str, Array] | None:
+    return None if line is None else {"femur": line[0], "tibia": line[1]}
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:

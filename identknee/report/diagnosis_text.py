@@ -38,6 +38,7 @@ def diagnosis_lines(
         What the causes gain; None where none is named.
     """
     conclusion, explanation = found.conclusion, explanation_of(found)
+    is_named = conclusion.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
     heading = conclusion.verdict.value
     if explanation.causes:
         is_open = conclusion.verdict is Verdict.AMBIGUOUS
@@ -47,8 +48,8 @@ def diagnosis_lines(
         "Where": [] if conclusion.verdict is Verdict.ADEQUATE else [found.localisation.sentence],
         "Cause": [x for cause in causes_of(explanation) for x in _cause(cause)],
         "Where it would act": [] if found.line is None else [found.line.sentence],
-        "Rivals": _rivals(found.attribution) if explanation.causes else [],
-        "Whichever of them it is": _whichever(found),
+        "Rivals": _rivals(found.attribution) if is_named else [],
+        "Whichever of them it is": _whichever(found) if is_named else [],
         "What would tell them apart": _advice(found.advice),
         "Excluded, and beyond the power of these data": _tested(tested, conclusion.group),
         "Gain": [] if gain is None else _gain(gain),
@@ -133,7 +134,7 @@ def _advice(advice: Advice | None) -> list[str]:
 def _whichever(found: Diagnosis) -> list[str]:
     """What the ligaments' parameters are under every explanation that is open."""
     rivals = found.attribution.open_rivals
-    if not rivals or not explanation_of(found).causes:
+    if not rivals:
         return []
     trees = [_flat(x.refit) for x in rivals]
     lines = []

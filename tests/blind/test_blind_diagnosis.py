@@ -16,7 +16,7 @@ from identknee.subject.reference import reference_knee
 
 N_NULLS, MOST_ALARMS = 20, 3
 SIGNAL = 12.0
-# One of each kind, in the order of the library: a structure, what the ligaments are, loads, reading.
+# Of each kind, in the order of the library: structures, what ligaments are, loads, readings.
 EFFECTS = (
     "anterolateral",
     "popliteofibular",
@@ -33,9 +33,7 @@ FIRST_SEED = 300
 @cache
 def outcome(effect: str, seed: int) -> dict[str, Any]:
     """Of one effect at the signal of this test."""
-    return outcome_of(
-        BlindTask(subject="reference", effects=(effect,), signal=SIGNAL, seed=seed)
-    )
+    return outcome_of(BlindTask(subject="reference", effects=(effect,), signal=SIGNAL, seed=seed))
 
 
 def test_nothing_hidden_seldom_alarms() -> None:

@@ -9,6 +9,7 @@ from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
 
+CONTACT_LAW = "contact_law"
 # Of the logarithm of the modulus: what cartilage may be, and what a computation may get wrong.
 CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.15
 # A law with another exponent than 1 is as stiff at the depth that the exponent leaves alone.
@@ -55,4 +56,4 @@ class Cartilage:
 
 def contact_nuisance() -> Cartilage:
     """How far any contact law may be from the knee's own, as a nuisance that is no cause."""
-    return Cartilage(name="contact_law", modulus_sd=NUMERICAL_SD)
+    return Cartilage(name=CONTACT_LAW, modulus_sd=NUMERICAL_SD)

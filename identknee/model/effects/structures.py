@@ -64,7 +64,7 @@ class MissingStructure:
     def change(self, setting: Setting, values: Array) -> Setting:
         """The setting with the structure in place."""
         m = len(self.femoral)
-        lines = _measured(setting, *self._insertions(values))
+        lines = _measured(setting, *self.insertions(values))
         stiffness, strain = np.full(m, PER_KN * values[0]), np.full(m, PER_PCT * values[1])
         return with_lines(setting, lines, stiffness, strain)
 
@@ -75,7 +75,7 @@ class MissingStructure:
 
         Those by the sites are central differences of all lines shifted at once.
         """
-        femoral, tibial = self._insertions(values)
+        femoral, tibial = self.insertions(values)
         m, strain = len(femoral), PER_PCT * values[1]
         own = ligament_tensions(
             _measured(setting, femoral, tibial),
@@ -108,7 +108,8 @@ class MissingStructure:
         columns[:, :, 2:] = (ends[:, 0] - ends[:, 1]).transpose(0, 2, 1) / (2.0 * SITE_STEP)
         return columns
 
-    def _insertions(self, values: Array) -> tuple[Array, Array]:
+    def insertions(self, values: Array) -> tuple[Array, Array]:
+        """Femoral and tibial insertions with the shifts of `values` [mm], each ``(m, 3)``."""
         shift = values[2:] if self.sites_vary else np.zeros(6)
         return self.femoral + shift[:3], self.tibial + shift[3:]
 
