@@ -61,10 +61,10 @@ def measure(options: argparse.Namespace) -> Row:
     with work_store("blind", about) as store:
         run = _Run(store)
         nulls = {x: run(f"nulls {x}", _nulls(x)) for x in N_NULLS}
-        singles = run("singles", _singles())
-        real = run("singles on the real knee", _real())
         pairs = run("pairs", _pairs())
         unlisted = run("unlisted", _unlisted())
+        singles = run("singles", _singles())
+        real = run("singles on the real knee", _real())
         restated = run("restated noise", _restated())
         started = run("other starts", _started())
     hidden = [x for x in [*singles, *real, *pairs, *unlisted] if "error" not in x]

@@ -23,7 +23,6 @@ VERBS = (
     ("design",),
     ("diagnose",),
     ("blind",),
-    ("reveal",),
     ("subject", "check"),
     ("subject", "show"),
     ("subject", "export"),

@@ -1,0 +1,84 @@
+"""Diagnosis without one of its safeguards: each is there because the answer changes without it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identknee.blind.case import BlindCase, blind_case
+from identknee.diagnose import base_fit
+from identknee.diagnose.diagnosis import Diagnosis, diagnose
+from identknee.diagnose.library_signatures import library_variants
+from identknee.diagnose.projection import Projector
+from identknee.diagnose.score import score_test
+from identknee.diagnose.signature import Signature
+from identknee.model.effects.library import library
+from identknee.subject.reference import reference_knee
+
+SEED = 500
+
+
+@pytest.fixture(scope="module")
+def null() -> BlindCase:
+    return blind_case(reference_knee(), seed=SEED, effect=None)
+
+
+@pytest.fixture(scope="module")
+def found(null: BlindCase) -> Diagnosis:
+    diagnosis = diagnose(reference_knee(), null.laxity)
+    assert diagnosis is not None
+    return diagnosis
+
+
+def signatures(found: Diagnosis) -> list[Signature]:
+    fitted = found.base.fitted
+    return [x.signature for x in library_variants(fitted, library(fitted.model.knee))]
+
+
+def test_without_the_projector_near_equivalent_fits_are_effects(found: Diagnosis) -> None:
+    """A shift of the fitted parameters: nothing with the projector, a find without."""
+    base = found.base
+    jacobian = base.fitted.evaluation.jacobian
+    _, size, right = np.linalg.svd(jacobian, full_matrices=False)
+    there = base.fitted.residual_rows()
+    moved = there + 8.0 * (jacobian @ right[0]) / size[0]
+    nothing = Projector(basis=np.zeros((len(moved), 0)))
+    given = signatures(found)
+    test = score_test(base.projector, given, seed=0, scale="unknown")
+    with_it = test.evaluate(moved)
+    without = score_test(nothing, given, seed=0, scale="unknown").evaluate(moved)
+    assert with_it.max_score == pytest.approx(test.evaluate(there).max_score, rel=1e-6)
+    assert without.max_score > with_it.max_score + 2.0
+
+
+def test_without_signs_a_structure_that_pushes_is_one(found: Diagnosis) -> None:
+    base = found.base
+    given = signatures(found)
+    structure = next(x for x in given if x.name == "anterolateral")
+    pushed = base.fitted.residual_rows()
+    column = base.projector.project(structure.columns)[:, 0]
+    pushed = pushed - 8.0 * column / np.linalg.norm(column)
+    free = [replace(x, sign=0 * x.sign) for x in given if x.name == structure.name]
+    own = [x for x in given if x.name == structure.name]
+    with_signs = score_test(base.projector, own, seed=0).evaluate(pushed)
+    without = score_test(base.projector, free, seed=0).evaluate(pushed)
+    assert without.max_score > with_signs.max_score + 2.0
+
+
+def test_without_nuisances_softer_contact_is_another_cause(
+    null: BlindCase,
+) -> None:
+    """The generator's contact law is another one: the base fit must allow for it."""
+    knee = reference_knee()
+    errorless = replace(
+        null.noise_free,
+        sd=np.full(null.noise_free.coordinates.shape, 0.1),
+        within_trial_correlation=0.3,
+    )
+    allowed = base_fit.base_model(knee, errorless.protocol)
+    bare = allowed.with_effects(())
+    noise = base_fit.build_noise_model(errorless.sd, errorless.is_measured, correlation=0.3)
+    start = allowed.parameters.center
+    with_it = base_fit.fit_from(allowed, errorless, noise, [start])
+    without = base_fit.fit_from(bare, errorless, noise, [start[: bare.parameters.n]])
+    assert without.misfit > 2.0 * with_it.misfit
