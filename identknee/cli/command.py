@@ -105,7 +105,7 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
 def warm_up(knee: "ik.Knee", protocol: "ik.Protocol") -> None:
     """Compile and build the distance field, or load them, so that times taken later exclude it."""
     with progress_bar("preparing, longer the first time after an installation"):
-        model = ik.LaxityModel(knee=knee, protocol=protocol.select([0]))
+        model = ik.LaxityModel(knee=knee, protocol=protocol.select([0]), effects=())
         model.predict(model.parameters.center)
 
 
@@ -132,11 +132,15 @@ def timed(function: Callable[[], Result]) -> tuple[Result, float]:
 
 
 def knee_digest(knee: "ik.Knee") -> str:
-    """SHA-256 of all numbers of a knee: surfaces, frames and ligaments, wherever they came from."""
+    """SHA-256 of all numbers of a knee: surfaces, frames, ligaments and effects, from wherever."""
     parts = [knee.side.encode()]
     for x in knee.ligaments:
         numbers = (*x.femur.tolist(), *x.tibia.tolist(), x.stiffness_kN, x.reference_strain_pct)
         parts.append(f"{x.name} {numbers}".encode())
+    for effect in knee.effects:
+        ends = [(femur.tolist(), tibia.tolist()) for femur, tibia in effect.lines]
+        spread = (effect.stiffness_sd_kN, effect.site_sd_mm)
+        parts.append(f"{effect.name} {dict(effect.values)} {effect.fixed} {ends} {spread}".encode())
     for surface in (knee.femur, *knee.tibia):
         parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
     for frame in (knee.femur_frame, knee.tibia_frame):

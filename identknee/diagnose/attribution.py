@@ -166,12 +166,7 @@ def attribute(
         steps.append(_look(current, left, seed))
     current, rest = _looked_back(base, current, rest, steps)
     current, rest = _with_flexible(current, rest, steps[0])
-    rivals = [_rival(current, x) for x in rest if set(x.names) != set(current.names)]
-    return Attribution(
-        steps=tuple(steps),
-        best=current,
-        rivals=tuple(sorted(rivals, key=lambda x: x.lead)),
-    )
+    return Attribution(steps=tuple(steps), best=current, rivals=_rivals(current, rest))
 
 
 def _look(at: Refit, effects: Sequence[Effect], seed: int) -> Step:
@@ -301,6 +296,15 @@ def _swapped(base: Refit, current: Refit, name: str, single: Refit) -> Refit:
     theta = np.delete(current.fitted.theta, list(current.places(name)))
     start = np.r_[theta, single.amplitudes(single.names[0])]
     return refit(base, [*kept, *single.causes], [start])
+
+
+def _rivals(best: Refit, rest: Sequence[Refit]) -> tuple[Rival, ...]:
+    """The other explanations, each set of causes once, the most likely first."""
+    found: dict[frozenset[str], Refit] = {}
+    for x in sorted(rest, key=lambda x: -x.log_evidence):
+        if set(x.names) != set(best.names):
+            found.setdefault(frozenset(x.names), x)
+    return tuple(_rival(best, x) for x in found.values())
 
 
 def _rival(best: Refit, other: Refit) -> Rival:

@@ -63,7 +63,9 @@ class Refit:
         return self.misfit_p_value_at(1.0)
 
     def misfit_p_value_at(self, factor: float) -> float:
-        """The same if the noise were so many times as large."""
+        """The same if the noise were so many times as large; 0 without a prediction."""
+        if not self.fitted.evaluation.is_finite:
+            return 0.0
         rows, projector = self.fitted.residual_rows() / factor, self.projector
         # Not projected: a fit that ended before its minimum must not seem better than it is.
         whole = size_check(float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees)

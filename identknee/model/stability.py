@@ -124,7 +124,7 @@ def check_stability(
     """
     if n_samples < 0:
         raise ValueError(f"the number of samples must be 0 or more, got {n_samples}")
-    center = model.parameters.center
+    center = model.parameters.start
     own = model.predict(center, derivatives=False)
     whole = replace(model, n_points=None).predict(center, derivatives=False)
     vectors = box_sample(model.parameters, n_samples, np.random.default_rng(seed))
@@ -153,9 +153,9 @@ def box_sample(parameters: Parameters, n: int, generator: np.random.Generator) -
     Stiffnesses vary by +-50 % and reference strains by +-3 %, within the bounds.
     """
     is_stiffness = np.array([name.endswith(STIFFNESS) for name in parameters.names])
-    reach = np.where(is_stiffness, STIFFNESS_SHARE * parameters.center, STRAIN_PCT)
-    low = np.maximum(parameters.center - reach, parameters.lower)
-    high = np.minimum(parameters.center + reach, parameters.upper)
+    reach = np.where(is_stiffness, STIFFNESS_SHARE * parameters.start, STRAIN_PCT)
+    low = np.maximum(parameters.start - reach, parameters.lower)
+    high = np.minimum(parameters.start + reach, parameters.upper)
     return generator.uniform(low, high, size=(n, parameters.n))
 
 

@@ -20,8 +20,8 @@ from identknee.runs.arrays import Array
 
 N_CANDIDATES = 3
 SMALL, TINY = 8, 7
-# Scores beyond this are printed in white on their dark cell.
-DARK = 4.0
+# Share of the largest score from which on a cell is dark.
+DARK = 0.6
 QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "reference strain [%]"}
 
 
@@ -49,10 +49,11 @@ def misfit_figure(localisation: Localisation) -> Figure:
     if not cells:
         return figure
     axes = figure.add_subplot()
+    largest = max(abs(x.score) for x in cells)
     for x in cells:
         row, column = rows.index(x.coordinate), columns.index((x.flexion_deg, x.direction))
         scores[row, column] = x.score
-        _write_cell(axes, column, row, f"{x.score:.1f}", is_dark=abs(x.score) > DARK)
+        _write_cell(axes, column, row, f"{x.score:.1f}", is_dark=abs(x.score) > DARK * largest)
         if x.p_value <= LEVEL:
             _frame_cell(axes, column, row)
     limit = max(5.0, float(np.nanmax(np.abs(scores), initial=0.0)))
