@@ -49,7 +49,7 @@ def misfit_figure(localisation: Localisation) -> Figure:
     if not cells:
         return figure
     axes = figure.add_subplot()
-    largest = max(abs(x.score) for x in cells)
+    largest = max(5.0, *(abs(x.score) for x in cells))
     for x in cells:
         row, column = rows.index(x.coordinate), columns.index((x.flexion_deg, x.direction))
         scores[row, column] = x.score
