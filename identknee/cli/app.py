@@ -50,7 +50,8 @@ def identknee(
     """Fit knee ligament parameters to laxity tests, and see how far they can be trusted.
 
     SUBJECT is a subject folder or the word reference. A verb that computes leaves result.json, and
-    result.nc where it has arrays, in the folder --out. Exit codes: 0 done, 1 it could not be computed, 2 the input is wrong.
+    result.nc where it has arrays, in the folder --out. Exit codes: 0 done, 1 it could not be
+    computed, 2 the input is wrong.
     """
 
 

@@ -9,6 +9,7 @@ from identknee.blind.case import BlindCase, blind_case
 from identknee.diagnose import base_fit
 from identknee.diagnose.diagnosis import Diagnosis, diagnose
 from identknee.diagnose.library_signatures import library_variants
+from identknee.diagnose.noise_model import build_noise_model
 from identknee.diagnose.projection import Projector
 from identknee.diagnose.score import score_test
 from identknee.diagnose.signature import Signature
@@ -70,14 +71,11 @@ def test_without_nuisances_softer_contact_is_another_cause(
 ) -> None:
     """The generator's contact law is another one: the base fit must allow for it."""
     knee = reference_knee()
-    errorless = replace(
-        null.noise_free,
-        sd=np.full(null.noise_free.coordinates.shape, 0.1),
-        within_trial_correlation=0.3,
-    )
+    sd = np.full(null.noise_free.coordinates.shape, 0.1)
+    errorless = replace(null.noise_free, sd=sd, within_trial_correlation=0.3)
     allowed = base_fit.base_model(knee, errorless.protocol)
     bare = allowed.with_effects(())
-    noise = base_fit.build_noise_model(errorless.sd, errorless.is_measured, correlation=0.3)
+    noise = build_noise_model(sd, errorless.is_measured, correlation=0.3)
     start = allowed.parameters.center
     with_it = base_fit.fit_from(allowed, errorless, noise, [start])
     without = base_fit.fit_from(bare, errorless, noise, [start[: bare.parameters.n]])
