@@ -1,0 +1,288 @@
+"""Tables of the page, from the record."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from identknee.report.tables import Column, Table
+from identknee.runs.arrays import Array
+
+PAPER = "the paper's model"
+PUBLISHED = "as printed (0.4 to 4.6)"
+SHOWN_SD = 1.0
+# Four ligaments each, so that their tables have the same columns.
+SHOWN_KNEES = ("reference", "lenhart2015_stable")
+Row = Mapping[str, Any]
+
+
+def tables(record: Row) -> dict[str, Table]:
+    """All tables by the mark of their place on the page."""
+    return {
+        "table 1": gap_table(record),
+        "table 2": size_table(record),
+        "table 3": verdict_table(record),
+        "table 3b": odd_study_table(record),
+        "table 4": gain_table(record),
+        "table 5": visible_table(record),
+        "table 6": parameter_table(record),
+    }
+
+
+def responses(record: Row) -> dict[str, Array]:
+    """Each model's response to the 13 loads [mm, deg]; NaN where it has none."""
+    found = {PAPER: numbers([x["paper_model"] for x in record["rows"]])}
+    for name, part in record["knees"].items():
+        found[name] = numbers(part["as_it_is"]["values"])
+    return found
+
+
+def gaps(record: Row) -> dict[str, Array]:
+    """The same less the measured means, in between-subject sds."""
+    mean, sd = (numbers([x[key] for x in record["rows"]]) for key in ("mean", "sd"))
+    return {name: (values - mean) / sd for name, values in responses(record).items()}
+
+
+def gap_table(record: Row) -> Table:
+    """Measured laxity and what each model gives, with the gap in sds."""
+    values, sizes = responses(record), gaps(record)
+    rows = tuple(
+        (
+            f"{x['load']} {x['magnitude']:g} {'N' if x['unit'] == 'mm' else 'N·m'}",
+            f"{x['flexion_deg']:g}",
+            x["unit"],
+            f"{x['mean']:.1f} ({x['sd']:.1f})",
+            *(_with_gap(values[name][i], sizes[name][i]) for name in values),
+        )
+        for i, x in enumerate(record["rows"])
+    )
+    heads = ("load", "flexion [deg]", "unit", "measured mean (sd)", *values)
+    return Table(
+        title="Laxity before any fit, and in brackets how many between-subject sds off the mean",
+        columns=tuple(Column(name=x) for x in heads),
+        rows=rows,
+    )
+
+
+def size_table(record: Row) -> Table:
+    """The gap of each model in a few numbers."""
+    mean = numbers([x["mean"] for x in record["rows"]])
+    units = np.array([x["unit"] for x in record["rows"]])
+    rows = []
+    for name, sizes in gaps(record).items():
+        known = ~np.isnan(sizes)
+        left = responses(record)[name] - mean
+        mm, deg = (_root_mean(left[known & (units == x)]) for x in ("mm", "deg"))
+        rows.append(
+            (
+                name,
+                int(known.sum()),
+                mm,
+                deg,
+                _root_mean(sizes[known]),
+                int((np.abs(sizes[known]) > 1).sum()),
+                int((np.abs(sizes[known]) > 2).sum()),
+            )
+        )
+    return Table(
+        title="Size of the gap before any fit",
+        columns=(
+            Column(name="model"),
+            Column(name="values", decimals=0),
+            Column(name="RMS", unit="mm"),
+            Column(name="RMS", unit="deg"),
+            Column(name="RMS", unit="sd"),
+            Column(name="beyond 1 sd", decimals=0),
+            Column(name="beyond 2 sd", decimals=0),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def verdict_table(record: Row) -> Table:
+    """What `diagnose` says at each assumed sd."""
+    return _verdicts("Verdict by the assumed sd of the measured means", list(_diagnoses(record)))
+
+
+def odd_study_table(record: Row) -> Table:
+    """The same without the one value that disagrees with another study."""
+    return _verdicts(
+        "Verdict without external rotation at 20 deg",
+        list(_diagnoses(record, "without_odd_study")),
+    )
+
+
+def _verdicts(title: str, found: list[tuple[str, Row]]) -> Table:
+    rows = tuple(
+        (
+            knee,
+            size_label(x["assumed_sd"]),
+            x["base"]["chi_square"],
+            x["degrees_of_freedom"],
+            f"{x['p_value']:.2g}",
+            x["verdict"],
+            ", ".join(x["group"]) or "-",
+            x["max_score_quantile"],
+        )
+        for knee, x in found
+    )
+    return Table(
+        title=title,
+        columns=(
+            Column(name="knee"),
+            Column(name="assumed sd [mm, deg]"),
+            Column(name="chi-square after the fit", decimals=1),
+            Column(name="degrees of freedom, priors counted", decimals=0),
+            Column(name="p"),
+            Column(name="verdict"),
+            Column(name="causes still open"),
+            Column(name="5 % quantile of the largest score"),
+        ),
+        rows=rows,
+    )
+
+
+def gain_table(record: Row) -> Table:
+    """What the extensions gain when each value is predicted from the twelve others."""
+    rows = []
+    for knee, x in _diagnoses(record):
+        size = size_label(x["assumed_sd"])
+        rows.append(
+            (knee, size, "none", x["base"]["outcome"], None, "-", *_held(x["left_out"]), None)
+        )
+        for its in x["extensions"]:
+            amounts = "; ".join(_amount(y) for y in its["amplitudes"])
+            gain = None if its["elpd_gain_se"] is None else its["elpd_gain"]
+            text = None if gain is None else f"{gain:.1f} ({its['elpd_gain_se']:.1f})"
+            names = " and ".join(its["names"])
+            evidence = its["log_evidence_gain"]
+            rows.append(
+                (
+                    knee,
+                    size,
+                    names,
+                    its["outcome"],
+                    evidence,
+                    amounts,
+                    *_held(its["left_out"]),
+                    text,
+                )
+            )
+    return Table(
+        title="Each value predicted from the twelve others, without and with a cause",
+        columns=(
+            Column(name="knee"),
+            Column(name="assumed sd [mm, deg]"),
+            Column(name="cause added"),
+            Column(name="fit ended in"),
+            Column(name="log evidence gained", decimals=1),
+            Column(name="amplitude (95 %)"),
+            Column(name="values predicted", decimals=0),
+            Column(name="RMSE left out", unit="mm"),
+            Column(name="RMSE left out", unit="deg"),
+            Column(name="RMSE over assumed sd"),
+            Column(name="the same expected"),
+            Column(name="log predictive density gained (se)"),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def visible_table(record: Row) -> Table:
+    """The amplitudes that 13 values would show, at one assumed sd."""
+    found = {
+        knee: {y["name"]: y for y in x["visible"]}
+        for knee, x in _diagnoses(record)
+        if x["assumed_sd"] == SHOWN_SD and knee in SHOWN_KNEES
+    }
+    first = next(iter(found.values()))
+    rows = tuple(
+        (
+            name,
+            y["parameter"],
+            "-" if y["unit"] == "1" else y["unit"],
+            f"{y['relevant']:g}",
+            *(_detectable(x[name]["detectable"]) for x in found.values()),
+            *(_detectable(x[name]["power"]) for x in found.values()),
+        )
+        for name, y in first.items()
+    )
+    return Table(
+        title="What 13 values with an sd of 1 mm and 1 deg can show",
+        columns=(
+            *(Column(name=x) for x in ("effect", "amplitude", "unit", "worth knowing")),
+            *(Column(name=f"found in 9 of 10, {knee}") for knee in found),
+            *(Column(name=f"share found at the size worth knowing, {knee}") for knee in found),
+        ),
+        rows=rows,
+    )
+
+
+def parameter_table(record: Row) -> Table:
+    """How much of each prior's width the values leave, and how many parameters they fix."""
+    found = [(knee, x) for knee, x in _diagnoses(record) if knee in SHOWN_KNEES]
+    names = found[0][1]["base"]["parameters"]
+    rows = tuple(
+        (
+            knee,
+            size_label(x["assumed_sd"]),
+            x["base"]["effective_parameters"],
+            *x["base"]["sd_over_prior"],
+        )
+        for knee, x in found
+    )
+    return Table(
+        title="Standard deviation of each parameter after the fit over that of its prior",
+        columns=(
+            Column(name="knee"),
+            Column(name="assumed sd [mm, deg]"),
+            Column(name="parameters the values fix", decimals=1),
+            *(Column(name=name) for name in names),
+        ),
+        rows=rows,
+    )
+
+
+def size_label(sd: float | None) -> str:
+    """An assumed standard deviation in words."""
+    return PUBLISHED if sd is None else f"{sd:g}"
+
+
+def numbers(values: list[float | None]) -> Array:
+    """As an array, NaN for None."""
+    return np.array([np.nan if x is None else x for x in values], dtype=np.float64)
+
+
+def _diagnoses(record: Row, key: str = "diagnoses") -> Iterator[tuple[str, Row]]:
+    for name, part in record["knees"].items():
+        for found in part.get(key, []):
+            if found["verdict"] is not None:
+                yield name, found
+
+
+def _held(its: Row) -> tuple[float, ...]:
+    return (
+        its["n_scored"],
+        its["rmse_mm"],
+        its["rmse_deg"],
+        its["rmse_noise"],
+        its["expected_noise"],
+    )
+
+
+def _amount(its: Row) -> str:
+    unit = "" if its["unit"] == "1" else f" {its['unit']}"
+    low, high = its["ci95"]
+    return f"{its['value']:.2g}{unit} ({low:.2g} to {high:.2g})"
+
+
+def _with_gap(value: float, size: float) -> str:
+    return "folds" if np.isnan(value) else f"{value:.1f} ({size:+.1f})"
+
+
+def _detectable(value: float | None) -> str:
+    return "never" if value is None else f"{value:.2g}"
+
+
+def _root_mean(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if values.size else None
