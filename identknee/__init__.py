@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from identknee.calibrate.fit import Fit, fit, fit_many, waterfall
     from identknee.calibrate.problem import Problem
     from identknee.calibrate.starts import load_start
-    from identknee.diagnose.diagnosis import Diagnosis, diagnose
+    from identknee.diagnosis.diagnose import Diagnosis, diagnose
     from identknee.identify.conformance.score import conformance_cases, run_conformance
     from identknee.identify.constrained import minimise, solve_constrained
     from identknee.identify.design.design import Design, design
@@ -347,7 +347,7 @@ _MODULES = {
         "score",
         "Score",
     ),
-    "diagnose.diagnosis": (
+    "diagnosis.diagnose": (
         "diagnose",
         "Diagnosis",
     ),

@@ -10,10 +10,10 @@ from knees import knee
 from identknee.blind.case import BlindCase, blind_case
 from identknee.blind.score import score
 from identknee.calibrate.starts import named_start
-from identknee.diagnose.causes import explanation_of
-from identknee.diagnose.diagnosis import Diagnosis, diagnose
-from identknee.diagnose.gain import measure_gain
-from identknee.diagnose.verdict import Verdict
+from identknee.diagnosis.causes import explanation_of
+from identknee.diagnosis.diagnose import Diagnosis, diagnose
+from identknee.diagnosis.gain import measure_gain
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from identknee.diagnose.diagnosis import Diagnosis, diagnose
+from identknee.diagnosis.diagnose import Diagnosis, diagnose
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity

@@ -24,8 +24,8 @@ from identknee.runs.files import digest, prepare_folder, write_atomically
 from identknee.runs.record import Recording, record
 
 if TYPE_CHECKING:
-    from identknee.diagnose.diagnosis import Diagnosis
-    from identknee.diagnose.gain import Gain
+    from identknee.diagnosis.diagnose import Diagnosis
+    from identknee.diagnosis.gain import Gain
 
 Data = Annotated[
     Path | None,
@@ -80,7 +80,7 @@ def diagnose(
             raise ValueError("--protocol needs --noise; add for example --noise 0.3mm,0.3deg")
         say_isolability(context, subject, str(protocol), noise, out=out, seed=seed, as_json=as_json)
         return
-    from identknee.diagnose.diagnosis import diagnose as find
+    from identknee.diagnosis.diagnose import diagnose as find
 
     knee, laxity = measured(subject, data, noise)
     inputs = {"subject": knee_digest(knee), "data": digest(data), **file_digests(start=start)}
@@ -97,7 +97,7 @@ def diagnose(
 def _say(
     found: "Diagnosis", seconds: float, out: Path, recording: Recording, *, as_json: bool
 ) -> None:
-    from identknee.diagnose.exclusions import exclusions
+    from identknee.diagnosis.exclusions import exclusions
     from identknee.report.diagnosis_figures import diagnosis_figures
     from identknee.report.diagnosis_groups import diagnosis_groups
     from identknee.report.diagnosis_summary import diagnosis_summary
@@ -126,7 +126,7 @@ def _starts(knee: "ik.Knee", laxity: "ik.Laxity", start: str) -> list[Any]:
 def _say_untestable(
     out: Path, knee: "ik.Knee", laxity: "ik.Laxity", recording: Recording, *, as_json: bool
 ) -> None:
-    from identknee.diagnose.data_noise import noise_of
+    from identknee.diagnosis.data_noise import noise_of
     from identknee.report.diagnosis_summary import untestable_summary
     from identknee.report.result_files import write_result
 
@@ -145,8 +145,8 @@ def _say_untestable(
 
 
 def _gain(found: "Diagnosis") -> "Gain | None":
-    from identknee.diagnose.causes import explanation_of
-    from identknee.diagnose.gain import measure_gain
+    from identknee.diagnosis.causes import explanation_of
+    from identknee.diagnosis.gain import measure_gain
 
     best = explanation_of(found)
     if not best.causes:
@@ -161,8 +161,8 @@ def _gain(found: "Diagnosis") -> "Gain | None":
 
 def _write_extension(found: "Diagnosis", out: Path) -> None:
     """The extended subject, where its fit lies, and the trials to add."""
-    from identknee.diagnose.causes import explanation_of
-    from identknee.diagnose.extended import extended_knee, fitted_values
+    from identknee.diagnosis.causes import explanation_of
+    from identknee.diagnosis.extended import extended_knee, fitted_values
     from identknee.subject.folder import write_subject
 
     best = explanation_of(found)

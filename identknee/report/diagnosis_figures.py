@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.diagnose.attribution import Step
-from identknee.diagnose.causes import Estimate, explanation_of, ligament_estimates
-from identknee.diagnose.curves import load_curves
-from identknee.diagnose.diagnosis import Diagnosis
-from identknee.diagnose.isolability import LEAST_DISTANCE, Distances
-from identknee.diagnose.localisation import LEVEL, Localisation
-from identknee.diagnose.noise_model import Curve
+from identknee.diagnosis.attribution import Step
+from identknee.diagnosis.causes import Estimate, explanation_of, ligament_estimates
+from identknee.diagnosis.curves import load_curves
+from identknee.diagnosis.diagnose import Diagnosis
+from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
+from identknee.diagnosis.localisation import LEVEL, Localisation
+from identknee.diagnosis.noise_model import Curve
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES

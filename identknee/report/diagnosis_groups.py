@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import xarray
 
-from identknee.diagnose.causes import explanation_of
-from identknee.diagnose.diagnosis import Diagnosis
-from identknee.diagnose.exclusions import Exclusion
+from identknee.diagnosis.causes import explanation_of
+from identknee.diagnosis.diagnose import Diagnosis
+from identknee.diagnosis.exclusions import Exclusion
 from identknee.laxity.table import COORDINATES
 from identknee.report.groups import constant_data, observed_data
 
@@ -20,7 +20,7 @@ def diagnosis_groups(found: Diagnosis, tested: Sequence[Exclusion]) -> dict[str,
     found
         The diagnosis.
     tested
-        Of every effect, see `identknee.diagnose.exclusions`.
+        Of every effect, see `identknee.diagnosis.exclusions`.
     """
     return {
         "constant_data": constant_data(found.laxity.protocol),

@@ -5,20 +5,20 @@ from typing import Any
 
 import numpy as np
 
-from identknee.diagnose.attribution import Rival
-from identknee.diagnose.causes import (
+from identknee.diagnosis.attribution import Rival
+from identknee.diagnosis.causes import (
     Cause,
     Estimate,
     causes_of,
     explanation_of,
     ligament_estimates,
 )
-from identknee.diagnose.diagnosis import Diagnosis
-from identknee.diagnose.exclusions import Exclusion
-from identknee.diagnose.gain import Gain
-from identknee.diagnose.gain_summary import gain_summary
-from identknee.diagnose.missing_line import LineFinding
-from identknee.diagnose.verdict import Verdict
+from identknee.diagnosis.diagnose import Diagnosis
+from identknee.diagnosis.exclusions import Exclusion
+from identknee.diagnosis.gain import Gain
+from identknee.diagnosis.gain_summary import gain_summary
+from identknee.diagnosis.missing_line import LineFinding
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
 from identknee.model.effects.facts import FACTS
@@ -43,7 +43,7 @@ def diagnosis_summary(
     found
         The diagnosis.
     tested
-        Of every effect, see `identknee.diagnose.exclusions`.
+        Of every effect, see `identknee.diagnosis.exclusions`.
     gain
         What the causes gain; None where none is named.
     """

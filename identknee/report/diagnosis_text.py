@@ -2,22 +2,22 @@
 
 from collections.abc import Iterable, Sequence
 
-from identknee.diagnose.advice import Advice
-from identknee.diagnose.attribution import Attribution, Rival
-from identknee.diagnose.causes import (
+from identknee.diagnosis.advice import Advice
+from identknee.diagnosis.attribution import Attribution, Rival
+from identknee.diagnosis.causes import (
     Cause,
     Estimate,
     causes_of,
     explanation_of,
     ligament_estimates,
 )
-from identknee.diagnose.diagnosis import Diagnosis
-from identknee.diagnose.exclusions import Exclusion
-from identknee.diagnose.gain import Gain
-from identknee.diagnose.power import Cell
-from identknee.diagnose.protocol_isolability import Visibility
-from identknee.diagnose.refit import Refit
-from identknee.diagnose.verdict import Verdict
+from identknee.diagnosis.diagnose import Diagnosis
+from identknee.diagnosis.exclusions import Exclusion
+from identknee.diagnosis.gain import Gain
+from identknee.diagnosis.power import Cell
+from identknee.diagnosis.protocol_isolability import Visibility
+from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.verdict import Verdict
 from identknee.model.effects.facts import FACTS
 
 MOST_RIVALS = 6
@@ -33,7 +33,7 @@ def diagnosis_lines(
     found
         The diagnosis.
     tested
-        Of every effect, see `identknee.diagnose.exclusions`.
+        Of every effect, see `identknee.diagnosis.exclusions`.
     gain
         What the causes gain; None where none is named.
     """

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from identknee.diagnose.causes import causes_of
-from identknee.diagnose.diagnosis import Diagnosis, diagnose
-from identknee.diagnose.elpd import elpd_difference
-from identknee.diagnose.exclusions import exclusions
-from identknee.diagnose.folds import Fold
-from identknee.diagnose.held_out import HeldOut, held_out
-from identknee.diagnose.observations import observations_of
-from identknee.diagnose.refit import Refit
+from identknee.diagnosis.causes import causes_of
+from identknee.diagnosis.diagnose import Diagnosis, diagnose
+from identknee.diagnosis.elpd import elpd_difference
+from identknee.diagnosis.exclusions import exclusions
+from identknee.diagnosis.folds import Fold
+from identknee.diagnosis.held_out import HeldOut, held_out
+from identknee.diagnosis.observations import observations_of
+from identknee.diagnosis.refit import Refit
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.published import TABLE2, PublishedLaxity, table2_laxity
 from identknee.laxity.table import COORDINATES, Laxity

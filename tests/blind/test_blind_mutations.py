@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from identknee.blind.case import BlindCase, blind_case
-from identknee.diagnose import base_fit
-from identknee.diagnose.diagnosis import Diagnosis, diagnose
-from identknee.diagnose.library_signatures import library_variants
-from identknee.diagnose.noise_model import build_noise_model
-from identknee.diagnose.projection import Projector
-from identknee.diagnose.score import score_test
-from identknee.diagnose.signature import Signature
+from identknee.diagnosis import base_fit
+from identknee.diagnosis.diagnose import Diagnosis, diagnose
+from identknee.diagnosis.library_signatures import library_variants
+from identknee.diagnosis.noise_model import build_noise_model
+from identknee.diagnosis.projection import Projector
+from identknee.diagnosis.score import score_test
+from identknee.diagnosis.signature import Signature
 from identknee.model.effects.library import library
 from identknee.subject.reference import reference_knee
 

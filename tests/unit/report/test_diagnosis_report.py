@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, diagnosed
 
-from identknee.diagnose.causes import explanation_of
-from identknee.diagnose.diagnosis import Diagnosis
-from identknee.diagnose.exclusions import exclusions
-from identknee.diagnose.isolability import Distances
-from identknee.diagnose.localisation import Localisation
-from identknee.diagnose.missing_line import LineFinding
-from identknee.diagnose.refit import refit
-from identknee.diagnose.verdict import Conclusion, Verdict
+from identknee.diagnosis.causes import explanation_of
+from identknee.diagnosis.diagnose import Diagnosis
+from identknee.diagnosis.exclusions import exclusions
+from identknee.diagnosis.isolability import Distances
+from identknee.diagnosis.localisation import Localisation
+from identknee.diagnosis.missing_line import LineFinding
+from identknee.diagnosis.refit import refit
+from identknee.diagnosis.verdict import Conclusion, Verdict
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import MISSING_LINE
 from identknee.model.effects.structures import structure_at

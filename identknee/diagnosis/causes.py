@@ -1,0 +1,167 @@
+"""The causes of a fit in physical units: how large each is, and how well that is known."""
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from scipy.special import ndtri
+
+from identknee.diagnosis.diagnose import Diagnosis
+from identknee.diagnosis.laplace import Laplace, laplace
+from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.verdict import Verdict
+from identknee.model.effects.structures import MissingStructure
+from identknee.runs.arrays import Array
+
+TWO_SIDED = float(ndtri(0.975))
+# By how a parameter's name ends; the first that fits.
+UNITS = {
+    "N_per_mm": "N/mm",
+    "N_per_Nm": "N/N·m",
+    "deg_per_Nm": "deg/N·m",
+    "kN": "kN",
+    "Nm": "N·m",
+    "mm": "mm",
+    "deg": "deg",
+    "pct": "%",
+    "N": "N",
+}
+PLAIN, TOTAL = "1", "total"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Estimate:
+    """A number found by a fit.
+
+    Attributes
+    ----------
+    name
+        Of the parameter, without its owner; ``"total"`` for the length of a vector of several.
+    value
+        In its unit.
+    unit
+        ``"1"`` for a plain number.
+    ci95
+        Ends of its 95 % interval.
+    """
+
+    name: str
+    value: float
+    unit: str
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cause:
+    """A cause and its amplitudes.
+
+    Attributes
+    ----------
+    name
+        As in the library.
+    amplitude
+        The one number that says how large it is.
+    parameters
+        All of its amplitudes.
+    line
+        Femoral and tibial end in the common frame of the scanned pose [mm], shape ``(2, 3)``; None
+        for what is not one line.
+    """
+
+    name: str
+    amplitude: Estimate
+    parameters: tuple[Estimate, ...]
+    line: Array | None
+
+
+def unit_of(parameter: str) -> str:
+    """Unit of a parameter, from the end of its name.
+
+    Examples
+    --------
+    >>> unit_of("rig_compliance_IE.compliance_deg_per_Nm"), unit_of("moment_gain_IE.gain")
+    ('deg/N·m', '1')
+    """
+    last = parameter.rpartition(".")[2]
+    return next((unit for end, unit in UNITS.items() if f"_{last}".endswith(f"_{end}")), PLAIN)
+
+
+def explanation_of(found: Diagnosis) -> Refit:
+    """The model with the causes that a diagnosis gives; the base model where it gives none.
+
+    A line of force that explains what no known cause does is a cause too.
+    """
+    if found.conclusion.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS):
+        return found.conclusion.best
+    if found.line is not None and found.line.is_line:
+        return found.line.refit
+    return found.base
+
+
+def posterior_of(refit: Refit) -> Laplace:
+    """Intervals of all parameters of a fit."""
+    fitted = refit.fitted
+    return laplace(fitted.evaluation, fitted.model.parameters, fitted.noise.factor)
+
+
+def causes_of(refit: Refit) -> tuple[Cause, ...]:
+    """The causes that a fit has beyond the base model, with their amplitudes.
+
+    Of amplitudes in one unit that may have either sign, such as the components of a force, the
+    total counts: the root of the sum of their squares, its interval to first order. Of others in
+    the unit of the first, such as the stiffnesses of two halves, the largest counts.
+    """
+    posterior, covariance = posterior_of(refit), refit.covariance()
+    return tuple(_cause(refit, x, posterior, covariance) for x in refit.names)
+
+
+def ligament_estimates(refit: Refit) -> dict[str, dict[str, Estimate]]:
+    """The calibrated parameters of a fit by ligament and quantity."""
+    posterior = posterior_of(refit)
+    n = refit.fitted.model.n_ligament_parameters
+    tree: dict[str, dict[str, Estimate]] = {}
+    for i, name in enumerate(refit.fitted.model.parameters.names[:n]):
+        found = _estimate(name, i, posterior)
+        tree.setdefault(name.rpartition(".")[0], {})[found.name] = found
+    return tree
+
+
+def _cause(refit: Refit, name: str, posterior: Laplace, covariance: np.ndarray) -> Cause:
+    parameters, places = refit.fitted.model.parameters, refit.places(name)
+    found = tuple(_estimate(parameters.names[i], int(i), posterior) for i in places)
+    unit = found[0].unit
+    # Plain numbers are not alike for having no unit.
+    same = [k for k, x in enumerate(found) if k == 0 or x.unit == unit != PLAIN]
+    if len(same) == len(found) > 1 and np.all(parameters.lower[places] < 0.0):
+        amplitude = _total(found, covariance[np.ix_(places, places)])
+    else:
+        amplitude = reduce(lambda x, y: y if y.value > x.value else x, [found[k] for k in same])
+    return Cause(name=name, amplitude=amplitude, parameters=found, line=_line(refit, name))
+
+
+def _line(refit: Refit, name: str) -> Array | None:
+    """Where the line of a structure runs with the shifts found."""
+    knee = refit.fitted.model.knee
+    effect = next(x for x in refit.causes if x.name == name)
+    if not isinstance(effect, MissingStructure) or len(effect.femoral) > 1:
+        return None
+    femoral, tibial = effect.insertions(refit.amplitudes(name))
+    return np.vstack([knee.femur_frame.to_common(femoral), knee.tibia_frame.to_common(tibial)])
+
+
+def _total(components: tuple[Estimate, ...], covariance: np.ndarray) -> Estimate:
+    values = np.array([x.value for x in components])
+    size = float(np.linalg.norm(values))
+    way = values / size if size > 0 else np.full(len(values), len(values) ** -0.5)
+    reach = TWO_SIDED * float(np.sqrt(way @ covariance @ way))
+    ends = max(size - reach, 0.0), size + reach
+    return Estimate(name=TOTAL, value=size, unit=components[0].unit, ci95=ends)
+
+
+def _estimate(name: str, i: int, posterior: Laplace) -> Estimate:
+    return Estimate(
+        name=name.rpartition(".")[2],
+        value=float(posterior.theta[i]),
+        unit=unit_of(name),
+        ci95=(float(posterior.lower[i]), float(posterior.upper[i])),
+    )

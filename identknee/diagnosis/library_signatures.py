@@ -1,0 +1,224 @@
+"""What every effect of a library would add to the residuals of a fit."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from identknee.diagnosis.base_fit import Fitted
+from identknee.diagnosis.signature import Signature
+from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.grood_suntay import coordinate_jacobian
+from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.model.effects.effect import Effect
+from identknee.model.effects.structures import MissingStructure
+from identknee.model.laxity_model import PER_KN, LaxityModel
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, IntArray, frozen
+
+# Reference strains [%] and shifts of the insertions [mm] at which a missing structure is tried.
+STRAINS = (-4.0, 0.0, 4.0, 8.0)
+SHIFT = 6.0
+# Femoral x and y, tibial x: among the six amplitudes after stiffness and strain.
+SHIFTED = (2, 3, 5)
+# Of the whitened residuals: an amplitude of a prior standard deviation that does less is unseen to
+# first order, and its effect at that amplitude is taken instead.
+UNSEEN = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Variant:
+    """One signature of an effect, and where a refit with it begins.
+
+    Attributes
+    ----------
+    effect
+        Of the library.
+    signature
+        Of those amplitudes that change the residuals to first order.
+    values
+        All amplitudes where the signature was taken, shape ``(a,)``.
+    moved
+        Which of them the columns of the signature belong to.
+    is_secant
+        Whether the effect has no first derivative, so that its score holds for one size only.
+    """
+
+    effect: Effect
+    signature: Signature
+    values: Array
+    moved: IntArray
+    is_secant: bool = False
+
+    def start(self, amplitude: Array) -> Array:
+        """All amplitudes with those of the signature as given, within their bounds, ``(a,)``."""
+        values = np.array(self.values)
+        values[self.moved] += amplitude
+        parameters = self.effect.parameters
+        return np.asarray(np.clip(values, parameters.lower, parameters.upper))
+
+
+def library_variants(fitted: Fitted, effects: Sequence[Effect]) -> tuple[Variant, ...]:
+    """Signatures of all effects at a fit, those of structures for a grid of sites and strains.
+
+    Derivatives are those of the fitted model's predictions. An amplitude without a first derivative
+    (such as the strain spread of bundles) is represented by what a prior standard deviation of it
+    does.
+    """
+    grid = [x for x in effects if isinstance(x, MissingStructure) and x.sites_vary]
+    others = [x for x in effects if x not in grid]
+    found = list(_tangents(fitted, others))
+    for structure in grid:
+        found += _at_sites(fitted, structure)
+    return tuple(found)
+
+
+def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
+    """One variant an effect, or one a strain for structures that stay where they are."""
+    tried = [(effect, values) for effect in effects for values in _baselines(effect)]
+    base = fitted.model
+    columns = [_columns(fitted, base, effect, values) for effect, values in tried]
+    for (effect, values), changes in zip(tried, columns, strict=True):
+        p = effect.parameters
+        size = np.linalg.norm(changes, axis=0) * p.prior_sd
+        seen = size > UNSEEN
+        is_secant = not seen.any()
+        if is_secant:
+            changes = _secants(fitted, effect, values)
+            seen = np.linalg.norm(changes, axis=0) * p.prior_sd > UNSEEN
+        if not seen.any():
+            continue
+        moved = np.flatnonzero(seen)
+        strain = values[1] if isinstance(effect, MissingStructure) else None
+        yield Variant(
+            effect=effect,
+            signature=Signature(
+                name=effect.name,
+                variant="" if strain is None else f"strain {strain:g} %",
+                columns=changes[:, moved],
+                prior_sd=p.prior_sd[moved],
+                sign=_signs(p)[moved],
+            ),
+            values=values,
+            moved=moved,
+            is_secant=is_secant,
+        )
+
+
+def _baselines(effect: Effect) -> list[Array]:
+    """Amplitudes at which the effect does nothing."""
+    values = np.array(effect.parameters.center)
+    if not isinstance(effect, MissingStructure):
+        return [values]
+    return [np.r_[values[0], strain, values[2:]] for strain in STRAINS]
+
+
+def _columns(fitted: Fitted, base: LaxityModel, effect: Effect, values: Array) -> Array:
+    """Whitened derivatives by the amplitudes of one effect, shape ``(m, a)``."""
+    model = base.with_effects([*base.effects, effect])
+    prediction = model.predict(np.r_[fitted.theta, values])
+    used = fitted.laxity.is_measured.any(axis=1)
+    if prediction.jacobian is None or not prediction.is_converged[used].all():
+        return np.zeros((fitted.n_data, len(values)))
+    return fitted.columns(prediction.jacobian[:, :, len(fitted.theta) :])
+
+
+def _secants(fitted: Fitted, effect: Effect, values: Array) -> Array:
+    """Whitened changes by a prior standard deviation of each amplitude, divided by it."""
+    p = effect.parameters
+    model = fitted.model.with_effects([*fitted.model.effects, effect])
+    before = model.predict(np.r_[fitted.theta, values], derivatives=False).coordinates
+    changes = []
+    for k in range(p.n):
+        step = np.zeros(p.n)
+        step[k] = min(p.prior_sd[k], p.upper[k])
+        after = model.predict(np.r_[fitted.theta, values + step], derivatives=False).coordinates
+        changes.append((after - before) / step[k])
+    whole = np.stack(changes, axis=2)
+    # What cannot be predicted at this amplitude says nothing.
+    return fitted.columns(np.where(np.isfinite(whole).all(axis=(0, 1)), whole, 0.0))
+
+
+def _at_sites(fitted: Fitted, structure: MissingStructure) -> list[Variant]:
+    """Variants of a missing structure on a grid of sites and reference strains."""
+    moves = _site_moves(structure.parameters.n)
+    strains = np.array(STRAINS)
+    m = len(structure.femoral)
+    femoral = np.concatenate([structure.femoral + x[2:5] for x in moves])
+    tibial = np.concatenate([structure.tibial + x[5:8] for x in moves])
+    unmeasured = Lines(femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral)))
+    model, prediction = fitted.model, fitted.model.predict_once(fitted.theta)
+    setting = model.setting(fitted.theta)
+    lines = Lines(
+        femoral=femoral,
+        tibial=tibial,
+        reference_length=setting.lengths_at_start(unmeasured),
+    )
+    flexion = setting.flexion[model.paths.trial_node]
+    found = []
+    for strain in strains:
+        shape = ligament_tensions(
+            lines,
+            flexion,
+            prediction.poses,
+            np.ones(len(femoral)),
+            np.full(len(femoral), 0.01 * strain),
+        )
+        pulls = PER_KN * shape.by_stiffness[:, :, None] * shape.lengthening
+        pulls = pulls.reshape(len(flexion), len(moves), m, 5).sum(axis=2)
+        columns = fitted.columns(pose_changes(fitted, pulls.transpose(0, 2, 1)))
+        found += [
+            _site_variant(structure, move, float(strain), columns[:, [k]])
+            for k, move in enumerate(moves)
+            if np.linalg.norm(columns[:, k]) > UNSEEN
+        ]
+    return found
+
+
+def pose_changes(fitted: Fitted, gradients: Array) -> Array:
+    """Changes of the coordinates (n, 5, k) by additions (n, 5, k) to the gradient of the energy."""
+    prediction = fitted.model.predict_once(fitted.theta)
+    if prediction.hessians is None:  # pragma: no cover - only mesh contact has none
+        raise AssertionError
+    moved = -np.linalg.solve(prediction.hessians, gradients)
+    return np.asarray(coordinate_jacobian(prediction.poses) @ moved)
+
+
+def _site_moves(n: int) -> list[Array]:
+    """No shift, each of three coordinates shifted alone, all three together: 15 amplitudes."""
+    moves = [np.zeros(n)]
+    for k, sign in product(SHIFTED, (-1.0, 1.0)):
+        moves.append(np.zeros(n))
+        moves[-1][k] = sign * SHIFT
+    for signs in product((-1.0, 1.0), repeat=len(SHIFTED)):
+        moves.append(np.zeros(n))
+        moves[-1][list(SHIFTED)] = np.array(signs) * SHIFT
+    return moves
+
+
+def _site_variant(
+    structure: MissingStructure, move: Array, strain: float, column: Array
+) -> Variant:
+    p = structure.parameters
+    shift = ", ".join(f"{x:+.0f}" for x in move[list(SHIFTED)])
+    values = np.array(move)
+    values[1] = strain
+    return Variant(
+        effect=structure,
+        signature=Signature(
+            name=structure.name,
+            variant=f"strain {strain:g} %, shifted by {shift} mm",
+            columns=column,
+            prior_sd=p.prior_sd[:1],
+            sign=_signs(p)[:1],
+        ),
+        values=frozen(values, p.n, name="values"),
+        moved=np.array([0]),
+    )
+
+
+def _signs(parameters: Parameters) -> IntArray:
+    """1 or -1 for amplitudes that have one sign only, 0 for the rest."""
+    positive, negative = parameters.lower >= 0.0, parameters.upper <= 0.0
+    return np.asarray(positive.astype(np.int64) - negative.astype(np.int64))

@@ -1,0 +1,108 @@
+"""The forces a model lacks: what else would have to act to hold the knee where it was measured."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.diagnosis.surface_roughness import trial_contacts
+from identknee.mechanics.contact_places import ContactPlaces
+from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
+from identknee.model.residuals import LaxityResiduals
+from identknee.runs.arrays import Array, IntArray, frozen
+
+LEVER = 20.0  # mm, what a moment is divided by to be compared with a force
+SCALE = np.array([LEVER, LEVER, 1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MissingWrench:
+    """Generalised forces that are missing in n trials: of varus, internal [N mm], x, y, z [N].
+
+    They hold no more than the residuals do, in newtons. Contact is so stiff that noise alone asks
+    for hundreds of newtons along its normals: only what lies outside is fit to be shown. NaN in
+    trials that lack a measured coordinate or did not converge.
+
+    Attributes
+    ----------
+    wrench, covariance
+        In each trial, shape ``(n, 5)``, and of its errors, ``(n, 5, 5)``.
+    outside, outside_covariance
+        The part outside the directions in which contact presses, moments compared with forces over
+        a lever of 20 mm, and the covariance of its errors.
+    """
+
+    wrench: Array
+    covariance: Array
+    outside: Array
+    outside_covariance: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.wrench)
+        for name in ("wrench", "outside"):
+            object.__setattr__(self, name, frozen(getattr(self, name), n, 5, name=name))
+        for name in ("covariance", "outside_covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name), n, 5, 5, name=name))
+
+
+def missing_wrench(problem: LaxityResiduals, theta: Array) -> MissingWrench:
+    """What is missing in every trial: the Hessian times the way from the predicted pose.
+
+    The Hessian is that of the predicted pose, where contact is well defined. For data counted from
+    the unloaded pose it is what is missing beyond what is missing there.
+
+    Parameters
+    ----------
+    problem
+        The model and the data.
+    theta
+        Where, shape ``(p,)``.
+
+    Raises
+    ------
+    ValueError
+        If a measured coordinate has no standard deviation, or the contact is that of meshes.
+    """
+    model, laxity = problem.model, problem.laxity
+    prediction = model.predict_once(theta)
+    if prediction.hessians is None:
+        raise ValueError('a missing wrench needs a model with contact="field"')
+    if laxity.sd is None or np.isnan(laxity.sd[laxity.is_measured]).any():
+        raise ValueError("a missing wrench needs the standard deviation of every coordinate")
+    seen, _ = model.extension.observed_slopes(
+        coordinates_from_pose(prediction.poses), model.amplitudes(theta), model.tests
+    )
+    is_whole = laxity.is_measured.all(axis=1) & prediction.is_converged
+    shape = is_whole[:, None, None]
+    hessians = np.where(shape, prediction.hessians, np.eye(5))
+    stiffness = hessians @ np.linalg.inv(seen @ coordinate_jacobian(prediction.poses))
+    shared = np.full((5, 5), laxity.within_trial_correlation)
+    np.fill_diagonal(shared, 1.0)
+    errors = laxity.sd[:, :, None] * shared * laxity.sd[:, None]
+    wrench = np.einsum("nij,nj->ni", stiffness, problem.differences(theta))
+    covariance = stiffness @ errors @ stiffness.transpose(0, 2, 1)
+    kept = np.stack(
+        [
+            _outside_contact(x, model.joint.contact.compartment)
+            for x in trial_contacts(model, prediction)
+        ]
+    )
+    return MissingWrench(
+        wrench=np.where(is_whole[:, None], wrench, np.nan),
+        covariance=np.where(shape, covariance, np.nan),
+        outside=np.where(is_whole[:, None], np.einsum("nij,nj->ni", kept, wrench), np.nan),
+        outside_covariance=np.where(shape, kept @ covariance @ kept.transpose(0, 2, 1), np.nan),
+    )
+
+
+def _outside_contact(contact: ContactPlaces, compartment: IntArray) -> Array:
+    """What is left (5, 5) of a wrench without its parts along the forces of either contact."""
+    touched = compartment[contact.index]
+    pressed = [
+        contact.force[touched == c] @ contact.deepening[touched == c] / SCALE
+        for c in np.unique(touched)
+    ]
+    if not pressed:
+        return np.eye(5)
+    normals, _ = np.linalg.qr(np.array(pressed).T)
+    kept: Array = (np.eye(5) - normals @ normals.T) * SCALE[:, None] / SCALE
+    return kept

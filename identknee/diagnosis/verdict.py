@@ -1,0 +1,165 @@
+"""What a diagnosis concludes: one of five verdicts, with its reasons."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from identknee.diagnosis.attribution import Attribution
+from identknee.diagnosis.goodness import cauchy_combination
+from identknee.diagnosis.refit import Refit
+
+LEVEL = 0.05
+# A model whose misfit is less probable is not the explanation, or not all of it.
+FITS, HARDLY_FITS = 0.01, 0.001
+# A verdict that holds for only some of these multiples of a stated noise is none.
+NOISE_FACTORS = (0.75, 1.33)
+HANGS_ON_NOISE = (
+    "The verdict hangs on the noise, which the data state but do not show: with 0.75 or 1.33 times "
+    "that noise it would be another. Measure longer load curves or replicates."
+)
+
+
+class Verdict(StrEnum):
+    """The five ways in which a diagnosis ends."""
+
+    ADEQUATE = "ADEQUATE"
+    NAMED = "NAMED"
+    AMBIGUOUS = "AMBIGUOUS"
+    UNEXPLAINED = "UNEXPLAINED"
+    NOT_TESTABLE = "NOT_TESTABLE"
+
+    @property
+    def sentence(self) -> str:
+        """What it means."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Verdict.ADEQUATE: "The data show nothing that the model gets wrong.",
+    Verdict.NAMED: "The data show what the model gets wrong, and only one known cause fits.",
+    Verdict.AMBIGUOUS: "The model gets something wrong, and more than one known cause fits.",
+    Verdict.UNEXPLAINED: "The model gets something wrong that no known cause explains.",
+    Verdict.NOT_TESTABLE: "The data cannot say whether the model gets anything wrong.",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Conclusion:
+    """A verdict and what it stands on.
+
+    Attributes
+    ----------
+    verdict
+        One of five.
+    p_value
+        Probability of a misfit as clear as this one of the base model, under noise alone.
+    best
+        The model with the causes found; the base model where none was.
+    group
+        Names of all causes that would explain the data, the best first; empty without any.
+    reasons
+        Sentences for the user.
+    """
+
+    verdict: Verdict
+    p_value: float
+    best: Refit
+    group: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+
+def alarm_p_value(base: Refit, library_p_value: float, noise_factor: float = 1.0) -> float:
+    """Probability of a misfit as clear under noise: that of the library, size and shape together.
+
+    The library's largest score is the sharpest of the three tests and counts three times as much.
+
+    Parameters
+    ----------
+    base
+        The fit without causes.
+    library_p_value
+        Of the largest score, which does not depend on the size of the noise.
+    noise_factor
+        Noise over the noise that the fit was made with.
+    """
+    return cauchy_combination([*3 * [library_p_value], base.misfit_p_value_at(noise_factor)])
+
+
+def conclude(attribution: Attribution, p_value: float) -> Conclusion:
+    """The verdict on an attribution whose base model's misfit has this probability."""
+    best, base = attribution.best, attribution.base
+    if _hangs_on_noise(attribution, p_value):
+        return _conclusion(Verdict.NOT_TESTABLE, p_value, base, (), [HANGS_ON_NOISE])
+    if p_value > LEVEL:
+        return Conclusion(
+            verdict=Verdict.ADEQUATE,
+            p_value=p_value,
+            best=base,
+            group=(),
+            reasons=(f"Noise alone leaves a misfit as clear in {100 * p_value:.2g} % of cases.",),
+        )
+    reasons = [f"Noise alone would leave a misfit as clear in {100 * p_value:.2g} % of cases."]
+    if not best.causes:
+        reasons.append("No effect of the library fits better than the model without it.")
+        return _conclusion(Verdict.UNEXPLAINED, p_value, base, (), reasons)
+    fits = best.misfit_p_value
+    if faults := _faults(best, fits):
+        return _conclusion(Verdict.UNEXPLAINED, p_value, best, (), [*reasons, *faults])
+    doubts = _doubts(attribution, fits)
+    group = _group(attribution)
+    if len(group) > len(best.causes) or doubts:
+        return _conclusion(Verdict.AMBIGUOUS, p_value, best, group, [*reasons, *doubts])
+    return _conclusion(Verdict.NAMED, p_value, best, group, reasons)
+
+
+def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
+    """Whether noise that is only stated, if wrong by a quarter or a third, turns the verdict."""
+    base = attribution.base
+    if np.isfinite(base.noise_degrees):
+        return False
+    score = attribution.steps[0].scores.p_value
+    others = [alarm_p_value(base, score, factor) <= LEVEL for factor in NOISE_FACTORS]
+    return any(x != (p_value <= LEVEL) for x in others)
+
+
+def _conclusion(
+    verdict: Verdict, p_value: float, best: Refit, group: Sequence[str], reasons: Sequence[str]
+) -> Conclusion:
+    return Conclusion(
+        verdict=verdict, p_value=p_value, best=best, group=tuple(group), reasons=tuple(reasons)
+    )
+
+
+def _faults(best: Refit, fits: float) -> list[str]:
+    """Why the best explanation is none."""
+    names = " and ".join(best.names)
+    faults = []
+    if fits <= HARDLY_FITS:
+        faults.append(f"With {names} the misfit is still improbable (p {fits:.2g}).")
+    faults += [
+        f"{name} would need an amplitude at the end of its plausible range."
+        for name in best.names
+        if best.is_at_end(name)
+    ]
+    return faults
+
+
+def _doubts(attribution: Attribution, fits: float) -> list[str]:
+    """Why the best explanation may not be the only one or not all."""
+    doubts = []
+    if fits <= FITS:
+        doubts.append(f"The misfit that is left is rather improbable (p {fits:.2g}).")
+    if attribution.is_left_unexplained:
+        further = attribution.steps[-1].scores.candidates[0].name
+        doubts.append(f"Something else is left: {further} scores high but does not fit.")
+    return doubts
+
+
+def _group(attribution: Attribution) -> tuple[str, ...]:
+    """All causes of the best explanation and of the rivals still open."""
+    names = list(attribution.best.names)
+    for rival in attribution.open_rivals:
+        names += [x for x in rival.refit.names if x not in names]
+    return tuple(names)

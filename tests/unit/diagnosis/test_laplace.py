@@ -1,0 +1,180 @@
+"""Evidence and intervals against closed forms and integrals on a grid."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+from tolerances import CLOSED_FORM
+
+from identknee.calibrate.problem import WithPriors
+from identknee.diagnosis.laplace import (
+    Laplace,
+    laplace,
+    log_box_probability,
+    log_interval_mass,
+)
+from identknee.identify.constrained import minimise
+from identknee.identify.evaluation import Evaluator
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array
+
+SOLVED = 1e4 * CLOSED_FORM
+# 1,024 points of a Sobol sequence on smooth integrands; their own error is below.
+SAMPLED = 3e-3
+SD = 0.5
+N_DATA = 12
+N_GRID = 501
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """Residuals of a linear model in units of its noise."""
+
+    columns: Array
+    measured: Array
+    parameters: Parameters
+
+    def residuals(self, theta: Array) -> Array:
+        return np.asarray((self.columns @ theta - self.measured) / SD)
+
+    def jacobian(self, theta: Array) -> Array:
+        assert theta.shape == (self.columns.shape[1],)
+        return np.asarray(self.columns / SD)
+
+    def likelihood(self, theta: Array) -> float:
+        return float(stats.norm(scale=SD).pdf(self.columns @ theta - self.measured).prod())
+
+
+def line(
+    truth: list[float], *, lower: list[float] | None = None, is_log: bool = False, seed: int = 0
+) -> Line:
+    """Data of `truth` with noise; priors with centres 0 or, lognormal, 1."""
+    n = len(truth)
+    generator = np.random.default_rng(seed)
+    columns = generator.standard_normal((N_DATA, n)) / 3
+    return Line(
+        columns=columns,
+        measured=columns @ np.array(truth) + SD * generator.standard_normal(N_DATA),
+        parameters=Parameters(
+            names=tuple(f"slope{i}" for i in range(n)),
+            center=np.full(n, float(is_log)),
+            lower=np.full(n, -np.inf) if lower is None else np.array(lower),
+            upper=np.full(n, np.inf),
+            prior_sd=np.linspace(1.0, 2.0, n),
+            is_log=(is_log,) * n,
+        ),
+    )
+
+
+def posterior(made: Line) -> Laplace:
+    n = made.parameters.n
+    found = minimise(Evaluator(WithPriors(problem=made)), np.full(n, 0.5))
+    return laplace(found.evaluation, made.parameters, SD * np.eye(N_DATA))
+
+
+def test_without_bounds_it_is_the_evidence_of_a_linear_model() -> None:
+    made = line([1.0, -0.5, 0.2])
+    spread = made.columns * made.parameters.prior_sd
+    covariance = spread @ spread.T + SD**2 * np.eye(N_DATA)
+    exact = stats.multivariate_normal(cov=covariance).logpdf(made.measured)
+    found = posterior(made)
+    assert found.log_evidence == pytest.approx(exact, rel=SOLVED)
+    information = made.columns.T @ made.columns / SD**2 + np.diag(made.parameters.prior_sd**-2.0)
+    mean = np.linalg.solve(information, made.columns.T @ made.measured / SD**2)
+    sd = np.sqrt(np.diag(np.linalg.inv(information)))
+    assert found.sd == pytest.approx(sd, rel=SOLVED)
+    ends = stats.norm(mean, sd).interval(0.95)
+    assert found.lower == pytest.approx(ends[0], rel=SOLVED)
+    assert found.upper == pytest.approx(ends[1], rel=SOLVED)
+
+
+@pytest.mark.parametrize("truth", [2.0, 0.3, -1.0])
+def test_one_bound_is_exact(truth: float) -> None:
+    made = line([truth], lower=[0.0])
+    prior = stats.halfnorm(scale=1.0)
+    exact = integrate.quad(
+        lambda x: made.likelihood(np.array([x])) * prior.pdf(x), 0, 8, epsabs=0, limit=200
+    )[0]
+    found = posterior(made)
+    assert found.log_evidence == pytest.approx(np.log(exact), rel=SOLVED)
+    assert found.lower[0] >= 0
+    assert found.lower[0] <= found.theta[0] <= found.upper[0]
+
+
+@pytest.mark.parametrize("truth", [[1.0, 0.2], [-1.0, -1.0], [0.0, 2.0]])
+def test_two_bounds_agree_with_a_grid(truth: list[float]) -> None:
+    made = line(truth, lower=[0.0, 0.1])
+    x, y = np.linspace(0.0, 6.0, N_GRID), np.linspace(0.1, 10.0, N_GRID)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    errors = points @ made.columns.T - made.measured
+    likelihood = stats.norm(scale=SD).logpdf(errors).sum(axis=-1)
+    wide = stats.norm(scale=2.0)
+    prior = stats.halfnorm.logpdf(x)[:, None] + wide.logpdf(y) - wide.logsf(0.1)
+    inner = integrate.simpson(np.exp(likelihood + prior), x=y, axis=1)
+    exact = integrate.simpson(inner, x=x)
+    assert posterior(made).log_evidence == pytest.approx(np.log(exact), abs=SAMPLED)
+
+
+def test_a_lognormal_prior_is_integrated_in_its_logarithm() -> None:
+    made = line([2.0], lower=[0.0], is_log=True)
+    # Ten times the data, so that the posterior is nearly normal in the logarithm.
+    made = replace(made, columns=10 * made.columns, measured=10 * made.measured)
+    prior = stats.lognorm(s=1.0)
+    exact = integrate.quad(
+        lambda x: made.likelihood(np.array([x])) * prior.pdf(x), 0, 4, points=[1.9, 2.1]
+    )[0]
+    found = posterior(made)
+    # The next order of Laplace's method is the square of the posterior's relative spread.
+    assert found.log_evidence == pytest.approx(np.log(exact), abs=5 * (found.sd[0] / 2) ** 2)
+    ratio = np.sqrt(found.upper[0] / found.lower[0])
+    assert ratio == pytest.approx(np.exp(1.96 * found.sd[0] / found.theta[0]), rel=1e-3)
+
+
+def test_the_share_within_bounds_agrees_with_closed_forms() -> None:
+    correlation = 0.6
+    covariance = np.array([[1.0, correlation], [correlation, 1.0]])
+    zeros, high = np.zeros(2), np.full(2, np.inf)
+    exact = 0.25 + np.arcsin(correlation) / (2 * np.pi)
+    found = log_box_probability(zeros, covariance, zeros, high)
+    assert found == pytest.approx(np.log(exact), abs=SAMPLED)
+    independent = log_box_probability(
+        np.array([-8.0, -6.0, 3.0]), np.eye(3), np.array([0.0, 0.0, -np.inf]), np.full(3, np.inf)
+    )
+    tails = stats.norm.logsf(8.0) + stats.norm.logsf(6.0)
+    assert independent == pytest.approx(tails, rel=1e-9)
+    assert log_box_probability(zeros, covariance, -high, high) == 0.0
+
+
+def test_the_share_within_bounds_agrees_with_a_library() -> None:
+    generator = np.random.default_rng(2)
+    root = generator.standard_normal((4, 4))
+    covariance, mean = root @ root.T, generator.standard_normal(4)
+    lower, upper = mean - 1.0, mean + np.array([0.5, np.inf, 3.0, 1.0])
+    library = stats.multivariate_normal(mean, covariance, seed=1).cdf(upper, lower_limit=lower)
+    found = log_box_probability(mean, covariance, lower, upper)
+    assert found == pytest.approx(np.log(library), abs=2 * SAMPLED)
+
+
+def test_small_shares_keep_their_digits() -> None:
+    low = np.array([-np.inf, 30.0, -31.0, -1.0, -np.inf])
+    high = np.array([np.inf, 31.0, -30.0, 1.0, -40.0])
+    exact = [0.0, stats.norm.logsf(30.0), stats.norm.logcdf(-30.0), np.log(0.6826894921370859)]
+    exact.append(stats.norm.logcdf(-40.0))
+    assert log_interval_mass(low, high) == pytest.approx(exact, rel=1e-10)
+
+
+def test_a_bound_is_the_end_of_an_interval() -> None:
+    for truth, is_bounded in ((-6.0, True), (0.3, True), (6.0, False)):
+        made = line([truth], lower=[0.0])
+        made = replace(made, columns=4 * made.columns, measured=4 * made.measured)
+        found = posterior(made)
+        information = float(np.sum(made.columns**2)) / SD**2 + 1.0
+        mean = float(made.columns[:, 0] @ made.measured) / SD**2 / information
+        sd = information**-0.5
+        exact = stats.truncnorm(-mean / sd, np.inf, loc=mean, scale=sd)
+        cut = stats.norm.cdf(-mean / sd) > 0.025
+        assert cut == is_bounded
+        low, high = (0.0, 0.95) if is_bounded else (0.025, 0.975)
+        assert found.lower[0] == pytest.approx(exact.ppf(low), rel=1e-8)
+        assert found.upper[0] == pytest.approx(exact.ppf(high), rel=1e-8)
