@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 
 from identknee.diagnosis.base_fit import Fitted
-from identknee.diagnosis.signature import Signature
+from identknee.diagnosis.signature import MOST_SIGNED, Signature
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.grood_suntay import coordinate_jacobian
 from identknee.mechanics.ligament_tensions import ligament_tensions
@@ -219,6 +219,12 @@ def _site_variant(
 
 
 def _signs(parameters: Parameters) -> IntArray:
-    """1 or -1 for amplitudes that have one sign only, 0 for the rest."""
+    """1 or -1 for amplitudes that have one sign only, 0 for the rest.
+
+    Too many signs for a signature, as those of the bundles of many ligaments, are left to the
+    bounds of the refit.
+    """
     positive, negative = parameters.lower >= 0.0, parameters.upper <= 0.0
+    if np.count_nonzero(positive | negative) > MOST_SIGNED:
+        return np.zeros(parameters.n, np.int64)
     return np.asarray(positive.astype(np.int64) - negative.astype(np.int64))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from identknee.diagnosis.base_fit import fit_base
 from identknee.diagnosis.causes import causes_of
 from identknee.diagnosis.diagnose import Diagnosis, diagnose
 from identknee.diagnosis.elpd import elpd_difference
