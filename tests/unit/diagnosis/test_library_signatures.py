@@ -21,7 +21,7 @@ def test_a_knee_of_many_ligaments_has_a_signature_of_its_bundles() -> None:
     more = [
         Ligament(
             name=f"strand{i}",
-            femur=first.femur + [0.0, 0.0, float(i)],
+            femur=first.femur + np.array([0.0, 0.0, float(i)]),
             tibia=first.tibia,
             stiffness_kN=0.1,
             reference_strain_pct=2.0,
