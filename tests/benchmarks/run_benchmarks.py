@@ -20,6 +20,7 @@ MODULES = {
     "sweep": "bench_sweep",
     "sampling": "bench_sampling",
     "posterior": "bench_posterior",
+    "diagnosis": "bench_diagnosis",
 }
 
 if __name__ == "__main__":
