@@ -63,7 +63,8 @@ class Hidden:
     apply
         An experiment with the effect at a signed amplitude.
     amplitudes
-        Every number of the effect at a signed amplitude: value and unit by name.
+        Every number of the effect at a signed amplitude: value and unit by the name that the
+        library has for it.
     line
         Femoral and tibial end of a line structure in the bones' frames [mm].
     """

@@ -1,12 +1,13 @@
 """Hidden effects of the rig: loads, frames, readings, and what depends on the order of trials."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from identknee.blind.experiment import N_MM_PER_N_M, Experiment
 from identknee.blind.hidden import Apply, Hidden, Scene
+from identknee.laxity.table import COORDINATES
 from identknee.runs.arrays import Array
 
 # The shank's centre of mass below the tibial origin [mm].
@@ -15,6 +16,7 @@ VARUS_MOMENT, INTERNAL_MOMENT, ANTERIOR, DISTRACTION, LATERAL = range(5)
 VARUS_READING, INTERNAL_READING = 3, 4
 # Share of a reading's amplitude that goes with varus, whose range is smaller.
 VARUS_SHARE = 0.4
+WIDTHS = {"IE_deg": 1.0, "VV_deg": VARUS_SHARE}
 FULL_MOMENT_NM = 10.0
 
 
@@ -26,7 +28,7 @@ def compression(_scene: Scene, _generator: np.random.Generator) -> Hidden:
         change[DISTRACTION] = -amplitude
         return _loaded(experiment, change)
 
-    return _scalar("compression", ("N", 20.0, 200.0), 1.0, apply)
+    return _scalar("compression", "force_N", ("N", 20.0, 200.0), 1.0, apply)
 
 
 def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
@@ -45,9 +47,8 @@ def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
         largest=40.0,
         apply=apply,
         amplitudes=lambda a: {
-            "weight": (a, "N"),
-            "posterior": (a * float(np.cos(angle)), "N"),
-            "distal": (a * float(np.sin(angle)), "N"),
+            "posterior_N": (a * float(np.cos(angle)), "N"),
+            "distal_N": (a * float(np.sin(angle)), "N"),
         },
     )
 
@@ -62,7 +63,7 @@ def moment_gain(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
             loads[:, which] += amplitude * _stated(experiment)[:, which]
             return replace(experiment, loads=loads)
 
-        return _scalar(f"moment_gain_{axis}", ("1", 0.05, 0.4), _sign(generator), apply)
+        return _scalar(f"moment_gain_{axis}", "gain", ("1", 0.05, 0.4), _sign(generator), apply)
 
     return draw
 
@@ -82,9 +83,8 @@ def moment_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
         largest=1.5,
         apply=apply,
         amplitudes=lambda a: {
-            "total": (a, "N·m"),
-            "internal": (a * float(share[1]), "N·m"),
-            "varus": (a * float(share[0]), "N·m"),
+            "IE_Nm": (a * float(share[1]), "N·m"),
+            "VV_Nm": (a * float(share[0]), "N·m"),
         },
     )
 
@@ -107,9 +107,8 @@ def axis_misalignment(_scene: Scene, generator: np.random.Generator) -> Hidden:
         largest=10.0,
         apply=apply,
         amplitudes=lambda a: {
-            "total": (a, "deg"),
-            "varus_to_internal": (a * float(way[0]), "deg"),
-            "internal_to_varus": (a * float(way[1]), "deg"),
+            "VV_to_IE_deg": (a * float(way[0]), "deg"),
+            "IE_to_VV_deg": (a * float(way[1]), "deg"),
         },
     )
 
@@ -125,7 +124,7 @@ def parasitic_shear(_scene: Scene, generator: np.random.Generator) -> Hidden:
         loads[:, [ANTERIOR, LATERAL]] += forces
         return replace(experiment, loads=loads)
 
-    names = ("varus_to_anterior", "varus_to_lateral", "internal_to_anterior", "internal_to_lateral")
+    names = [f"{axis}_{towards}_N_per_Nm" for axis in ("VV", "IE") for towards in ("x", "z")]
     return Hidden(
         name="parasitic_shear",
         unit="N/N·m",
@@ -133,8 +132,7 @@ def parasitic_shear(_scene: Scene, generator: np.random.Generator) -> Hidden:
         largest=3.0,
         apply=apply,
         amplitudes=lambda a: {
-            "total": (a, "N/N·m"),
-            **{x: (a * float(w), "N/N·m") for x, w in zip(names, way.ravel(), strict=True)},
+            x: (a * float(w), "N/N·m") for x, w in zip(names, way.ravel(), strict=True)
         },
     )
 
@@ -165,7 +163,7 @@ def flexion_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         return replace(experiment, flexion_offset=float(np.radians(amplitude)))
 
-    return _scalar("flexion_offset", ("deg", 1.0, 6.0), _sign(generator), apply)
+    return _scalar("flexion_offset", "flexion_deg", ("deg", 1.0, 6.0), _sign(generator), apply)
 
 
 def rig_compliance(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
@@ -177,6 +175,7 @@ def rig_compliance(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
             f"rig_compliance_{axis}",
             ("deg/N·m", 0.05, 0.6),
             _at(reading, scene.load_Nm[:, column]),
+            {"compliance_deg_per_Nm": 1.0},
         )
 
     return draw
@@ -189,7 +188,7 @@ def hysteresis(scene: Scene, _generator: np.random.Generator) -> Hidden:
     """
     lag = np.sign(scene.load_Nm) * np.where(scene.is_unloading, 0.5, -0.5)[:, None]
     shape = _at(INTERNAL_READING, lag[:, 0]) + VARUS_SHARE * _at(VARUS_READING, lag[:, 1])
-    return _reading_effect("hysteresis", ("deg", 0.3, 6.0), shape)
+    return _reading_effect("hysteresis", ("deg", 0.3, 6.0), shape, WIDTHS)
 
 
 def creep(scene: Scene, _generator: np.random.Generator) -> Hidden:
@@ -199,14 +198,15 @@ def creep(scene: Scene, _generator: np.random.Generator) -> Hidden:
     """
     grown = np.log(scene.order)[:, None] * scene.load_Nm / FULL_MOMENT_NM
     shape = _at(INTERNAL_READING, grown[:, 0]) + VARUS_SHARE * _at(VARUS_READING, grown[:, 1])
-    return _reading_effect("creep", ("deg", 0.1, 2.0), shape)
+    return _reading_effect("creep", ("deg", 0.1, 2.0), shape, WIDTHS)
 
 
 def drift(scene: Scene, generator: np.random.Generator) -> Hidden:
     """All readings wander in proportion to the number of trials made."""
     way = _unit(generator, 5)
     share = (scene.order - 1.0) / max(len(scene.order) - 1, 1) - 0.5
-    return _reading_effect("drift", ("mm or deg", 0.2, 4.0), share[:, None] * way)
+    parts = dict(zip(COORDINATES, way.tolist(), strict=True))
+    return _reading_effect("drift", ("mm or deg", 0.2, 4.0), share[:, None] * way, parts)
 
 
 def _loaded(experiment: Experiment, change: Array) -> Experiment:
@@ -221,7 +221,9 @@ def _stated(experiment: Experiment) -> Array:
     return loads
 
 
-def _scalar(name: str, size: tuple[str, float, float], sign: float, apply: Apply) -> Hidden:
+def _scalar(
+    name: str, number: str, size: tuple[str, float, float], sign: float, apply: Apply
+) -> Hidden:
     unit, smallest, largest = size
     return Hidden(
         name=name,
@@ -230,17 +232,27 @@ def _scalar(name: str, size: tuple[str, float, float], sign: float, apply: Apply
         largest=largest,
         sign=sign,
         apply=apply,
-        amplitudes=lambda a: {name: (a, unit)},
+        amplitudes=lambda a: {number: (a, unit)},
     )
 
 
-def _reading_effect(name: str, size: tuple[str, float, float], shape: Array) -> Hidden:
-    """Effect that adds its amplitude times `shape` (n, 5) to what is read."""
+def _reading_effect(
+    name: str, size: tuple[str, float, float], shape: Array, parts: Mapping[str, float]
+) -> Hidden:
+    """Effect that adds its amplitude times `shape` (n, 5) to what is read, part by part."""
+    unit, smallest, largest = size
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         return replace(experiment, added=experiment.added + amplitude * shape)
 
-    return _scalar(name, size, 1.0, apply)
+    return Hidden(
+        name=name,
+        unit=unit,
+        smallest=smallest,
+        largest=largest,
+        apply=apply,
+        amplitudes=lambda a: {x: (a * part, unit) for x, part in parts.items()},
+    )
 
 
 def _turn_effect(name: str, way: Array, apply: Apply) -> Hidden:
@@ -251,8 +263,7 @@ def _turn_effect(name: str, way: Array, apply: Apply) -> Hidden:
         largest=6.0,
         apply=apply,
         amplitudes=lambda a: {
-            "total": (a, "deg"),
-            **{f"about_{x}": (a * float(w), "deg") for x, w in zip("xyz", way, strict=True)},
+            f"{x}_deg": (a * float(w), "deg") for x, w in zip("xyz", way, strict=True)
         },
     )
 

@@ -35,8 +35,9 @@ class Score:
     line_offset_mm, line_angle_deg
         Distance of the line found from the middle of the true one [mm], and the angle between them
         [deg]; None without either.
-    amplitude_covered
-        Whether the interval of each true cause named holds its amplitude; None without any.
+    amplitudes_covered
+        Share of the amplitudes of the true causes named whose intervals hold them; None without
+        any.
     stiffness_error_kN, strain_error_pct
         Mean absolute error of the ligament parameters before and after; None where not given.
     covered_before, covered_after
@@ -50,7 +51,7 @@ class Score:
     sentence: str
     line_offset_mm: float | None
     line_angle_deg: float | None
-    amplitude_covered: bool | None
+    amplitudes_covered: float | None
     stiffness_error_kN: tuple[float | None, float | None]  # noqa: N815 - the unit
     strain_error_pct: tuple[float | None, float | None]
     covered_before: float | None
@@ -60,10 +61,10 @@ class Score:
 def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     """Score of a diagnosis, the parsed ``result.json`` of `identknee diagnose`.
 
-    Read are ``verdict``, ``causes[].{name,amplitude,unit,ci95,line}``, ``group[]``, ``line`` with
-    its ends ``femur`` and ``tibia`` [mm], and ``parameters_before`` and ``parameters_after``,
-    numbers by ligament and quantity, with their intervals under the same names ending in
-    ``_ci95``.
+    Read are ``verdict``, ``causes[].{name,parameters,line}``, each parameter with its ``ci95``,
+    ``group[]``, ``line`` with its ends ``femur`` and ``tibia`` [mm], and ``parameters_before`` and
+    ``parameters_after``, numbers by ligament and quantity, with their intervals under the same
+    names ending in ``_ci95``.
 
     Raises
     ------
@@ -100,7 +101,7 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
         sentence=_sentence(truth, verdict, named, group, correct=correct, wrong=wrong),
         line_offset_mm=offset,
         line_angle_deg=angle,
-        amplitude_covered=_amplitude_covered(truth, diagnosis.get("causes") or ()),
+        amplitudes_covered=_amplitudes_covered(truth, diagnosis.get("causes") or ()),
         stiffness_error_kN=(_error(truth, before, "_kN"), _error(truth, after, "_kN")),
         strain_error_pct=(_error(truth, before, "_pct"), _error(truth, after, "_pct")),
         covered_before=_coverage(truth, covered_before),
@@ -144,13 +145,14 @@ def _unit(vector: Array) -> Array:
     return unit
 
 
-def _amplitude_covered(truth: Truth, causes: Sequence[Mapping[str, Any]]) -> bool | None:
-    answers = []
-    for cause in causes:
-        size, unit = truth.amplitudes.get(str(cause["name"]), {}).get("amplitude", (0.0, None))
-        if unit is not None and cause.get("unit") == unit and cause.get("ci95"):
-            answers.append(_holds(cause["ci95"], size))
-    return all(answers) if answers else None
+def _amplitudes_covered(truth: Truth, causes: Sequence[Mapping[str, Any]]) -> float | None:
+    answers = [
+        _holds(found["ci95"], size)
+        for cause in causes
+        for name, (size, _) in truth.amplitudes.get(str(cause["name"]), {}).items()
+        if (found := (cause.get("parameters") or {}).get(name))
+    ]
+    return float(np.mean(answers)) if answers else None
 
 
 def _holds(interval: Sequence[float | None], value: float) -> bool:

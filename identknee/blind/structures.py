@@ -115,9 +115,9 @@ def posterior_capsule(scene: Scene, generator: np.random.Generator) -> Hidden:
         largest=4.0,
         apply=apply,
         amplitudes=lambda a: {
-            "medial_stiffness": (a * float(shares[0]), "kN"),
-            "lateral_stiffness": (a * float(shares[1]), "kN"),
-            "reference_strain": (strain, "%"),
+            "medial_stiffness_kN": (a * float(shares[0]), "kN"),
+            "lateral_stiffness_kN": (a * float(shares[1]), "kN"),
+            "reference_strain_pct": (strain, "%"),
         },
     )
 
@@ -178,7 +178,7 @@ def mcl_wrapping(scene: Scene, generator: np.random.Generator) -> Hidden:
         smallest=2.0,
         largest=12.0,
         apply=apply,
-        amplitudes=lambda a: {"lift": (a, "mm")},
+        amplitudes=lambda a: {"lift_mm": (a, "mm")},
     )
 
 
@@ -199,7 +199,10 @@ def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
         smallest=5.0,
         largest=60.0,
         apply=apply,
-        amplitudes=lambda a: {"medial": (a, "N/mm"), "lateral": (a * ratio, "N/mm")},
+        amplitudes=lambda a: {
+            "medial_N_per_mm": (a, "N/mm"),
+            "lateral_N_per_mm": (a * ratio, "N/mm"),
+        },
     )
 
 
@@ -207,6 +210,7 @@ def toe_strain(_scene: Scene, generator: np.random.Generator) -> Hidden:
     """The toe of every ligament ends at another strain."""
     return _simple(
         "toe_strain",
+        "transition_strain_pct",
         ("%", 0.5, 1.8),
         generator,
         lambda experiment, a: replace(
@@ -219,6 +223,7 @@ def cartilage(_scene: Scene, generator: np.random.Generator) -> Hidden:
     """Contact is stiffer or softer throughout; the amplitude is the logarithm of the factor."""
     return _simple(
         "cartilage",
+        "ln_modulus",
         ("1", 0.4, 2.3),
         generator,
         lambda experiment, a: replace(experiment, modulus=experiment.modulus * float(np.exp(a))),
@@ -251,6 +256,7 @@ def insertion(scene: Scene, generator: np.random.Generator) -> Hidden:
 
 def _simple(
     name: str,
+    number: str,
     size: tuple[str, float, float],
     generator: np.random.Generator,
     apply: Apply,
@@ -263,7 +269,7 @@ def _simple(
         largest=largest,
         sign=float(generator.choice([-1.0, 1.0])),
         apply=apply,
-        amplitudes=lambda a: {name: (a, unit)},
+        amplitudes=lambda a: {number: (a, unit)},
     )
 
 
@@ -286,7 +292,10 @@ def _line_effect(
         smallest=sizes_kN[0],
         largest=sizes_kN[1],
         apply=apply,
-        amplitudes=lambda a: {"stiffness": (a, "kN"), "reference_strain": (strain_pct, "%")},
+        amplitudes=lambda a: {
+            "stiffness_kN": (a, "kN"),
+            "reference_strain_pct": (strain_pct, "%"),
+        },
         line=(femur, tibia),
     )
 
@@ -313,7 +322,7 @@ def _strands_effect(
         smallest=sizes_kN[0],
         largest=sizes_kN[1],
         apply=apply,
-        amplitudes=lambda a: {"stiffness": (a, "kN")},
+        amplitudes=lambda a: {"stiffness_kN": (a, "kN")},
     )
 
 

@@ -30,7 +30,8 @@ class Truth:
     effects
         Names of the hidden effects; none for a null.
     amplitudes
-        Of each effect: value and unit by name; ``"amplitude"`` is the one that it was sized by.
+        Of each effect: value and unit by the name of the library's parameter; ``"amplitude"`` is
+        the one that it was sized by.
     theta
         True stiffness [kN] and reference strain [%] by the name of the parameter.
     signal

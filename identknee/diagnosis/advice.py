@@ -19,9 +19,8 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 
-N_TRIALS = 6
 # Rivals beyond these follow from the nearest ones.
-MOST_RIVALS = 4
+MOST_RIVALS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,9 +54,7 @@ class Advice:
         )
 
 
-def advise(
-    attribution: Attribution, laxity: Laxity, noise: DataNoise, *, n_trials: int = N_TRIALS
-) -> Advice | None:
+def advise(attribution: Attribution, laxity: Laxity, noise: DataNoise) -> Advice | None:
     """The trials that separate the best explanation from its open rivals; None without any.
 
     Causes that depend on the order of the trials are left out: no choice of loads tells them apart.
@@ -70,8 +67,6 @@ def advise(
         The explanations.
     laxity, noise
         The data and their errors.
-    n_trials
-        How many trials to choose.
     """
     best = attribution.best
     rivals = [x for x in attribution.open_rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
@@ -83,9 +78,7 @@ def advise(
     offered, _ = _table(best, rivals, partial(_in_candidates, data, candidates))
     prior = best.fitted.evaluation.jacobian[best.fitted.n_data :, : best.n_base]
     padded = np.pad(prior, ((0, 0), (0, made.shape[1] - best.n_base)))
-    found = advise_trials(
-        np.vstack([made, padded]), offered, pairs, n_base=best.n_base, n_trials=n_trials
-    )
+    found = advise_trials(np.vstack([made, padded]), offered, pairs, n_base=best.n_base)
     chosen = [candidates.trials[i] for i in found.chosen]
     trials = Protocol(
         name="advised",

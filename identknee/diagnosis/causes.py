@@ -108,8 +108,8 @@ def causes_of(refit: Refit) -> tuple[Cause, ...]:
     """The causes that a fit has beyond the base model, with their amplitudes.
 
     Of amplitudes in one unit that may have either sign, such as the components of a force, the
-    total counts: the root of the sum of their squares, its interval to first order. Of others in
-    the unit of the first, such as the stiffnesses of two halves, the largest counts.
+    total counts: the root of the sum of their squares, less what their errors add to it. Of others
+    in the unit of the first, such as the stiffnesses of two halves, the largest counts.
     """
     posterior, covariance = posterior_of(refit), refit.covariance()
     return tuple(_cause(refit, x, posterior, covariance) for x in refit.names)
@@ -150,12 +150,23 @@ def _line(refit: Refit, name: str) -> Array | None:
 
 
 def _total(components: tuple[Estimate, ...], covariance: np.ndarray) -> Estimate:
+    """Length of a vector, its interval by the first two moments of the square of the length.
+
+    Errors of the components make the length found too long: its square is expected to be that of
+    the true length and the sum of their variances.
+    """
     values = np.array([x.value for x in components])
-    size = float(np.linalg.norm(values))
-    way = values / size if size > 0 else np.full(len(values), len(values) ** -0.5)
-    reach = TWO_SIDED * float(np.sqrt(way @ covariance @ way))
-    ends = max(size - reach, 0.0), size + reach
-    return Estimate(name=TOTAL, value=size, unit=components[0].unit, ci95=ends)
+    square = float(values @ values)
+    along = float(values @ covariance @ values) / square if square > 0.0 else 0.0
+    middle = square - float(np.trace(covariance))
+    spread = 2.0 * float(np.trace(covariance @ covariance))
+    # (square - E)**2 = z**2 (spread + 4 u along), a quadratic in u, the square of the true length.
+    z = TWO_SIDED**2
+    center = middle + 2.0 * z * along
+    reach = np.sqrt(max(center**2 - middle**2 + z * spread, 0.0))
+    low, high = (float(np.sqrt(max(x, 0.0))) for x in (center - reach, center + reach))
+    size = float(np.sqrt(max(middle, 0.0)))
+    return Estimate(name=TOTAL, value=size, unit=components[0].unit, ci95=(low, high))
 
 
 def _estimate(name: str, i: int, posterior: Laplace) -> Estimate:

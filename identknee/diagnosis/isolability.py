@@ -12,6 +12,9 @@ from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_int
 
 # Effects closer than this cannot be told apart: the winner's amplitude errs to the large side.
 LEAST_DISTANCE = 5.0
+# Trials are advised until the least distance is this, so that errors do not bring it below the one
+# above, or until there are so many.
+ENOUGH, MOST_TRIALS = 7.0, 12
 # Prior standard deviations within which a mix of amplitudes is plausible.
 REACH = 3.0
 # Of the largest eigenvalue of scaled information: below it a direction is not known at all.
@@ -183,7 +186,13 @@ class AdvisedTrials:
 
 
 def advise_trials(
-    made: Array, candidates: Array, pairs: Sequence[Pair], *, n_base: int, n_trials: int
+    made: Array,
+    candidates: Array,
+    pairs: Sequence[Pair],
+    *,
+    n_base: int,
+    n_trials: int = MOST_TRIALS,
+    enough: float = ENOUGH,
 ) -> AdvisedTrials:
     """The trials that separate the pairs most: each choice raises the least distance most.
 
@@ -201,7 +210,9 @@ def advise_trials(
     n_base
         How many of the columns belong to the base parameters.
     n_trials
-        How many trials to choose.
+        How many trials to choose at most.
+    enough
+        The least distance at which no more are chosen.
 
     Raises
     ------
@@ -221,8 +232,9 @@ def advise_trials(
     information = made.T @ made
     now = _pair_distances(information[None], pairs, n_base)
     single = _pair_distances(information + added, pairs, n_base)
-    chosen, followed, after = [], [now[0]], single
-    for _ in range(n_trials):
+    chosen: list[int] = []
+    followed, after = [now[0]], single
+    while len(chosen) < n_trials and followed[-1].min() < enough:
         # The sum of the pairs decides between candidates that leave the least one alike.
         worth = after.min(axis=1) + 1e-6 * after.sum(axis=1)
         best = int(np.argmax(np.where(usable, worth, -np.inf)))

@@ -23,6 +23,7 @@ from identknee.diagnosis.library_signatures import UNSEEN, Variant, library_vari
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.diagnosis.projection import base_projector
 from identknee.diagnosis.score import ScoreTest, score_test
+from identknee.diagnosis.signature import ProjectedSignature
 from identknee.laxity.candidates import candidate_trials, repeated
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
@@ -40,7 +41,6 @@ ROOT = 8.0
 # With shifts of all insertions this effect imitates a little of every other one: it would join all
 # groups into one.
 IMITATOR = "insertion"
-N_TRIALS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -126,7 +126,8 @@ def protocol_isolability(
 ) -> ProtocolIsolability | None:
     """What a protocol can tell on a subject with its own values; None where no trial is predicted.
 
-    Structures count at the sites where anatomy puts them. Trials without a prediction are left out.
+    Each structure that may be there is where anatomy puts it, but a rival may be a few millimetres
+    away from there. Trials without a prediction are left out.
 
     Parameters
     ----------
@@ -140,17 +141,18 @@ def protocol_isolability(
     fitted = _own_fit(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
     if fitted is None:
         return None
-    variants = _typical_variants(fitted)
+    everything = library_variants(fitted, library(knee))
+    variants = _typical_variants(everything)
     projector = base_projector(fitted.evaluation.jacobian)
-    test = score_test(projector, [x.signature for x in variants], seed=seed, scale="unknown")
-    found = worst_distances(test.signatures, ROOT, test.signatures)
+    test = score_test(projector, [x.signature for x in everything], seed=seed, scale="unknown")
+    found = worst_distances([_seen(test, x) for x in variants], ROOT, test.signatures)
     together = groups(_among(found, [x for x in found.effects if x != IMITATOR]))
     return ProtocolIsolability(
         protocol=fitted.laxity.protocol,
         visibility=tuple(_visibility(test, x) for x in variants),
         distances=found,
         advice=tuple(
-            _advise(fitted, test, [x for x in variants if x.effect.name in names])
+            _advise(fitted, test, [x for x in variants if x.effect.name in names], everything)
             for names in together
             if len(names) > 1
         ),
@@ -177,11 +179,14 @@ def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
     return fit_from(model, laxity, noise, [theta])
 
 
-def _typical_variants(fitted: Fitted) -> list[Variant]:
+def _typical_variants(found: Sequence[Variant]) -> list[Variant]:
     """One variant of each effect that has any."""
-    found = library_variants(fitted, library(fitted.model.knee))
     names = [name for name in FACTS if any(x.effect.name == name for x in found)]
     return [typical_variant(x for x in found if x.effect.name == name) for name in names]
+
+
+def _seen(test: ScoreTest, variant: Variant) -> ProjectedSignature:
+    return test.signature(variant.signature.name, variant.signature.variant)
 
 
 def _visibility(test: ScoreTest, variant: Variant) -> Visibility:
@@ -215,22 +220,28 @@ def _look_alikes(found: Distances) -> dict[str, tuple[str, ...]]:
     return near
 
 
-def _advise(fitted: Fitted, test: ScoreTest, variants: Sequence[Variant]) -> GroupAdvice:
-    """The trials that set the members of a group apart."""
+def _advise(
+    fitted: Fitted, test: ScoreTest, members: Sequence[Variant], everything: Sequence[Variant]
+) -> GroupAdvice:
+    """The trials that set the members of a group apart, each from the others where most alike."""
     data, made_protocol = fitted.laxity, fitted.laxity.protocol
+    confused = [
+        (one, _most_alike(test, one, [x for x in everything if x.effect is other.effect]))
+        for one, other in permutations(members, 2)
+    ]
+    variants = list({id(x): x for x in [*members, *(rival for _, rival in confused)]}.values())
     candidates = candidate_trials(made_protocol)
     offered = partial(_in_candidates, data, candidates)
     made = partial(_in_data, fitted)
     found = advise_trials(
         np.vstack([_columns(fitted, variants, made), _prior_rows(fitted, variants)]),
         _columns(fitted, variants, offered),
-        _pairs(fitted, test, variants),
+        _pairs(fitted, test, variants, confused),
         n_base=fitted.model.parameters.n,
-        n_trials=N_TRIALS,
     )
     chosen = list(found.chosen)
     return GroupAdvice(
-        names=tuple(x.effect.name for x in variants),
+        names=tuple(x.effect.name for x in members),
         trials=Protocol(
             name="advised",
             trials=repeated([candidates.trials[i] for i in chosen], made_protocol.trials),
@@ -286,21 +297,34 @@ def _prior_rows(fitted: Fitted, variants: Sequence[Variant]) -> Array:
     return np.pad(rows, ((0, 0), (0, sum(len(x.moved) for x in variants))))
 
 
-def _pairs(fitted: Fitted, test: ScoreTest, variants: Sequence[Variant]) -> list[Pair]:
-    """Each effect against each other one, at a leading amplitude that stands out by `ROOT`."""
+def _most_alike(test: ScoreTest, effect: Variant, rivals: Sequence[Variant]) -> Variant:
+    """The variant of a rival that is hardest to tell from an effect."""
+    seen = [_seen(test, effect)]
+    values = [worst_distances(seen, ROOT, [_seen(test, x)]).values[0, 0] for x in rivals]
+    return rivals[int(np.argmin(values))]
+
+
+def _pairs(
+    fitted: Fitted,
+    test: ScoreTest,
+    variants: Sequence[Variant],
+    confused: Sequence[tuple[Variant, Variant]],
+) -> list[Pair]:
+    """Each effect against its rival, at a leading amplitude that stands out by `ROOT`."""
     ends = fitted.model.parameters.n + np.cumsum([len(x.moved) for x in variants])
-    places = [np.arange(end - len(x.moved), end) for end, x in zip(ends, variants, strict=True)]
+    places = {
+        id(x): np.arange(end - len(x.moved), end) for end, x in zip(ends, variants, strict=True)
+    }
     pairs = []
-    for (i, one), (k, other) in permutations(enumerate(variants), 2):
+    for one, other in confused:
         amplitude = np.zeros(len(one.moved))
         amplitude[0] = 1.0
-        signature = test.signature(one.signature.name, one.signature.variant)
-        amplitude[0] = ROOT / visible_root(signature, amplitude)
+        amplitude[0] = ROOT / visible_root(_seen(test, one), amplitude)
         pairs.append(
             Pair(
-                effect=places[i],
+                effect=places[id(one)],
                 amplitude=amplitude,
-                rival=places[k],
+                rival=places[id(other)],
                 rival_prior_sd=other.signature.prior_sd,
             )
         )

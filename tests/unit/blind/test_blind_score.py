@@ -14,7 +14,7 @@ from identknee.runs.errors import InputError
 TRUTH = Truth(
     seed=7,
     effects=("anterolateral",),
-    amplitudes={"anterolateral": {"amplitude": (0.5, "kN"), "stiffness": (0.5, "kN")}},
+    amplitudes={"anterolateral": {"amplitude": (0.5, "kN"), "stiffness_kN": (0.5, "kN")}},
     theta={"ACL.stiffness_kN": 10.0, "ACL.reference_strain_pct": 8.0},
     signal=12.0,
     is_largest=False,
@@ -72,7 +72,8 @@ def test_parameters_and_intervals_are_compared_before_and_after() -> None:
     before = {"ACL": {"stiffness_kN": 4.0, "reference_strain_pct": 9.0}}
     after = {"ACL": {"stiffness_kN": 9.5, "reference_strain_pct": 8.5}}
     intervals = {"ACL": {"stiffness_kN": [9.0, 10.5], "reference_strain_pct": [8.2, None]}}
-    cause = {"name": "anterolateral", "amplitude": 0.4, "unit": "kN", "ci95": [0.3, 0.6]}
+    stiffness = {"value": 0.4, "unit": "kN", "ci95": [0.3, 0.6]}
+    cause = {"name": "anterolateral", "parameters": {"stiffness_kN": stiffness}}
     found = score(
         TRUTH,
         {
@@ -87,7 +88,7 @@ def test_parameters_and_intervals_are_compared_before_and_after() -> None:
     assert found.strain_error_pct == pytest.approx((1.0, 0.5))
     assert found.covered_before is None
     assert found.covered_after == 0.5
-    assert found.amplitude_covered is True
+    assert found.amplitudes_covered == 1.0
 
 
 def test_a_diagnosis_needs_a_verdict() -> None:

@@ -190,7 +190,7 @@ def brute_force(made: Array, added: Array, pair: Pair) -> float:
 
 def advise(n_trials: int) -> AdvisedTrials:
     made, candidates, pairs = stacked()
-    return advise_trials(made, candidates, pairs, n_base=N_BASE, n_trials=n_trials)
+    return advise_trials(made, candidates, pairs, n_base=N_BASE, n_trials=n_trials, enough=np.inf)
 
 
 def test_distances_after_added_trials_are_those_of_stacked_rows() -> None:
@@ -216,14 +216,14 @@ def test_each_choice_is_the_best_of_all_candidates_and_may_repeat() -> None:
         assert found.chosen[step] == int(np.argmax(least))
     assert np.all(np.diff(found.distances.min(axis=1)) > 0)
     np.testing.assert_array_equal(found.distances[1], found.single[found.chosen[0]])
-    only = advise_trials(made, candidates[[2]], pairs, n_base=N_BASE, n_trials=3)
+    only = advise_trials(made, candidates[[2]], pairs, n_base=N_BASE, n_trials=3, enough=np.inf)
     assert only.chosen == (0, 0, 0)
 
 
 def test_a_candidate_without_prediction_is_not_advised() -> None:
     made, candidates, pairs = stacked()
     candidates[2, 0, 0] = np.nan
-    found = advise_trials(made, candidates, pairs, n_base=N_BASE, n_trials=3)
+    found = advise_trials(made, candidates, pairs, n_base=N_BASE, n_trials=3, enough=np.inf)
     assert 2 not in found.chosen
     assert np.isnan(found.single[2]).all()
     candidates[:] = np.nan
