@@ -225,7 +225,8 @@ def _not_separable(subject: str) -> set[str]:
 
 
 def _named(by_subject: Mapping[str, Outcomes], hidden: Outcomes) -> list[Measure]:
-    alone, others = [], []
+    alone: Outcomes = []
+    others: Outcomes = []
     for subject, outcomes in by_subject.items():
         not_separable = _not_separable(subject)
         for x in [*_at(outcomes, 10.0), *_at(outcomes, 20.0)]:
