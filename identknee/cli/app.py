@@ -11,10 +11,12 @@ from identknee.cli.command import Verbs
 from identknee.cli.demo import demo
 from identknee.cli.design import design
 from identknee.cli.diagnose import diagnose
+from identknee.cli.doctor import doctor
 from identknee.cli.equivalents import equivalents
 from identknee.cli.fit import fit
 from identknee.cli.information import information
 from identknee.cli.profile import profile
+from identknee.cli.report import report
 from identknee.cli.reveal import reveal
 from identknee.cli.sample import sample
 from identknee.cli.sensitivity import sensitivity
@@ -24,7 +26,6 @@ from identknee.cli.sweep import sweep
 app = typer.Typer(
     cls=Verbs,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     # Plain help needs no rich, which takes longer to load than everything else here.
     rich_markup_mode=None,
@@ -71,5 +72,7 @@ for verb, words in (
     (diagnose, "reference data.csv --noise 0.3mm,0.3deg"),
     (blind, "reference --seed 7 --effect random --out blind7"),
     (reveal, "blind7 identknee-diagnose"),
+    (report, "identknee-demo"),
+    (doctor, ""),
 ):
-    app.command(epilog=f"Example: identknee {verb.__name__} {words}")(verb)
+    app.command(epilog=f"Example: identknee {verb.__name__} {words}".rstrip())(verb)

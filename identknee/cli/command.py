@@ -56,14 +56,12 @@ class Verbs(typer.core.TyperGroup):
             # A missing argument is better answered by the usage, which typer shows.
             if type(error) is not typer.BadParameter:
                 raise
-            where = "identknee" if error.ctx is None else error.ctx.command_path
-            sentence = f"{error.format_message()}. See: {where} --help"
-            code = WRONG_INPUT
+            sentence, code = option_sentence(error), WRONG_INPUT
         except KeyboardInterrupt:
             is_kept = ctx.invoked_subcommand in RESUMING
             sentence, code = STOPPED_WORK if is_kept else STOPPED, INTERRUPTED
         except (NotComputed, ModuleNotFoundError, WorkerDied) as error:
-            sentence, code = str(error), NOT_COMPUTED
+            sentence, code = f"{error}{remedy_for_module(error)}", NOT_COMPUTED
         except MemoryError:
             sentence, code = "there is not enough memory", NOT_COMPUTED
         except OSError as error:
@@ -75,8 +73,24 @@ class Verbs(typer.core.TyperGroup):
             if not is_our_sentence(error):
                 raise
             sentence, code = str(error), WRONG_INPUT
-        typer.echo(f"identknee: {sentence}", err=True)
+        # A file that is no text may bring anything into the sentence about it.
+        line = "".join(x if x.isprintable() else "?" for x in sentence)
+        typer.echo(f"identknee: {line}", err=True)
         raise typer.Exit(code)
+
+
+def option_sentence(error: typer.BadParameter) -> str:
+    """What is wrong with an option and where to read about it, as one sentence."""
+    where = "identknee" if error.ctx is None else error.ctx.command_path
+    # The library that checks types puts words before the message and a full stop behind it.
+    message = error.format_message().replace("Value error, ", "").rstrip(".")
+    return f"{message}. See: {where} --help"
+
+
+def remedy_for_module(error: Exception) -> str:
+    """What to do about a missing module, where only Python has spoken; empty for our own words."""
+    is_python = isinstance(error, ModuleNotFoundError) and error.name is not None
+    return ". To see what is missing: identknee doctor" if is_python else ""
 
 
 def is_our_sentence(error: ValueError) -> bool:

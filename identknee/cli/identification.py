@@ -216,12 +216,16 @@ def check_start(its: Identification) -> None:
 
 def no_prediction(its: Identification) -> NotComputed:
     """The error that no parameters near the start predict all measured trials; it names them."""
-    prediction = its.model.predict(its.start, derivatives=False)
-    used = np.any(its.laxity.is_measured, axis=1).tolist()
+    return _no_prediction(its.model, its.laxity, its.start)
+
+
+def _no_prediction(model: "ik.LaxityModel", laxity: "ik.Laxity", start: Any) -> NotComputed:
+    prediction = model.predict(start, derivatives=False)
+    used = np.any(laxity.is_measured, axis=1).tolist()
     lost = [
         (trial, outcome)
         for trial, outcome, is_used in zip(
-            its.model.protocol.trials, prediction.outcomes, used, strict=True
+            model.protocol.trials, prediction.outcomes, used, strict=True
         )
         if is_used and outcome is not ik.Outcome.CONVERGED
     ]
@@ -251,8 +255,6 @@ def _with_stated_noise(laxity: "ik.Laxity", noise: str) -> "ik.Laxity":
     from dataclasses import replace
 
     mm, deg = noise_sizes(noise)
-    if mm <= 0 or deg <= 0:
-        raise ValueError(f"--noise {noise}: both must be more than 0, for example 0.5mm,0.5deg")
     sd = np.where(laxity.is_measured, np.array([mm] * 3 + [deg] * 2), np.nan)
     return replace(laxity, sd=sd)
 
@@ -276,6 +278,8 @@ def _with_estimated_noise(
 ) -> "tuple[ik.Problem, int, str]":
     from identknee.identify.noise import with_estimated_noise
 
+    if not np.isfinite(residuals.residuals(theta)).all():
+        raise _no_prediction(residuals.model, residuals.laxity, theta)
     # Where only lengths or only angles were measured there is one group.
     units, groups = np.unique(residuals.units, return_inverse=True)
     found = with_estimated_noise(part, groups, theta[list(part.free)])

@@ -45,8 +45,6 @@ def say_isolability(
     from identknee.report.result_files import write_result
 
     mm, deg = noise_sizes(noise)
-    if mm <= 0 or deg <= 0:
-        raise ValueError(f"--noise {noise}: both must be more than 0, for example 0.3mm,0.3deg")
     knee, trials = ik.read_subject(subject), ik.load_protocol(protocol)
     inputs = {"subject": knee_digest(knee), **file_digests(protocol=protocol)}
     recording = record("diagnose", context.params, inputs, seed)

@@ -5,7 +5,7 @@ import signal
 import sys
 from types import FrameType
 
-INTERRUPTED = 130
+NOT_COMPUTED, INTERRUPTED = 1, 130
 STOPPED = "identknee: stopped while starting"
 # Threads inside linear algebra on matrices of eight columns cost more than they bring, the more so
 # beside other processes. Libraries read these when they are loaded.
@@ -18,9 +18,12 @@ def main() -> None:
     for variable in LIBRARY_THREADS:
         os.environ.setdefault(variable, "1")
     try:
-        # Loaded here so that Ctrl-C during the start leaves no traceback either.
-        from identknee.cli.app import app
-
+        # Loaded here so that Ctrl-C or a missing package leaves no traceback either.
+        try:
+            from identknee.cli.app import app
+        except ModuleNotFoundError as error:
+            print(f"identknee: {error}. Install identknee again: pip install .", file=sys.stderr)
+            sys.exit(NOT_COMPUTED)
         app(prog_name="identknee")
     except KeyboardInterrupt:
         print(STOPPED, file=sys.stderr)

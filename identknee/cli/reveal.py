@@ -8,9 +8,12 @@ from typing import Annotated, Any
 import typer
 
 import identknee as ik
+from identknee.blind.truth import TRUTH_FILE
 from identknee.cli.command import Json, show
 from identknee.runs.errors import InputError
 from identknee.runs.files import check_readable
+
+RESULT_FILE = "result.json"
 
 BlindFolder = Annotated[
     Path, typer.Argument(metavar="BLIND_DIR", help="A folder that `identknee blind` wrote.")
@@ -22,11 +25,25 @@ DiagnosisFolder = Annotated[
 
 def reveal(blind_dir: BlindFolder, diagnosis_dir: DiagnosisFolder, as_json: Json = False) -> None:
     """Reveal what is hidden in BLIND_DIR, and score the diagnosis in DIAGNOSIS_DIR."""
+    _check_order(blind_dir, diagnosis_dir)
     truth = ik.read_truth(blind_dir)
-    path = diagnosis_dir / "result.json"
-    score = ik.score(truth, _diagnosis(path))
+    score = ik.score(truth, _diagnosis(diagnosis_dir / RESULT_FILE))
     summary = {**asdict(score), "truth": truth.to_dict()}
     show(summary, _lines(truth, score), as_json=as_json)
+
+
+def _check_order(blind_dir: Path, diagnosis_dir: Path) -> None:
+    for folder, file, verb in (
+        (blind_dir, TRUTH_FILE, "blind"),
+        (diagnosis_dir, RESULT_FILE, "diagnose"),
+    ):
+        if not (folder / file).exists():
+            raise InputError(
+                folder,
+                "",
+                f"there is no {file} in it, so that it is no folder of identknee {verb}",
+                "Give the folder of blind first and that of diagnose second.",
+            )
 
 
 def _diagnosis(path: Path) -> dict[str, Any]:

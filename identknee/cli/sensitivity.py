@@ -33,7 +33,11 @@ Data = Annotated[
     ),
 ]
 ProtocolName = Annotated[
-    str, typer.Option(help="The trials without DATA.csv: seed63, table2, drawer or a TOML file.")
+    str | None,
+    typer.Option(
+        help="The trials without DATA.csv: seed63 (also without this), table2, drawer or a TOML "
+        "file."
+    ),
 ]
 Method = Annotated[
     MethodName,
@@ -74,7 +78,7 @@ def sensitivity(
     context: typer.Context,
     subject: Subject,
     data: Data = None,
-    protocol: ProtocolName = "seed63",
+    protocol: ProtocolName = None,
     method: Method = "sobol",
     samples: Samples = None,
     posterior: Posterior = None,
@@ -91,6 +95,10 @@ def sensitivity(
     output of their own. The middle of the box is --start. All indices with confidence intervals and
     their convergence go to result.nc. A stopped run resumes.
     """
+    if data is not None and protocol is not None:
+        raise ValueError(
+            "the trials are those of DATA.csv or those of --protocol: leave out one of both"
+        )
     prepare_folder(out)
     # These load xarray, which takes longer than reading a subject.
     from identknee.report.result_files import write_result
@@ -98,7 +106,7 @@ def sensitivity(
     from identknee.runs.executors import process_pool
     from identknee.runs.resume import open_work
 
-    outputs, inputs = _outputs(subject, data, protocol, start, fixed)
+    outputs, inputs = _outputs(subject, data, protocol or "seed63", start, fixed)
     over, inputs = _where(outputs, posterior, samples, inputs)
     recording = record("sensitivity", context.params, inputs, seed)
     warm_up(outputs.model.knee, outputs.model.protocol)

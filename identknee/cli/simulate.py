@@ -74,6 +74,11 @@ def simulate(
     """
     chosen = named_values(values or [], "--set")
     noisy = None if noise is None else noise_sizes(noise)
+    if noisy is None and (noise_correlation or noise_student is not None):
+        raise ValueError(
+            "--noise-correlation and --noise-student say of what kind the noise is; "
+            "say how large with --noise, for example --noise 0.3mm,0.3deg"
+        )
     prepare_folder(out)
     trials, knee = ik.load_protocol(protocol), ik.read_subject(subject)
     recording = record("simulate", context.params, {"subject": knee_digest(knee)}, seed)

@@ -64,7 +64,7 @@ def noise_sizes(text: str) -> tuple[float, float]:
     Raises
     ------
     ValueError
-        If it has another form.
+        If it has another form or a size is not more than zero.
 
     Examples
     --------
@@ -76,7 +76,11 @@ def noise_sizes(text: str) -> tuple[float, float]:
         found = _NOISE.fullmatch(part)
         if found is None or found[2] in sizes:
             raise ValueError(_noise_remedy(text))
-        sizes[found[2]] = _number(found[1], f"--noise {text}")
+        sizes[found[2]] = size = _number(found[1], f"--noise {text}")
+        if size <= 0.0:
+            raise ValueError(
+                f"--noise {text}: both must be more than 0, for example --noise 0.3mm,0.3deg"
+            )
     if len(sizes) != 2:
         raise ValueError(_noise_remedy(text))
     return sizes["mm"], sizes["deg"]

@@ -1,19 +1,45 @@
 """How large the errors of measured laxity are, and how they hang together."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
 from identknee.diagnosis.curves import load_curves
 from identknee.diagnosis.noise_model import EstimatedScale, estimate_correlation, estimate_scale
+from identknee.diagnosis.replicates import (
+    correlation_of_replicates,
+    replicates_of,
+    scale_of_replicates,
+)
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
 from identknee.runs.arrays import Array, frozen
 
 # Fewer degrees of freedom say less about the noise than a stated standard deviation does.
 LEAST_DEGREES = 40.0
+UNITS = {"mm": TRANSLATIONS, "deg": ROTATIONS}
 # How well a stated standard deviation is usually known, as that of its logarithm, and from how many
 # of its standard deviations on it is taken for a mistake.
 STATED_SPREAD, DOUBT = 0.2, 3.0
+
+
+class NoiseSource(StrEnum):
+    """What shows how large the errors are."""
+
+    REPLICATES = "replicates"
+    CURVES = "load curves"
+    STATED = "stated"
+
+    @property
+    def sentence(self) -> str:
+        """How it shows it, for a person, the sizes to follow."""
+        return {
+            NoiseSource.REPLICATES: "Trials under equal loads show a noise of",
+            NoiseSource.CURVES: "The roughness of the load curves shows a noise of",
+            NoiseSource.STATED: "The noise is taken as stated: the load curves are too short to "
+            "show it.",
+        }[self]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,7 +57,7 @@ class DataNoise:
         where nothing was stated or found.
     degrees_of_freedom
         Of the standard deviations; infinite where they are taken as stated.
-    sentence
+    source
         Where they come from.
     """
 
@@ -39,17 +65,47 @@ class DataNoise:
     correlation: float
     factors: tuple[float, float] | None
     degrees_of_freedom: float
-    sentence: str
+    source: NoiseSource
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sd", frozen(self.sd, None, None, name="sd"))
+
+    @property
+    def sentence(self) -> str:
+        """Where they come from and how large they are, for a person."""
+        if self.source is NoiseSource.STATED:
+            return self.source.sentence
+        sizes = [
+            f"{np.nanmedian(self.sd[:, columns]):.2g} {unit}"
+            for unit, columns in UNITS.items()
+            if np.isfinite(self.sd[:, columns]).any()
+        ]
+        found = f"{self.source.sentence} {' and '.join(sizes)}"
+        if self.factors is None:
+            return f"{found}; the data state none."
+        times = " and ".join(f"{x:.2f}" for x in self.factors if np.isfinite(x))
+        return f"{found}, {times} times what the data state."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Seen:
+    """Noise as the data show it, over the stated one, by unit."""
+
+    scales: Mapping[str, EstimatedScale]
+    source: NoiseSource
+
+    @property
+    def degrees(self) -> float:
+        return sum(x.degrees_of_freedom for x in self.scales.values())
 
 
 def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     """The noise of the data; None where it is neither stated nor to be seen in them.
 
-    Along a load curve laxity is smooth, so that what is rough there is noise, whatever the model
-    gets wrong. A stated standard deviation is taken to be right to 20 %, and both are weighed.
+    Trials under equal loads differ by noise alone; along a load curve laxity is smooth, so that
+    what is rough there is noise. Both hold whatever the model gets wrong, and the one with more
+    degrees of freedom is believed. A stated standard deviation is taken to be right to 20 %, and
+    is weighed with what is found.
 
     Parameters
     ----------
@@ -58,28 +114,53 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     residuals
         Measured less predicted, shape ``(n, 5)``, from a model that follows most of the curvature.
     """
-    measured, curves = laxity.is_measured, load_curves(laxity.protocol)
+    measured = laxity.is_measured
     stated = np.where(measured, 1.0, np.nan) if laxity.sd is None else np.array(laxity.sd)
     relative = residuals / stated
-    groups = [x for x in (TRANSLATIONS, ROTATIONS) if measured[:, x].any()]
-    found = [estimate_scale(relative[:, x], measured[:, x], curves) for x in groups]
-    degrees = sum(x.degrees_of_freedom for x in found if x is not None)
-    if None in found or degrees < LEAST_DEGREES:
+    units = [unit for unit, columns in UNITS.items() if measured[:, columns].any()]
+    looked = (_in_replicates(laxity, relative), _in_curves(laxity, relative))
+    whole = [x for x in looked if all(unit in x.scales for unit in units)]
+    seen = max(whole, key=lambda x: x.degrees, default=None)
+    if seen is None or seen.degrees < LEAST_DEGREES:
         return _as_stated(laxity)
-    sd, factors = stated, dict.fromkeys(("mm", "deg"), np.nan)
-    for columns, scale in zip(groups, found, strict=True):
-        if scale is not None:
-            factor = scale.sd if laxity.sd is None else _weighed(scale)
-            sd[:, columns] *= factor
-            factors["mm" if columns is TRANSLATIONS else "deg"] = factor
-    shared = estimate_correlation(residuals / sd, measured, curves)
+    sd, factors = stated, dict.fromkeys(UNITS, np.nan)
+    for unit in units:
+        scale = seen.scales[unit]
+        factors[unit] = scale.sd if laxity.sd is None else _weighed(scale)
+        sd[:, UNITS[unit]] *= factors[unit]
+    shared = _correlation(laxity, residuals / sd, seen.source)
     return DataNoise(
         sd=sd,
         correlation=laxity.within_trial_correlation if shared is None else shared,
         factors=None if laxity.sd is None else (factors["mm"], factors["deg"]),
-        degrees_of_freedom=degrees,
-        sentence=_sentence(sd, None if laxity.sd is None else list(factors.values())),
+        degrees_of_freedom=seen.degrees,
+        source=seen.source,
     )
+
+
+def _in_replicates(laxity: Laxity, relative: Array) -> _Seen:
+    replicates = replicates_of(laxity)
+    found = {unit: scale_of_replicates(replicates, relative, x) for unit, x in UNITS.items()}
+    return _seen(found, NoiseSource.REPLICATES)
+
+
+def _in_curves(laxity: Laxity, relative: Array) -> _Seen:
+    measured, curves = laxity.is_measured, load_curves(laxity.protocol)
+    found = {
+        unit: estimate_scale(relative[:, x], measured[:, x], curves) for unit, x in UNITS.items()
+    }
+    return _seen(found, NoiseSource.CURVES)
+
+
+def _seen(found: Mapping[str, EstimatedScale | None], source: NoiseSource) -> _Seen:
+    return _Seen(scales={k: x for k, x in found.items() if x is not None}, source=source)
+
+
+def _correlation(laxity: Laxity, relative: Array, source: NoiseSource) -> float | None:
+    """What the errors of a trial share, as the same trials show it that show their size."""
+    if source is NoiseSource.REPLICATES:
+        return correlation_of_replicates(replicates_of(laxity), relative)
+    return estimate_correlation(relative, laxity.is_measured, load_curves(laxity.protocol))
 
 
 def _weighed(scale: EstimatedScale) -> float:
@@ -99,17 +180,5 @@ def _as_stated(laxity: Laxity) -> DataNoise | None:
         correlation=laxity.within_trial_correlation,
         factors=None,
         degrees_of_freedom=np.inf,
-        sentence="The noise is taken as stated: the load curves are too short to show it.",
+        source=NoiseSource.STATED,
     )
-
-
-def _sentence(sd: Array, factors: list[float] | None) -> str:
-    sizes = []
-    for columns, unit in ((TRANSLATIONS, "mm"), (ROTATIONS, "deg")):
-        if np.isfinite(sd[:, columns]).any():
-            sizes.append(f"{np.nanmedian(sd[:, columns]):.2g} {unit}")
-    found = f"The roughness of the load curves shows a noise of {' and '.join(sizes)}"
-    if factors is None:
-        return f"{found}; the data state none."
-    times = " and ".join(f"{x:.2f}" for x in factors if np.isfinite(x))
-    return f"{found}, {times} times what the data state."

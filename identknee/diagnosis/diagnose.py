@@ -129,13 +129,18 @@ def _base_refit(found: BaseFit) -> Refit:
     )
 
 
-def _localisation(base: Refit, seed: int) -> Localisation:
-    fitted = base.fitted
-    layout = TrialLayout(
-        flexion_deg=fitted.laxity.protocol.flexion_deg,
-        loads=fitted.laxity.protocol.loads,
+def layout_of(laxity: Laxity) -> TrialLayout:
+    """How the trials of the data are told apart."""
+    return TrialLayout(
+        flexion_deg=laxity.protocol.flexion_deg,
+        loads=laxity.protocol.loads,
         directions=DIRECTIONS,
         coordinates=COORDINATES,
-        is_measured=fitted.laxity.is_measured,
+        is_measured=laxity.is_measured,
     )
+
+
+def _localisation(base: Refit, seed: int) -> Localisation:
+    fitted = base.fitted
+    layout = layout_of(fitted.laxity)
     return localise(fitted.residual_rows(), base.projector, fitted.noise, layout, seed=seed)

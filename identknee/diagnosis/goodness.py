@@ -1,4 +1,4 @@
-"""Whether residuals look like noise: in size, in smooth patterns, from one load to the next."""
+"""Whether residuals look like noise: in size, and in smooth patterns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from identknee.diagnosis.noise_model import Curve
 from identknee.diagnosis.projection import Projector
-from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.arrays import Array, BoolArray
 
 # Cauchy's combination cannot take a probability of 1.
 MOST_PROBABLE = 0.99
@@ -57,7 +56,7 @@ def nested_check(
     projector: Projector,
     wider: Projector,
     *,
-    noise_degrees: float | None = np.inf,
+    noise_degrees: float = np.inf,
 ) -> Check:
     """Whether the residuals hold more of certain patterns than noise does.
 
@@ -69,17 +68,14 @@ def nested_check(
         Of the fit.
     wider
         The same with the whitened patterns taken out too, ``projector.with_columns(patterns)``:
-        `smooth_patterns` for smooth misfit of any kind; `replicate_patterns` with unknown noise for
-        lack of fit against the pure error of replicates.
+        `smooth_patterns` for smooth misfit of any kind.
     noise_degrees
-        As in `omnibus_check`; None where the noise is of unknown size: then the residuals that the
-        patterns leave measure it.
+        As in `omnibus_check`.
 
     Raises
     ------
     ValueError
-        If the noise is unknown and the patterns leave nothing to measure it, or if the fitted
-        parameters explain every pattern.
+        If the fitted parameters explain every pattern.
 
     References
     ----------
@@ -92,52 +88,7 @@ def nested_check(
     whole, left = projector.project(residuals), wider.project(residuals)
     squares_left = float(left @ left)
     square = float(whole @ whole) - squares_left
-    if noise_degrees is not None:
-        return size_check(square, rank, noise_degrees)
-    degrees_left = wider.degrees_of_freedom
-    if degrees_left < 1:
-        raise ValueError("the patterns leave no residuals to measure the noise by; use fewer")
-    return size_check(square / (squares_left / degrees_left), rank, degrees_left)
-
-
-def succession_check(
-    residuals: Array, projector: Projector, neighbours: IntArray, *, is_scale_known: bool = True
-) -> Check:
-    """Whether neighbours on load curves err to the same side.
-
-    Parameters
-    ----------
-    residuals
-        As in `omnibus_check`.
-    projector
-        Of the fit.
-    neighbours
-        Rows of values that follow one another, see `neighbours_on_curves`, shape ``(k, 2)``.
-    is_scale_known
-        False where the noise is of unknown size.
-
-    References
-    ----------
-    J. Durbin and G. S. Watson, Testing for serial correlation in least squares regression I,
-    Biometrika 37 (1950) 409-428, doi:10.1093/biomet/37.3-4.409.
-    """
-    projected = projector.project(residuals)
-    products = np.zeros((projector.n_rows, projector.n_rows))
-    np.add.at(products, (neighbours[:, 0], neighbours[:, 1]), 0.5)
-    np.add.at(products, (neighbours[:, 1], neighbours[:, 0]), 0.5)
-    observed = float(projected @ products @ projected)
-    # Traces of the form between projections: of itself and of its square.
-    on_basis = products @ projector.basis
-    inside = projector.basis.T @ on_basis
-    mean = -float(np.trace(inside))
-    square = float(np.sum(products**2) - 2 * np.sum(on_basis**2) + np.sum(inside**2))
-    if not is_scale_known:
-        # Products exceed a share of the squares where their difference exceeds 0.
-        share, degrees = observed / float(projected @ projected), projector.degrees_of_freedom
-        square += share**2 * degrees - 2 * share * mean
-        observed = share * degrees
-    deviate = (observed - mean) / np.sqrt(2 * square)
-    return Check(statistic=deviate, degrees_of_freedom=1, p_value=float(stats.norm.sf(deviate)))
+    return size_check(square, rank, noise_degrees)
 
 
 def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Array:
@@ -164,39 +115,6 @@ def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Arr
     powers = np.vander((flexion - middle) / half, min(len(np.unique(flexion)), 3))
     trials = np.einsum("na,np->nap", np.stack(along, axis=1), powers).reshape(len(loads), -1)
     return _for_each_coordinate(trials, is_measured)
-
-
-def replicate_patterns(group: IntArray, is_measured: BoolArray) -> Array:
-    """A free mean for each set of replicates and coordinate, not whitened, shape ``(m, k)``.
-
-    Parameters
-    ----------
-    group
-        Number of the set of equal trials that each belongs to, shape ``(n,)``.
-    is_measured
-        Which values there are, shape ``(n, 5)``.
-    """
-    return _for_each_coordinate((group[:, None] == np.unique(group)).astype(float), is_measured)
-
-
-def neighbours_on_curves(curves: Sequence[Curve], is_measured: BoolArray) -> IntArray:
-    """Rows of measured values that follow one another on a load curve, shape ``(k, 2)``.
-
-    Parameters
-    ----------
-    curves
-        The load curves of the protocol.
-    is_measured
-        Which values there are, shape ``(n, 5)``; a missing one is passed over.
-    """
-    rows = np.full(is_measured.shape, -1)
-    rows[is_measured] = np.arange(int(is_measured.sum()))
-    pairs = []
-    for curve in curves:
-        for on_curve in rows[curve.trials].T:
-            present = on_curve[on_curve >= 0]
-            pairs.append(np.stack([present[:-1], present[1:]], axis=1))
-    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
 
 
 def cauchy_combination(p_values: Sequence[float]) -> float:

@@ -40,7 +40,7 @@ class FoldStatus(Enum):
 _SENTENCES = {
     FoldStatus.SCORED: "The held trials were predicted from the others.",
     FoldStatus.NOT_MEASURED: "Nothing was measured in the held trials, or in no others.",
-    FoldStatus.NOT_IDENTIFIED: "Without the held trials a parameter has no effect on the data.",
+    FoldStatus.NOT_IDENTIFIED: "The held trials depend on something that only they show.",
     FoldStatus.FAILED: "The model has no prediction where the fit to the other trials began.",
 }
 
@@ -166,7 +166,7 @@ def held_out(
             scores.append(_unscored(fold, observations, theta.size, FoldStatus.NOT_MEASURED))
         elif not whole.is_finite:
             scores.append(_unscored(fold, observations, theta.size, FoldStatus.FAILED))
-        elif _loses_rank(whole, kept, observations, problem.parameters):
+        elif _hangs_on_the_prior(whole, (held, kept), observations, problem.parameters):
             scores.append(_unscored(fold, observations, theta.size, FoldStatus.NOT_IDENTIFIED))
         else:
             scores.append(_score(memory, observations, fold, theta, (held, kept)))
@@ -285,18 +285,21 @@ def _by_trial(left: Array, spread: Array, trial: IntArray, n_trials: int) -> Arr
     return densities
 
 
-def _loses_rank(
-    whole: Evaluation, kept: IntArray, observations: Observations, parameters: Parameters
+def _hangs_on_the_prior(
+    whole: Evaluation, rows: tuple[IntArray, IntArray], observations: Observations, p: Parameters
 ) -> bool:
-    """Whether the trials kept say nothing of something that all trials together see."""
-    steps = parameters.prior_sd * np.where(parameters.is_log, whole.theta, 1.0)
+    """Whether held values vary by more than noise with what the trials kept say nothing of.
+
+    Few trials always leave some direction of many parameters to the prior; it counts where the
+    prediction depends on it.
+    """
+    steps = p.prior_sd * np.where(p.is_log, whole.theta, 1.0)
     scaled = whole.jacobian / observations.sd[:, None] * steps
-    return _rank(scaled[kept]) < _rank(scaled)
-
-
-def _rank(scaled: Array) -> int:
-    sizes = np.linalg.svd(scaled, compute_uv=False)
-    return int(np.count_nonzero(sizes > LEAST_SINGULAR_VALUE * max(sizes[0], np.finfo(float).tiny)))
+    held, kept = (scaled[x] for x in rows)
+    _, sizes, directions = np.linalg.svd(kept)
+    least = LEAST_SINGULAR_VALUE * max(sizes[0], np.finfo(float).tiny)
+    unseen = held @ directions[np.count_nonzero(sizes > least) :].T
+    return bool(np.any(np.linalg.norm(unseen, axis=1) > 1.0))
 
 
 def _unscored(fold: Fold, observations: Observations, p: int, status: FoldStatus) -> FoldScore:

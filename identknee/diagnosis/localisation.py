@@ -55,6 +55,15 @@ class TrialLayout:
         if self.is_measured.shape != wanted:
             raise ValueError(f"is_measured must have shape {wanted}, got {self.is_measured.shape}")
 
+    def sides(self) -> dict[str, BoolArray]:
+        """Which trials have a load of each direction, shape ``(n,)``; ``"no load"`` comes last."""
+        sides = {
+            name: np.asarray(sign * self.loads[:, axis] > 0)
+            for axis, names in enumerate(self.directions)
+            for name, sign in zip(names, (1, -1), strict=True)
+        }
+        return {**sides, UNLOADED: np.all(self.loads == 0, axis=1)}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellScore:
@@ -160,16 +169,10 @@ class _Cell:
 
 def _cells(layout: TrialLayout) -> list[_Cell]:
     """Those that have data."""
-    sides = {
-        name: np.asarray(sign * layout.loads[:, axis] > 0)
-        for axis, names in enumerate(layout.directions)
-        for name, sign in zip(names, (1, -1), strict=True)
-    }
-    sides[UNLOADED] = np.all(layout.loads == 0, axis=1)
     cells = []
     for index, coordinate in enumerate(layout.coordinates):
         for flexion in np.unique(layout.flexion_deg):
-            for direction, trials in sides.items():
+            for direction, trials in layout.sides().items():
                 where = np.zeros(layout.is_measured.shape, dtype=bool)
                 where[:, index] = trials & (layout.flexion_deg == flexion)
                 rows = where[layout.is_measured]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.diagnosis.data_noise import DataNoise
 from identknee.diagnosis.surface_roughness import trial_contacts
 from identknee.mechanics.contact_places import ContactPlaces
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
@@ -29,22 +30,25 @@ class MissingWrench:
     outside, outside_covariance
         The part outside the directions in which contact presses, moments compared with forces over
         a lever of 20 mm, and the covariance of its errors.
+    poses
+        Where the model predicts each trial: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``.
     """
 
     wrench: Array
     covariance: Array
     outside: Array
     outside_covariance: Array
+    poses: Array
 
     def __post_init__(self) -> None:
         n = len(self.wrench)
-        for name in ("wrench", "outside"):
+        for name in ("wrench", "outside", "poses"):
             object.__setattr__(self, name, frozen(getattr(self, name), n, 5, name=name))
         for name in ("covariance", "outside_covariance"):
             object.__setattr__(self, name, frozen(getattr(self, name), n, 5, 5, name=name))
 
 
-def missing_wrench(problem: LaxityResiduals, theta: Array) -> MissingWrench:
+def missing_wrench(problem: LaxityResiduals, theta: Array, noise: DataNoise) -> MissingWrench:
     """What is missing in every trial: the Hessian times the way from the predicted pose.
 
     The Hessian is that of the predicted pose, where contact is well defined. For data counted from
@@ -56,18 +60,18 @@ def missing_wrench(problem: LaxityResiduals, theta: Array) -> MissingWrench:
         The model and the data.
     theta
         Where, shape ``(p,)``.
+    noise
+        Errors of the data.
 
     Raises
     ------
     ValueError
-        If a measured coordinate has no standard deviation, or the contact is that of meshes.
+        If the contact is that of meshes.
     """
     model, laxity = problem.model, problem.laxity
     prediction = model.predict_once(theta)
     if prediction.hessians is None:
         raise ValueError('a missing wrench needs a model with contact="field"')
-    if laxity.sd is None or np.isnan(laxity.sd[laxity.is_measured]).any():
-        raise ValueError("a missing wrench needs the standard deviation of every coordinate")
     seen, _ = model.extension.observed_slopes(
         coordinates_from_pose(prediction.poses), model.amplitudes(theta), model.tests
     )
@@ -75,9 +79,9 @@ def missing_wrench(problem: LaxityResiduals, theta: Array) -> MissingWrench:
     shape = is_whole[:, None, None]
     hessians = np.where(shape, prediction.hessians, np.eye(5))
     stiffness = hessians @ np.linalg.inv(seen @ coordinate_jacobian(prediction.poses))
-    shared = np.full((5, 5), laxity.within_trial_correlation)
+    shared = np.full((5, 5), noise.correlation)
     np.fill_diagonal(shared, 1.0)
-    errors = laxity.sd[:, :, None] * shared * laxity.sd[:, None]
+    errors = noise.sd[:, :, None] * shared * noise.sd[:, None]
     wrench = np.einsum("nij,nj->ni", stiffness, problem.differences(theta))
     covariance = stiffness @ errors @ stiffness.transpose(0, 2, 1)
     kept = np.stack(
@@ -91,6 +95,7 @@ def missing_wrench(problem: LaxityResiduals, theta: Array) -> MissingWrench:
         covariance=np.where(shape, covariance, np.nan),
         outside=np.where(is_whole[:, None], np.einsum("nij,nj->ni", kept, wrench), np.nan),
         outside_covariance=np.where(shape, kept @ covariance @ kept.transpose(0, 2, 1), np.nan),
+        poses=prediction.poses,
     )
 
 

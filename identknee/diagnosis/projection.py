@@ -4,13 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.arrays import Array, frozen
 
 # Of the largest singular value. Directions the data hardly see are kept on purpose: each costs one
 # degree of freedom and makes every statistic indifferent to which near-equivalent fit was found.
 LEAST_SINGULAR_VALUE = 1e-6
-# A valley bends within its own posterior spread beyond this.
-MOST_BEND = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,7 +73,7 @@ class Projector:
         return Projector(basis=np.hstack([self.basis, new]))
 
 
-def base_projector(jacobian: Array, curvatures: Array | None = None) -> Projector:
+def base_projector(jacobian: Array) -> Projector:
     """The projector that belongs to a fit.
 
     Parameters
@@ -84,30 +82,9 @@ def base_projector(jacobian: Array, curvatures: Array | None = None) -> Projecto
         Derivatives of the whitened predictions by the fitted parameters, followed by the rows of
         their prior, ``[J; C0^(-1/2)]``, shape ``(m, p)``. Every direction is taken out whose
         singular value is more than 1e-6 of the largest, columns scaled to length 1.
-    curvatures
-        Second derivatives along directions in which the valley bends, see `is_curved`, shape
-        ``(m, k)`` or of the data rows alone.
     """
     nothing = Projector(basis=np.zeros((len(jacobian), 0)))
-    base = nothing.with_columns(jacobian)
-    return base if curvatures is None else base.with_columns(curvatures)
-
-
-def is_curved(projector: Projector, curvatures: Array, singular_values: Array) -> BoolArray:
-    """Along which directions the valley of good fits bends on its own posterior scale.
-
-    Parameters
-    ----------
-    projector
-        Of the base parameters, without curvatures.
-    curvatures
-        Second derivatives of the whitened predictions along right singular vectors of the Jacobian,
-        shape ``(m, k)`` or of the data rows alone.
-    singular_values
-        Those of the k vectors, shape ``(k,)``.
-    """
-    bend = 0.5 * np.linalg.norm(projector.project(curvatures), axis=0) / singular_values**2
-    return np.asarray(bend > MOST_BEND)
+    return nothing.with_columns(jacobian)
 
 
 def _orthonormal(columns: Array, sizes: Array) -> Array:

@@ -233,23 +233,6 @@ def score_test(
     )
 
 
-def base_bias(jacobian: Array, signature: Signature, amplitude: Array) -> Array:
-    """By how much the effect, absent from the model, moved the fitted parameters, shape ``(p,)``.
-
-    Parameters
-    ----------
-    jacobian
-        Of the fit, rows of the prior included, shape ``(m, p)``.
-    signature
-        Of the effect.
-    amplitude
-        Its amplitudes, shape ``(k,)``.
-    """
-    shift = signature.columns @ amplitude
-    padded = np.concatenate([shift, np.zeros(len(jacobian) - len(shift))])
-    return np.asarray(np.linalg.lstsq(jacobian, padded, rcond=None)[0])
-
-
 def _in_units(residuals: Array, projector: Projector, scale: Scale) -> Array:
     """Projected residuals in units of their noise, shape ``(n, m)``."""
     projected = projector.project(residuals.T).T

@@ -28,6 +28,8 @@ PHASES = ("loading", "unloading")
 # Five errors can share a correlation above -1/4 only: their covariance must stay positive.
 CORRELATION_LIMITS = (-0.25, 1.0)
 LARGEST_ORDER = 10**9
+# Beyond these a table is in other units or of other axes.
+ANGLE_LIMIT_DEG, LENGTH_LIMIT_MM = 180.0, 200.0
 
 Zero = Literal["absolute", "unloaded"]
 
@@ -294,6 +296,8 @@ def _measured(row: Row) -> list[float]:
     coordinates, spreads = [], []
     for column, sd in zip(COORDINATES, _SD, strict=True):
         value = row.number(column, "nothing was measured")
+        if value is not None and (fault := _coordinate_fault(column, value)):
+            row.refuse(column, *fault)
         spread = row.number(sd, "its coordinate is blank too")
         if spread is not None and spread <= 0:
             row.refuse(
@@ -310,6 +314,19 @@ def _measured(row: Row) -> list[float]:
         coordinates.append(math.nan if value is None else value)
         spreads.append(math.nan if spread is None else spread)
     return coordinates + spreads
+
+
+def _coordinate_fault(column: str, value: float) -> tuple[str, str] | None:
+    """Why no knee has this coordinate, and the remedy; None if one may."""
+    if column.endswith("_deg"):
+        if abs(value) <= ANGLE_LIMIT_DEG:
+            return None
+        why = f"an angle of {value:g} deg is beyond {ANGLE_LIMIT_DEG:g} deg either way"
+        return why, "Give angles in degrees, 0 where the axes of both bones agree."
+    if abs(value) <= LENGTH_LIMIT_MM:
+        return None
+    why = f"a translation of {value:g} mm is beyond {LENGTH_LIMIT_MM:g} mm either way"
+    return why, "Give lengths in mm, from the femoral to the tibial origin."
 
 
 def _order(row: Row) -> int:

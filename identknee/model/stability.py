@@ -9,7 +9,7 @@ import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameters import STIFFNESS, Parameters
+from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial
@@ -39,8 +39,8 @@ class StabilityReport:
         Stability margin of each there [N/mm], shape ``(n,)``; of the last stable pose where the
         trial did not converge.
     n_samples
-        Parameter vectors drawn from the box: stiffness +-50 %, reference strain +-3 %, within the
-        bounds.
+        Parameter vectors drawn from the box: stiffness +-50 %, reference strain +-3 %, other
+        amplitudes of effects over their plausible ranges.
     box_outcomes
         How many of the ``n * n_samples`` trials ended in each way.
     box_margins
@@ -150,10 +150,15 @@ def check_stability(
 def box_sample(parameters: Parameters, n: int, generator: np.random.Generator) -> Array:
     """Parameter vectors drawn uniformly from the box around the subject's own, shape ``(n, p)``.
 
-    Stiffnesses vary by +-50 % and reference strains by +-3 %, within the bounds.
+    Stiffnesses vary by +-50 % and reference strains by +-3 %, within the bounds; other amplitudes
+    of effects over their plausible ranges, which are their bounds.
     """
-    is_stiffness = np.array([name.endswith(STIFFNESS) for name in parameters.names])
-    reach = np.where(is_stiffness, STIFFNESS_SHARE * parameters.start, STRAIN_PCT)
+    is_stiffness, is_strain = (
+        np.array([name.endswith(f".{x}") for name in parameters.names]) for x in (STIFFNESS, STRAIN)
+    )
+    reach = np.select(
+        [is_stiffness, is_strain], [STIFFNESS_SHARE * parameters.start, STRAIN_PCT], np.inf
+    )
     low = np.maximum(parameters.start - reach, parameters.lower)
     high = np.minimum(parameters.start + reach, parameters.upper)
     return generator.uniform(low, high, size=(n, parameters.n))

@@ -16,6 +16,7 @@ from identknee.diagnosis.noise_model import Curve
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
+from identknee.report.wrench_figure import wrench_figure
 from identknee.runs.arrays import Array
 
 N_CANDIDATES = 3
@@ -81,30 +82,42 @@ def residual_curves_figure(found: Diagnosis) -> Figure:
     found
         The diagnosis.
     """
-    compared = found.base.fitted.compared
-    residuals = compared.differences(found.base.fitted.theta)
+    residuals = found.base.fitted.compared.differences(found.base.fitted.theta)
     changes = _changes(found, residuals)
-    curves = load_curves(found.laxity.protocol)
-    rows = [i for i in range(len(COORDINATES)) if found.laxity.is_measured[:, i].any()]
+    return residuals_figure(found.laxity.protocol, residuals, found.noise.sd, changes)
+
+
+def residuals_figure(
+    protocol: Protocol, residuals: Array, sd: Array, changes: Mapping[str, Array]
+) -> Figure:
+    """What a model leaves of the data along every load curve, and what others change of it.
+
+    Parameters
+    ----------
+    protocol
+        The trials.
+    residuals
+        Measured less predicted [mm, deg], shape ``(n, 5)``; NaN where nothing was measured.
+    sd
+        Of the noise, in the same shape.
+    changes
+        By name of a model, its prediction less the first one's, in the same shape.
+    """
+    curves = load_curves(protocol)
+    rows = np.flatnonzero(np.isfinite(residuals).any(axis=0))
     size = (1.2 + 1.75 * len(curves), 1.0 + 1.45 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(rows), len(curves), squeeze=False, sharey="row", sharex="col")
     for column, curve in enumerate(curves):
-        for row, i in enumerate(rows):
-            axes = grid[row, column]
-            _draw_residuals(axes, curve, residuals[:, i], found.noise.sd[:, i])
+        for axes, i in zip(grid[:, column], rows, strict=True):
+            _draw_residuals(axes, curve, residuals[:, i], sd[:, i])
             for k, change in enumerate(changes.values()):
-                axes.plot(
-                    curve.load,
-                    change[curve.trials, i],
-                    STYLES[k],
-                    color=COLOURS[k],
-                    linewidth=1.3,
-                )
-        grid[0, column].set_title(_curve_title(found.laxity.protocol, curve), fontsize=SMALL)
-        grid[-1, column].set_xlabel(_load_name(found.laxity.protocol, curve), fontsize=SMALL)
-    for row, i in enumerate(rows):
-        grid[row, 0].set_ylabel(_words(COORDINATES[i]), fontsize=SMALL)
+                values = change[curve.trials, i]
+                axes.plot(curve.load, values, STYLES[k], color=COLOURS[k], linewidth=1.3)
+        grid[0, column].set_title(_curve_title(protocol, curve), fontsize=SMALL)
+        grid[-1, column].set_xlabel(_load_name(protocol, curve), fontsize=SMALL)
+    for axes, i in zip(grid[:, 0], rows, strict=True):
+        axes.set_ylabel(_words(COORDINATES[i]), fontsize=SMALL)
     handles = [
         figure.axes[0].plot([], [], STYLES[k], color=COLOURS[k], label=name)[0]
         for k, name in enumerate(changes)
@@ -240,7 +253,23 @@ def parameters_before_after_figure(
     fits = {"without cause": ligament_estimates(found.base)}
     if explanation.causes:
         fits[f"with {' and '.join(explanation.names)}"] = ligament_estimates(explanation)
-    ligaments = list(fits["without cause"])
+    return estimates_figure(fits, truth)
+
+
+def estimates_figure(
+    fits: Mapping[str, Mapping[str, Mapping[str, Estimate]]],
+    truth: Mapping[str, float] | None = None,
+) -> Figure:
+    """The ligaments' parameters by one or more fits, with their 95 % intervals.
+
+    Parameters
+    ----------
+    fits
+        By name of the fit, then of the ligament and of its parameter.
+    truth
+        True values by whole name, where they are known.
+    """
+    ligaments = list(next(iter(fits.values())))
     figure = Figure(figsize=(1.0 + 1.5 * len(ligaments), 4.6), layout="constrained")
     grid = figure.subplots(len(QUANTITIES), len(ligaments), squeeze=False)
     for row, (quantity, label) in zip(grid, QUANTITIES.items(), strict=True):
@@ -270,6 +299,7 @@ def diagnosis_figures(found: Diagnosis) -> dict[str, Figure]:
         "added_variable": added_variable_figure(found),
         "scores": scores_figure(found),
         "parameters": parameters_before_after_figure(found),
+        "missing_wrench": wrench_figure(found),
     }
 
 

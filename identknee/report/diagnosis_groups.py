@@ -8,12 +8,13 @@ import xarray
 from identknee.diagnosis.causes import explanation_of
 from identknee.diagnosis.diagnose import Diagnosis
 from identknee.diagnosis.exclusions import Exclusion
+from identknee.diagnosis.missing_pulls import wrench_of
 from identknee.laxity.table import COORDINATES
 from identknee.report.groups import constant_data, observed_data
 
 
 def diagnosis_groups(found: Diagnosis, tested: Sequence[Exclusion]) -> dict[str, xarray.Dataset]:
-    """Groups ``misfit``, ``residuals``, ``scores``, ``refits`` and those of the data.
+    """Groups ``misfit``, ``residuals``, ``missing_wrench``, ``scores``, ``refits``, the data's.
 
     Parameters
     ----------
@@ -27,6 +28,7 @@ def diagnosis_groups(found: Diagnosis, tested: Sequence[Exclusion]) -> dict[str,
         "observed_data": observed_data(found.laxity),
         "misfit": _misfit(found),
         "residuals": _residuals(found),
+        "missing_wrench": _missing_wrench(found),
         "scores": _scores(tested),
         "refits": _refits(found),
     }
@@ -68,6 +70,22 @@ def _residuals(found: Diagnosis) -> xarray.Dataset:
         },
         coords={"trial": list(found.laxity.protocol.trials), "coordinate": list(COORDINATES)},
     )
+
+
+def _missing_wrench(found: Diagnosis) -> xarray.Dataset:
+    """What else would have to act in every trial, whole and outside contact, with its errors."""
+    wrench, names = wrench_of(found), ("varus_Nm", "internal_Nm", "x_N", "y_N", "z_N")
+    by_name = {}
+    for prefix, values, covariance in (
+        ("whole", wrench.wrench, wrench.covariance),
+        ("outside", wrench.outside, wrench.outside_covariance),
+    ):
+        sd = np.sqrt(np.einsum("nii->ni", covariance))
+        for i, name in enumerate(names):
+            to_user = 0.001 if name.endswith("_Nm") else 1.0
+            by_name[f"{prefix}_{name}"] = ("trial", to_user * values[:, i])
+            by_name[f"sd_{prefix}_{name}"] = ("trial", to_user * sd[:, i])
+    return xarray.Dataset(by_name, coords={"trial": list(found.laxity.protocol.trials)})
 
 
 def _scores(tested: Sequence[Exclusion]) -> xarray.Dataset:

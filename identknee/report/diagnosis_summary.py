@@ -18,6 +18,7 @@ from identknee.diagnosis.exclusions import Exclusion
 from identknee.diagnosis.gain import Gain
 from identknee.diagnosis.gain_summary import gain_summary
 from identknee.diagnosis.missing_line import LineFinding
+from identknee.diagnosis.missing_pulls import MissingPull, pulls_of
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
@@ -36,7 +37,8 @@ def diagnosis_summary(
     ``parameters_after`` are the ligaments' without and with the causes, their 95 % intervals under
     the same keys with ``_ci95``. ``effects`` says of every effect tried whether it was seen and
     which size would have been. Rivals that are not excluded have their own amplitudes and
-    parameters.
+    parameters. ``missing_wrench`` is what else would have to act on the tibia, see
+    `identknee.diagnosis.missing_pulls`.
 
     Parameters
     ----------
@@ -59,6 +61,7 @@ def diagnosis_summary(
         "line": None if found.line is None else _line(found.line),
         "rivals": [_rival(x) for x in found.attribution.rivals],
         "misfit": _misfit(found),
+        "missing_wrench": [_pull(x) for x in pulls_of(found)],
         "noise": _noise(found),
         "advised_trials": [] if found.advice is None else trials_summary(found.advice.trials),
         "advice": None if found.advice is None else _advice(found),
@@ -74,7 +77,9 @@ def diagnosis_summary(
 def untestable_summary(reason: str) -> dict[str, Any]:
     """The same keys where the data cannot be tested, with the reason."""
     verdict = Verdict.NOT_TESTABLE
-    empty: dict[str, Any] = {x: [] for x in ("causes", "group", "rivals", "advised_trials")}
+    empty: dict[str, Any] = {
+        x: [] for x in ("causes", "group", "rivals", "advised_trials", "missing_wrench")
+    }
     nothing = ("p_value", "line", "misfit", "noise", "advice", "gain")
     parameters = [f"parameters_{x}{y}" for x in ("before", "after") for y in ("", "_ci95")]
     return {
@@ -140,6 +145,19 @@ def _line(line: LineFinding) -> dict[str, Any]:
     }
 
 
+def _pull(pull: MissingPull) -> dict[str, Any]:
+    values, errors = (x * [1.0, 1.0, 0.001] for x in (pull.mean, pull.sd))
+    names = ("anterior_force_N", "lateral_force_N", "internal_moment_Nm")
+    return {
+        "flexion_deg": pull.flexion_deg,
+        "direction": pull.direction,
+        "n_trials": pull.n_trials,
+        "p_value": pull.p_value,
+        **dict(zip(names, values.tolist(), strict=True)),
+        **{f"sd_{name}": x for name, x in zip(names, errors.tolist(), strict=True)},
+    }
+
+
 def _rival(rival: Rival) -> dict[str, Any]:
     return {
         "causes": list(rival.refit.names),
@@ -183,6 +201,7 @@ def _noise(found: Diagnosis) -> dict[str, Any]:
     }
     return {
         "sentence": noise.sentence,
+        "source": noise.source,
         "sd": sizes,
         "within_trial_correlation": noise.correlation,
         "times_stated": None if noise.factors is None else list(noise.factors),

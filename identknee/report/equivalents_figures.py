@@ -15,7 +15,12 @@ MAP = "cividis"
 
 
 def sets_figure(
-    parameters: Sequence[str], sets: Array, fit: Array, laxity: Mapping[str, Array]
+    parameters: Sequence[str],
+    sets: Array,
+    fit: Array,
+    laxity: Mapping[str, Array],
+    *,
+    origin: str = "the fit's",
 ) -> Figure:
     """Parameter sets as lines over their axes, and below how little their laxity differs.
 
@@ -30,6 +35,8 @@ def sets_figure(
     laxity
         By name with unit, a coordinate's difference from the fit in every trial, shape
         ``(n, n_trials)``: of the same sets, or of these two and the band of all.
+    origin
+        What the laxity is compared with, where it is not the fit's.
     """
     figure = Figure(figsize=(8.6, 6.4), layout="constrained")
     grid = figure.add_gridspec(2, len(laxity), height_ratios=(1.25, 1.0))
@@ -45,7 +52,7 @@ def sets_figure(
             axes.plot(trials, values_of_set, color=COLOURS[k], linewidth=1.0)
         axes.axhline(0.0, color=BLACK, linewidth=0.8)
         axes.set_xlabel("trial")
-        axes.set_title(f"{name}, less the fit's", fontsize=SMALL + 1)
+        axes.set_title(f"{name}\nless {origin}", fontsize=SMALL + 1)
         _bare(axes)
     handles = [
         Line2D([], [], color=COLOURS[0], linewidth=2, label="the two sets"),

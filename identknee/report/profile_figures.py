@@ -95,7 +95,7 @@ def intervals_figure(profiles: Sequence[Profile]) -> Figure:
     profiles
         Of any quantities.
     """
-    figure = Figure(figsize=(7.4, 0.9 + 0.34 * len(profiles)), layout="constrained")
+    figure = Figure(figsize=(7.4, 1.2 + 0.34 * len(profiles)), layout="constrained")
     axes = figure.add_subplot()
     for row, profile in enumerate(profiles):
         unit = _row_unit(profile)
@@ -128,7 +128,7 @@ def intervals_figure(profiles: Sequence[Profile]) -> Figure:
     axes.set_yticks(range(len(profiles)), [x.name for x in profiles], fontsize=8)
     axes.invert_yaxis()
     axes.set_xlabel("distance from the best fit [half-widths of the set]")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.12), ncols=4, frameon=False, fontsize=8)
+    figure.legend(loc="outside upper center", ncols=4, frameon=False, fontsize=8)
     _plain(axes)
     return figure
 

@@ -1,24 +1,28 @@
 """The figure of fits from several starts: how wrong the parameters, how good the laxity."""
 
-from collections.abc import Sequence
-
 import numpy as np
+import xarray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identknee.report.figures import COLOURS, MARKERS
-from identknee.report.starts import StartRow
 
 # What is below this is exact for every purpose and would stretch the axis.
 FLOOR = 1e-3
 
 
-def starts_figure(rows: Sequence[StartRow]) -> Figure:
-    """Figure with parameter errors on the left and laxity errors on the right, one dot a run."""
+def starts_figure(fits: xarray.Dataset) -> Figure:
+    """Figure with parameter errors on the left and laxity errors on the right, one dot a run.
+
+    Parameters
+    ----------
+    fits
+        As `identknee.report.starts.starts_dataset` gives them.
+    """
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    _dots(left, rows, "error_kN")
-    _dots(right, rows, "rmse_deg")
+    _dots(left, fits, "error_kN")
+    _dots(right, fits, "rmse_deg")
     left.set_ylabel("mean absolute error of stiffness [kN]")
     left.set_title("how far the parameters are from the truth", fontsize=10)
     right.set_ylabel("RMSE of rotations [deg]")
@@ -28,15 +32,14 @@ def starts_figure(rows: Sequence[StartRow]) -> Figure:
     return figure
 
 
-def _dots(axes: Axes, rows: Sequence[StartRow], quantity: str) -> None:
-    starts = list(dict.fromkeys(row.start for row in rows))
-    methods = list(dict.fromkeys(row.method for row in rows))
+def _dots(axes: Axes, fits: xarray.Dataset, quantity: str) -> None:
+    starts = list(dict.fromkeys(str(x) for x in fits["start"].values))
+    methods = list(dict.fromkeys(str(x) for x in fits["method"].values))
     for k, method in enumerate(methods):
-        chosen = [row for row in rows if row.method == method]
-        across = np.concatenate(
-            [np.full(row.n_runs, starts.index(row.start)) for row in chosen]
-        ) + 0.16 * (k - 0.5 * (len(methods) - 1))
-        values = np.concatenate([getattr(row, quantity) for row in chosen])
+        chosen = fits["method"].values == method
+        places = np.array([starts.index(str(x)) for x in fits["start"].values[chosen]])
+        across = places + 0.16 * (k - 0.5 * (len(methods) - 1))
+        values = fits[quantity].values[chosen]
         axes.plot(
             across,
             np.maximum(values, FLOOR),

@@ -43,6 +43,8 @@ def waterfall_figure(panels: Mapping[str, Mapping[str, tuple[Array, Array]]]) ->
         order, and its objective, shape ``(n,)``; infinite ones are left out.
     """
     figure, grid = _row(len(panels), width=2.6, height=3.2, sharey=True)
+    drawn = [np.asarray(x[1]) for curves in panels.values() for x in curves.values()]
+    lowest = max(LOWEST, min(float(np.min(x)) for x in drawn))
     for axes, (title, curves) in zip(grid, panels.items(), strict=True):
         for k, (name, (number, objective)) in enumerate(curves.items()):
             known = np.isfinite(objective)
@@ -56,7 +58,7 @@ def waterfall_figure(panels: Mapping[str, Mapping[str, tuple[Array, Array]]]) ->
             )
             axes.set_xlim(0, float(np.max(number)))
         axes.set_yscale("log")
-        axes.set_ylim(bottom=0.3 * LOWEST)
+        axes.set_ylim(bottom=0.3 * lowest)
         axes.set_title(title, fontsize=9)
         axes.set_xlabel("starts, by objective")
         _bare(axes)
@@ -113,6 +115,8 @@ def start_end_figure(
     panels: Mapping[str, tuple[Array, Array, Sequence[str]]],
     parameters: Sequence[str],
     truth: ArrayLike,
+    *,
+    mark: str = "truth",
 ) -> Figure:
     """Where starts lie and where they end, in the plane of each ligament's two parameters.
 
@@ -123,7 +127,9 @@ def start_end_figure(
     parameters
         Names: m stiffnesses, then m reference strains.
     truth
-        True theta, shape ``(2 m,)``.
+        True theta, or another to mark, shape ``(2 m,)``.
+    mark
+        What it is.
     """
     m = len(parameters) // 2
     figure = Figure(figsize=(0.9 + 2.5 * m, 0.8 + 2.5 * len(panels)), layout="constrained")
@@ -141,7 +147,7 @@ def start_end_figure(
     marks = [_mark(KIND_MARKERS[x], KIND_COLOURS[x], KIND_WORDS[x]) for x in seen]
     ends_at = [
         _mark(".", BLACK, "end"),
-        Line2D([], [], linestyle="", marker="+", color=BLACK, markersize=11, label="truth"),
+        Line2D([], [], linestyle="", marker="+", color=BLACK, markersize=11, label=mark),
     ]
     handles: list[Artist] = [*marks, *ends_at]
     _legend_below(figure, handles, [str(x.get_label()) for x in handles])

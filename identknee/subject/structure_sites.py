@@ -9,7 +9,7 @@ References
        https://doi.org/10.1007/s10439-015-1326-3
 .. [2] Claes et al. (2013), J Anat 223(4), 321-328. https://doi.org/10.1111/joa.12087
 .. [3] Kennedy et al. (2015), Am J Sports Med 43(7), 1606-1615.
-       https://doi.org/10.1177/0363546514562751
+       https://doi.org/10.1177/0363546515578253
 .. [4] Rezansoff et al. (2015), Knee Surg Sports Traumatol Arthrosc 23(11), 3196-3201.
        https://doi.org/10.1007/s00167-014-3126-y
 .. [5] LaPrade et al. (2007), J Bone Joint Surg Am 89(9), 2000-2010.

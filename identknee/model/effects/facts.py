@@ -63,7 +63,8 @@ _ALL = (
         name="anterolateral",
         slot="force",
         sentence="An anterolateral structure resists internal rotation, most at 30 to 60 deg.",
-        source="42 +- 26 N/mm (Helito 2016) and 33 mm long (Zens 2015): about 1.4 kN",
+        source="0.14 kN (50 N at 36 % strain, Zens 2015) to 1.4 kN (42 +- 26 N/mm, Helito 2016, at "
+        "33 mm)",
         relevant=0.2,
     ),
     EffectFacts(

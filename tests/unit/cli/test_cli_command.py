@@ -45,6 +45,13 @@ def test_a_missing_package_ends_with_1() -> None:
     assert _ended(error) == (1, f"identknee: {error}\n")
 
 
+def test_a_package_missing_without_a_word_of_ours_leads_to_the_doctor() -> None:
+    error = ModuleNotFoundError("No module named 'numba'", name="numba")
+    code, said = _ended(error)
+    assert code == 1
+    assert said.endswith("No module named 'numba'. To see what is missing: identknee doctor\n")
+
+
 def test_a_full_disk_ends_with_2() -> None:
     code, said = _ended(OSError(errno.ENOSPC, "No space left on device"))
     assert code == 2

@@ -144,6 +144,17 @@ def test_no_prediction_names_the_trials(measured: Laxity, tmp_path: Path) -> Non
         best_fit(setup, seed=0, executor=serial)
 
 
+def test_noise_to_be_estimated_without_a_prediction_is_no_mistake_of_the_input(
+    measured: Laxity, tmp_path: Path
+) -> None:
+    slack = "\n".join(f"[{x}]\nreference_strain_pct = -15.0" for x in ("ACL", "PCL", "LCL", "MCL"))
+    start = tmp_path / "slack.toml"
+    start.write_text(slack, encoding="utf-8")
+    silent = written(replace(measured, sd=None), tmp_path)
+    with pytest.raises(NotComputed, match="at the start 63 of 63 trials have none; flexion0_"):
+        identification("reference", silent, start=str(start))
+
+
 def test_a_start_outside_the_bounds_is_refused(measured: Laxity, tmp_path: Path) -> None:
     bounds = ["ACL.stiffness_kN=20:30"]
     setup = identification("reference", written(measured, tmp_path), bounds=bounds)

@@ -96,3 +96,11 @@ def test_ctrl_c_ends_with_130_wherever_it_comes(where: str, tmp_path: Path) -> N
     _, said = process.communicate(timeout=30)
     assert process.returncode == 130
     assert said == "identknee: stopped while starting\n"
+
+
+def test_a_missing_package_leaves_a_sentence() -> None:
+    code = "import sys; from identknee.cli import main\nsys.modules['typer'] = None; main.main()"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert process.returncode == 1
+    assert process.stderr.startswith("identknee: import of typer halted")
+    assert process.stderr.endswith("Install identknee again: pip install .\n")

@@ -83,6 +83,11 @@ def test_mistakes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert "there are no results to read" in refused(
         *WORDS, *short, "--method", "delta", "--posterior", tmp_path
     )
+    data = ik.write_laxity(
+        ik.simulate(ik.reference_knee(), ik.load_protocol("table2")).laxity, tmp_path / "data.csv"
+    )
+    both = (*WORDS, data, *short)
+    assert "those of DATA.csv or those of --protocol: leave out one" in refused(*both)
     # As a run that was killed leaves it.
     monkeypatch.setattr("identknee.cli.sensitivity.finish_work", lambda _: None)
     run(*WORDS, *short, "--samples", 2)

@@ -147,7 +147,7 @@ def test_wrong_words_are_refused_before_anything_is_written(tmp_path: Path) -> N
     assert "'nine' is not a number" in said("--set", "ACL.stiffness_kN=nine")
     assert "this is not a size of noise" in said("--noise", "0.3")
     assert "ACL.stiffness_kN is -1: stiffness must be" in said("--set", "ACL.stiffness_kN=-1")
-    assert "sd_mm must be greater than 0" in said("--noise", "0mm,1deg")
+    assert "both must be more than 0" in said("--noise", "0mm,1deg")
     assert not out.exists() or not list(out.iterdir())
 
 

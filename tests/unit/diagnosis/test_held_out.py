@@ -132,6 +132,19 @@ def test_a_fold_without_which_a_parameter_is_not_seen_is_not_scored() -> None:
     assert all(x.is_scored for x in again.scores)
 
 
+def test_what_only_the_prior_tells_is_no_reason_where_nothing_hangs_on_it() -> None:
+    """Few trials leave directions of many parameters to the prior; they may not matter."""
+    observations, folds = linear_observations(), linear_folds()
+    columns = smooth_columns(3, 5)
+    columns[~folds[0].held[observations.trial], 2] = 0.0
+    columns[:, 2] *= 0.1 * SD / (np.abs(columns[:, 2]).max() * problem().prior_sd)
+    made = drawn(columns, np.ones(3), observations, 0)
+    found = held_out(made, observations, made.fitted(observations), folds)
+    assert all(x.is_scored for x in found.scores)
+    # The prior's share is part of what the prediction expects.
+    assert found.expected_rmse(FLEXION).noise > 1
+
+
 def test_a_fold_in_which_nothing_was_measured_is_not_scored() -> None:
     observations, folds = linear_observations(), linear_folds()
     alone = Fold(family=FLEXION, name="one more", held=np.arange(64) == 63)
@@ -198,7 +211,7 @@ def test_folds_that_say_nothing_of_the_difference_do_not_count() -> None:
     scored = [held_out(x, observations, x.fitted(observations), folds) for x in (before, after)]
     flexion, direction, extremes = elpd_difference(*scored).families
     assert [fold.name for fold, _ in flexion.not_scored] == ["0 deg"]
-    assert "no effect" in flexion.not_scored[0][1]
+    assert "only they show" in flexion.not_scored[0][1]
     assert set(flexion.folds).isdisjoint(flexion.without_signature)
     assert len(flexion.folds) + len(flexion.without_signature) == 2
     assert direction.is_gain

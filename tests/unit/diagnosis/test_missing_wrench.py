@@ -1,4 +1,4 @@
-"""The missing wrench: that of a structure the model lacks, and its errors."""
+"""The missing wrench: that of a structure the model lacks, its errors, its mean on the plateau."""
 
 from dataclasses import replace
 
@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.diagnosis.missing_wrench import missing_wrench
+from identknee.diagnosis.data_noise import DataNoise, NoiseSource
+from identknee.diagnosis.localisation import TrialLayout
+from identknee.diagnosis.missing_pulls import missing_pulls
+from identknee.diagnosis.missing_wrench import MissingWrench, missing_wrench
 from identknee.laxity.noise import add_noise
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.mechanics.pose import rotation_matrix
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
@@ -28,6 +33,18 @@ def with_errors(model: LaxityModel, theta: Array, of: LaxityModel) -> LaxityResi
     return LaxityResiduals(model=of, laxity=replace(noisy, coordinates=laxity.coordinates))
 
 
+def noise_of(laxity: Laxity) -> DataNoise:
+    """As the data state it."""
+    assert laxity.sd is not None
+    return DataNoise(
+        sd=laxity.sd,
+        correlation=laxity.within_trial_correlation,
+        factors=None,
+        degrees_of_freedom=np.inf,
+        source=NoiseSource.STATED,
+    )
+
+
 def test_it_is_the_pull_of_the_structure_left_out(model: LaxityModel) -> None:
     hidden = MissingStructure(
         name="hidden",
@@ -39,7 +56,7 @@ def test_it_is_the_pull_of_the_structure_left_out(model: LaxityModel) -> None:
     extended = model.with_effects([hidden])
     theta = model.parameters.center
     problem = with_errors(extended, np.r_[theta, 0.002, 6.0], model)
-    found = missing_wrench(problem, theta)
+    found = missing_wrench(problem, theta, noise_of(problem.laxity))
     setting = extended.setting(np.r_[theta, 0.002, 6.0])
     poses = model.predict(theta).poses
     flexion = setting.flexion[model.paths.trial_node]
@@ -54,7 +71,7 @@ def test_it_weighs_as_much_as_the_residuals(model: LaxityModel) -> None:
     theta = model.parameters.center
     data = add_noise(model.simulate(theta), sd_mm=0.2, sd_deg=0.3, seed=2, correlation=0.3)
     problem = LaxityResiduals(model=model, laxity=data, weighting="noise")
-    found = missing_wrench(problem, theta)
+    found = missing_wrench(problem, theta, noise_of(problem.laxity))
     solved = np.linalg.solve(found.covariance, found.wrench[:, :, None])[:, :, 0]
     residuals = problem.residuals(theta)
     assert (found.wrench * solved).sum() == pytest.approx(residuals @ residuals, rel=1e-6)
@@ -63,7 +80,7 @@ def test_it_weighs_as_much_as_the_residuals(model: LaxityModel) -> None:
 def test_only_what_lies_outside_contact_is_quiet(model: LaxityModel) -> None:
     theta = model.parameters.center
     problem = with_errors(model, theta, model)
-    found = missing_wrench(problem, theta)
+    found = missing_wrench(problem, theta, noise_of(problem.laxity))
     superior = np.sqrt(found.covariance[:, 3, 3])
     outside = np.sqrt(np.einsum("nii->ni", found.outside_covariance))
     assert (np.linalg.matrix_rank(found.outside_covariance[0], rtol=1e-9)) == 3
@@ -76,13 +93,65 @@ def test_a_trial_with_a_blank_has_none(model: LaxityModel) -> None:
     coordinates = np.array(laxity.coordinates)
     coordinates[2, 1] = np.nan
     problem = LaxityResiduals(model=model, laxity=replace(laxity, coordinates=coordinates))
-    found = missing_wrench(problem, theta)
+    found = missing_wrench(problem, theta, noise_of(problem.laxity))
     assert np.isnan(found.wrench[2]).all()
     assert np.isnan(found.outside_covariance[2]).all()
     assert np.isfinite(np.delete(found.outside, 2, axis=0)).all()
 
 
-def test_errors_must_be_stated(model: LaxityModel) -> None:
-    laxity = model.simulate(model.parameters.center)
-    with pytest.raises(ValueError, match="standard deviation"):
-        missing_wrench(LaxityResiduals(model=model, laxity=laxity), model.parameters.center)
+N_TRIALS = 400
+SPREAD = np.array([500.0, 800.0, 30.0, 200.0, 20.0])
+
+
+def pulled(force: Array, moment: float, *, seed: int) -> tuple[MissingWrench, TrialLayout]:
+    """Wrenches of a force in tibial axes [N] and a moment about the tibial axis [N mm], noisy."""
+    generator = np.random.default_rng(seed)
+    poses = generator.normal(0.0, [0.1, 0.3, 5.0, 5.0, 5.0], (N_TRIALS, 5))
+    turned = np.stack([rotation_matrix(0.0, *pose[:2]) @ force for pose in poses])
+    exact = np.column_stack([np.zeros(N_TRIALS), np.full(N_TRIALS, moment), turned])
+    noisy = exact + generator.normal(0.0, SPREAD, exact.shape)
+    covariance = np.broadcast_to(np.diag(SPREAD**2), (N_TRIALS, 5, 5))
+    wrench = MissingWrench(
+        wrench=noisy,
+        covariance=covariance,
+        outside=noisy,
+        outside_covariance=covariance,
+        poses=poses,
+    )
+    loads = np.zeros((N_TRIALS, 1))
+    loads[: N_TRIALS // 2] = 1.0
+    layout = TrialLayout(
+        flexion_deg=np.where(np.arange(N_TRIALS) % 4 == 0, 30.0, 0.0),
+        loads=loads,
+        directions=(("internal moment", "external moment"),),
+        coordinates=COORDINATES,
+        is_measured=np.ones((N_TRIALS, 5), bool),
+    )
+    return wrench, layout
+
+
+def test_its_mean_is_that_of_each_flexion_and_direction() -> None:
+    force, moment = np.array([12.0, -80.0, 25.0]), 400.0
+    pulls = missing_pulls(*pulled(force, moment, seed=3))
+    assert [(x.flexion_deg, x.direction, x.n_trials) for x in pulls] == [
+        (0.0, "internal moment", 150),
+        (0.0, "no load", 150),
+        (30.0, "internal moment", 50),
+        (30.0, "no load", 50),
+    ]
+    truth = np.array([force[0], force[2], moment])
+    for pull in pulls:
+        # 4 standard errors: one in 16,000 of 12 numbers would be farther off.
+        np.testing.assert_array_less(np.abs(pull.mean - truth), 4.0 * pull.sd)
+
+
+def test_noise_alone_asks_for_little() -> None:
+    p_values = np.concatenate(
+        [
+            [x.p_value for x in missing_pulls(*pulled(np.zeros(3), 0.0, seed=seed))]
+            for seed in range(100)
+        ]
+    )
+    # The standard error of the mean of 400 uniform numbers is 0.014.
+    assert p_values.mean() == pytest.approx(0.5, abs=5 * 0.0145)
+    assert max(x.p_value for x in missing_pulls(*pulled(np.full(3, 60.0), 0.0, seed=1))) < 1e-6

@@ -3,7 +3,7 @@
 import numpy as np
 from linear_data import N_PARAMETERS, linear_fit
 
-from identknee.diagnosis.projection import base_projector, is_curved
+from identknee.diagnosis.projection import base_projector
 
 # Rounding of products of a few hundred terms of size 1 to 10.
 ROUNDING = 1e-12
@@ -51,18 +51,3 @@ def test_further_columns_are_taken_out_too() -> None:
     np.testing.assert_allclose(wider.project(columns), 0.0, atol=ROUNDING)
     np.testing.assert_allclose(wider.project(fit.jacobian), 0.0, atol=ROUNDING)
     assert wider.with_columns(fit.jacobian[:, :2]).rank == wider.rank
-    whole = base_projector(fit.jacobian, columns)
-    np.testing.assert_allclose(whole.basis @ whole.basis.T, wider.basis @ wider.basis.T, atol=1e-11)
-
-
-def test_a_valley_is_curved_on_its_own_scale() -> None:
-    """Half the curvature within one posterior standard deviation, 1 / s, against noise 1."""
-    fit = linear_fit()
-    curvature = fit.projector.project(np.random.default_rng(6).standard_normal((fit.n_data, 2)))
-    curvature /= np.linalg.norm(curvature, axis=0)
-    found = is_curved(fit.projector, curvature, np.array([0.9, 1.1]))
-    np.testing.assert_array_equal(found, [True, False])
-    explained = fit.jacobian[:, :2] * 1e6
-    np.testing.assert_array_equal(
-        is_curved(fit.projector, explained, np.array([0.9, 0.9])), [False, False]
-    )

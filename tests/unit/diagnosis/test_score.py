@@ -8,7 +8,7 @@ from linear_data import N_PARAMETERS, LinearFit, library, linear_fit, signature
 from scipy.stats import norm
 
 from identknee.diagnosis.projection import Projector
-from identknee.diagnosis.score import LEVEL, N_DRAWS, Scale, ScoreTest, base_bias, score_test
+from identknee.diagnosis.score import LEVEL, N_DRAWS, Scale, ScoreTest, score_test
 from identknee.runs.arrays import Array
 
 N_NULLS = 4000
@@ -152,15 +152,6 @@ def test_with_equal_evidence_the_effect_with_fewer_looks_leads(fit: LinearFit) -
     more_likely = norm.logsf(found.candidates[1].score) - norm.logsf(found.candidates[0].score)
     factor = both.trials_factors[both.names.index("grid")]
     assert more_likely == pytest.approx(np.log(factor), rel=1e-6)
-
-
-def test_a_missing_effect_biases_the_parameters_as_the_fit_shows(fit: LinearFit) -> None:
-    effect = library(3)[0]
-    shift = fit.projector.padded(effect.columns[:, 0] * 0.7)
-    fitted, *_ = np.linalg.lstsq(fit.jacobian, shift, rcond=None)
-    np.testing.assert_allclose(
-        base_bias(fit.jacobian, effect, np.array([0.7])), fitted, rtol=INVARIANT
-    )
 
 
 def test_the_same_seed_gives_the_same_test(fit: LinearFit) -> None:

@@ -111,6 +111,13 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
             ),
         ),
         (
+            "a,30,5,500,1",
+            (
+                ", row 2, column varus_deg: an angle of 500 deg is beyond 180 deg either way. "
+                "Give angles in degrees, 0 where the axes of both bones agree."
+            ),
+        ),
+        (
             "a,30,5,1e999,1",
             (
                 ", row 2, column varus_deg: 1e999 is too large to be a number here. "
@@ -203,6 +210,15 @@ def test_messages_about_rows(tmp_path: Path, rows: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         read_laxity(path)
     assert str(caught.value) == f"{path}{message}"
+
+
+def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
+    header = "trial,flexion_deg,lateral_shift_mm\n"
+    assert read_laxity(written(tmp_path, header + "a,30,-200")).coordinates[0, 0] == -200.0
+    with pytest.raises(
+        InputError, match="row 2, column lateral_shift_mm: a translation of -201 mm"
+    ):
+        read_laxity(written(tmp_path, header + "a,30,-201"))
 
 
 @pytest.mark.parametrize(
@@ -309,7 +325,8 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         read_laxity(tmp_path / "none.csv")
 
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
+# Within what a knee may do, whether a column is in mm or deg.
+finite = st.floats(-180.0, 180.0)
 names = st.text(
     st.characters(codec="utf-8", exclude_categories=["C", "Z"], include_characters=' ,"#'),
     min_size=1,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from identknee.laxity.protocol import load_protocol
+from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import ligament_parameters
 from identknee.model.stability import StabilityReport, box_sample, check_stability
@@ -97,6 +98,19 @@ def test_the_box_stays_within_the_bounds() -> None:
     np.testing.assert_allclose(low, [15.0, 5.0, 11.0, -3.0], atol=0.5)
     np.testing.assert_allclose(high, [40.0, 15.0, 15.0, 3.0], atol=0.5)
     assert (drawn <= parameters.upper).all()
+
+
+def test_amplitudes_of_effects_vary_over_their_own_plausible_ranges() -> None:
+    frame = effect_named(reference_knee(), "femur_frame")
+    extended = LaxityModel(
+        knee=reference_knee(), protocol=load_protocol("seed63"), effects=(frame,)
+    ).parameters
+    drawn = box_sample(extended, 500, np.random.default_rng(0))
+    own = slice(-frame.parameters.n, None)
+    width = extended.upper[own] - extended.lower[own]
+    # All but 2 % of the range is reached by 500 draws; 3 of anything would be another share.
+    assert (np.ptp(drawn[:, own], axis=0) > 0.98 * width).all()
+    assert (drawn >= extended.lower).all()
 
 
 def test_a_negative_number_of_samples_is_refused(model: LaxityModel) -> None:

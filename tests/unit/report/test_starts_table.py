@@ -83,7 +83,7 @@ def test_the_dataset_holds_every_run(model: LaxityModel) -> None:
 
 
 def test_the_figure_has_a_dot_for_every_run(model: LaxityModel) -> None:
-    figure = starts_figure(rows(model, [0.0, 0.5]))
+    figure = starts_figure(starts_dataset(rows(model, [0.0, 0.5])))
     for axes in figure.axes:
         dots = [line for line in axes.lines if line.get_label() in ("complex", "least-squares")]
         assert [len(np.asarray(line.get_xdata())) for line in dots] == [2, 2]

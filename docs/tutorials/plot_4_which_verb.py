@@ -1,0 +1,82 @@
+"""
+Which verb answers which question
+=================================
+
+One data set, asked everything that can be asked of a calibration. Each answer here is a small one;
+the command that gives it in full stands beside it.
+"""
+
+import numpy as np
+
+import identknee as ik
+from identknee.report.equivalents_figures import ranges_figure
+from identknee.report.information_figures import spectrum_figure
+from identknee.report.profile_figures import intervals_figure
+from identknee.report.sweep_figures import waterfall_figure
+
+knee = ik.reference_knee()
+truth = ik.simulate(knee, ik.load_protocol("seed63"))
+laxity = ik.add_noise(truth.laxity, sd_mm=0.5, sd_deg=0.5, seed=2)
+model = ik.LaxityModel(knee=knee, protocol=laxity.protocol)
+problem = ik.LaxityResiduals(model=model, laxity=laxity, weighting="noise")
+best = ik.fit(problem, problem.parameters.center)
+
+# %%
+# Do all starts lead to the same parameters?
+# -------------------------------------------
+# ``identknee sweep``: searches from everywhere, each end with what stopped it. A failed start is
+# an end too: with these parameters the knee has no equilibrium in some trial.
+
+starts = ik.sobol_starts(problem.parameters, 24)
+sweep = ik.sweep(problem, starts)
+for kind in (ik.Outcome.MINIMUM, ik.Outcome.VALLEY, ik.Outcome.CLIFF, ik.Outcome.START_FAILED):
+    print(f"{sweep.is_kind(kind).sum():3} {kind.value:12} {kind.sentence}")
+number = np.arange(1, sweep.n + 1)
+ends = {"end": (number, np.sort(sweep.objectives))}
+figure = waterfall_figure({"Least squares from 24 starts": ends})
+
+# %%
+# Which combinations are stiff, which sloppy?
+# -------------------------------------------
+# ``identknee information``: eigenvalues of the Fisher information above the solver's own noise.
+
+information = ik.information(problem, best.theta)
+print("best known: ", information.combination(0))
+print("least known:", information.combination(len(information.eigenvalues) - 1))
+figure = spectrum_figure({"reference": information})
+
+# %%
+# Which values do the data allow?
+# -------------------------------
+# ``identknee profile``: sets with an end only where the data give one.
+
+names = ["ACL.stiffness_kN", "PCL.stiffness_kN", "MCL.stiffness_kN"]
+profiles = ik.profile_parameters(problem, best.theta, names)
+figure = intervals_figure(profiles)
+
+# %%
+# How different may two knees be that these data cannot tell apart?
+# -----------------------------------------------------------------
+# ``identknee equivalents``: sets whose predictions differ by less than one squared standard
+# deviation in all, as far from one another as can be.
+
+region = ik.noise_region(problem, best.theta)
+found = ik.equivalents(region, n_sets=6, seed=0)
+names = problem.parameters.names
+stiffness = [i for i, name in enumerate(names) if name.endswith("_kN")]
+spread = np.array([[found.sets[:, i].min(), found.sets[:, i].max()] for i in stiffness])
+figure = ranges_figure(
+    [names[i] for i in stiffness], best.theta[stiffness], {"6 sets": spread}, unit="kN"
+)
+
+# %%
+# Where to go from here
+# ---------------------
+# ================================================= ============================
+# question                                          command
+# ================================================= ============================
+# How probable is each value?                       ``identknee sample``
+# Which parameter moves which laxity?               ``identknee sensitivity``
+# Which trials would close the gap?                 ``identknee design``
+# What does the model get wrong?                    ``identknee diagnose``
+# ================================================= ============================

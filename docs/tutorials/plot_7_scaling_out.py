@@ -1,0 +1,50 @@
+"""
+Scaling out with dask
+=====================
+
+Verbs that do many things take an executor: anything with a ``map`` that keeps order. Serial, a
+pool of processes and a dask cluster give the same numbers bit for bit, as each task carries its own
+seed and shares nothing.
+"""
+
+import numpy as np
+from distributed import LocalCluster
+
+import identknee as ik
+from identknee.report.sweep_figures import waterfall_figure
+from identknee.runs.dask_executor import dask_cluster
+
+knee = ik.reference_knee()
+laxity = ik.simulate(knee, ik.load_protocol("drawer")).laxity
+model = ik.LaxityModel(knee=knee, protocol=laxity.protocol)
+problem = ik.LaxityResiduals(model=model, laxity=laxity)
+starts = ik.sobol_starts(problem.parameters, 16)
+
+# %%
+# On one core, as a reference:
+
+serial = ik.sweep(problem, starts)
+
+# %%
+# ``dask_cluster`` takes the address of a scheduler, wherever its workers are. Here it is a cluster
+# inside this process, which costs nothing; ``dask_cluster(8)`` would start eight workers, and
+# ``dask_cluster("tcp://10.0.0.5:8786")`` use those of a scheduler that runs already.
+
+with (
+    LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as it,
+    dask_cluster(it.scheduler_address) as executor,
+):
+    scaled_out = ik.sweep(problem, starts, executor=executor)
+
+# %%
+# The same, bit for bit:
+
+print(np.array_equal(serial.ends, scaled_out.ends, equal_nan=True))
+print(np.array_equal(serial.objectives, scaled_out.objectives, equal_nan=True))
+number = np.arange(1, scaled_out.n + 1)
+ends = {"end": (number, np.sort(scaled_out.objectives))}
+figure = waterfall_figure({"Least squares from 16 starts": ends})
+
+# %%
+# On the command line ``--workers N`` starts N processes. A run that is stopped goes on where it
+# was when the same command is given again, with any number of workers.

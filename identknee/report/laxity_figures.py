@@ -1,0 +1,155 @@
+"""Figures of laxity along load curves: measured, simulated, and bands around it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from identknee.diagnosis.curves import load_curves
+from identknee.diagnosis.noise_model import Curve
+from identknee.laxity.protocol import LOADS, Protocol
+from identknee.laxity.table import COORDINATES
+from identknee.report.figures import BLACK, COLOURS, SMALL, STYLES
+from identknee.runs.arrays import Array, frozen
+
+# The coordinate that moves along each load.
+ALONG = {
+    "internal_moment_Nm": "internal_deg",
+    "varus_moment_Nm": "varus_deg",
+    "anterior_force_N": "anterior_drawer_mm",
+    "distraction_force_N": "distraction_mm",
+    "lateral_force_N": "lateral_shift_mm",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaxityCurves:
+    """Laxity of n trials by its sources, in `COORDINATES` [mm, deg].
+
+    Attributes
+    ----------
+    protocol
+        The trials.
+    simulated
+        By name of the model, shape ``(n, 5)``; NaN where it has no equilibrium.
+    measured
+        Shape ``(n, 5)``; NaN where nothing was measured. None without data.
+    sd
+        Of the measurement, in the same shape; None where it is not stated.
+    band
+        Its name, and the lowest and highest prediction, shape ``(2, n, 5)``; None without one.
+    """
+
+    protocol: Protocol
+    simulated: Mapping[str, Array]
+    measured: Array | None = None
+    sd: Array | None = None
+    band: tuple[str, Array] | None = None
+
+    def __post_init__(self) -> None:
+        shape = (self.protocol.n, len(COORDINATES))
+        checked = {name: frozen(x, *shape, name=name) for name, x in self.simulated.items()}
+        object.__setattr__(self, "simulated", checked)
+        for name in ("measured", "sd"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+
+
+def along_load_figure(curves: LaxityCurves) -> Figure | None:
+    """The coordinate along each load against that load, a row a load and a column an angle.
+
+    Dots are measured, their bars two standard deviations; None where no angle has three loads of
+    one kind.
+    """
+    cells = _purest(curves.protocol)
+    if not cells:
+        return None
+    rows = sorted({axis for axis, _ in cells})
+    angles = sorted({angle for _, angle in cells})
+    figure = Figure(figsize=(1.0 + 2.7 * len(angles), 0.7 + 2.5 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), len(angles), squeeze=False, sharex="row", sharey="row")
+    for row, axis in enumerate(rows):
+        coordinate = COORDINATES.index(ALONG[LOADS[axis]])
+        for column, angle in enumerate(angles):
+            axes = grid[row, column]
+            if (axis, angle) not in cells:
+                axes.set_visible(False)
+                continue
+            _draw(axes, curves, cells[axis, angle], coordinate)
+            axes.set_xlabel(_words(LOADS[axis]), fontsize=SMALL + 1)
+            if row == 0:
+                axes.set_title(f"{angle:g} deg flexion", fontsize=10)
+        grid[row, 0].set_ylabel(_words(COORDINATES[coordinate]), fontsize=SMALL + 1)
+    _legend(figure, next(x for x in grid.flat if x.get_visible()))
+    return figure
+
+
+def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
+    """Every coordinate along every load curve, a column a curve; None where there is none."""
+    cells = _purest(curves.protocol)
+    if not cells:
+        return None
+    figure = Figure(figsize=(1.2 + 1.9 * len(cells), 1.0 + 8.0), layout="constrained")
+    grid = figure.subplots(len(COORDINATES), len(cells), squeeze=False, sharex="col", sharey="row")
+    for column, ((axis, angle), curve) in enumerate(sorted(cells.items(), key=lambda x: x[0])):
+        for row in range(len(COORDINATES)):
+            _draw(grid[row, column], curves, curve, row)
+        grid[0, column].set_title(f"{angle:g} deg flexion", fontsize=SMALL + 1)
+        grid[-1, column].set_xlabel(_words(LOADS[axis]), fontsize=SMALL)
+    for row, coordinate in enumerate(COORDINATES):
+        grid[row, 0].set_ylabel(_words(coordinate), fontsize=SMALL)
+    _legend(figure, grid[0, 0])
+    return figure
+
+
+def _purest(protocol: Protocol) -> dict[tuple[int, float], Curve]:
+    """By load and angle its curve; of several the one with the least of the other loads."""
+    cells: dict[tuple[int, float], tuple[float, Curve]] = {}
+    for curve in load_curves(protocol):
+        loads = protocol.loads[curve.trials]
+        axis = int(np.argmax(np.ptp(loads, axis=0)))
+        key = axis, float(protocol.flexion_deg[curve.trials[0]])
+        others = float(np.abs(np.delete(loads, axis, axis=1)).max(initial=0.0))
+        if key not in cells or others < cells[key][0]:
+            cells[key] = others, curve
+    return {key: curve for key, (_, curve) in cells.items()}
+
+
+def _draw(axes: Axes, curves: LaxityCurves, curve: Curve, i: int) -> None:
+    trials = curve.trials
+    if curves.band is not None:
+        name, (low, high) = curves.band
+        axes.fill_between(
+            curve.load, low[trials, i], high[trials, i], color=COLOURS[5], alpha=0.4,
+            linewidth=0, label=name,
+        )  # fmt: skip
+    for k, (name, values) in enumerate(curves.simulated.items()):
+        axes.plot(
+            curve.load, values[trials, i], STYLES[k], color=COLOURS[k], linewidth=1.6, label=name
+        )
+    if curves.measured is not None:
+        bars = None if curves.sd is None else 2.0 * curves.sd[trials, i]
+        axes.errorbar(
+            curve.load, curves.measured[trials, i], yerr=bars, fmt="o", color=BLACK,
+            markersize=3.0, elinewidth=0.8, label="measured",
+        )  # fmt: skip
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axes.tick_params(labelsize=SMALL)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    found = axes.get_legend_handles_labels()
+    handles: Sequence[Artist] = found[0]
+    figure.legend(
+        handles, found[1], loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
+    )
+
+
+def _words(column: str) -> str:
+    words, _, unit = column.rpartition("_")
+    return f"{words.replace('_', ' ')} [{unit.replace('Nm', 'N·m')}]"

@@ -1,0 +1,263 @@
+"""The figures of each verb's results, drawn from what the verb stored."""
+
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+import xarray
+
+from identknee.identify.sweep.sweep import OUTCOMES
+from identknee.report.equivalents_figures import ranges_figure, sets_figure
+from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
+from identknee.report.page.drawing import Drawing
+from identknee.report.page.model_drawings import design_drawings, diagnosis_drawings
+from identknee.report.page.results import Result
+from identknee.report.page.stored import stored_information, stored_profiles
+from identknee.report.page.words import label, listed
+from identknee.report.profile_figures import intervals_figure, profiles_figure
+from identknee.report.sample_figures import corner_figure, forces_figure, prior_posterior_figure
+from identknee.report.sensitivity_figures import effects_figure, map_figure
+from identknee.report.starts_figure import starts_figure
+from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
+
+MOST_DRAWS = 400
+MOST_FORCES = 16
+QUANTILES = (0.025, 0.25, 0.5, 0.75, 0.975)
+INDICES = {"mu_star": "mean absolute effect, mu*", "ST": "total Sobol index, ST"}
+
+
+def drawings(result: Result) -> tuple[Drawing, ...]:
+    """All figures of a result, the most telling first; none of a verb whose answer is a table."""
+    draw = _BY_VERB.get(result.verb)
+    return tuple(draw(result)) if draw is not None and result.groups else ()
+
+
+def _demo(result: Result) -> Iterator[Drawing]:
+    fits = result.groups["fits"]
+    methods = listed(dict.fromkeys(str(x) for x in fits["method"].values))
+    yield Drawing(
+        name="starts",
+        figure=starts_figure(fits),
+        caption="Left, how wrong the fitted stiffnesses are; right, how well the same fits "
+        "reproduce the laxity: a dot a run.",
+        description=f"Errors of fits by {methods} from every start. Laxity is reproduced to "
+        f"{float(fits['rmse_deg'].max()):.2f} deg at worst, with stiffnesses up to "
+        f"{float(fits['error_kN'].max()):.2f} kN wrong on average.",
+    )
+    yield from _profiles(result)
+
+
+def _profiles(result: Result) -> Iterator[Drawing]:
+    profiles = stored_profiles(result)
+    if not profiles:
+        return
+    names = listed(label(x.name) for x in profiles)
+    ends = "; ".join(
+        f"{label(x.name)} {_end(x.lower)} to {_end(x.upper)}, {x.verdict.value.replace('_', ' ')}"
+        for x in profiles
+    )
+    yield Drawing(
+        name="intervals",
+        figure=intervals_figure(profiles),
+        caption="Values that the data do not exclude, a row each: the thicker the bar, the more "
+        "likely; an arrow is an end that the data leave open.",
+        description=f"Nested intervals of {names}. At {profiles[0].level:.0%} confidence: {ends}.",
+    )
+    yield Drawing(
+        name="profiles",
+        figure=profiles_figure(profiles),
+        caption="How much worse the best fit becomes when one value is held elsewhere. Values "
+        "below the broken line are not excluded; a curve that stays below it is open there.",
+        description=f"Profile likelihoods of {names}: a curve each that rises away from the best "
+        "value, and the threshold as a broken line.",
+    )
+
+
+def _sample(result: Result) -> Iterator[Drawing]:
+    posterior = result.groups.get("posterior")
+    if posterior is None:
+        return
+    names, draws = _draws(posterior)
+    told = listed(map(label, names))
+    prior = result.groups.get("prior")
+    if prior is not None:
+        before = _draws(prior)[1]
+        yield Drawing(
+            name="prior-posterior",
+            figure=prior_posterior_figure(names, before, {"posterior": draws}),
+            caption="What was assumed of each parameter before the data (grey), and what is "
+            "probable after them.",
+            description=f"Densities of {told} before and after the data.",
+        )
+    yield Drawing(
+        name="corner",
+        figure=corner_figure(names, draws),
+        caption="Every pair of parameters: half and 95 % of the posterior lie inside the lines. "
+        "Oblong shapes are parameters that make up for one another.",
+        description=f"Pairwise posterior of {told}.",
+    )
+    predictive = result.groups.get("posterior_predictive")
+    if predictive is not None:
+        yield _forces(predictive)
+
+
+def _forces(predictive: xarray.Dataset) -> Drawing:
+    values = predictive["tension_N"].transpose(..., "trial", "ligament")
+    spread = np.nanquantile(values.values.reshape(-1, *values.shape[-2:]), QUANTILES, axis=0)
+    widths = (spread[-1] - spread[0]).max(axis=1)
+    chosen = np.sort(np.argsort(-widths)[:MOST_FORCES])
+    trials = [str(x) for x in values["trial"].values[chosen]]
+    ligaments = [str(x) for x in values["ligament"].values]
+    return Drawing(
+        name="forces",
+        figure=forces_figure(trials, ligaments, np.moveaxis(spread[:, chosen], 0, -1)),
+        caption="Ligament forces as far as the data determine them, in the trials where they are "
+        "least certain: thick half, thin 95 % of the posterior.",
+        description=f"Ranges of the tension of {listed(ligaments)} in {len(trials)} trials; the "
+        f"widest has {widths.max():.0f} N.",
+    )
+
+
+def _information(result: Result) -> Iterator[Drawing]:
+    found = stored_information(result)
+    yield Drawing(
+        name="spectrum",
+        figure=spectrum_figure({result.subject: found}),
+        caption="How well the data know each combination of parameters, from stiff to sloppy; a "
+        "bar marks what rounding alone would give.",
+        description=f"Eigenvalues of the information from {found.eigenvalues[0]:.3g} to "
+        f"{found.eigenvalues[-1]:.3g}; {found.n_above_noise} of {found.parameters.n} stand above "
+        "the solver's noise.",
+    )
+    yield Drawing(
+        name="eigenvectors",
+        figure=eigenvectors_figure(found),
+        caption="Which parameters make up each of these combinations, a column each.",
+        description=f"The least known combination is {found.combination(found.parameters.n - 1)}.",
+    )
+
+
+def _equivalents(result: Result) -> Iterator[Drawing]:
+    data = result.groups["equivalent_sets"]
+    names = [str(x) for x in data["parameter"].values]
+    fit = data["fit"].values
+    laxity = data["coordinates"].transpose("coordinate", "set", "trial")
+    middle = laxity.mean("set")
+    bands = {
+        label(str(x)): (laxity.sel(coordinate=x) - middle.sel(coordinate=x)).values
+        for x in laxity["coordinate"].values
+    }
+    yield Drawing(
+        name="sets",
+        figure=sets_figure(names, data["theta"].values, fit, bands, origin="their mean"),
+        caption="Above, parameter sets that this measurement cannot tell apart, a line each; "
+        "below, how little their laxity differs, trial by trial.",
+        description=f"{len(data['theta'])} equivalent sets of {listed(map(label, names))}, and the "
+        "spread of their laxity.",
+    )
+    forces = [i for i, x in enumerate(data["quantity"].values) if ".tension_N@" in str(x)]
+    ends, at_fit = data["extremum"].values, data["at_fit"].values
+    widest = sorted(forces, key=lambda i: -float(ends[i, 1] - ends[i, 0]))[:MOST_FORCES]
+    if widest:
+        shown = [str(data["quantity"].values[i]).replace(".tension_N@", ", ") for i in widest]
+        yield Drawing(
+            name="force-ranges",
+            figure=ranges_figure(
+                shown, at_fit[widest], {"equivalent sets": ends[widest]}, unit="tension [N]"
+            ),
+            caption="Smallest and largest ligament force among these sets, where they differ most.",
+            description=f"Force ranges; the widest is {shown[0]}, {ends[widest[0], 0]:.0f} to "
+            f"{ends[widest[0], 1]:.0f} N.",
+        )
+
+
+def _sweep(result: Result) -> Iterator[Drawing]:
+    data = result.groups["optimization"]
+    curves = {}
+    for name, variable in (("end", "objective"), ("polished", "objective_polished")):
+        values = np.sort(data[variable].values.astype(float))
+        curves[name] = (np.arange(1.0, len(values) + 1.0), values)
+    kinds = [OUTCOMES[code].value for code in data["kind"].values]
+    counts = {word: kinds.count(kind) for kind, word in KIND_WORDS.items() if kind in kinds}
+    told = listed(f"{n} {word}" for word, n in counts.items())
+    if np.isfinite(curves["end"][1]).any():
+        yield Drawing(
+            name="waterfall",
+            figure=waterfall_figure({f"{len(kinds)} starts": curves}),
+            caption="How low every search ended, best first; steps are places where searches "
+            "gather.",
+            description=f"Objectives of {len(kinds)} searches in ascending order: {told}.",
+        )
+    names = [str(x) for x in data["parameter"].values]
+    best = data["theta_polished"].values[int(np.nanargmin(data["objective_polished"].values))]
+    panels = {"": (data["theta_start"].values, data["theta"].values, kinds)}
+    yield Drawing(
+        name="basins",
+        figure=start_end_figure(panels, names, best, mark="best end"),
+        caption="Where searches began (by colour how they ended) and where they ended (black), in "
+        "the plane of each ligament's two parameters.",
+        description=f"Starts and ends of {len(kinds)} searches: {told}.",
+    )
+
+
+def _sensitivity(result: Result) -> Iterator[Drawing]:
+    data = result.groups["sensitivity"]
+    index = next((x for x in INDICES if x in data), None)
+    if index is None:
+        return
+    parameters = [str(x) for x in data["parameter"].values]
+    groups = [str(x).split(", ", 1) for x in data["group"].values]
+    tables = {}
+    for name in dict.fromkeys(x[0] for x in groups if len(x) > 1):
+        rows = [i for i, x in enumerate(groups) if x[0] == name and len(x) > 1]
+        tables[label(name)] = ([groups[i][1] for i in rows], data[index].values[rows])
+    yield Drawing(
+        name="influence",
+        figure=map_figure(tables, parameters, INDICES[index]),
+        caption="How much each parameter (across) moves each kind of laxity (down): dark is much.",
+        description=f"{INDICES[index]} of {listed(map(label, parameters))} by coordinate, flexion "
+        "and load.",
+    )
+    if index == "mu_star":
+        size, width, spread = (data[x].values for x in ("mu_star", "mu_star_half_width", "sigma"))
+        order = np.argsort(-np.nanmax(np.where(_is_laxity(groups)[:, None], size, -1.0), axis=1))
+        panels = {", ".join(groups[i]): (size[i], width[i], spread[i]) for i in order[:2]}
+        yield Drawing(
+            name="effects",
+            figure=effects_figure(panels, parameters),
+            caption="Right is a strong effect, up one that depends on the other parameters; the "
+            "two kinds of laxity that move most.",
+            description=f"Morris effects of {listed(map(label, parameters))}.",
+        )
+
+
+def _draws(data: xarray.Dataset) -> tuple[list[str], np.ndarray]:
+    """Names and draws, evenly thinned, from one variable for all or one for each parameter."""
+    if "theta" in data:
+        names = [str(x) for x in data["parameter"].values]
+        flat = data["theta"].transpose(..., "parameter").values.reshape(-1, len(names))
+    else:
+        names = [str(x) for x in data.data_vars]
+        flat = np.column_stack([data[x].values.ravel() for x in names])
+    chosen = np.linspace(0, len(flat) - 1, min(len(flat), MOST_DRAWS)).astype(int)
+    return names, flat[chosen]
+
+
+def _is_laxity(groups: list[list[str]]) -> np.ndarray:
+    return np.array([len(x) > 1 for x in groups])
+
+
+def _end(value: float | None) -> str:
+    return "open" if value is None else f"{value:.3g}"
+
+
+_BY_VERB: Mapping[str, Callable[[Result], Iterator[Drawing]]] = {
+    "demo": _demo,
+    "profile": _profiles,
+    "sample": _sample,
+    "information": _information,
+    "equivalents": _equivalents,
+    "sweep": _sweep,
+    "sensitivity": _sensitivity,
+    "diagnose": diagnosis_drawings,
+    "design": design_drawings,
+}

@@ -1,0 +1,232 @@
+"""What a drawing of the knee in three dimensions shows: surfaces, lines and the trials' poses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.laxity.protocol import LOADS
+from identknee.mechanics.contact_places import distances
+from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.grood_suntay import coordinates_from_pose
+from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.mechanics.placement import Placement, place
+from identknee.model.effects.effect import MechanicalEffect
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
+from identknee.report.page.few_triangles import Mesh, few_triangles
+from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.outcome import Outcome
+from identknee.subject.frames import Frame
+from identknee.subject.knee import Knee
+from identknee.subject.surface import Surface, joined
+
+# Of the surfaces that are drawn; they have about twice as many triangles.
+FEMUR_VERTICES, TIBIA_VERTICES = 720, 760
+# Places of the tibia that lie farther than this from the femur [mm] are not sent: the others shape
+# the edge of the patch that touches it.
+APART = 0.4
+# Columns of loads: their names where positive and where negative.
+DIRECTIONS = (
+    ("internal moment", "external moment"),
+    ("varus moment", "valgus moment"),
+    ("anterior force", "posterior force"),
+    ("distraction", "compression"),
+    ("lateral force", "medial force"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SceneTrial:
+    """One trial as it is drawn.
+
+    Attributes
+    ----------
+    name, loads
+        Of the trial; flexion and loads in words.
+    outcome
+        How it ended.
+    placement
+        Of the tibia in the femur.
+    coordinates
+        Lateral shift, anterior drawer, distraction [mm], varus, internal [deg], shape ``(5,)``.
+    tensions
+        Of each line [N], shape ``(m,)``; NaN without equilibrium.
+    near
+        Which vertices of the tibia touch the femur or are less than `APART` from it, ``(c,)``.
+    depths
+        How deep these lie in the femur [mm], shape ``(c,)``; negative where apart.
+    """
+
+    name: str
+    loads: str
+    outcome: Outcome
+    placement: Placement
+    coordinates: Array
+    tensions: Array
+    near: IntArray
+    depths: Array
+
+    def __post_init__(self) -> None:
+        c = len(self.near)
+        object.__setattr__(self, "near", frozen_integers(self.near))
+        object.__setattr__(self, "depths", frozen(self.depths, c, name="depths"))
+        object.__setattr__(self, "tensions", frozen(self.tensions, None, name="tensions"))
+        object.__setattr__(self, "coordinates", frozen(self.coordinates, 5, name="coordinates"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KneeScene:
+    """A knee in every trial of a protocol, as a right knee whatever its side.
+
+    Attributes
+    ----------
+    knee
+        The subject.
+    femur, tibia
+        Cartilage, in the axes of its bone; both plateaus are one mesh.
+    names, lines
+        Of the m lines that carry the tensions, and their courses.
+    missing_line
+        Femoral end in femoral axes and tibial end in tibial axes [mm], shape ``(2, 3)``, of a line
+        that the model lacks; None where none is shown.
+    trials
+        In the order of the protocol.
+    """
+
+    knee: Knee
+    femur: Mesh
+    tibia: Mesh
+    names: tuple[str, ...]
+    lines: Lines
+    missing_line: Array | None
+    trials: tuple[SceneTrial, ...]
+
+
+def model_scene(
+    model: LaxityModel, theta: Array, *, missing_line: Array | None = None
+) -> KneeScene:
+    """The scene of what a model predicts, with the lines that its effects add or move.
+
+    A trial without equilibrium stands in the last stable pose on the way to it. Springs that stand
+    for more than a line, such as those of the menisci, are left out.
+
+    Parameters
+    ----------
+    model
+        Any laxity model.
+    theta
+        Its parameter vector, shape ``(p,)``.
+    missing_line
+        Femoral and tibial end of a line that the model lacks, in the common frame of the scanned
+        pose [mm], shape ``(2, 3)``.
+
+    Raises
+    ------
+    ValueError
+        As `LaxityModel.predict`.
+    """
+    prediction, setting = model.predict(theta, derivatives=False), model.setting(theta)
+    flexion = setting.flexion[model.paths.trial_node]
+    found = ligament_tensions(
+        setting.lines, flexion, prediction.poses, setting.stiffness, setting.reference_strain
+    )
+    tensions = np.where(prediction.is_converged[:, None], found.tensions, np.nan)
+    drawn = np.flatnonzero(np.asarray(setting.lines.transition) > 0.0)
+    names = _line_names(model, theta)
+    knee = model.knee
+    tibia = _drawn(joined(*knee.tibia), knee.tibia_frame, TIBIA_VERTICES)
+    return KneeScene(
+        knee=knee,
+        femur=_drawn(knee.femur, knee.femur_frame, FEMUR_VERTICES),
+        tibia=tibia,
+        names=tuple(names[i] for i in drawn),
+        lines=_selected_lines(setting.lines, drawn),
+        missing_line=None if missing_line is None else _in_bones(knee, missing_line),
+        trials=_trials(model, prediction, flexion, tensions[:, drawn], tibia),
+    )
+
+
+def load_words(flexion_deg: float, loads: Array) -> str:
+    """Flexion and loads of a trial in words; `loads` as in `Protocol.loads`, shape ``(5,)``.
+
+    Examples
+    --------
+    >>> load_words(30.0, np.array([0.0, -4.0, 0.0, 0.0, 0.0]))
+    'Flexion 30°, valgus moment 4 N·m'
+    """
+    parts = [
+        f"{DIRECTIONS[i][0 if value > 0 else 1]} {abs(value):g} "
+        f"{'N·m' if LOADS[i].endswith('_Nm') else 'N'}"
+        for i, value in enumerate(loads)
+        if value != 0.0
+    ]
+    return f"Flexion {flexion_deg:g}°, " + (" and ".join(parts) or "unloaded")
+
+
+def _trials(
+    model: LaxityModel, prediction: Prediction, flexion: Array, tensions: Array, tibia: Mesh
+) -> tuple[SceneTrial, ...]:
+    protocol, trials = model.protocol, []
+    for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
+        placement = place(float(flexion[i]), pose)
+        near, depths = _contact(model.joint.field, placement.to_femur(tibia.vertices))
+        trials.append(
+            SceneTrial(
+                name=protocol.trials[i],
+                loads=load_words(float(protocol.flexion_deg[i]), protocol.loads[i]),
+                outcome=outcome,
+                placement=placement,
+                coordinates=coordinates_from_pose(pose),
+                tensions=tensions[i],
+                near=near,
+                depths=depths,
+            )
+        )
+    return tuple(trials)
+
+
+def _drawn(surface: Surface, frame: Frame, number: int) -> Mesh:
+    """The surface in the axes of its bone, with few triangles."""
+    local = Surface(vertices=frame.to_local(surface.vertices), faces=surface.faces)
+    return few_triangles(local, number)
+
+
+def _contact(field: DistanceField, places: Array) -> tuple[IntArray, Array]:
+    """Which places touch the femur or nearly do, and how deep they lie in it [mm]."""
+    cell = np.floor((places - field.origin) / field.spacing)
+    # The outermost cells of the grid lack the support of the spline.
+    inner = (cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)
+    index = np.flatnonzero(inner.all(axis=1))
+    depths = -distances(field, places[index])[0]
+    near = depths > -APART
+    return index[near], depths[near]
+
+
+def _in_bones(knee: Knee, ends: Array) -> Array:
+    """Femoral and tibial end of a line (2, 3) of the common frame, each in the axes of its bone."""
+    femoral, tibial = frozen(ends, 2, 3, name="missing_line")
+    return np.stack([knee.femur_frame.to_local(femoral), knee.tibia_frame.to_local(tibial)])
+
+
+def _line_names(model: LaxityModel, theta: Array) -> list[str]:
+    """Names of all lines of a model, those that effects add called after what they belong to."""
+    ligaments = [x.name for x in model.knee.ligaments]
+    names, start = list(ligaments), 0
+    setting, values = model.setting(theta, is_changed=False), model.amplitudes(theta)
+    for effect in model.effects:
+        part = slice(start, start + effect.parameters.n)
+        start = part.stop
+        if not isinstance(effect, MechanicalEffect):
+            continue
+        setting = effect.change(setting, values[part])
+        for owner in setting.owner[len(names) :]:
+            name = ligaments[owner] if owner >= 0 else effect.name.replace("_", " ")
+            number = 1 + sum(x == name or x.startswith(f"{name} #") for x in names)
+            names.append(name if number == 1 else f"{name} #{number}")
+    return names
+
+
+def _selected_lines(lines: Lines, index: IntArray) -> Lines:
+    columns = ("femoral", "tibial", "reference_length", "transition", "lift", "lift_place")
+    return Lines(**{x: np.asarray(getattr(lines, x))[index] for x in columns})

@@ -1,0 +1,119 @@
+"""Laxity of results as curves: measured, simulated, and the band of what fits as well."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import xarray
+
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.unloaded import from_unloaded
+from identknee.report.laxity_figures import (
+    LaxityCurves,
+    all_coordinates_figure,
+    along_load_figure,
+)
+from identknee.report.page.drawing import Drawing
+from identknee.report.page.results import Findings, Result
+from identknee.report.page.stored import coordinates
+from identknee.report.page.words import listed
+from identknee.runs.arrays import Array
+
+BAND_ENDS = (0.025, 0.975)
+
+
+def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
+    """Laxity curves of the results that compare a model with data, or else of simulations."""
+    compared = findings.of("fit", "diagnose") or findings.of("demo", "simulate")
+    for result in compared:
+        curves = _curves(result, findings)
+        if curves is None:
+            continue
+        told = listed([*curves.simulated, *(["data"] if curves.measured is not None else [])])
+        if (figure := along_load_figure(curves)) is not None:
+            yield (
+                result,
+                Drawing(
+                    name="laxity",
+                    figure=figure,
+                    caption=_caption(curves),
+                    description=f"Laxity along every load at each flexion angle: {told}.",
+                ),
+            )
+        if (whole := all_coordinates_figure(curves)) is not None:
+            yield (
+                result,
+                Drawing(
+                    name="laxity-all",
+                    figure=whole,
+                    caption="All five coordinates along every load, also those it does not act "
+                    "on directly.",
+                    description=f"Five coordinates along every load: {told}.",
+                ),
+            )
+
+
+def _curves(result: Result, findings: Findings) -> LaxityCurves | None:
+    protocol = result.protocol
+    if protocol is None:
+        return None
+    observed = result.groups.get("observed_data")
+    # A demo observes what it simulates, noise-free.
+    is_data = observed is not None and result.verb != "demo"
+    measured = coordinates(observed) if observed is not None and is_data else None
+    simulated: dict[str, Array] = {}
+    if result.verb == "diagnose" and measured is not None and "residuals" in result.groups:
+        residuals = result.groups["residuals"]
+        simulated["model"] = measured - coordinates(residuals, "before")
+        causes = listed(x["name"] for x in result.summary["causes"])
+        if causes:
+            simulated[f"with {causes}"] = measured - coordinates(residuals, "after")
+    elif "predictions" in result.groups:
+        values = coordinates(result.groups["predictions"])
+        name = "fit" if result.verb == "fit" else "simulated"
+        simulated[name] = _as_measured(values, observed, protocol)
+    else:
+        return None
+    has_sd = observed is not None and "sd" in observed
+    return LaxityCurves(
+        protocol=protocol,
+        simulated=simulated,
+        measured=measured,
+        sd=coordinates(observed, "sd") if observed is not None and has_sd else None,
+        band=_band(result, findings, observed, protocol) if result.verb == "fit" else None,
+    )
+
+
+def _band(
+    result: Result, findings: Findings, observed: xarray.Dataset | None, protocol: Protocol
+) -> tuple[str, Array] | None:
+    """Predictions of the posterior, or of equivalent sets, from the same data."""
+    data = result.record["inputs"].get("data")
+    for verb, group, name in (
+        ("sample", "posterior_predictive", "95 % of the posterior"),
+        ("equivalents", "equivalent_sets", "equivalent sets"),
+    ):
+        for other in findings.of(verb):
+            if other.record["inputs"].get("data") == data and group in other.groups:
+                values = coordinates(other.groups[group])
+                flat = values.reshape(-1, *values.shape[-2:])
+                drawn = np.array([_as_measured(x, observed, protocol) for x in flat])
+                ends = (0.0, 1.0) if verb == "equivalents" else BAND_ENDS
+                return name, np.quantile(drawn, ends, axis=0)
+    return None
+
+
+def _as_measured(values: Array, observed: xarray.Dataset | None, protocol: Protocol) -> Array:
+    """Predictions as changes from the unloaded pose where the data are."""
+    if observed is None or observed.attrs.get("zero") != "unloaded":
+        return values
+    return from_unloaded(values, protocol)
+
+
+def _caption(curves: LaxityCurves) -> str:
+    parts = [f"lines: {listed(curves.simulated)}"]
+    if curves.measured is not None:
+        bars = " with two standard deviations" if curves.sd is not None else ""
+        parts.insert(0, f"dots: measured{bars}")
+    if curves.band is not None:
+        parts.append(f"band: {curves.band[0]}")
+    return f"How far the knee moves along each load; {'; '.join(parts)}."

@@ -1,0 +1,123 @@
+"""Figures of what the model gets wrong, and of the trials that would tell."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import xarray
+
+from identknee.diagnosis.isolability import Distances
+from identknee.laxity.protocol import FLEXION, LOADS, Protocol
+from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure
+from identknee.report.diagnosis_figures import (
+    estimates_figure,
+    isolability_figure,
+    misfit_figure,
+    residuals_figure,
+)
+from identknee.report.page.drawing import Drawing
+from identknee.report.page.results import Result
+from identknee.report.page.stored import coordinates, stored_estimates, stored_localisation
+from identknee.report.page.words import label, listed
+
+
+def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
+    """Where the model is wrong, what the cause explains, and the parameters with and without."""
+    if "isolability" in result.groups:
+        yield _isolability(result.groups["isolability"])
+    protocol = result.protocol
+    if protocol is None or "residuals" not in result.groups:
+        return
+    localisation = stored_localisation(result)
+    yield Drawing(
+        name="misfit",
+        figure=misfit_figure(localisation),
+        caption="Where the model is wrong: red where more was measured than it can explain, blue "
+        "where less; framed where noise alone hardly does that.",
+        description=f"Map of the misfit by coordinate, flexion and load. {localisation.sentence}.",
+    )
+    residuals = result.groups["residuals"]
+    before, after, sd = (coordinates(residuals, x) for x in ("before", "after", "sd"))
+    causes = listed(x["name"] for x in result.summary["causes"])
+    changes = {f"what {causes} explains": before - after} if causes else {}
+    yield Drawing(
+        name="residuals",
+        figure=residuals_figure(protocol, before, sd, changes),
+        caption="What the model leaves unexplained along every load curve (dots, with a band of "
+        "two standard deviations of the noise)"
+        + (", and what the cause explains of it (line)." if causes else "."),
+        description="Measured less predicted laxity along every load curve"
+        + (f", with the part that {causes} explains." if causes else "."),
+    )
+    fits = {"without cause": stored_estimates(result, "before")}
+    if causes:
+        fits[f"with {causes}"] = stored_estimates(result, "after")
+    yield Drawing(
+        name="before-after",
+        figure=estimates_figure(fits),
+        caption="The ligaments' parameters with their 95 % intervals"
+        + (", without and with the cause." if causes else "."),
+        description=f"Fitted parameters {listed(fits)} of {listed(fits['without cause'])}.",
+    )
+
+
+def _isolability(data: xarray.Dataset) -> Drawing:
+    names = tuple(str(x) for x in data["effect"].values)
+    distances = Distances(effects=names, rivals=names, values=data["distance"].values)
+    return Drawing(
+        name="isolability",
+        figure=isolability_figure(distances),
+        caption="How far the data of each cause (rows) are from what each other one could explain "
+        "in its place (columns): dark cells cannot be told apart.",
+        description=f"Distances between {len(names)} causes.",
+    )
+
+
+def design_drawings(result: Result) -> Iterator[Drawing]:
+    """What the advised trials would bring, and all that were to choose from."""
+    data = result.groups["design"]
+    targets = [str(x) for x in data["target"].values]
+    predicted = data["predicted"].values
+    best = [float(result.summary["targets"][x]["before"]["value"]) for x in targets]
+    ends = {"before": data["before"].values, "predicted": predicted[-1]}
+    ends["achieved"] = data["after"].values
+    names = [label(x) for x in targets]
+    trials = [str(x) for x in data["added"].values]
+    yield Drawing(
+        name="design-intervals",
+        figure=intervals_figure(names, best, ends),
+        caption="The interval of each target now, as the advised trials are predicted to leave "
+        "it, and as simulated trials left it.",
+        description=f"Intervals of {listed(names)} before and after adding {listed(trials)}.",
+    )
+    widths = predicted[..., 1] - predicted[..., 0]
+    relative = {x: widths[:, t] / widths[0, t] for t, x in enumerate(names)}
+    after = ends["achieved"][:, 1] - ends["achieved"][:, 0]
+    achieved = {x: float(after[t] / widths[0, t]) for t, x in enumerate(names)}
+    yield Drawing(
+        name="design-steps",
+        figure=steps_figure(relative, achieved),
+        caption="How much narrower each interval becomes with every trial added.",
+        description=f"Relative widths by the number of trials added, down to "
+        f"{listed(f'{x:.2f}' for x in achieved.values())}.",
+    )
+    yield _candidates(data, trials)
+
+
+def _candidates(data: xarray.Dataset, trials: list[str]) -> Drawing:
+    protocol = Protocol(
+        name="candidates",
+        trials=tuple(str(x) for x in data["candidate"].values),
+        flexion_deg=data[FLEXION].values,
+        loads=np.column_stack([data[x].values for x in LOADS]),
+    )
+    loss = data["loss"].values
+    return Drawing(
+        name="design-candidates",
+        figure=candidates_figure(
+            protocol, loss[0] - data["loss_alone"].values, data["chosen"].values.tolist(),
+            "gain of one such trial",
+        ),
+        caption="What each possible trial alone would gain; numbers are the trials advised, in "
+        "their order.",
+        description=f"Gain of {protocol.n} candidate trials; chosen are {listed(trials)}.",
+    )  # fmt: skip

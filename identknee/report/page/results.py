@@ -1,0 +1,170 @@
+"""The results in a folder, as the verbs left them."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import xarray
+
+from identknee.laxity.protocol import LOADS, Protocol
+from identknee.report.result_files import ARRAYS, SUMMARY
+from identknee.runs.errors import InputError
+from identknee.runs.files import check_readable
+
+# In the order of the flow; verbs that are not here leave nothing to report on.
+FLOW = (
+    *("demo", "simulate", "fit", "sweep", "profile", "sample", "information"),
+    *("equivalents", "sensitivity", "diagnose", "design"),
+)
+DEPTH = 2
+REMEDY = (
+    "Give the folder --out of identknee demo, fit, profile or diagnose, or one that holds such."
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Result:
+    """What one verb left in its folder.
+
+    Attributes
+    ----------
+    folder
+        Where it is.
+    summary
+        `result.json`.
+    groups
+        The groups of `result.nc` by name; empty where there is no such file.
+    """
+
+    folder: Path
+    summary: Mapping[str, Any]
+    groups: Mapping[str, xarray.Dataset]
+
+    @property
+    def verb(self) -> str:
+        """The verb that made it."""
+        return str(self.record["verb"])
+
+    @property
+    def record(self) -> Mapping[str, Any]:
+        """The call, its inputs, seed, versions and time."""
+        return dict(self.summary["record"])
+
+    @property
+    def subject(self) -> str:
+        """The subject as the call named it."""
+        named = self.record["settings"].get("subject") or self.summary.get("subject")
+        return str(named or "a knee")
+
+    @property
+    def subject_digest(self) -> str:
+        """SHA-256 of the knee, by which subjects are told apart."""
+        return str(self.record["inputs"].get("subject", self.subject))
+
+    @property
+    def data(self) -> str:
+        """The laxity table as the call named it; empty for none."""
+        return str(self.record["settings"].get("data") or "")
+
+    @property
+    def protocol(self) -> Protocol | None:
+        """The trials; None where the result keeps none."""
+        constant = self.groups.get("constant_data")
+        if constant is None:
+            return None
+        return Protocol(
+            name=str(constant.attrs.get("protocol", "")),
+            trials=tuple(str(x) for x in constant["trial"].values),
+            flexion_deg=constant["flexion_deg"].values,
+            loads=constant["loads"].sel(load=list(LOADS)).values,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Findings:
+    """All results of one subject.
+
+    Attributes
+    ----------
+    subject
+        As the first call named it.
+    results
+        In the order of the flow, older ones first within a verb.
+    """
+
+    subject: str
+    results: tuple[Result, ...]
+
+    def of(self, *verbs: str) -> tuple[Result, ...]:
+        """The results of these verbs, in the order of the verbs given."""
+        return tuple(x for verb in verbs for x in self.results if x.verb == verb)
+
+
+def found_results(folder: Path) -> tuple[Result, ...]:
+    """All results in a folder and in the folders in it, in the order of the flow.
+
+    Parameters
+    ----------
+    folder
+        A folder ``--out`` of a verb, or one that holds such folders.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, no result in it, or one that cannot be read.
+    """
+    if not folder.exists():
+        raise InputError(folder, "", "there is no such folder", REMEDY)
+    if not folder.is_dir():
+        raise InputError(folder, "", "this is a file, not a folder", REMEDY)
+    places = sorted(
+        path
+        for depth in range(DEPTH + 1)
+        for path in folder.glob("/".join(["*"] * depth + [SUMMARY]))
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )
+    found = [result for path in places if (result := _read(path)) is not None]
+    if not found:
+        raise InputError(folder, "", "there are no results in it", REMEDY)
+    return tuple(sorted(found, key=lambda x: (FLOW.index(x.verb), x.record["started"])))
+
+
+def by_subject(results: Sequence[Result]) -> tuple[Findings, ...]:
+    """The results by their subject, in the order in which subjects first come."""
+    digests = list(dict.fromkeys(x.subject_digest for x in results))
+    return tuple(
+        Findings(subject=own[0].subject, results=own)
+        for digest in digests
+        if (own := tuple(x for x in results if x.subject_digest == digest))
+    )
+
+
+def _read(path: Path) -> Result | None:
+    """The result at `path`; None where it is of a verb with nothing to report."""
+    again = "Run the command that made it again."
+    try:
+        summary = json.loads(check_readable(path).read_text(encoding="utf-8"))
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(path, "", "this is not JSON", again) from error
+    record = summary.get("record") if isinstance(summary, dict) else None
+    if not isinstance(record, dict) or record.get("verb") not in FLOW:
+        return None
+    arrays = path.with_name(ARRAYS)
+    return Result(
+        folder=path.parent,
+        summary=summary,
+        groups=_groups(arrays, again) if arrays.is_file() else {},
+    )
+
+
+def _groups(path: Path, remedy: str) -> dict[str, xarray.Dataset]:
+    try:
+        with xarray.open_datatree(path, engine="h5netcdf") as tree:
+            return {name: node.to_dataset().load() for name, node in tree.children.items()}
+    except (OSError, ValueError) as error:
+        why = f"the arrays cannot be read ({error})"
+        raise InputError(path, "", why, remedy) from error

@@ -1,0 +1,57 @@
+"""The knee of a subject's results, ready to be turned."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from identknee.calibrate.starts import load_start
+from identknee.model.laxity_model import LaxityModel
+from identknee.report.page.knee_scene import KneeScene, model_scene
+from identknee.report.page.results import Findings, Result
+from identknee.runs.arrays import Array
+from identknee.subject.folder import read_subject
+from identknee.subject.knee import Knee
+
+EXTENDED, FITTED = "extended", "fitted.toml"
+
+
+def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
+    """The knee as a diagnosis extended it, else as it was fitted, else as it was simulated.
+
+    None where no result says in which trials it is loaded.
+
+    Parameters
+    ----------
+    findings
+        The results of one subject.
+    knee
+        That subject.
+    """
+    for result in findings.of("diagnose", "fit", "demo", "simulate"):
+        protocol = result.protocol
+        if protocol is None:
+            continue
+        extended = result.folder / EXTENDED
+        if result.verb == "diagnose" and extended.is_dir():
+            model = LaxityModel(knee=read_subject(extended), protocol=protocol)
+            theta = load_start(str(extended / FITTED), model.parameters)
+            return model_scene(model, theta, missing_line=_line(result.summary))
+        if "predictions" in result.groups:
+            model = LaxityModel(knee=knee, protocol=protocol)
+            return model_scene(model, _theta(result, model))
+    return None
+
+
+def _theta(result: Result, model: LaxityModel) -> Array:
+    data = result.groups["predictions"]
+    values = dict(zip(map(str, data["parameter"].values), data["theta"].values, strict=True))
+    return np.array([values[name] for name in model.parameters.names])
+
+
+def _line(summary: Mapping[str, Any]) -> Array | None:
+    """Ends of the missing line of action in the scanned pose [mm]; None where there is none."""
+    line = summary.get("line")
+    if not line or not line["is_line"] or line["femur"] is None:
+        return None
+    return np.array([line["femur"], line["tibia"]], dtype=np.float64)

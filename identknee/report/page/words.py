@@ -1,0 +1,121 @@
+"""Names and numbers in words that need no manual."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from identknee.laxity.protocol import FLEXION, LOADS
+
+# What clinicians call the ligaments of the paper; any other name stands for itself.
+LIGAMENTS = {
+    "ACL": "anterior cruciate",
+    "PCL": "posterior cruciate",
+    "LCL": "lateral collateral",
+    "MCL": "medial collateral",
+}
+MOTIONS = {"varus_deg": "varus angulation", "internal_deg": "internal rotation"}
+UNITS = {"pct": "%", "Nm": "N·m"}
+OPPOSITES = {
+    "internal_moment_Nm": "external moment",
+    "varus_moment_Nm": "valgus moment",
+    "anterior_force_N": "posterior force",
+    "distraction_force_N": "compression",
+    "lateral_force_N": "medial force",
+}
+
+
+def parameter_words(name: str) -> str:
+    """A parameter or another quantity as the subject of a sentence.
+
+    Examples
+    --------
+    >>> parameter_words("ACL.stiffness_kN")
+    "the anterior cruciate's stiffness"
+    >>> parameter_words("ACL.tension_N@flexion30_internal5")
+    "the anterior cruciate's tension in trial flexion30_internal5"
+    >>> parameter_words("varus_deg@a")
+    'varus angulation in trial a'
+    """
+    quantity, _, trial = name.partition("@")
+    owner, _, kind = quantity.rpartition(".")
+    words = coordinate_words(kind)
+    whole = f"the {LIGAMENTS.get(owner, owner)}'s {words}" if owner else words
+    return f"{whole} in trial {trial}" if trial else whole
+
+
+def coordinate_words(name: str) -> str:
+    """A coordinate, or any name that ends in its unit, in words.
+
+    Examples
+    --------
+    >>> coordinate_words("internal_deg"), coordinate_words("anterior_drawer_mm")
+    ('internal rotation', 'anterior drawer')
+    """
+    return MOTIONS.get(name) or name.rpartition("_")[0].replace("_", " ") or name
+
+
+def label(name: str) -> str:
+    """A parameter or coordinate with its unit in brackets, for a table.
+
+    Examples
+    --------
+    >>> label("ACL.reference_strain_pct"), label("varus_deg"), label("x.total")
+    ('ACL reference strain [%]', 'varus [deg]', 'x total')
+    """
+    quantity, at, trial = name.partition("@")
+    words, _, unit = quantity.rpartition("_")
+    if not words:
+        return name.replace(".", " ")
+    plain = f"{words.replace('.', ' ').replace('_', ' ')} [{UNITS.get(unit, unit)}]"
+    return f"{plain} in {trial}" if at else plain
+
+
+def amount(value: float | None, unit: str, digits: int = 3) -> str:
+    """A number with its unit.
+
+    Examples
+    --------
+    >>> amount(0.7766, "kN"), amount(0.08, "1"), amount(None, "kN"), amount(1234.5, "N")
+    ('0.777 kN', '0.08', 'unknown', '1230 N')
+    """
+    if value is None:
+        return "unknown"
+    number = f"{float(f'{value:.{digits}g}'):.10g}".replace("-", "−")
+    return number if unit in ("1", "") else f"{number} {unit}"
+
+
+def listed(words: Iterable[str], last: str = "and") -> str:
+    """Words as in a sentence.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"]), listed(["a", "b"], "or")
+    ('a, b and c', 'a or b')
+    """
+    *most, end = [*words] or [""]
+    return f"{', '.join(most)} {last} {end}" if most else end
+
+
+def capital(sentence: str) -> str:
+    """The sentence with a capital letter, the rest as it is."""
+    return sentence[:1].upper() + sentence[1:]
+
+
+def trial_words(trial: Mapping[str, Any]) -> str:
+    """A trial to do, from its angle and loads.
+
+    Examples
+    --------
+    >>> trial_words({"flexion_deg": 30.0, "anterior_force_N": -134.0})
+    'posterior force of 134 N at 30 deg of flexion'
+    """
+    loads = [
+        f"{_load_name(name, float(trial[name]))} of {abs(float(trial[name])):g} "
+        f"{UNITS.get(name.rpartition('_')[2], name.rpartition('_')[2])}"
+        for name in LOADS
+        if float(trial.get(name) or 0.0) != 0.0
+    ]
+    return f"{listed(loads) or 'no load'} at {float(trial[FLEXION]):g} deg of flexion"
+
+
+def _load_name(name: str, value: float) -> str:
+    return OPPOSITES[name] if value < 0 else name.rpartition("_")[0].replace("_", " ")

@@ -1,0 +1,38 @@
+"""What of the record can be computed again alone."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+from compute import METHODS, branch_counts, fit_row, profile
+
+from identknee.report.study_records import study_knee
+from identknee.runs.executors import serial
+
+Row = dict[str, Any]
+
+
+def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
+    """Of each entry its name, what was recorded, and a function that computes it again.
+
+    Branches over 1,000 parameter sets take too long to be among them.
+    """
+    budget = record["head"]["settings"]["budget"]
+    for name, part in record["knees"].items():
+        knee = study_knee(name)
+        if knee is None:
+            continue
+        yield f"{name}, profile", part["profile"], partial(profile, name)
+        for method in METHODS:
+            for row in part[method]:
+                task = {"knee": name, "method": method, "budget": budget}
+                task |= {key: row[key] for key in ("start", "seed")}
+                entry = f"{name}, {method} from {row['start']}, seed {row['seed']}"
+                yield entry, row, partial(fit_row, task)
+        ends = np.array([row["theta"] for row in part["complex"]])
+        start = np.array(part["profile"]["starts"]["IG4"])[None]
+        for where, thetas in (("IG4", start), ("ends of the Complex fits", ends)):
+            counts = part["branches"][where]
+            again = partial(branch_counts, name, thetas, serial)
+            yield f"{name}, branches at {where}", counts, again

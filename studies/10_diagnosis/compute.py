@@ -1,0 +1,197 @@
+"""Slow part of the study: blind cases made, diagnosed and scored.
+
+Writes ``records/diagnosis.json``. Finished cases are kept in a store outside the checkout, so that
+the same command resumes where it was stopped.
+"""
+
+import argparse
+import time
+from collections.abc import Mapping, Sequence
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import platformdirs
+
+from identknee.blind.case import blind_case
+from identknee.blind.effects import LISTED, UNLISTED
+from identknee.blind.score import score
+from identknee.blind.truth import Truth
+from identknee.diagnosis.diagnose import diagnose
+from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
+from identknee.report.study_records import (
+    knee_digest,
+    record_head,
+    rounded,
+    study_knee,
+    write_record,
+)
+from identknee.runs.executors import process_pool
+from identknee.runs.resume import open_work, resumable_map
+from identknee.subject.knee import Knee
+
+HERE = Path(__file__).parent
+RECORD = HERE / "records" / "diagnosis.json"
+COMMAND = "python studies/10_diagnosis/compute.py"
+KNEE = "reference"
+SIGNALS = (12.0, 6.0)
+# Two kinds each, so that one may be told from the other.
+PAIRS = (
+    ("anterolateral", "rig_compliance_VV"),
+    ("posteromedial", "flexion_offset"),
+    ("deep_mcl", "rig_compliance_IE"),
+    ("meniscus", "femur_frame"),
+    ("toe_strain", "moment_offset"),
+    ("shank_gravity", "axis_misalignment"),
+)
+N_NULLS, N_UNLISTED = 20, 3
+FIRST_SEED = 210_000
+DIGITS = 5
+Row = dict[str, Any]
+
+
+def main() -> None:
+    """Compute what the store does not hold yet and write the record."""
+    options = parsed_options()
+    knee = reference()
+    tasks = quick_tasks() if options.quick else all_tasks(options.replicates)
+    about = {"knee": knee_digest(knee), "seed": FIRST_SEED}
+    began = time.perf_counter()
+    with (
+        open_work(options.store, about) as store,
+        process_pool(options.workers) as executor,
+    ):
+        cases = resumable_map(
+            case_row,
+            tasks,
+            executor=executor,
+            store=store,
+            name="cases",
+            description="diagnosing blind cases",
+        )
+    record = {
+        "head": record_head(
+            f"{COMMAND} {'--quick' if options.quick else f'--replicates {options.replicates}'}",
+            settings={
+                "signals": SIGNALS,
+                "pairs": PAIRS,
+                "replicates": options.replicates,
+                "first_seed": FIRST_SEED,
+                "workers": options.workers,
+            },
+            inputs={KNEE: knee_digest(knee)},
+        ),
+        "knees": {KNEE: {"cases": cases}},
+        "seconds_last_run": rounded(time.perf_counter() - began, 3),
+    }
+    write_record(options.record, record)
+
+
+def parsed_options() -> argparse.Namespace:
+    """What was asked for on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    store = platformdirs.user_cache_path("identknee") / "studies" / "diagnosis.sqlite"
+    parser.add_argument("--store", type=Path, default=store, help="keeps finished cases")
+    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--replicates", type=int, default=1, help="cases of a kind")
+    parser.add_argument("--quick", action="store_true", help="four cases")
+    return parser.parse_args()
+
+
+@cache
+def reference() -> Knee:
+    """The knee of all cases."""
+    knee = study_knee(KNEE)
+    if knee is None:  # pragma: no cover - the reference knee is part of the package
+        raise SystemExit("there is no reference knee")
+    return knee
+
+
+def all_tasks(replicates: int) -> list[Row]:
+    """Every case: what is hidden, how large, and its seed, which hangs on nothing else."""
+    kinds: list[Row] = [task("nothing hidden", (), None) for _ in range(N_NULLS)]
+    kinds += [task("one", (name,), signal) for signal, name in product(SIGNALS, LISTED)]
+    kinds += [task("two", pair, SIGNALS[0]) for pair in PAIRS]
+    kinds += [
+        task("unlisted", (name,), SIGNALS[0]) for name, _ in product(UNLISTED, range(N_UNLISTED))
+    ]
+    # Replicate after replicate, so that more of them go on where fewer ended.
+    return [
+        {**kind, "seed": FIRST_SEED + 1000 * r + i}
+        for r in range(replicates)
+        for i, kind in enumerate(kinds)
+    ]
+
+
+def quick_tasks() -> list[Row]:
+    """One case of every series."""
+    whole = all_tasks(1)
+    return list({x["series"]: x for x in reversed(whole)}.values())
+
+
+def task(series: str, effects: tuple[str, ...], signal: float | None) -> Row:
+    """A case to be made."""
+    return {"series": series, "effects": list(effects), "wanted": signal}
+
+
+def case_row(case: Mapping[str, Any]) -> Row:
+    """What came of a case; ``error`` where no such case could be drawn."""
+    knee, row = reference(), dict(case)
+    try:
+        blind = blind_case(
+            knee, seed=case["seed"], effect=case["effects"] or None, signal=case["wanted"]
+        )
+    except ValueError as error:
+        return {**row, "error": str(error)}
+    began = time.perf_counter()
+    found = diagnose(knee, blind.laxity)
+    seconds = time.perf_counter() - began
+    summary = (
+        untestable_summary("no prediction") if found is None else diagnosis_summary(found, (), None)
+    )
+    judged = score(blind.truth, summary)
+    row |= {
+        "signal": blind.truth.signal,
+        "is_largest": blind.truth.is_largest,
+        "verdict": judged.verdict,
+        "causes": [x["name"] for x in summary["causes"]],
+        "group": summary["group"],
+        "correct": judged.correct,
+        "wrong": judged.wrong,
+        "in_group": judged.in_group,
+        "amplitudes": amplitudes(blind.truth, summary["causes"]),
+        "stiffness_error_kN": judged.stiffness_error_kN,
+        "strain_error_pct": judged.strain_error_pct,
+        "coverage": [judged.covered_before, judged.covered_after],
+        "line": [judged.line_offset_mm, judged.line_angle_deg],
+        "seconds": seconds,
+    }
+    return dict(rounded(row, DIGITS))
+
+
+def amplitudes(truth: Truth, causes: Sequence[Row]) -> list[Row]:
+    """True and found size of each true cause named; a vector by its length."""
+    rows = []
+    for cause in causes:
+        true = truth.amplitudes.get(cause["name"], {})
+        shared = [true[name][0] for name in cause["parameters"] if name in true]
+        if not shared:
+            continue
+        size = true[cause["parameter"]][0] if cause["parameter"] in true else np.linalg.norm(shared)
+        rows.append(
+            {
+                "name": cause["name"],
+                "true": float(size),
+                "found": cause["amplitude"],
+                "ci95": cause["ci95"],
+                "unit": cause["unit"],
+            }
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""Compute a random share of the numbers in the studies' records again, and compare.
+
+Run as ``python tests/records/recompute_records.py``. A study takes part once its folder has a
+``recompute.py`` with a function `entries`, which gives of every entry that can be computed alone
+its name, what was recorded, and a function that computes it again.
+"""
+
+import argparse
+import json
+import sys
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identknee.report.study_records import commit, knee_digest, rounded, study_knee
+from identknee.runs.files import plain
+
+STUDIES = Path(__file__).parents[2] / "studies"
+SHARE = 0.01
+# What the entries drawn from one study may take together, by the times recorded with them [s].
+MOST_SECONDS = 20.0
+# Records keep six digits, and the last one may be rounded the other way.
+RELATIVE = 1e-5
+# Errors of a fit that found the truth are rounding [kN, %, mm, deg, N]; nothing smaller matters.
+ABSOLUTE = 1e-6
+NOT_COMPARED = {"seconds"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Entry:
+    """A part of a record that can be computed alone."""
+
+    name: str
+    recorded: Any
+    recompute: Callable[[], Any]
+
+    @property
+    def n_numbers(self) -> int:
+        """How many numbers it holds."""
+        return count(self.recorded)
+
+    @property
+    def seconds(self) -> float:
+        """How long it took when it was recorded, where it says so."""
+        return float(self.recorded.get("seconds") or 0.0)
+
+
+def main() -> int:
+    """Exit code: 1 where anything differs."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=zlib.crc32(commit().encode()))
+    parser.add_argument("--share", type=float, default=SHARE)
+    parser.add_argument("--study", help="the folder of one study; all of them without")
+    options = parser.parse_args()
+    began = time.perf_counter()
+    n, problems = 0, []
+    for study in [options.study] if options.study else studies():
+        for path in sorted((STUDIES / study / "records").glob("*.json")):
+            record = json.loads(path.read_text(encoding="utf-8"))
+            problems += [f"{study}: {x}" for x in head_problems(record)]
+            entries = [Entry(name=x, recorded=y, recompute=z) for x, y, z in load(study)(record)]
+            n_wanted = int(np.ceil(options.share * count(record["knees"])))
+            for entry in draw(entries, n_wanted, options.seed):
+                found = differences(entry.recorded, rounded(plain(entry.recompute())))
+                problems += [f"{study}: {entry.name}: {x}" for x in found]
+                n += entry.n_numbers
+                print(f"{study}: {entry.name}: {entry.n_numbers} numbers", flush=True)
+    print(f"{n} numbers computed again in {time.perf_counter() - began:.0f} s")
+    print(f"the same again: python {sys.argv[0]} --seed {options.seed} --share {options.share}")
+    print("\n".join(problems) or "all are those recorded")
+    return int(bool(problems))
+
+
+def studies() -> list[str]:
+    """Folders of the studies whose entries can be computed again."""
+    return sorted(x.parent.name for x in STUDIES.glob("*/recompute.py"))
+
+
+def load(study: str) -> Callable[[Any], Iterable[tuple[str, Any, Callable[[], Any]]]]:
+    """The function `entries` of a study, whose modules import those beside them by plain names."""
+    folder = STUDIES / study
+    beside = {x.stem for x in folder.glob("*.py")}
+    sys.path.insert(0, str(folder))
+    for name in beside:
+        sys.modules.pop(name, None)
+    try:
+        spec = spec_from_file_location(f"recompute_{study}", folder / "recompute.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(folder))
+        for name in beside:
+            sys.modules.pop(name, None)
+    return module.entries  # type: ignore[no-any-return]
+
+
+def head_problems(record: Any) -> list[str]:
+    """What the head lacks, and the inputs that are not those of the record any more."""
+    head = record["head"]
+    problems = [f"no {x} in the head" for x in ("command", "commit", "inputs") if not head.get(x)]
+    for name, digest in head["inputs"].items():
+        knee = study_knee(name)
+        if knee is None:
+            print(f"{name} is not here: its digest is not compared")
+        elif knee_digest(knee) != digest:
+            problems.append(f"{name} is another knee now: compute the study again")
+    return problems
+
+
+def draw(entries: Iterable[Entry], n_wanted: int, seed: int) -> Iterator[Entry]:
+    """Entries at random, each the likelier the more numbers it holds, until enough are drawn."""
+    pool = list(entries)
+    generator = np.random.default_rng(seed)
+    left = MOST_SECONDS
+    while n_wanted > 0 and (pool := [x for x in pool if x.n_numbers and x.seconds <= left]):
+        weights = np.array([x.n_numbers for x in pool], float)
+        entry = pool.pop(int(generator.choice(len(pool), p=weights / weights.sum())))
+        n_wanted -= entry.n_numbers
+        left -= entry.seconds
+        yield entry
+
+
+def differences(recorded: Any, found: Any) -> list[str]:
+    """Every place where the two differ, with both values."""
+    old, new = dict(leaves(recorded)), dict(leaves(plain(found)))
+    return [
+        f"{place or 'value'} was {old.get(place, 'absent')}, is {new.get(place, 'absent')}"
+        for place in {**old, **new}
+        if place not in old or place not in new or not is_same(old[place], new[place])
+    ]
+
+
+def is_same(old: Any, new: Any) -> bool:
+    """Whether two values are one, numbers as far as a record keeps them."""
+    if is_number(old) and is_number(new):
+        return bool(abs(old - new) <= max(ABSOLUTE, RELATIVE * max(abs(old), abs(new))))
+    return bool(old == new)
+
+
+def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Every single value with its place, times left out."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            if key not in NOT_COMPARED:
+                yield from leaves(item, f"{place}.{key}" if place else key)
+    elif isinstance(value, list):
+        for i, item in enumerate(value):
+            yield from leaves(item, f"{place}[{i}]")
+    else:
+        yield place, value
+
+
+def count(value: Any) -> int:
+    """How many numbers it holds."""
+    return sum(1 for _, x in leaves(value) if is_number(x))
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a number and no truth value."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

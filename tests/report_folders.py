@@ -1,0 +1,96 @@
+"""Folders of results as verbs leave them, made from the library in seconds."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnoses import FRAME, diagnosed
+from problems import linear
+
+from identknee.calibrate.bounded import with_bounds
+from identknee.calibrate.fit import fit
+from identknee.diagnosis.exclusions import exclusions
+from identknee.identify.profile.profiles import profile_parameters
+from identknee.identify.profile.result import Profile
+from identknee.laxity.noise import add_noise
+from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.residuals import LaxityResiduals
+from identknee.model.simulate import simulate
+from identknee.report.diagnosis_groups import diagnosis_groups
+from identknee.report.diagnosis_summary import diagnosis_summary
+from identknee.report.groups import fit_groups
+from identknee.report.profile_groups import profile_groups, profile_summary
+from identknee.report.result_files import write_result
+from identknee.runs.record import record
+from identknee.subject.knee import Knee
+
+KNEE = "0" * 64
+OPEN_BELOW = "x0.value_pct"
+
+
+def write_verb(
+    folder: Path,
+    verb: str,
+    summary: dict[str, Any],
+    groups: dict[str, Any],
+    *,
+    subject: str = "reference",
+    digest: str = KNEE,
+) -> Path:
+    """A folder with what a verb leaves."""
+    folder.mkdir(parents=True, exist_ok=True)
+    settings = {"subject": subject, "data": "test/laxity.csv"}
+    inputs = {"subject": digest, "data": "d" * 64}
+    write_result(folder, summary, groups, record(verb, settings, inputs, 0).finish())
+    return folder
+
+
+def some_profiles() -> tuple[Profile, ...]:
+    """A closed one, and one with an open end."""
+    problem = linear()
+    cut = with_bounds(problem, {OPEN_BELOW: (problem.minimum[0] - 0.1, 10.0)})
+    (open_one,) = profile_parameters(cut, problem.minimum, [OPEN_BELOW])
+    (closed,) = profile_parameters(problem, problem.minimum, ["x1.value_pct"])
+    return open_one, closed
+
+
+def profile_folder(folder: Path, **named: str) -> Path:
+    """What `identknee profile` leaves of a straight problem."""
+    profiles = some_profiles()
+    summary = {"parameters": {x.name: profile_summary(x) for x in profiles}, "quantities": {}}
+    groups = profile_groups(profiles, linear().parameters.names)
+    return write_verb(folder, "profile", summary, groups, **named)
+
+
+def few_trials() -> Protocol:
+    """Three moments of each kind at one angle."""
+    whole = load_protocol("seed63")
+    sizes = np.abs(whole.loads).max(axis=1)
+    chosen = np.isin(sizes, (0.0, 8.0)) & (whole.flexion_deg == 30.0)
+    return whole.select(np.flatnonzero(chosen))
+
+
+def fit_folder(folder: Path, knee: Knee, **named: str) -> Path:
+    """What `identknee fit` leaves of a knee under a few trials, fitted to its own noisy laxity."""
+    simulation = simulate(knee, few_trials())
+    laxity = add_noise(simulation.laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
+    model = LaxityModel(knee=knee, protocol=laxity.protocol)
+    found = fit(LaxityResiduals(model=model, laxity=laxity), model.parameters.center, budget=3)
+    values = {f"{x.name}": {"stiffness_kN": 1.0} for x in knee.ligaments}
+    summary = {
+        "outcome": found.outcome.value,
+        "sentence": found.outcome.sentence,
+        "rmse": {"mm": 0.25, "deg": 0.5},
+        "parameters": values,
+        "start_parameters": values,
+    }
+    return write_verb(folder, "fit", summary, dict(fit_groups(found, simulation, laxity)), **named)
+
+
+def diagnosis_folder(folder: Path, **named: str) -> Path:
+    """What `identknee diagnose` leaves of data with an effect in them."""
+    found = diagnosed(FRAME)
+    tested = exclusions(found)
+    summary = diagnosis_summary(found, tested, None)
+    return write_verb(folder, "diagnose", summary, diagnosis_groups(found, tested), **named)

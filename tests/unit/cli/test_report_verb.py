@@ -1,0 +1,60 @@
+"""`identknee report`: one page from whatever results there are."""
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_runs import refused, run, short_protocol
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulation with noise and a fit to it, in two folders."""
+    whole = tmp_path_factory.mktemp("story")
+    protocol = short_protocol(whole)
+    words = ["--protocol", protocol, "--noise", "0.3mm,0.3deg", "--out", whole / "simulate"]
+    assert run("simulate", "reference", *words).exit_code == 0
+    data = whole / "simulate" / "laxity.csv"
+    assert run("fit", "reference", data, "--out", whole / "fit").exit_code == 0
+    return whole
+
+
+def test_it_takes_what_it_finds(folder: Path) -> None:
+    result = run("report", folder, "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert [x["verb"] for x in summary["results"]] == ["simulate", "fit"]
+    assert summary["remarks"] == summary["figures"] == []
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert summary["report"] == str(folder / "report.html")
+    assert "The best fit reproduces the measured laxity" in page
+    # The library of the three-dimensional knee, once.
+    assert page.count("plotly.js v") == 1
+    assert page.count('class="knee-viewer"') == 1
+
+
+def test_figures_for_a_paper_lie_beside_the_page(folder: Path, tmp_path: Path) -> None:
+    result = run("report", folder / "fit", "--out", tmp_path / "page.html", "--figures", "pdf")
+    assert result.exit_code == 0, result.output
+    assert f"2 figures: {tmp_path / 'figures'}" in result.stdout
+    files = sorted((tmp_path / "figures").iterdir())
+    assert [x.name for x in files] == ["fit-laxity-all.pdf", "fit-laxity.pdf"]
+    assert all(x.read_bytes().startswith(b"%PDF") for x in files)
+
+
+def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_path: Path) -> None:
+    kept = json.loads((folder / "fit" / "result.json").read_text(encoding="utf-8"))
+    for subject, why in ((str(tmp_path / "gone"), "gone"), ("reference", "has changed since")):
+        kept["record"]["settings"]["subject"] = subject
+        kept["record"]["inputs"]["subject"] = "0" * 64
+        (tmp_path / "result.json").write_text(json.dumps(kept), encoding="utf-8")
+        result = run("report", tmp_path)
+        assert result.exit_code == 0, result.output
+        assert "The knee itself is not shown" in result.stdout
+        assert why in result.stdout
+        assert "Plotly" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
+    assert "there are no results in it. Give the folder" in refused("report", tmp_path)
+    assert "there is no such folder" in refused("report", tmp_path / "nowhere")

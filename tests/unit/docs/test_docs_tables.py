@@ -1,0 +1,143 @@
+"""What the pages say beside the code, its records and files is true, and their links lead on."""
+
+import importlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import identknee as ik
+from identknee.laxity.protocol import FLEXION, LOADS
+from identknee.laxity.table import COORDINATES, PHASES
+
+ROOT = Path(ik.__file__).parents[1]
+DOCS, PACKAGE = ROOT / "docs", ROOT / "identknee"
+DOI = re.compile(r"10\.\d{4,5}/[\w().;:/-]*\w")
+RECORDS = ("verification/verdict.json", "benchmarks/record.json")
+
+
+@pytest.fixture
+def pages(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The module that writes pages, by the name of its part."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    return lambda part: importlib.import_module(f"pages.{part}")
+
+
+def page(name: str) -> str:
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def test_every_line_that_was_measured_is_shown_the_missed_ones_first(
+    pages: Any, tmp_path: Path
+) -> None:
+    pages("records").write_records(tmp_path / "records.md", ROOT / "tests")
+    text = (tmp_path / "records.md").read_text(encoding="utf-8")
+    rows: dict[str, Any] = {}
+    for name in RECORDS:
+        rows |= json.loads((ROOT / "tests" / name).read_text(encoding="utf-8"))["rows"]
+    shown = re.findall(r"^## (\w+): (\w+)$", text, re.MULTILINE)
+    assert {name: row["verdict"] for name, row in rows.items()} == dict(shown)
+    assert len(shown) == len(rows)
+    verdicts = [verdict for _, verdict in shown]
+    assert verdicts == sorted(verdicts, key=["missed", "met", "reported"].index)
+    measures = [x for row in rows.values() for x in row["measures"]]
+    table = [line for line in text.splitlines() if line.startswith("| ")]
+    for met, mark in ((True, "| yes |"), (False, "| **missed** |")):
+        wanted = sum(x["met"] is met for x in measures)
+        assert sum(line.endswith(mark) for line in table) == wanted
+    for row in rows.values():
+        assert row["commit"] in text
+        assert row["date"] in text
+
+
+def test_an_unknown_number_is_no_number(pages: Any) -> None:
+    number = pages("records").number
+    assert [number(x) for x in (None, float("nan"), float("inf"), 3.0, 0.012345, 123456.7)] == [
+        *("none", "none", "infinity", "3", "0.0123", "123,457")
+    ]
+
+
+def test_every_public_name_and_package_has_its_place(pages: Any) -> None:
+    packages = {x.parent.name for x in PACKAGE.glob("*/__init__.py")}
+    assert set(pages("api").PACKAGES) == packages - {"cli"}
+    listed = pages("api").index_page()
+    for name in ik.__all__:
+        assert f".{name}\n" in listed
+        home = getattr(ik, name).__module__
+        assert f".. automodule:: {home}\n" in pages("api").package_page(home.split(".")[1])
+
+
+def test_the_boxes_of_the_flow_lead_somewhere(pages: Any) -> None:
+    flow = pages("flow")
+    drawn = flow.drawing(flow.ROW, "wide") + flow.drawing(1, "narrow")
+    for link in re.findall(r'href="([^"]+)\.html"', drawn):
+        folder, name = link.split("/")
+        if folder == "api":
+            assert name in pages("api").PACKAGES
+        else:
+            assert (DOCS / "tutorials" / f"{name}.py").exists()
+    assert [x.name for x in flow.STAGES] == [
+        *("subject", "laxity", "model", "calibrate", "identify", "diagnose", "report")
+    ]
+
+
+def test_every_command_has_its_help(pages: Any, tmp_path: Path) -> None:
+    pages("commands").write_commands(tmp_path / "commands.md")
+    text = (tmp_path / "commands.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^## identknee ?(.*)$", text, re.MULTILINE)
+    verbs = {path.stem for path in (PACKAGE / "cli").glob("*.py")}
+    assert {"fit", "diagnose", "demo", "subject check", "subject import-osim"} <= set(shown)
+    assert {x for x in shown if x and " " not in x} <= verbs
+    assert text.count("Usage: identknee") == len(shown)
+
+
+def test_theory_names_what_there_is_and_every_function_leads_back(pages: Any) -> None:
+    sections = pages("theory").sections_by_name(DOCS / "theory.md")
+    assert len(sections) > 40
+    for name in sections:
+        module, _, last = name.rpartition(".")
+        assert hasattr(importlib.import_module(module), last), name
+    lines: list[str] = []
+    hook = pages("theory").way_back(DOCS / "theory.md")
+    hook(None, "function", "identknee.mechanics.ligament_law.tension", None, None, lines)
+    assert any("theory-ligament" in line for line in lines)
+
+
+def test_sources_of_the_theory_are_those_of_the_docstrings() -> None:
+    code = "".join(x.read_text(encoding="utf-8") for x in PACKAGE.rglob("*.py"))
+    cited = set(DOI.findall(page("theory.md").replace(")](https", ") (https")))
+    assert len(cited) > 15
+    assert {x for x in cited if x.rstrip(").,") not in code} == set()
+
+
+def test_columns_of_the_laxity_table_are_those_that_are_read() -> None:
+    text = page("conventions.md").split("## Laxity table")[1].split("\n## ")[0]
+    named = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\|([^|]+)\|", text, re.MULTILINE))))
+    first = f"sd_{COORDINATES[0]}"
+    assert named == {"trial", FLEXION, *LOADS, *COORDINATES, first, "order", "phase"}
+    assert all(f"`{phase}`" in text for phase in PHASES)
+
+
+def test_extras_are_those_that_can_be_installed() -> None:
+    named = set(re.findall(r"^\| `(\w+)`(?:, `(\w+)`)? \|", page("quick_start.md"), re.MULTILINE))
+    extras = {x for pair in named for x in pair if x}
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    table = settings.split("[project.optional-dependencies]")[1].split("\n[")[0]
+    assert extras == set(re.findall(r"^(\w+) = ", table, re.MULTILINE))
+
+
+def test_every_study_gets_a_page_without_a_picture_that_is_not_there(
+    pages: Any, tmp_path: Path
+) -> None:
+    study = tmp_path / "studies" / "01_question"
+    (study / "records").mkdir(parents=True)
+    text = "# Why?\n\n![Because](figures/figure_1.png)\n\n[all](records/record.json)\n"
+    (study / "README.md").write_text(text, encoding="utf-8")
+    pages("studies").write_studies(tmp_path / "pages", tmp_path / "studies")
+    made = (tmp_path / "pages" / "01_question" / "README.md").read_text(encoding="utf-8")
+    assert "*Because: not drawn yet" in made
+    assert "`records/record.json`" in made
+    listed = (tmp_path / "pages" / "index.md").read_text(encoding="utf-8")
+    assert "01_question/README" in listed

@@ -1,0 +1,205 @@
+"""The page on result files says what the files hold: no key too many, none too few."""
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+import xarray
+from diagnoses import FRAME, short_data
+from typer.testing import CliRunner
+
+import identknee as ik
+from identknee.cli.app import app
+
+PAGE = Path(ik.__file__).parents[1] / "docs" / "storage_format.md"
+SECTION = re.compile(r"^### (.+)$", re.MULTILINE)
+ROW = re.compile(r"^\| `([^`]+)` \|(.*)\|$", re.MULTILINE)
+INDEX = re.compile(r"^(mu_star|mu|sigma|S1|ST)(?=_half_width|_complete|_by_level|$)")
+ALWAYS = ""
+# Of the parameters only these two are free, so that searches take seconds.
+FEW = [
+    word
+    for ligament in ("PCL", "LCL", "MCL")
+    for quantity in ("stiffness_kN", "reference_strain_pct")
+    for word in ("--fix", f"{ligament}.{quantity}")
+]
+NAME = "ACL.stiffness_kN"
+RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
+    "subject check": ("subject check", ["--protocol", "drawer", "--samples", "2"]),
+    "subject export": ("subject check", []),
+    "fit": ("fit", ["DATA"]),
+    "sweep": ("sweep", ["DATA", "--n-starts", "4", "--ways", "2"]),
+    "profile": ("profile", ["DATA", *FEW, "--parameter", NAME]),
+    "equivalents": ("equivalents", ["DATA", *FEW, "--n-sets", "2", "--forces", "none"]),
+    "sensitivity": ("sensitivity", ["DATA", "--method", "morris", "--samples", "4"]),
+    "diagnose": ("diagnose", ["FRAMED"]),
+}
+SLOW_RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
+    "information": ("information", ["DATA", *FEW]),
+    "design": (
+        "design",
+        ["DATA", *FEW, "--n-trials", "1", "--target", NAME, "--candidates", "drawer"],
+    ),
+    "diagnose --protocol": (
+        "diagnose --protocol",
+        ["--protocol", "drawer", "--noise", "0.3mm,0.3deg"],
+    ),
+    "sample": ("sample", ["DATA", *FEW, "--ensembles", "2", "--nested"]),
+    "blind": ("blind", ["--effect", "compression", "--signal", "12"]),
+    "demo": ("demo", ["--runs", "1", "--budget", "60"]),
+}
+Row = tuple[tuple[str, ...], str]
+
+
+@cache
+def sections(file: str) -> dict[str, str]:
+    """Text of each section about a file by its title; verbs and groups share some names."""
+    text = PAGE.read_text(encoding="utf-8").split(f"\n## {file}\n")[1].split("\n## ")[0]
+    parts = SECTION.split(text)[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+@cache
+def keys_of(title: str) -> tuple[Row, ...]:
+    """Paths of keys in a section, blocks filled in, each with the case it is there in."""
+    found: list[Row] = []
+    for text, rest in ROW.findall(sections("result.json")[title]):
+        *path, last = text.split("/")
+        only = rest.split("|")[-1].strip()
+        if last.startswith("{"):
+            found += [((*path, *inner), only or when) for inner, when in keys_of(last)]
+        else:
+            found.append(((*path, last), only))
+    return tuple(found)
+
+
+def paths(value: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], bool]]:
+    """Paths of all leaves, and whether there is nothing: null, or an empty dictionary or list."""
+    if isinstance(value, dict) and value:
+        for key, below in value.items():
+            yield from paths(below, (*above, key))
+    elif isinstance(value, list) and any(isinstance(x, dict) for x in value):
+        for below in value:
+            yield from paths(below, (*above, "[]"))
+    else:
+        yield above, value in (None, [], {})
+
+
+def is_one(name: str, pattern: str) -> bool:
+    """Whether a key is what the page says, ``<...>`` being any name."""
+    return re.fullmatch(re.sub(r"<[^>]+>", ".+", re.escape(pattern)), name) is not None
+
+
+def fits(path: tuple[str, ...], pattern: tuple[str, ...], *, is_empty: bool) -> bool:
+    """Whether a path is that of the page, or where it would have begun were there anything."""
+    same = all(is_one(x, y) for x, y in zip(path, pattern, strict=False))
+    return same and (len(path) == len(pattern) or (is_empty and len(path) < len(pattern)))
+
+
+@cache
+def reference() -> ik.Knee:
+    """One knee for all runs, whose maps of the surfaces are then made once."""
+    return ik.reference_knee()
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Simulated laxity with noise, and the same with a turned frame."""
+    folder = tmp_path_factory.mktemp("data")
+    run("simulate", ["--protocol", "drawer", "--noise", "0.3mm,0.3deg"], folder / "out")
+    framed = ik.write_laxity(short_data(reference(), FRAME), folder / "framed.csv")
+    return {"DATA": folder / "out" / "laxity.csv", "FRAMED": framed}
+
+
+def run(verb: str, words: Sequence[str], out: Path) -> Path:
+    """Folder of the results of a verb on the reference knee."""
+    read = ik.read_subject
+    subject = [] if verb == "demo" else ["reference"]
+    call = [*(x for x in verb.split() if not x.startswith("--")), *subject, *words]
+    with patch.object(ik, "read_subject", lambda x: reference() if x == "reference" else read(x)):
+        result = CliRunner().invoke(app, [*call, "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def check_summary(out: Path, title: str) -> None:
+    """Compare `result.json` with its tables."""
+    summary = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    rows = keys_of(title) + keys_of("record")
+    found = set(paths(summary))
+    unknown = [
+        path
+        for path, is_empty in found
+        if not any(fits(path, pattern, is_empty=is_empty) for pattern, _ in rows)
+    ]
+    assert unknown == []
+    missing = [
+        pattern
+        for pattern, only in rows
+        if only == ALWAYS and not any(fits(path, pattern, is_empty=True) for path, _ in found)
+    ]
+    assert missing == []
+
+
+def check_arrays(out: Path) -> None:
+    """Compare `result.nc` with its tables."""
+    with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
+        assert set(tree.attrs) == {"verb", "started", "versions"}
+        for group in tree.children:
+            title = group.replace("_1", "_0").removesuffix("_before").removesuffix("_after")
+            text = sections("result.nc")[title]
+            said = {
+                (name, *(x.strip() for x in rest.split("|")[:2]))
+                for name, rest in ROW.findall(text)
+            }
+            for name, array in tree[group].variables.items():
+                if array.dtype.kind in "UO" and name in tree[group].dims:
+                    continue
+                shown = INDEX.sub("<index>", str(name)) if group == "sensitivity" else str(name)
+                units = array.attrs.get("units", "").replace("`", "")
+                row = (shown, ", ".join(map(str, array.dims)))
+                assert any(x[:2] == row and units in x[2].split(" or: ") for x in said), (
+                    group,
+                    row,
+                )
+            named = re.findall(r"^Attributes: (.*)$", text, re.MULTILINE)
+            assert set(tree[group].attrs) <= set(re.findall(r"`(\w+)`", " ".join(named))), group
+
+
+def test_simulate(data: dict[str, Path]) -> None:
+    check_summary(data["DATA"].parent, "simulate")
+    check_arrays(data["DATA"].parent)
+
+
+@pytest.mark.parametrize("verb", RUNS)
+def test_the_page_is_that_of_the_files(verb: str, data: dict[str, Path], tmp_path: Path) -> None:
+    compare(verb, RUNS[verb], data, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", SLOW_RUNS)
+def test_the_page_is_that_of_long_runs(verb: str, data: dict[str, Path], tmp_path: Path) -> None:
+    compare(verb, SLOW_RUNS[verb], data, tmp_path)
+
+
+def compare(
+    verb: str, call: tuple[str, Sequence[str]], data: dict[str, Path], folder: Path
+) -> None:
+    title, words = call
+    out = run(verb, [str(data.get(word, word)) for word in words], folder / "out")
+    check_summary(out, title)
+    if (out / "result.nc").exists():
+        check_arrays(out)
+
+
+def test_the_table_of_groups_names_every_section() -> None:
+    text = PAGE.read_text(encoding="utf-8").split("\n## result.nc\n")[1]
+    listed = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"^\|[^|]+\|([^|]+)\|$", text, re.M))))
+    described = set(sections("result.nc"))
+    assert described <= listed
+    assert listed - described <= {"profile_before", "profile_after", "geodesic_1"}

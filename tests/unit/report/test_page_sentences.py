@@ -1,0 +1,139 @@
+"""What the page says of results, in words."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from report_folders import write_verb
+
+from identknee.identify.profile.result import Verdict
+from identknee.report.page.diagnosis_sentences import diagnosis_findings
+from identknee.report.page.known_sentences import equivalents_findings, profile_findings
+from identknee.report.page.results import Result, found_results
+from identknee.report.page.search_sentences import exact_fit, sweep_findings
+
+
+def entry(lower: float | None, upper: float | None, verdict: Verdict) -> dict[str, Any]:
+    return {
+        "value": 10.0,
+        "unit": "kN",
+        "lower": lower,
+        "upper": upper,
+        "verdict": verdict.value,
+        "intervals": [[lower, upper]],
+        "level": 0.95,
+        "n_simulations": 5,
+    }
+
+
+def result(folder: Path, verb: str, summary: dict[str, Any]) -> Result:
+    (found,) = found_results(write_verb(folder, verb, summary, {}))
+    return found
+
+
+def profiled(folder: Path, parameters: dict[str, Any], **more: Any) -> list[str]:
+    found = result(folder, "profile", {"parameters": parameters, "quantities": {}, **more})
+    return [x.sentence for x in profile_findings(found)]
+
+
+def test_known_and_unknown_stand_in_one_sentence(tmp_path: Path) -> None:
+    (said,) = profiled(
+        tmp_path,
+        {
+            "ACL.stiffness_kN": entry(8.8, 11.2, Verdict.IDENTIFIABLE),
+            "band.stiffness_kN": entry(6.0, None, Verdict.ONE_SIDED),
+            "LCL.stiffness_kN": entry(None, None, Verdict.PRACTICALLY_NONIDENTIFIABLE),
+        },
+    )
+    assert said == (
+        "At 95 % confidence the data bound 1 of the 3 ligament parameters asked for on both "
+        "sides. The anterior cruciate's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN); "
+        "the band's is not known upwards (at least 6 kN); the lateral collateral's is not known: "
+        "these data bound it on neither side."
+    )
+
+
+def test_of_many_the_best_and_all_open_ones_are_named(tmp_path: Path) -> None:
+    parameters = {
+        f"line{i}.stiffness_kN": entry(9.0 - i, 11.0, Verdict.IDENTIFIABLE) for i in range(7)
+    }
+    parameters["line5.stiffness_kN"] = entry(None, 11.0, Verdict.ONE_SIDED)
+    parameters["line6.stiffness_kN"] = entry(9.0, None, Verdict.ONE_SIDED)
+    (said,) = profiled(tmp_path, parameters)
+    named = [f"line{i}" for i in range(7) if f"line{i}" in said]
+    assert named == ["line0", "line5", "line6"]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        (Verdict.UNDETERMINED, "is left undecided"),
+        (Verdict.MULTIMODAL, "lies in one of several separate ranges (1 to 2 kN or 3 to 4 kN)"),
+        (Verdict.STRUCTURALLY_SUSPECT, "more data of this kind may not help"),
+    ],
+)
+def test_every_verdict_has_its_words(tmp_path: Path, verdict: Verdict, words: str) -> None:
+    told = entry(None, None, verdict)
+    if verdict is Verdict.MULTIMODAL:
+        told |= {"intervals": [[1.0, 2.0], [3.0, 4.0]], "lower": 1.0, "upper": 4.0}
+    (said,) = profiled(tmp_path, {"ACL.stiffness_kN": told})
+    assert words in said.replace("from ", "")
+
+
+def test_doubts_are_passed_on(tmp_path: Path) -> None:
+    entries = {"ACL.stiffness_kN": entry(8.8, 11.2, Verdict.IDENTIFIABLE)}
+    said = profiled(tmp_path, entries, assumptions=["The misfit is more than the noise."])
+    assert said[-1] == "The misfit is more than the noise."
+
+
+def test_an_equivalent_set_without_an_end_is_not_ranked(tmp_path: Path) -> None:
+    row = {"unit": "kN", "fit": 10.0, "lower": 8.0, "upper": 13.0}
+    summary = {
+        "parameters": {
+            "ACL.stiffness_kN": row,
+            "PCL.stiffness_kN": row | {"upper": None},
+        },
+        "quantities": {},
+    }
+    (found,) = equivalents_findings(result(tmp_path, "equivalents", summary))
+    assert "may differ by 5 kN in the anterior cruciate's stiffness" in found.sentence
+    assert len(found.tables[0].rows) == 2
+
+
+def test_searches_are_told_by_how_they_ended(tmp_path: Path) -> None:
+    summary = {
+        "kinds": {"minimum": 7, "cliff": 2, "start_failed": 1},
+        "n_basins": 1,
+        "n_starts": 10,
+        "basins": [],
+    }
+    (found,) = sweep_findings(result(tmp_path, "sweep", summary))
+    assert found.sentence == (
+        "Of 10 searches from different starts 7 ended at a minimum, 2 ended at a cliff where the "
+        "knee snaps and 1 began where the model has no prediction. Those that ended at a minimum "
+        "found one and the same set of parameters."
+    )
+
+
+def test_least_squares_that_missed_says_by_how_much() -> None:
+    rows = [{"error": {"kN": x}} for x in (0.0, 0.5)]
+    assert exact_fit(rows) == "Least squares ends up to 0.5 kN from the true parameters."
+    assert "finds the true parameters from all 2 starts" in exact_fit([rows[0]] * 2)
+
+
+def test_a_plan_says_what_it_could_not_tell_apart(tmp_path: Path) -> None:
+    trial = {"trial": "a", "flexion_deg": 90.0, "anterior_force_N": -134.0}
+    effect = {"unit": "kN", "detectable": None, "relevant": 0.2}
+    summary = {
+        "protocol": "seed63",
+        "n_trials": 63,
+        "groups": [{"effects": ["a", "b"], "advised_trials": [trial]}],
+        "look_alikes": {"a": ["b"], "b": ["a"]},
+        "effects": {"a": effect, "b": effect},
+    }
+    plan, advice = diagnosis_findings(result(tmp_path, "diagnose", summary))
+    assert plan.sentence == "The 63 trials of seed63 could not tell a from b."
+    assert plan.tables[0].texts()[0] == ["a", "never", "0.2 kN", "b"]
+    assert advice.sentence == (
+        "To tell a and b apart, add posterior force of 134 N at 90 deg of flexion."
+    )

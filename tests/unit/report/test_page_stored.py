@@ -1,0 +1,70 @@
+"""Results read back are the results that were stored."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnoses import FRAME, diagnosed
+from problems import linear
+from report_folders import diagnosis_folder, profile_folder, some_profiles, write_verb
+
+from identknee.diagnosis.causes import ligament_estimates
+from identknee.identify.information.geodesic import geodesics
+from identknee.identify.information.information import information
+from identknee.identify.information.structure import check_structure
+from identknee.report.information_groups import information_groups, information_summary
+from identknee.report.page.results import found_results
+from identknee.report.page.stored import (
+    stored_estimates,
+    stored_information,
+    stored_localisation,
+    stored_profiles,
+)
+
+# Of numbers that were summed in another order.
+ROUNDING = 1e-10
+
+
+def test_profiles_come_back(tmp_path: Path) -> None:
+    (result,) = found_results(profile_folder(tmp_path))
+    for stored, made in zip(stored_profiles(result), some_profiles(), strict=True):
+        for name in ("values", "thetas", "deltas", "slopes", "branches", "optimum"):
+            np.testing.assert_array_equal(getattr(stored, name), getattr(made, name))
+        for name in ("name", "unit", "level", "threshold", "intervals", "verdict", "n_simulations"):
+            assert getattr(stored, name) == getattr(made, name)
+        assert stored.deviance == pytest.approx(made.deviance, rel=ROUNDING, abs=ROUNDING)
+        assert stored.lower_side.status is made.lower_side.status
+        assert stored.upper_side.reached == made.upper_side.reached
+        assert stored.intervals_at(0.5) == made.intervals_at(0.5)
+
+
+def test_the_information_comes_back(tmp_path: Path) -> None:
+    problem = linear()
+    found = information(problem, problem.minimum, seed=0)
+    structure = check_structure(problem, seed=0)
+    paths = geodesics(problem, problem.minimum)
+    summary = information_summary(found, structure, paths)
+    write_verb(tmp_path, "information", summary, dict(information_groups(found, structure, paths)))
+    (result,) = found_results(tmp_path)
+    stored = stored_information(result)
+    np.testing.assert_array_equal(stored.eigenvalues, found.eigenvalues)
+    np.testing.assert_allclose(stored.matrix, found.matrix, rtol=1e-8, atol=ROUNDING)
+    assert stored.combination(0) == found.combination(0)
+    assert stored.n_above_noise == found.n_above_noise
+
+
+def test_a_diagnosis_comes_back(tmp_path: Path) -> None:
+    found = diagnosed(FRAME)
+    (result,) = found_results(diagnosis_folder(tmp_path))
+    stored = stored_localisation(result)
+    assert {(x.coordinate, x.flexion_deg, x.direction, x.score) for x in stored.cells} == {
+        (x.coordinate, x.flexion_deg, x.direction, x.score) for x in found.localisation.cells
+    }
+    assert len(stored.region) == len(found.localisation.region)
+    assert stored.share == found.localisation.share
+    made = ligament_estimates(found.base)
+    for owner, own in stored_estimates(result, "before").items():
+        for name, estimate in own.items():
+            expected = made[owner][name]
+            assert (estimate.value, estimate.unit) == (expected.value, expected.unit)
+            assert estimate.ci95 == tuple(expected.ci95)

@@ -1,0 +1,50 @@
+"""What a model lacks, as arrows on the plateau."""
+
+from dataclasses import replace
+
+import numpy as np
+from diagnoses import FRAME, diagnosed
+from matplotlib.colors import to_rgb
+from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
+
+from identknee.diagnosis.causes import explanation_of
+from identknee.diagnosis.missing_pulls import pulls_of, wrench_of
+from identknee.diagnosis.missing_wrench import missing_wrench
+from identknee.diagnosis.verdict import Verdict
+from identknee.report.wrench_figure import LEVEL, SHOWN, wrench_figure
+
+
+def test_every_flexion_and_direction_has_a_force_and_its_ellipse() -> None:
+    found = diagnosed(FRAME)
+    pulls = pulls_of(found)
+    panels = [x for x in wrench_figure(found).axes if x.patches]
+    assert len(panels) == len({x.flexion_deg for x in pulls}) * len({x.direction for x in pulls})
+    drawn = [[type(x) for x in panel.patches] for panel in panels]
+    assert sum(x.count(Ellipse) for x in drawn) == len(pulls)
+    for types in drawn:
+        # An arc has a head of its own.
+        assert types.count(FancyArrowPatch) == 1 + types.count(Arc)
+
+
+def test_what_may_be_noise_is_grey() -> None:
+    for effect in (None, FRAME):
+        found = diagnosed(effect)
+        panels = wrench_figure(found).axes
+        ellipses = [x for axes in panels for x in axes.patches if type(x) is Ellipse]
+        bright = [x for x in ellipses if np.allclose(x.get_facecolor()[:3], to_rgb(SHOWN))]
+        assert len(bright) == sum(x.p_value <= LEVEL for x in pulls_of(found))
+
+
+def test_it_is_what_is_missing_beside_the_ligaments_of_the_explanation() -> None:
+    found = diagnosed(FRAME)
+    base = found.base.fitted
+    n = base.model.parameters.n
+    theta = explanation_of(found).fitted.theta[:n]
+    assert not np.array_equal(theta, base.theta)
+    expected = missing_wrench(base.compared, theta, found.noise)
+    np.testing.assert_array_equal(wrench_of(found).wrench, expected.wrench)
+    nameless = replace(
+        found, conclusion=replace(found.conclusion, verdict=Verdict.UNEXPLAINED, group=())
+    )
+    alone = missing_wrench(base.compared, base.theta, found.noise)
+    np.testing.assert_array_equal(wrench_of(nameless).wrench, alone.wrench)
