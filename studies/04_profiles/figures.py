@@ -13,7 +13,7 @@ from profile_tables import tables
 from identknee.identify.profile.profiles import profile_from_plain
 from identknee.identify.profile.result import Profile
 from identknee.model.parameters import Parameters
-from identknee.report.figures import BLACK, COLOURS, MARKERS
+from identknee.report.figures import BLACK, COLOURS, MARKERS, STYLES
 from identknee.report.picture import png
 from identknee.report.profile_figures import (
     intervals_figure,
@@ -123,7 +123,8 @@ def figure_5(record: Row) -> Figure:
             ]
             if max(shares) > 0:
                 k = i % len(COLOURS)
-                axes.plot(noises, shares, "-", marker=MARKERS[k], color=COLOURS[k], label=name)
+                style = {"color": COLOURS[k], "marker": MARKERS[k], "ls": STYLES[i // len(COLOURS)]}
+                axes.plot(noises, shares, label=name, **style)
         axes.set_xscale("log")
         axes.set_xticks(noises, [f"{x:g}" for x in noises])
         axes.minorticks_off()
