@@ -46,7 +46,7 @@ Bundles = Annotated[
 ]
 
 
-@app.command()
+@app.command(epilog="Example: identknee subject check my-knee")
 def check(
     context: typer.Context,
     subject: Subject,
@@ -85,7 +85,7 @@ def check(
         raise typer.Exit(WRONG_INPUT)
 
 
-@app.command("show")
+@app.command("show", epilog="Example: identknee subject show reference --out picture")
 def draw(
     context: typer.Context,
     subject: Subject,
@@ -106,7 +106,7 @@ def draw(
     show(summary, [f"{knee.name}: {path}"], as_json=as_json)
 
 
-@app.command()
+@app.command(epilog="Example: identknee subject export reference --out my-knee")
 def export(
     context: typer.Context,
     subject: Subject,
@@ -122,7 +122,7 @@ def export(
     _write_subject(knee, out, recording, as_json=as_json)
 
 
-@app.command("import-osim")
+@app.command("import-osim", epilog="Example: identknee subject import-osim model.osim --out knee")
 def import_osim(
     context: typer.Context,
     file: OsimFile,

@@ -42,7 +42,10 @@ BY_DIMENSION = {
         ),
     ),
     "member": (AS_PARAMETER, ("edge", "optimum", "reached")),
-    "coordinate": (AS_COORDINATE, ("coordinates", "sd", "change_by_contact_points")),
+    "coordinate": (
+        AS_COORDINATE,
+        ("coordinates", "sd", "change_by_contact_points", "before", "after"),
+    ),
     "quantity": (
         AS_QUANTITY,
         (

@@ -216,11 +216,17 @@ class OsimModel:
         if joint.kind in ZERO_JOINTS:
             return IDENTITY
         axes = {x.get("name"): x for x in joint.element.iterfind("SpatialTransform/TransformAxis")}
-        if joint.kind != "CustomJoint" or not axes:
+        if joint.kind != "CustomJoint":
             raise self.refusal(
                 f"joint {joint.name}",
                 f"joints of class {joint.kind} are not supported",
                 "Replace it by a CustomJoint.",
+            )
+        if not axes:
+            raise self.refusal(
+                f"joint {joint.name}",
+                "this CustomJoint has no SpatialTransform",
+                "Give it one with its rotation and translation axes.",
             )
         rotation, translation = np.eye(3), np.zeros(3)
         for i in (1, 2, 3):

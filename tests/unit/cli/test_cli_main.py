@@ -47,8 +47,7 @@ def test_every_verb_has_the_same_four_options(verb: tuple[str, ...]) -> None:
     assert result.exit_code == 0
     for option in ("--out DIR", "--seed", "--workers", "--json"):
         assert option in result.stdout
-    if len(verb) == 1:
-        assert f"Example: identknee {verb[0]} " in result.stdout
+    assert f"Example: identknee {' '.join(verb)} " in result.stdout
 
 
 def test_an_unknown_verb_is_refused() -> None:

@@ -99,6 +99,7 @@ def _second_femur(text: str) -> str:
         (lambda x: x.replace("child_frame>/bodyset/tibia_r<", "child_frame>/bodyset/t<"),
          "no joint leads from femur_r to tibia_r"),
         (lambda x: x.replace("CustomJoint", "EllipsoidJoint"), "class EllipsoidJoint"),
+        (lambda x: x.replace("TransformAxis", "Axis"), "this CustomJoint has no SpatialTransform"),
         (lambda x: x.replace("LinearFunction", "Sine"), "Sine cannot be evaluated at zero"),
         (lambda x: x.replace("femur.stl", "lost.stl"), "neither beside the model nor in Geometry"),
         (lambda x: x.replace("0 0</location><orient", "0 1</location><orient"),
