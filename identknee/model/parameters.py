@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.errors import suggestion
 
 STIFFNESS = "stiffness_kN"
 STRAIN = "reference_strain_pct"
@@ -69,8 +70,7 @@ class Parameters:
         try:
             return self.names.index(name)
         except ValueError:
-            known = ", ".join(self.names)
-            message = f"there is no parameter {name!r}; the parameters are {known}"
+            message = f"there is no parameter {name!r}. {suggestion(name, self.names)}"
             raise ValueError(message) from None
 
     def vector(self, values: Mapping[str, float]) -> Array:

@@ -141,7 +141,7 @@ def test_wrong_words_are_refused_before_anything_is_written(tmp_path: Path) -> N
     def said(*words: str) -> str:
         return refused("simulate", "reference", "--protocol", short, "--out", out, *words)
 
-    assert "there is no parameter 'ACL.stifness_kN'; the parameters are ACL.stiffness_kN" in said(
+    assert "no parameter 'ACL.stifness_kN'. Did you mean ACL.stiffness_kN?" in said(
         "--set", "ACL.stifness_kN=9"
     )
     assert "'nine' is not a number" in said("--set", "ACL.stiffness_kN=nine")

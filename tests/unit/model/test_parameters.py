@@ -52,7 +52,7 @@ def test_bounds_can_be_narrowed(parameters: Parameters) -> None:
 
 
 def test_an_unknown_name_lists_the_known(parameters: Parameters) -> None:
-    with pytest.raises(ValueError, match=r"no parameter 'PCL'; the parameters are ACL\.stiff"):
+    with pytest.raises(ValueError, match=r"no parameter 'PCL'\. Known are ACL\.stiff"):
         parameters.index("PCL")
 
 
