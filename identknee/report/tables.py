@@ -101,8 +101,10 @@ class Table:
         return i == 0 or any(isinstance(row[i], str) for row in self.rows)
 
 
-def filled(text: str, tables: Mapping[str, Table]) -> str:
+def filled(text: str, tables: Mapping[str, "Table | str"]) -> str:
     """`text` with each table between ``<!-- NAME -->`` and ``<!-- end NAME -->`` put in anew.
+
+    Words in place of a table are put in as they are.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def filled(text: str, tables: Mapping[str, Table]) -> str:
         place = re.compile(
             rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end {re.escape(name)} -->)", re.DOTALL
         )
-        content = table.markdown()
+        content = table if isinstance(table, str) else table.markdown()
         text, count = place.subn(_between(content), text)
         if count != 1:
             raise ValueError(

@@ -1,8 +1,6 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +10,11 @@ from matplotlib.figure import Figure
 from identknee.laxity.published import TABLE2
 from identknee.laxity.table import COORDINATES
 from identknee.report.figures import evaluation_figure, margin_figure
-from identknee.report.picture import png
-from identknee.report.tables import Column, Table, filled, laxity_table
+from identknee.report.study_page import draw_study
+from identknee.report.tables import Column, Table, laxity_table
 from identknee.runs.arrays import Array
-from identknee.runs.files import prepare_folder, write_atomically
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "model_evaluation.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 WELL_POSED = ("reference", "lenhart2015_stable")
 INTERNAL = COORDINATES.index("internal_deg")
 UNITS = {"N": "N", "Nm": "N·m"}
@@ -29,20 +23,7 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
-    for name, draw in {
-        "figure_1_table_2": figure_1,
-        "figure_2_internal_rotation_folds": figure_2,
-    }.items():
-        write_atomically(options.out / f"{name}.png", png(draw(record)))
-    page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record)))
+    draw_study(HERE, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure:
@@ -74,6 +55,12 @@ def whole_ramp(ramps: list[Row], flexion: float) -> tuple[Array, Array, Array]:
     _, first = np.unique(joined[0], return_index=True)
     load, rotation, margin = joined[:, first]
     return load, rotation, margin
+
+
+FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
+    "figure_1_table_2": figure_1,
+    "figure_2_internal_rotation_folds": figure_2,
+}
 
 
 def tables(record: Row) -> dict[str, Table]:

@@ -1,7 +1,5 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,35 +16,18 @@ from identknee.report.figures import (
     parameters_figure,
     profile_figure,
 )
-from identknee.report.picture import png
 from identknee.report.scene import draw_scene, view_from
+from identknee.report.study_page import draw_study
 from identknee.report.study_records import study_knee
-from identknee.report.tables import filled
 from identknee.runs.arrays import Array
-from identknee.runs.files import prepare_folder, write_atomically
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "initial_guess.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 Row = Mapping[str, Any]
 
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
-    for name, draw in FIGURE_OF.items():
-        figure = draw(record)
-        if figure is not None:
-            write_atomically(options.out / f"{name}.png", png(figure))
-    page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record)))
+    draw_study(HERE, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure | None:

@@ -1,7 +1,5 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +8,7 @@ import numpy as np
 from basin_tables import tables
 from matplotlib.figure import Figure
 
-from identknee.report.picture import png
+from identknee.report.study_page import draw_study
 from identknee.report.sweep_figures import (
     cliff_figure,
     plane_figure,
@@ -18,31 +16,16 @@ from identknee.report.sweep_figures import (
     start_end_figure,
     waterfall_figure,
 )
-from identknee.report.tables import filled
 from identknee.runs.arrays import Array
-from identknee.runs.files import prepare_folder, write_atomically
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "basin_of_attraction.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 WELL_POSED = ("reference", "lenhart2015_stable")
 Row = Mapping[str, Any]
 
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
-    for name, draw in FIGURE_OF.items():
-        write_atomically(options.out / f"{name}.png", png(draw(record)))
-    page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record)))
+    draw_study(HERE, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure:

@@ -1,7 +1,5 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,20 +7,16 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from identknee.report.picture import png
 from identknee.report.sample_figures import (
     corner_figure,
     forces_figure,
     prior_posterior_figure,
     tau_figure,
 )
-from identknee.report.tables import Cell, Column, Table, filled
-from identknee.runs.files import prepare_folder, write_atomically
+from identknee.report.study_page import draw_study
+from identknee.report.tables import Cell, Column, Table
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "posterior.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 KNEE = "reference"
 CONDITIONS = {
     "steps_per_tau": "steps in the longest autocorrelation time, at least",
@@ -37,17 +31,16 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
-    for name, draw in FIGURE_OF.items():
-        write_atomically(options.out / f"{name}.png", png(draw(record["knees"])))
-    page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record["knees"])))
+    draw_study(
+        HERE,
+        {name: of_knees(draw) for name, draw in FIGURE_OF.items()},
+        lambda record: tables(record["knees"]),
+    )
+
+
+def of_knees(draw: Callable[[Row], Figure]) -> Callable[[Row], Figure]:
+    """What draws the same from the whole record."""
+    return lambda record: draw(record["knees"])
 
 
 def figure_1(knees: Row) -> Figure:

@@ -1,7 +1,5 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,14 +9,10 @@ from matplotlib.figure import Figure
 from paper_forces import PAPER_LIGAMENTS, PAPER_TABLE6, PAPER_TABLE7
 
 from identknee.report.equivalents_figures import ranges_figure, sets_figure
-from identknee.report.picture import png
-from identknee.report.tables import Cell, Column, Table, filled
-from identknee.runs.files import prepare_folder, write_atomically
+from identknee.report.study_page import draw_study
+from identknee.report.tables import Cell, Column, Table
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "equivalent_sets.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 PAPER = "paper"
 NOISE = "0.5 mm, 0.5 deg"
 TITLES = {
@@ -32,19 +26,7 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
-    for name, draw in FIGURE_OF.items():
-        figure = draw(record)
-        if figure is not None:
-            write_atomically(options.out / f"{name}.png", png(figure))
-    page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record)))
+    draw_study(HERE, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure | None:

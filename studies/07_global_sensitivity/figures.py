@@ -1,7 +1,5 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,21 +7,17 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from identknee.report.picture import png
 from identknee.report.sensitivity_figures import (
     effects_figure,
     map_figure,
     methods_figure,
     shares_figure,
 )
-from identknee.report.tables import Cell, Column, Table, filled
+from identknee.report.study_page import draw_study
+from identknee.report.tables import Cell, Column, Table
 from identknee.runs.arrays import Array
-from identknee.runs.files import prepare_folder, write_atomically
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "global_sensitivity.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 KNEE = "reference"
 # What a clinician turns the knee by, at its middle angle.
 SHOWN = (
@@ -40,17 +34,12 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
-    for name, draw in FIGURE_OF.items():
-        write_atomically(options.out / f"{name}.png", png(draw(record["knees"][KNEE])))
-    page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record)))
+    draw_study(HERE, {name: of_knee(draw) for name, draw in FIGURE_OF.items()}, tables)
+
+
+def of_knee(draw: Callable[[Row], Figure]) -> Callable[[Row], Figure]:
+    """What draws the same from the whole record."""
+    return lambda record: draw(record["knees"][KNEE])
 
 
 def figure_1(part: Row) -> Figure:

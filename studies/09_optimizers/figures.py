@@ -1,7 +1,5 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,15 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from identknee.report.comparison import spread
-from identknee.report.picture import png
+from identknee.report.study_page import draw_study
 from identknee.report.sweep_figures import descent_figure, methods_figure
-from identknee.report.tables import Cell, Column, Table, filled, median_range
-from identknee.runs.files import prepare_folder, write_atomically
+from identknee.report.tables import Cell, Column, Table, median_range
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "optimizers.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 COUNTS = (1, 3, 5, 7, 10, 15, 20, 40, 70, 100, 150, 200, 300, 400, 600, 800, 1000, 1500, 2000, 2500)
 KINDS = ("minimum", "valley", "cliff", "start_failed")
 # The paper's Table 3, as printed: mean error of stiffness [kN] and of reference strain [%].
@@ -30,17 +24,7 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
-    for name, draw in FIGURE_OF.items():
-        write_atomically(options.out / f"{name}.png", png(draw(record)))
-    page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record)))
+    draw_study(HERE, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure:

@@ -1,7 +1,5 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,14 +24,9 @@ from score_card import (
 
 from identknee.blind.effects import LISTED, UNLISTED
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL
-from identknee.report.picture import png
-from identknee.report.tables import filled
-from identknee.runs.files import prepare_folder, write_atomically
+from identknee.report.study_page import draw_study
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "diagnosis.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 TINY = 7
 COLOUR_OF = {
     Ending.RIGHT: COLOURS[0],
@@ -56,22 +49,16 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    cases = cases_of(record)
-    prepare_folder(options.out)
-    for name, draw in FIGURE_OF.items():
-        write_atomically(options.out / f"{name}.png", png(draw(cases)))
-    page = filled(options.page.read_text(encoding="utf-8"), tables(record))
-    for mark, text in sentences(record).items():
-        before, rest = page.split(f"<!-- {mark} -->\n")
-        _, after = rest.split(f"<!-- end {mark} -->")
-        page = f"{before}<!-- {mark} -->\n{text}\n<!-- end {mark} -->{after}"
-    write_atomically(options.page, page)
+    draw_study(
+        HERE,
+        {name: of_cases(draw) for name, draw in FIGURE_OF.items()},
+        lambda record: {**tables(record), **sentences(record)},
+    )
+
+
+def of_cases(draw: Callable[[Sequence[Row]], Figure]) -> Callable[[Row], Figure]:
+    """What draws the same from the whole record."""
+    return lambda record: draw(cases_of(record))
 
 
 def score_card_figure(cases: Sequence[Row]) -> Figure:

@@ -1,7 +1,5 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
-import argparse
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,15 +11,11 @@ from scipy.stats import beta, chi2
 from scipy.stats import f as f_distribution
 
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL
-from identknee.report.picture import png
-from identknee.report.tables import Cell, Column, Table, filled
+from identknee.report.study_page import draw_study
+from identknee.report.tables import Cell, Column, Table
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.files import prepare_folder, write_atomically
 
 HERE = Path(__file__).parent
-RECORD = HERE / "records" / "geometry_uncertainty.json"
-FIGURES = HERE / "figures"
-PAGE = HERE / "README.md"
 KNEE = "reference"
 UNITS = {"none": "", "insertions": "mm", "load axes": "deg", "tibial frame": "deg"}
 Row = Mapping[str, Any]
@@ -79,17 +73,7 @@ class Level:
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder of the figures")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page whose tables to fill")
-    options = parser.parse_args()
-    record = json.loads(options.record.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
-    for name, draw in FIGURE_OF.items():
-        write_atomically(options.out / f"{name}.png", png(draw(record)))
-    page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record)))
+    draw_study(HERE, FIGURE_OF, tables)
 
 
 def levels_of(record: Row) -> list[Level]:
