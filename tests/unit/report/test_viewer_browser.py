@@ -1,14 +1,13 @@
 """The knee in three dimensions in a real browser, from a file on disk."""
 
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browsers import browser_in, prefer, resize
 
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
@@ -18,22 +17,9 @@ from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
 plotly = pytest.importorskip("plotly.offline", reason="plotly is not installed")
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 
 PLACES = 1e-3  # mm
 SECONDS = 30.0  # for the page to draw itself in software
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-)
 # As strict as a page can be that holds its own code.
 POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
@@ -91,29 +77,6 @@ class Page:
 
         WebDriverWait(self.browser, SECONDS, 0.05).until(lambda _: condition())
 
-    def prefer(self, scheme: str) -> None:
-        feature = {"name": "prefers-color-scheme", "value": scheme}
-        self.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
-
-    def resize(self, width: int, height: int) -> None:
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-        self.browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-
-
-def browser_in(folder: Path) -> Any:
-    from selenium.webdriver.chrome.service import Service
-
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    driver = shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("chromium and chromedriver are not installed")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for flag in (*FLAGS, f"--user-data-dir={folder / 'profile'}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    return webdriver.Chrome(options=options, service=Service(driver))
-
 
 @pytest.fixture(scope="module")
 def page(reference: Knee, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
@@ -137,8 +100,8 @@ def page(reference: Knee, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     browser = browser_in(folder)
     try:
         found = Page(browser=browser, scene=scene)
-        found.resize(1100, 800)
-        found.prefer("light")
+        resize(found.browser, 1100, 800)
+        prefer(found.browser, "light")
         browser.get(path.as_uri())
         ready = "[...document.querySelectorAll('.knee-viewer')].every((x) => x.dataset.ready)"
         found.wait(lambda: bool(found.ask(ready)))
@@ -217,20 +180,20 @@ def test_view_is_kept_from_trial_to_trial(page: Page) -> None:
 
 def test_colours_follow_the_page(page: Page) -> None:
     light = page.ask("plot.layout.paper_bgcolor")
-    page.prefer("dark")
+    prefer(page.browser, "dark")
     page.wait(lambda: page.ask("plot.layout.paper_bgcolor") != light)
     assert (light, page.ask("plot.layout.paper_bgcolor")) == ("#fefefe", "#101418")
-    page.prefer("light")
+    prefer(page.browser, "light")
     page.wait(lambda: page.ask("plot.layout.paper_bgcolor") == light)
 
 
 def test_it_fits_a_phone(page: Page) -> None:
-    page.resize(380, 800)
+    resize(page.browser, 380, 800)
     try:
         page.wait(lambda: page.ask("plot._fullLayout.width") <= 380)
         assert page.ask("document.documentElement.scrollWidth") <= 380
     finally:
-        page.resize(1100, 800)
+        resize(page.browser, 1100, 800)
 
 
 def test_knee_without_equilibrium_says_why(page: Page) -> None:
