@@ -133,7 +133,7 @@ def _cause(refit: Refit, name: str, posterior: Laplace, covariance: np.ndarray) 
     # Plain numbers are not alike for having no unit.
     same = [k for k, x in enumerate(found) if k == 0 or x.unit == unit != PLAIN]
     if len(same) == len(found) > 1 and np.all(parameters.lower[places] < 0.0):
-        amplitude = _total(found, covariance[np.ix_(places, places)])
+        amplitude = _total(found, covariance[np.ix_(places, places)], parameters.prior_sd[places])
     else:
         amplitude = reduce(lambda x, y: y if y.value > x.value else x, [found[k] for k in same])
     return Cause(name=name, amplitude=amplitude, parameters=found, line=_line(refit, name))
@@ -149,24 +149,28 @@ def _line(refit: Refit, name: str) -> Array | None:
     return np.vstack([knee.femur_frame.to_common(femoral), knee.tibia_frame.to_common(tibial)])
 
 
-def _total(components: tuple[Estimate, ...], covariance: np.ndarray) -> Estimate:
-    """Length of a vector, its interval by the first two moments of the square of the length.
+def _total(
+    components: tuple[Estimate, ...], covariance: np.ndarray, prior_sd: np.ndarray
+) -> Estimate:
+    """Length of a vector, its interval to first order, the lower end by what errors add to it.
 
     Errors of the components make the length found too long: its square is expected to be that of
-    the true length and the sum of their variances.
+    the true length and the sum of the variances that noise alone gives them.
     """
     values = np.array([x.value for x in components])
     square = float(values @ values)
     along = float(values @ covariance @ values) / square if square > 0.0 else 0.0
-    middle = square - float(np.trace(covariance))
-    spread = 2.0 * float(np.trace(covariance @ covariance))
-    # (square - E)**2 = z**2 (spread + 4 u along), a quadratic in u, the square of the true length.
-    z = TWO_SIDED**2
-    center = middle + 2.0 * z * along
-    reach = np.sqrt(max(center**2 - middle**2 + z * spread, 0.0))
-    low, high = (float(np.sqrt(max(x, 0.0))) for x in (center - reach, center + reach))
-    size = float(np.sqrt(max(middle, 0.0)))
-    return Estimate(name=TOTAL, value=size, unit=components[0].unit, ci95=(low, high))
+    # What the prior adds to the uncertainty does not scatter the values found.
+    scatter = covariance - covariance @ np.diag(prior_sd**-2.0) @ covariance
+    middle = max(square - float(np.trace(scatter)), 0.0)
+    reach = TWO_SIDED * np.sqrt(along)
+    ends = (max(np.sqrt(middle) - reach, 0.0), np.sqrt(square) + reach)
+    return Estimate(
+        name=TOTAL,
+        value=float(np.sqrt(middle)),
+        unit=components[0].unit,
+        ci95=(float(ends[0]), float(ends[1])),
+    )
 
 
 def _estimate(name: str, i: int, posterior: Laplace) -> Estimate:

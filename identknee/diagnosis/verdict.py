@@ -8,11 +8,15 @@ import numpy as np
 
 from identknee.diagnosis.attribution import Attribution
 from identknee.diagnosis.goodness import cauchy_combination
+from identknee.diagnosis.plausible_sites import shift_mm, site_p_value
 from identknee.diagnosis.refit import Refit
+from identknee.model.effects.structures import MissingStructure
 
 LEVEL = 0.05
 # A model whose misfit is less probable is not the explanation, or not all of it.
 FITS, HARDLY_FITS = 0.01, 0.001
+# Insertions less probable than this may be those of another structure.
+FAR_OFF = 0.1
 # A verdict that holds for only some of these multiples of a stated noise is none.
 NOISE_FACTORS = (0.75, 1.33)
 HANGS_ON_NOISE = (
@@ -148,7 +152,13 @@ def _faults(best: Refit, fits: float) -> list[str]:
 
 def _doubts(attribution: Attribution, fits: float) -> list[str]:
     """Why the best explanation may not be the only one or not all."""
-    doubts = []
+    best = attribution.best
+    doubts = [
+        f"The insertions of {x.name} would lie {shift_mm(best, x):.0f} mm from where anatomy has "
+        f"them, which is rare (p {p_value:.2g}): a structure that no library lists may lie there."
+        for x in best.causes
+        if isinstance(x, MissingStructure) and (p_value := site_p_value(best, x)) <= FAR_OFF
+    ]
     if fits <= FITS:
         doubts.append(f"The misfit that is left is rather improbable (p {fits:.2g}).")
     if attribution.is_left_unexplained:

@@ -1,0 +1,41 @@
+"""Whether a structure named lies where anatomy has it, or stands in for another one beside it."""
+
+import numpy as np
+
+from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.tails import log_weighted_tail
+from identknee.model.effects.structures import MissingStructure
+
+# Stiffness and reference strain come first, then the shifts of both insertions.
+FIRST_SHIFT = 2
+
+
+def site_p_value(refit: Refit, structure: MissingStructure) -> float:
+    """Probability that the insertions of a structure are found so far from where anatomy has them.
+
+    The shifts found are compared with what their prior, and how much of it the data can move, lead
+    one to expect: of a shift with prior variance 1 and posterior variance c, the value found has
+    the variance 1 - c. 1 for a structure whose insertions are fixed.
+
+    Parameters
+    ----------
+    refit
+        The fit with the structure.
+    structure
+        One of its causes.
+    """
+    p = structure.parameters
+    if not structure.sites_vary:
+        return 1.0
+    places = refit.places(structure.name)[FIRST_SHIFT:]
+    prior_sd = p.prior_sd[FIRST_SHIFT:]
+    shift = (refit.fitted.theta[places] - p.center[FIRST_SHIFT:]) / prior_sd
+    left = refit.covariance()[np.ix_(places, places)] / np.outer(prior_sd, prior_sd)
+    weights = np.clip(np.linalg.eigvalsh(np.eye(len(places)) - left), 0.0, 1.0)
+    return float(np.exp(log_weighted_tail(np.array([shift @ shift]), weights)[0]))
+
+
+def shift_mm(refit: Refit, structure: MissingStructure) -> float:
+    """How far the farther insertion is found from where anatomy has it [mm]."""
+    shifts = refit.amplitudes(structure.name)[FIRST_SHIFT:].reshape(-1, 3)
+    return float(np.linalg.norm(shifts, axis=1).max(initial=0.0))
