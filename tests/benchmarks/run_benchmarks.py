@@ -11,6 +11,7 @@ MODULES = {
     "kernel": "bench_kernel",
     "opensim": "bench_opensim",
     "trimesh_root": "bench_trimesh_root",
+    "first_contact": "bench_first_contact",
     "first_answer": "bench_first_answer",
     "field": "bench_field",
     "complex_fit": "bench_complex_fit",
