@@ -1,26 +1,27 @@
 """Which trials to add so that explanations that fit alike come apart."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from identknee.diagnosis.attribution import Attribution, Rival
 from identknee.diagnosis.data_noise import DataNoise
 from identknee.diagnosis.isolability import Pair, advise_trials
+from identknee.diagnosis.noise_model import build_noise_model
+from identknee.diagnosis.offered_trials import OfferedTrials, Rows
 from identknee.diagnosis.refit import Refit
 from identknee.laxity.candidates import candidate_trials, repeated
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.model.candidate_laxity import CandidateLaxity, typical_errors
 from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 
 # Rivals beyond these follow from the nearest ones.
 MOST_RIVALS = 6
+# In units of noise: where explanations that fit alike differ by more in a single value, one of the
+# knees snaps, and whether it does hangs on parameters that hardly differ.
+MOST_DIFFERENCE = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,12 +74,24 @@ def advise(attribution: Attribution, laxity: Laxity, noise: DataNoise) -> Advice
     if not rivals or _depends_on_order(best):
         return None
     candidates = candidate_trials(laxity.protocol)
-    data = replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
-    made, pairs = _table(best, rivals, partial(_in_data, best))
-    offered, _ = _table(best, rivals, partial(_in_candidates, data, candidates))
+    offer = OfferedTrials(
+        laxity=replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation),
+        noise=build_noise_model(noise.sd, laxity.is_measured, correlation=noise.correlation),
+        candidates=candidates,
+    )
+    rows, pairs = _table(best, rivals, offer)
+    nuisances = offer.nuisances(best.fitted)
     prior = best.fitted.evaluation.jacobian[best.fitted.n_data :, : best.n_base]
-    padded = np.pad(prior, ((0, 0), (0, made.shape[1] - best.n_base)))
-    found = advise_trials(np.vstack([made, padded]), offered, pairs, n_base=best.n_base)
+    padded = np.pad(prior, ((0, 0), (0, rows.made.shape[1] - best.n_base)))
+    found = advise_trials(
+        np.hstack(
+            [np.vstack([rows.made, padded]), np.pad(nuisances.made, ((0, len(prior)), (0, 0)))]
+        ),
+        np.concatenate([rows.offered, nuisances.offered], axis=2),
+        pairs,
+        n_base=best.n_base,
+        n_nuisances=nuisances.made.shape[1],
+    )
     chosen = [candidates.trials[i] for i in found.chosen]
     trials = Protocol(
         name="advised",
@@ -94,69 +107,38 @@ def advise(attribution: Attribution, laxity: Laxity, noise: DataNoise) -> Advice
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Predicted:
-    """Whitened predictions of a refit in some trials, and their derivatives."""
-
-    values: Array
-    jacobian: Array
-
-
 def _depends_on_order(explanation: Refit) -> bool:
     """Whether it says what trials yield by when they are made, which nobody knows beforehand."""
     return any(x in NEEDS_ORDER | NEEDS_PHASE for x in explanation.names)
 
 
-Predict = Callable[[LaxityModel, Array], _Predicted]
-
-
-def _in_data(best: Refit, model: LaxityModel, theta: Array) -> _Predicted:
-    """In the trials of the data, shapes ``(m,)`` and ``(m, p)``."""
-    compared = LaxityResiduals(model=model, laxity=best.fitted.laxity)
-    noise = best.fitted.noise
-    return _Predicted(
-        values=noise.whiten(compared.residuals(theta)),
-        jacobian=noise.whiten(compared.jacobian(theta)),
-    )
-
-
-def _in_candidates(
-    data: Laxity, candidates: Protocol, model: LaxityModel, theta: Array
-) -> _Predicted:
-    """In trials that might be added, shapes ``(n, r)`` and ``(n, r, p)``."""
-    offered = CandidateLaxity(
-        model=model,
-        laxity=data,
-        protocol=candidates,
-        sd=typical_errors(data),
-        free=tuple(range(model.parameters.n)),
-        at=theta,
-    )
-    values, jacobian = offered.predict(theta, range(candidates.n))
-    return _Predicted(values=values, jacobian=jacobian)
-
-
-def _table(best: Refit, rivals: Sequence[Rival], predict: Predict) -> tuple[Array, list[Pair]]:
+def _table(best: Refit, rivals: Sequence[Rival], offer: OfferedTrials) -> tuple[Rows, list[Pair]]:
     """Columns of the base parameters, of differences and of the rivals' causes, and the pairs.
 
     The difference between the predictions of the best explanation and of a rival is one column,
     with amplitude 1, and is to be told from any change of the rival's amplitudes.
     """
     n_base = best.n_base
-    whole = predict(best.fitted.model, best.fitted.theta)
-    blocks, pairs = [whole.jacobian[..., :n_base]], []
+    whole, slopes = offer.predict(best.fitted.model, best.fitted.theta)
+    made, offered = [slopes.made[:, :n_base]], [slopes.offered[:, :, :n_base]]
+    pairs = []
     place = n_base
     for rival in rivals:
-        other = predict(rival.refit.fitted.model, rival.refit.fitted.theta)
-        own = other.jacobian[..., n_base:]
-        blocks += [(whole.values - other.values)[..., None], own]
+        other = rival.refit.fitted
+        values, own = offer.predict(other.model, other.theta)
+        made += [(whole.made - values.made)[:, None], own.made[:, n_base:]]
+        differences = whole.offered - values.offered
+        snaps = (np.abs(differences) > MOST_DIFFERENCE).any(axis=1)
+        differences[snaps] = np.nan
+        offered += [differences[:, :, None], own.offered[:, :, n_base:]]
+        end = place + 1 + other.model.parameters.n - n_base
         pairs.append(
             Pair(
                 effect=np.array([place]),
                 amplitude=np.ones(1),
-                rival=np.arange(place + 1, place + 1 + own.shape[-1]),
-                rival_prior_sd=rival.refit.fitted.model.parameters.prior_sd[n_base:],
+                rival=np.arange(place + 1, end),
+                rival_prior_sd=other.model.parameters.prior_sd[n_base:],
             )
         )
-        place += 1 + own.shape[-1]
-    return np.concatenate(blocks, axis=-1), pairs
+        place = end
+    return Rows(made=np.hstack(made), offered=np.concatenate(offered, axis=2)), pairs

@@ -21,7 +21,7 @@ MOST_CAUSES = 3
 MOST_REFITS = 8
 LEAST_SCORE = 1.0
 # An effect with more can imitate most others, alone or together, and is no first choice.
-MOST_AMPLITUDES = 8
+MOST_AMPLITUDES = 16
 # Steps before those far behind in evidence are left where they are; the highest scores never are.
 FEW_STEPS, FAR_BEHIND, ALWAYS = 6, 40.0, 2
 # Of the amplitude expected: where a refit begins that can begin nowhere else.
@@ -100,7 +100,7 @@ class Attribution:
     Attributes
     ----------
     steps
-        The looks taken, from the base model on.
+        The looks taken, from the base model on; the last at the best explanation.
     best
         The model with all causes found; the base model where there is none.
     rivals
@@ -120,7 +120,7 @@ class Attribution:
     def is_left_unexplained(self) -> bool:
         """Whether an effect not in the best explanation still scores higher than chance allows."""
         last = self.steps[-1]
-        return last.is_significant and len(last.at.causes) >= len(self.best.causes)
+        return last.at is self.best and last.is_significant
 
     @property
     def open_rivals(self) -> tuple[Rival, ...]:
@@ -166,6 +166,9 @@ def attribute(
         steps.append(_look(current, left, seed))
     current, rest = _looked_back(base, current, rest, steps)
     current, rest = _with_flexible(current, rest, steps[0])
+    left = [x for x in effects if x.name not in current.names]
+    if left and steps[-1].at is not current:
+        steps.append(_look(current, left, seed))
     return Attribution(steps=tuple(steps), best=current, rivals=_rivals(current, rest))
 
 

@@ -191,19 +191,22 @@ class BaseFit:
 
 
 def nuisances(fitted: Fitted) -> tuple[Array, Array]:
-    """What nobody wants named: changes of the measured values, ``(m, k)``, and spreads, ``(k,)``.
+    """What nobody wants named: changes of the measured values (m, k) and their spreads (k,)."""
+    changes, spreads = nuisance_changes(fitted.model, fitted.theta)
+    return fitted.compared.rows(changes), spreads
+
+
+def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
+    """The same of the coordinates of all trials of a model, shapes ``(n, 5, k)`` and ``(k,)``.
 
     Rough surfaces, and a force-strain curve whose toe is not quite the one of the equations.
     """
-    model, compared = fitted.model, fitted.compared
-    rough = compared.rows(roughness_columns(model, model.predict_once(fitted.theta)))
-    with_toe = model.with_effects([*model.effects, toe_strain()])
-    found = with_toe.predict(np.r_[fitted.theta, 0.0])
+    rough = roughness_columns(model, model.predict_once(theta))
+    found = model.with_effects([*model.effects, toe_strain()]).predict(np.r_[theta, 0.0])
     if found.jacobian is None:  # pragma: no cover - it was asked for
         raise AssertionError
-    toe = compared.rows(found.jacobian[:, :, -1:])
-    heights = np.full(rough.shape[1], roughness_of(model.knee))
-    return np.hstack([rough, toe]), np.r_[heights, TOE]
+    heights = np.full(rough.shape[2], roughness_of(model.knee))
+    return np.concatenate([rough, found.jacobian[:, :, -1:]], axis=2), np.r_[heights, TOE]
 
 
 def roughness_of(knee: Knee) -> float:

@@ -191,24 +191,27 @@ def advise_trials(
     pairs: Sequence[Pair],
     *,
     n_base: int,
+    n_nuisances: int = 0,
     n_trials: int = MOST_TRIALS,
     enough: float = ENOUGH,
 ) -> AdvisedTrials:
     """The trials that separate the pairs most: each choice raises the least distance most.
 
-    Greedy, repeats allowed. Amplitudes of rivals keep to their priors, not to their signs.
+    Greedy, repeats allowed. Amplitudes of rivals keep to their priors, not to their signs. What
+    nuisances do in an added trial is known as far as the trials before it have shown them.
 
     Parameters
     ----------
     made
         Whitened derivatives of the trials made by all parameters, rows of the prior of the base
-        parameters included: first the base parameters, then the effects, shape ``(m, q)``.
+        parameters included: first the base parameters, then the effects, last what a prior standard
+        deviation of each nuisance does, shape ``(m, q)``.
     candidates
         The same of each candidate trial, shape ``(n, r, q)``; NaN in one that has no prediction.
     pairs
         What to tell apart.
-    n_base
-        How many of the columns belong to the base parameters.
+    n_base, n_nuisances
+        How many of the columns belong to the base parameters and to nuisances.
     n_trials
         How many trials to choose at most.
     enough
@@ -228,10 +231,10 @@ def advise_trials(
     if not usable.any():
         raise ValueError("no candidate trial has a prediction; offer others")
     known = np.where(usable[:, None, None], candidates, 0.0)
-    added = np.einsum("nri,nrj->nij", known, known)
-    information = made.T @ made
-    now = _pair_distances(information[None], pairs, n_base)
-    single = _pair_distances(information + added, pairs, n_base)
+    rows = _Marginal(made, n_nuisances)
+    added = rows.added(known)
+    now = _pair_distances(rows.information[None], pairs, n_base)
+    single = _pair_distances(rows.information + added, pairs, n_base)
     chosen: list[int] = []
     followed, after = [now[0]], single
     while len(chosen) < n_trials and followed[-1].min() < enough:
@@ -240,13 +243,32 @@ def advise_trials(
         best = int(np.argmax(np.where(usable, worth, -np.inf)))
         chosen.append(best)
         followed.append(after[best])
-        information = information + added[best]
-        after = _pair_distances(information + added, pairs, n_base)
+        rows = _Marginal(np.vstack([made, *known[chosen]]), n_nuisances)
+        after = _pair_distances(rows.information + rows.added(known), pairs, n_base)
     return AdvisedTrials(
         chosen=tuple(chosen),
         distances=frozen(followed, None, None, name="distances"),
         single=frozen(np.where(usable[:, None], single, np.nan), None, None, name="single"),
     )
+
+
+class _Marginal:
+    """Information of rows about parameters, averaged over nuisances, and what more rows add."""
+
+    def __init__(self, rows: Array, n_nuisances: int) -> None:
+        self._n = rows.shape[1] - n_nuisances
+        wanted, nuisances = rows[:, : self._n], rows[:, self._n :]
+        # Their variance after the rows, and what the rows say of them for each parameter.
+        self._variance = np.linalg.inv(np.eye(n_nuisances) + nuisances.T @ nuisances)
+        self._known = self._variance @ (nuisances.T @ wanted)
+        self.information = wanted.T @ wanted - (wanted.T @ nuisances) @ self._known
+
+    def added(self, candidates: Array) -> Array:
+        """What each of n candidates (n, r, q) adds, shape ``(n, p, p)`` for p parameters."""
+        nuisances = candidates[:, :, self._n :]
+        left = candidates[:, :, : self._n] - nuisances @ self._known
+        covariance = np.eye(candidates.shape[1]) + nuisances @ self._variance @ nuisances.mT
+        return np.asarray(left.mT @ np.linalg.solve(covariance, left))
 
 
 def _lower(values: Array, row: int, column: int, square: float) -> None:

@@ -12,6 +12,7 @@ from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.grood_suntay import coordinate_jacobian
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.effects.effect import Effect
+from identknee.model.effects.placed import Structure
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import PER_KN, LaxityModel
 from identknee.model.parameters import Parameters
@@ -62,9 +63,8 @@ class Variant:
 def library_variants(fitted: Fitted, effects: Sequence[Effect]) -> tuple[Variant, ...]:
     """Signatures of all effects at a fit, those of structures for a grid of sites and strains.
 
-    Derivatives are those of the fitted model's predictions. An amplitude without a first derivative
-    (such as the strain spread of bundles) is represented by what a prior standard deviation of it
-    does.
+    Derivatives are those of the fitted model's predictions, for an effect without any where it does
+    nothing (such as bundles) those half way to a prior standard deviation.
     """
     grid = [x for x in effects if isinstance(x, MissingStructure) and x.sites_vary]
     others = [x for x in effects if x not in grid]
@@ -85,12 +85,12 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
         seen = size > UNSEEN
         is_secant = not seen.any()
         if is_secant:
-            changes = _secants(fitted, effect, values)
+            changes = _columns(fitted, base, effect, half_way(effect, values))
             seen = np.linalg.norm(changes, axis=0) * p.prior_sd > UNSEEN
         if not seen.any():
             continue
         moved = np.flatnonzero(seen)
-        strain = values[1] if isinstance(effect, MissingStructure) else None
+        strain = values[effect.first_shift - 1] if isinstance(effect, Structure) else None
         yield Variant(
             effect=effect,
             signature=Signature(
@@ -109,9 +109,10 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
 def _baselines(effect: Effect) -> list[Array]:
     """Amplitudes at which the effect does nothing."""
     values = np.array(effect.parameters.center)
-    if not isinstance(effect, MissingStructure):
+    if not isinstance(effect, Structure):
         return [values]
-    return [np.r_[values[0], strain, values[2:]] for strain in STRAINS]
+    is_strain = np.arange(len(values)) == effect.first_shift - 1
+    return [np.where(is_strain, strain, values) for strain in STRAINS]
 
 
 def _columns(fitted: Fitted, base: LaxityModel, effect: Effect, values: Array) -> Array:
@@ -124,20 +125,14 @@ def _columns(fitted: Fitted, base: LaxityModel, effect: Effect, values: Array) -
     return fitted.columns(prediction.jacobian[:, :, len(fitted.theta) :])
 
 
-def _secants(fitted: Fitted, effect: Effect, values: Array) -> Array:
-    """Whitened changes by a prior standard deviation of each amplitude, divided by it."""
+def half_way(effect: Effect, values: Array) -> Array:
+    """Amplitudes where an effect of second order slopes as much as the line to its end.
+
+    Half a prior standard deviation of those of one sign from `values`; those of either sign act by
+    their side.
+    """
     p = effect.parameters
-    model = fitted.model.with_effects([*fitted.model.effects, effect])
-    before = model.predict(np.r_[fitted.theta, values], derivatives=False).coordinates
-    changes = []
-    for k in range(p.n):
-        step = np.zeros(p.n)
-        step[k] = min(p.prior_sd[k], p.upper[k])
-        after = model.predict(np.r_[fitted.theta, values + step], derivatives=False).coordinates
-        changes.append((after - before) / step[k])
-    whole = np.stack(changes, axis=2)
-    # What cannot be predicted at this amplitude says nothing.
-    return fitted.columns(np.where(np.isfinite(whole).all(axis=(0, 1)), whole, 0.0))
+    return np.where(p.lower >= values, np.minimum(values + 0.5 * p.prior_sd, p.upper), values)
 
 
 def _at_sites(fitted: Fitted, structure: MissingStructure) -> list[Variant]:

@@ -4,13 +4,10 @@ import numpy as np
 
 from identknee.diagnosis.refit import Refit
 from identknee.diagnosis.tails import log_weighted_tail
-from identknee.model.effects.structures import MissingStructure
-
-# Stiffness and reference strain come first, then the shifts of both insertions.
-FIRST_SHIFT = 2
+from identknee.model.effects.placed import Structure
 
 
-def site_p_value(refit: Refit, structure: MissingStructure) -> float:
+def site_p_value(refit: Refit, structure: Structure) -> float:
     """Probability that the insertions of a structure are found so far from where anatomy has them.
 
     The shifts found are compared with what their prior, and how much of it the data can move, lead
@@ -27,15 +24,16 @@ def site_p_value(refit: Refit, structure: MissingStructure) -> float:
     p = structure.parameters
     if not structure.sites_vary:
         return 1.0
-    places = refit.places(structure.name)[FIRST_SHIFT:]
-    prior_sd = p.prior_sd[FIRST_SHIFT:]
-    shift = (refit.fitted.theta[places] - p.center[FIRST_SHIFT:]) / prior_sd
+    shifts = slice(structure.first_shift, None)
+    places = refit.places(structure.name)[shifts]
+    prior_sd = p.prior_sd[shifts]
+    shift = (refit.fitted.theta[places] - p.center[shifts]) / prior_sd
     left = refit.covariance()[np.ix_(places, places)] / np.outer(prior_sd, prior_sd)
     weights = np.clip(np.linalg.eigvalsh(np.eye(len(places)) - left), 0.0, 1.0)
     return float(np.exp(log_weighted_tail(np.array([shift @ shift]), weights)[0]))
 
 
-def shift_mm(refit: Refit, structure: MissingStructure) -> float:
+def shift_mm(refit: Refit, structure: Structure) -> float:
     """How far the farther insertion is found from where anatomy has it [mm]."""
-    shifts = refit.amplitudes(structure.name)[FIRST_SHIFT:].reshape(-1, 3)
+    shifts = refit.amplitudes(structure.name)[structure.first_shift :].reshape(-1, 3)
     return float(np.linalg.norm(shifts, axis=1).max(initial=0.0))

@@ -1,8 +1,7 @@
 """What a protocol can tell before anything is measured: which causes, and which from which."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -19,20 +18,19 @@ from identknee.diagnosis.isolability import (
     visible_root,
     worst_distances,
 )
-from identknee.diagnosis.library_signatures import UNSEEN, Variant, library_variants
-from identknee.diagnosis.noise_model import build_noise_model
+from identknee.diagnosis.library_signatures import UNSEEN, Variant, half_way, library_variants
+from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
+from identknee.diagnosis.offered_trials import OfferedTrials, Rows
 from identknee.diagnosis.projection import base_projector
 from identknee.diagnosis.score import ScoreTest, score_test
 from identknee.diagnosis.signature import ProjectedSignature
 from identknee.laxity.candidates import candidate_trials, repeated
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.model.candidate_laxity import CandidateLaxity, typical_errors
 from identknee.model.effects.contact_law import contact_nuisance
 from identknee.model.effects.facts import FACTS
 from identknee.model.effects.library import library
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 
@@ -171,12 +169,15 @@ def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
     coordinates = model.predict_once(theta).coordinates
     sds = np.broadcast_to(sd, coordinates.shape)
     laxity = Laxity(protocol=model.protocol, coordinates=coordinates, sd=sds)
-    plain = build_noise_model(sds, laxity.is_measured, correlation=0.0)
-    columns, spreads = nuisances(fit_from(model, laxity, plain, [theta]))
+    columns, spreads = nuisances(fit_from(model, laxity, _plain_noise(laxity), [theta]))
     noise = build_noise_model(
         sds, laxity.is_measured, correlation=0.0, nuisance=columns, nuisance_sd=spreads
     )
     return fit_from(model, laxity, noise, [theta])
+
+
+def _plain_noise(laxity: Laxity) -> NoiseModel:
+    return build_noise_model(np.asarray(laxity.sd), laxity.is_measured, correlation=0.0)
 
 
 def _typical_variants(found: Sequence[Variant]) -> list[Variant]:
@@ -231,13 +232,17 @@ def _advise(
     ]
     variants = list({id(x): x for x in [*members, *(rival for _, rival in confused)]}.values())
     candidates = candidate_trials(made_protocol)
-    offered = partial(_in_candidates, data, candidates)
-    made = partial(_in_data, fitted)
+    offer = OfferedTrials(laxity=data, noise=_plain_noise(data), candidates=candidates)
+    rows, nuisances = _rows(fitted, variants, offer), offer.nuisances(fitted)
+    prior = _prior_rows(fitted, variants)
     found = advise_trials(
-        np.vstack([_columns(fitted, variants, made), _prior_rows(fitted, variants)]),
-        _columns(fitted, variants, offered),
+        np.hstack(
+            [np.vstack([rows.made, prior]), np.pad(nuisances.made, ((0, len(prior)), (0, 0)))]
+        ),
+        np.concatenate([rows.offered, nuisances.offered], axis=2),
         _pairs(fitted, test, variants, confused),
         n_base=fitted.model.parameters.n,
+        n_nuisances=nuisances.made.shape[1],
     )
     chosen = list(found.chosen)
     return GroupAdvice(
@@ -253,42 +258,25 @@ def _advise(
     )
 
 
-Derivatives = Callable[[LaxityModel, Array], Array]
-
-
-def _columns(fitted: Fitted, variants: Sequence[Variant], derivatives: Derivatives) -> Array:
+def _rows(fitted: Fitted, variants: Sequence[Variant], offer: OfferedTrials) -> Rows:
     """Derivatives by the base parameters, then by the amplitudes of each effect, side by side."""
     model, theta = fitted.model, fitted.theta
-    blocks = [derivatives(model, theta)]
+    _, slopes = offer.predict(model, theta)
+    blocks = [slopes]
     for variant in variants:
         extended = model.with_effects([*model.effects, variant.effect])
         p = variant.effect.parameters
-        whole = derivatives(extended, np.r_[theta, variant.values])[..., theta.size :]
-        size = np.linalg.norm(np.nan_to_num(whole).reshape(-1, p.n), axis=0) * p.prior_sd
+        _, slopes = offer.predict(extended, np.r_[theta, variant.values])
+        size = np.linalg.norm(slopes.made[:, theta.size :], axis=0) * p.prior_sd
         if not (size > UNSEEN).any():
-            # Half way to a prior standard deviation an effect of second order slopes as much as the
-            # line to its end.
-            values = np.minimum(variant.values + 0.5 * p.prior_sd, p.upper)
-            whole = derivatives(extended, np.r_[theta, values])[..., theta.size :]
-        blocks.append(whole[..., variant.moved])
-    return np.concatenate(blocks, axis=-1)
-
-
-def _in_data(fitted: Fitted, model: LaxityModel, theta: Array) -> Array:
-    compared = LaxityResiduals(model=model, laxity=fitted.laxity)
-    return fitted.noise.whiten(compared.jacobian(theta))
-
-
-def _in_candidates(data: Laxity, candidates: Protocol, model: LaxityModel, theta: Array) -> Array:
-    offered = CandidateLaxity(
-        model=model,
-        laxity=data,
-        protocol=candidates,
-        sd=typical_errors(data),
-        free=tuple(range(theta.size)),
-        at=theta,
+            values = half_way(variant.effect, variant.values)
+            _, slopes = offer.predict(extended, np.r_[theta, values])
+        moved = theta.size + variant.moved
+        blocks.append(Rows(made=slopes.made[:, moved], offered=slopes.offered[:, :, moved]))
+    return Rows(
+        made=np.concatenate([x.made for x in blocks], axis=1),
+        offered=np.concatenate([x.offered for x in blocks], axis=2),
     )
-    return offered.predict(theta, range(candidates.n))[1]
 
 
 def _prior_rows(fitted: Fitted, variants: Sequence[Variant]) -> Array:

@@ -10,7 +10,7 @@ from identknee.diagnosis.attribution import Attribution
 from identknee.diagnosis.goodness import cauchy_combination
 from identknee.diagnosis.plausible_sites import shift_mm, site_p_value
 from identknee.diagnosis.refit import Refit
-from identknee.model.effects.structures import MissingStructure
+from identknee.model.effects.placed import Structure
 
 LEVEL = 0.05
 # A model whose misfit is less probable is not the explanation, or not all of it.
@@ -157,7 +157,7 @@ def _doubts(attribution: Attribution, fits: float) -> list[str]:
         f"The insertions of {x.name} would lie {shift_mm(best, x):.0f} mm from where anatomy has "
         f"them, which is rare (p {p_value:.2g}): a structure that no library lists may lie there."
         for x in best.causes
-        if isinstance(x, MissingStructure) and (p_value := site_p_value(best, x)) <= FAR_OFF
+        if isinstance(x, Structure) and (p_value := site_p_value(best, x)) <= FAR_OFF
     ]
     if fits <= FITS:
         doubts.append(f"The misfit that is left is rather improbable (p {fits:.2g}).")

@@ -1,7 +1,7 @@
 """Laxity trials that might be added to the data, as the model of the knee predicts them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -75,22 +75,26 @@ class CandidateLaxity:
         unloaded pose did not where coordinates are counted from it. A trial may come twice.
         """
         once, back = np.unique(np.asarray(chosen, int), return_inverse=True)
-        trials = self.protocol.select(once)
+        some = replace(self, protocol=self.protocol.select(once))
         whole = np.array(self.at)
         whole[list(self.free)] = theta
-        if self.laxity.zero == "unloaded":
-            trials = with_unloaded(trials)
-        found = self.model.with_protocol(trials).predict(whole)
+        found = self.model.with_protocol(some.trials).predict(whole)
         if found.jacobian is None:  # pragma: no cover - predict was asked for it
             raise AssertionError
-        values, jacobians = found.coordinates, found.jacobian[:, :, list(self.free)]
+        values = some.rows(found.coordinates[:, :, None])[:, :, 0]
+        return values[back], some.rows(found.jacobian[:, :, list(self.free)])[back]
+
+    @property
+    def trials(self) -> Protocol:
+        """The trials to choose from, and after them what else would be measured for their zero."""
+        return with_unloaded(self.protocol) if self.laxity.zero == "unloaded" else self.protocol
+
+    def rows(self, changes: Array) -> Array:
+        """Changes of the coordinates of `trials` (n, 5, q) in units of the errors, (k, m, q)."""
         if self.laxity.zero == "unloaded":
-            values, jacobians = from_unloaded(values, trials), from_unloaded(jacobians, trials)
-        measured = ~np.isnan(self.sd)
-        return (
-            (values[: once.size, measured] @ self._whitening.T)[back],
-            (self._whitening @ jacobians[: once.size, measured])[back],
-        )
+            changes = from_unloaded(changes, self.trials)
+        measured = changes[: self.protocol.n, ~np.isnan(self.sd)]
+        return np.asarray(self._whitening @ measured)
 
 
 def typical_errors(laxity: Laxity) -> Array:

@@ -5,54 +5,78 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.mechanics.equilibria import Lines
-from identknee.model.effects.changes import SettingChange
+from identknee.model.effects.changes import SettingChange, remeasured
 from identknee.model.effects.effect import amplitudes
+from identknee.model.effects.insertion import AXES, BONES
 from identknee.model.setting import Setting, with_shares
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 
 SPREAD_SD, SPREAD_LIMIT = 5.0, 30.0  # %
+PLACE_SD, PLACE_LIMIT = 4.0, 16.0  # mm
 
 
 def bundles(knee: Knee) -> SettingChange:
-    """Two bundles in place of every ligament, their reference strains a spread apart [%].
+    """Two bundles in place of every ligament, a spread apart in reference strain and in place.
 
-    Each has half of the stiffness, the first half of the spread more strain than the ligament and
-    the second half of it less. Bundles of published models differ by 4 % (anterior cruciate) to
-    21 % (posterior cruciate) and 33 % (lateral collateral) [1]_. Which bundle is the tauter one
-    cannot be told apart, so that the first derivative at zero spread is zero.
+    Each has half of the stiffness; the first half of the spread [%] more strain than the ligament
+    and, along the axes of its bone, half of the distance [mm] between their insertions to one side,
+    the second as much less and to the other side. Reference lengths are those between the bundles'
+    own insertions in the scanned pose. Bundles of published models differ by 4 % (anterior
+    cruciate) to 21 % (posterior cruciate) and 33 % (lateral collateral) [1]_; distances of 4 mm are
+    an estimate. Without a spread in strain nothing changes to first order in either.
 
     References
     ----------
     .. [1] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
            https://doi.org/10.1115/1.2894883
     """
-    names = [f"{x.name}_strain_spread_pct" for x in knee.ligaments]
-    n = len(names)
-    made = amplitudes("bundles", names, n * [SPREAD_SD], lower=n * [0.0], upper=n * [SPREAD_LIMIT])
+    strains = [f"{x.name}_strain_spread_pct" for x in knee.ligaments]
+    places = [
+        f"{ligament.name}_{bone}_{axis}_spread_mm"
+        for ligament in knee.ligaments
+        for bone in BONES
+        for axis in AXES
+    ]
+    n, m = len(strains), len(places)
+    made = amplitudes(
+        "bundles",
+        strains + places,
+        n * [SPREAD_SD] + m * [PLACE_SD],
+        lower=n * [0.0] + m * [-PLACE_LIMIT],
+        upper=n * [SPREAD_LIMIT] + m * [PLACE_LIMIT],
+    )
     return SettingChange(name="bundles", parameters=made, changed=_split)
 
 
 def _split(setting: Setting, values: Array) -> Setting:
-    own = np.flatnonzero(setting.owner >= 0)
+    is_own = setting.owner >= 0
+    own = np.flatnonzero(is_own)
     owner, lines = setting.owner[own], setting.lines
-    half_spread = 0.005 * values[owner]
-    halved = np.where(setting.owner >= 0, 0.5, 1.0)
+    n = len(values) // (1 + len(BONES) * len(AXES))
+    tauter = 0.005 * values[:n][owner]
+    aside = 0.5 * values[n:].reshape(n, len(BONES), len(AXES))[owner]
+    halved = np.where(is_own, 0.5, 1.0)
     strain = np.array(setting.reference_strain)
-    strain[own] += half_spread
+    femoral, tibial = np.array(lines.femoral), np.array(lines.tibial)
+    strain[own] += tauter
+    femoral[own] += aside[:, 0]
+    tibial[own] += aside[:, 1]
     first = replace(
         setting,
         stiffness=halved * setting.stiffness,
         share=halved * setting.share,
         reference_strain=strain,
     )
+    first = remeasured(first, replace(lines, femoral=femoral, tibial=tibial), is_own)
     second = Lines(
-        femoral=lines.femoral[own],
-        tibial=lines.tibial[own],
+        femoral=lines.femoral[own] - aside[:, 0],
+        tibial=lines.tibial[own] - aside[:, 1],
         reference_length=lines.reference_length[own],
         transition=np.asarray(lines.transition)[own],
         lift=np.asarray(lines.lift)[own],
         lift_place=np.asarray(lines.lift_place)[own],
     )
-    slacker = setting.reference_strain[own] - half_spread
+    second = replace(second, reference_length=setting.lengths_at_start(second))
+    slacker = setting.reference_strain[own] - tauter
     return with_shares(first, second, slacker, owner, first.share[own])

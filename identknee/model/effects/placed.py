@@ -21,6 +21,8 @@ STIFFNESS_SD: Mapping[str, float] = MappingProxyType(
     }
 )
 OTHER_STIFFNESS_SD = 1.5
+# mm; the lines of the capsule stand for sheets as wide as a condyle.
+CAPSULE_SITE_SD = 6.0
 Structure = MissingStructure | PosteriorCapsule
 
 
@@ -34,8 +36,8 @@ def structure(
 ) -> Structure:
     """A missing structure between points of the common frame of the scan.
 
-    The posterior capsule has a medial and then a lateral line, each with its own stiffness, where
-    they are; the lines of any other structure have one.
+    The posterior capsule has a medial and then a lateral line, each with its own stiffness and
+    shifts; the lines of any other structure share them.
 
     Parameters
     ----------
@@ -57,15 +59,18 @@ def structure(
         If a posterior capsule has not two lines.
     """
     sd = stiffness_sd or STIFFNESS_SD.get(name, OTHER_STIFFNESS_SD)
+    usual = CAPSULE_SITE_SD if name == CAPSULE else SITE_SD
+    spread = usual if site_sd is None else site_sd
+
+    def made(lines: Sequence[Points]) -> MissingStructure:
+        at = structure_at(knee, name, lines, stiffness_sd=sd, sites_vary=spread > 0.0)
+        return replace(at, site_sd=spread)
+
     if name != CAPSULE:
-        spread = SITE_SD if site_sd is None else site_sd
-        made = structure_at(knee, name, lines, stiffness_sd=sd, sites_vary=spread > 0.0)
-        return replace(made, site_sd=spread)
+        return made(lines)
     if len(lines) != 2:
         raise ValueError(f"{CAPSULE} has a medial and a lateral line, got {len(lines)} lines")
-    medial, lateral = (
-        structure_at(knee, name, [line], stiffness_sd=sd, sites_vary=False) for line in lines
-    )
+    medial, lateral = (made([line]) for line in lines)
     return PosteriorCapsule(medial=medial, lateral=lateral)
 
 

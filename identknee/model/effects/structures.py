@@ -17,6 +17,7 @@ SITE_SD = 4.0  # mm, how far insertions are from where anatomy puts them
 SITE_SDS = 3.0  # how many of these they may be away
 SITE_STEP = 1e-4  # mm
 AXES = ("x", "y", "z")
+SHIFTS = tuple(f"{bone}_{axis}_mm" for bone in ("femur", "tibia") for axis in AXES)
 # Kernel units per unit of an amplitude: N per kN, strain per %.
 PER_KN, PER_PCT = 1000.0, 0.01
 
@@ -53,13 +54,18 @@ class MissingStructure:
         names, sd = [STIFFNESS, STRAIN], [self.stiffness_sd, 4.0]
         lower, upper = [0.0, -10.0], [6.0 * self.stiffness_sd, 12.0]
         if self.sites_vary:
-            names += [f"{bone}_{axis}_mm" for bone in ("femur", "tibia") for axis in AXES]
+            names += SHIFTS
             sd += 6 * [self.site_sd]
             lower += 6 * [-SITE_SDS * self.site_sd]
             upper += 6 * [SITE_SDS * self.site_sd]
         center = [0.0, 1.5, *[0.0] * (len(names) - 2)]
         made = amplitudes(self.name, names, sd, lower=lower, upper=upper, center=center)
         object.__setattr__(self, "parameters", made)
+
+    @property
+    def first_shift(self) -> int:
+        """Where the shifts begin among the amplitudes, after the reference strain."""
+        return 2
 
     def change(self, setting: Setting, values: Array) -> Setting:
         """The setting with the structure in place."""

@@ -1,5 +1,6 @@
 """Distances between causes against least squares, and advised trials against trying each."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -181,8 +182,8 @@ def stacked() -> tuple[Array, Array, list[Pair]]:
 def brute_force(made: Array, added: Array, pair: Pair) -> float:
     rows = np.vstack([made, *added])
     free = np.concatenate([rows[:, :N_BASE], rows[:, pair.rival]], axis=1)
-    prior = np.concatenate([np.zeros(N_BASE), 1 / pair.rival_prior_sd])[None]
-    data = np.concatenate([rows[:, pair.effect] @ pair.amplitude, [0.0]])
+    prior = np.diag(np.concatenate([np.zeros(N_BASE), 1 / pair.rival_prior_sd]))
+    data = np.concatenate([rows[:, pair.effect] @ pair.amplitude, np.zeros(len(prior))])
     whole = np.vstack([free, prior])
     fitted, *_ = np.linalg.lstsq(whole, data, rcond=None)
     return float(np.linalg.norm(data - whole @ fitted))
@@ -218,6 +219,29 @@ def test_each_choice_is_the_best_of_all_candidates_and_may_repeat() -> None:
     np.testing.assert_array_equal(found.distances[1], found.single[found.chosen[0]])
     only = advise_trials(made, candidates[[2]], pairs, n_base=N_BASE, n_trials=3, enough=np.inf)
     assert only.chosen == (0, 0, 0)
+
+
+def test_nuisances_that_trials_share_are_fitted_with_them() -> None:
+    """To average over nuisances of variance 1 is to fit them with that prior."""
+    made, candidates, pairs = stacked()
+    generator = np.random.default_rng(12)
+    made = np.hstack([made, generator.standard_normal((len(made), 2))])
+    shared = generator.standard_normal((N_CANDIDATES, 5, 2))
+    candidates = np.concatenate([candidates, shared], axis=2)
+    found = advise_trials(
+        made, candidates, pairs, n_base=N_BASE, n_nuisances=2, n_trials=3, enough=np.inf
+    )
+    # The same as two more amplitudes of every rival.
+    nuisances = np.arange(made.shape[1] - 2, made.shape[1])
+    wider = [
+        replace(
+            x, rival=np.r_[x.rival, nuisances], rival_prior_sd=np.r_[x.rival_prior_sd, 1.0, 1.0]
+        )
+        for x in pairs
+    ]
+    for step, pair in product(range(4), range(3)):
+        expected = brute_force(made, candidates[list(found.chosen[:step])], wider[pair])
+        assert found.distances[step, pair] == pytest.approx(expected, rel=SOLVED)
 
 
 def test_a_candidate_without_prediction_is_not_advised() -> None:

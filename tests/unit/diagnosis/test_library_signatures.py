@@ -39,5 +39,10 @@ def test_a_knee_of_many_ligaments_has_a_signature_of_its_bundles() -> None:
     )
     noise = build_noise_model(np.full((laxity.n, 5), SD), laxity.is_measured, correlation=0.0)
     fitted = fit_from(model, laxity, noise, [theta], most_steps=1)
-    names = [x.signature.name for x in library_variants(fitted, [bundles(knee), compression()])]
-    assert names == ["bundles", "compression"]
+    variants = library_variants(fitted, [bundles(knee), compression()])
+    assert [x.signature.name for x in variants] == ["bundles", "compression"]
+    # Insertions apart matter by the side of strains apart.
+    assert variants[0].is_secant
+    moved = [variants[0].effect.parameters.names[i] for i in variants[0].moved]
+    assert any(x.endswith("_pct") for x in moved)
+    assert any(x.endswith("_mm") for x in moved)

@@ -32,25 +32,30 @@ def with_effect(knee: Knee, name: str, protocol: Protocol | None = None) -> Laxi
 
 def test_bundles_are_two_ligaments_of_half_the_stiffness(small: Knee) -> None:
     model = with_effect(small, "bundles")
-    spread = {x.name: 2.0 + i for i, x in enumerate(small.ligaments)}
-    theta = model.parameters.vector(
-        {f"bundles.{name}_strain_spread_pct": x for name, x in spread.items()}
-    )
+    m, n = len(small.ligaments), model.n_ligament_parameters
+    rng = np.random.default_rng(5)
+    strains, places = rng.uniform(2.0, 6.0, m), rng.uniform(-1.5, 1.5, (m, 2, 3))
+    theta = np.r_[model.parameters.center[:n], strains, places.ravel()]
+    assert [x.rpartition("_")[2] for x in model.parameters.names[n:]] == m * ["pct"] + 6 * m * [
+        "mm"
+    ]
 
-    def bundle(ligament: Ligament, sign: float) -> Ligament:
+    def bundle(k: int, sign: float) -> Ligament:
+        ligament, aside = small.ligaments[k], 0.5 * sign * places[k]
         return replace(
             ligament,
             name=f"{ligament.name}{sign:+g}",
             stiffness_kN=0.5 * ligament.stiffness_kN,
-            reference_strain_pct=ligament.reference_strain_pct + 0.5 * sign * spread[ligament.name],
+            reference_strain_pct=ligament.reference_strain_pct + 0.5 * sign * strains[k],
+            femur=ligament.femur + aside[0] @ small.femur_frame.axes,
+            tibia=ligament.tibia + aside[1] @ small.tibia_frame.axes,
         )
 
-    split = small.with_ligaments([bundle(x, s) for s in (1.0, -1.0) for x in small.ligaments])
+    split = small.with_ligaments([bundle(k, s) for s in (1.0, -1.0) for k in range(m)])
     other = LaxityModel(knee=split, protocol=small_protocol())
     found = model.predict(theta, derivatives=False)
     wanted = other.predict(other.parameters.center, derivatives=False)
     assert np.abs(found.coordinates - wanted.coordinates).max() <= SAME_POSE
-    m = len(small.ligaments)
     forces = tensions_of(other, wanted)
     np.testing.assert_allclose(tensions_of(model, found), forces[:, :m] + forces[:, m:], rtol=1e-6)
 

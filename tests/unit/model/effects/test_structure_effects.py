@@ -74,7 +74,7 @@ def test_the_capsule_holds_near_extension_alone(reference: Knee) -> None:
     assert change[1] < 0.1 * change[0]
 
 
-def test_the_sides_of_the_capsule_have_their_own_stiffness(reference: Knee) -> None:
+def test_the_sides_of_the_capsule_have_their_own_stiffness_and_place(reference: Knee) -> None:
     capsule = effect_named(reference, "posterior_capsule")
     assert isinstance(capsule, PosteriorCapsule)
     model = LaxityModel(knee=reference, protocol=_rest(), effects=(capsule,))
@@ -83,9 +83,21 @@ def test_the_sides_of_the_capsule_have_their_own_stiffness(reference: Knee) -> N
             "posterior_capsule.medial_stiffness_kN": 1.0,
             "posterior_capsule.lateral_stiffness_kN": 2.0,
             "posterior_capsule.reference_strain_pct": -3.0,
+            "posterior_capsule.medial_femur_y_mm": 2.0,
+            "posterior_capsule.lateral_tibia_x_mm": -5.0,
         }
     )
     setting = model.setting(theta)
+    np.testing.assert_allclose(
+        setting.lines.femoral[-2:] - [capsule.medial.femoral[0], capsule.lateral.femoral[0]],
+        [[0.0, 2.0, 0.0], [0.0, 0.0, 0.0]],
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(
+        setting.lines.tibial[-2:] - [capsule.medial.tibial[0], capsule.lateral.tibial[0]],
+        [[0.0, 0.0, 0.0], [-5.0, 0.0, 0.0]],
+        atol=1e-9,
+    )
     np.testing.assert_allclose(setting.stiffness[-2:], [1000.0, 2000.0])
     np.testing.assert_allclose(setting.reference_strain[-2:], -0.03)
     assert setting.lines.tibial[-2, 2] < setting.lines.tibial[-1, 2]

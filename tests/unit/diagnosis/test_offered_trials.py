@@ -1,0 +1,42 @@
+"""Trials made and offered: one that is both is the same in both."""
+
+import numpy as np
+import pytest
+from diagnoses import SD, short_trials
+
+from identknee.diagnosis.base_fit import base_model, fit_from
+from identknee.diagnosis.noise_model import build_noise_model
+from identknee.diagnosis.offered_trials import OfferedTrials
+from identknee.laxity.candidates import candidate_trials
+from identknee.laxity.table import Laxity
+from identknee.laxity.unloaded import relative_to_unloaded
+from identknee.subject.knee import Knee
+
+
+@pytest.mark.parametrize("zero", ["absolute", "unloaded"])
+def test_a_trial_made_and_offered_has_the_same_rows(reference: Knee, zero: str) -> None:
+    model = base_model(reference, short_trials())
+    theta = model.parameters.center
+    exact = model.predict(theta, derivatives=False)
+    sd = np.full(exact.coordinates.shape, SD)
+    laxity = Laxity(protocol=model.protocol, coordinates=exact.coordinates, sd=sd)
+    if zero == "unloaded":
+        laxity = relative_to_unloaded(laxity)
+        laxity = Laxity(
+            protocol=laxity.protocol, coordinates=laxity.coordinates, sd=sd, zero=laxity.zero
+        )
+    noise = build_noise_model(sd, laxity.is_measured, correlation=0.0)
+    fitted = fit_from(model, laxity, noise, [theta], most_steps=1)
+    candidates = candidate_trials(laxity.protocol, flexion_deg=[30.0])
+    offer = OfferedTrials(laxity=laxity, noise=noise, candidates=candidates)
+    _, slopes = offer.predict(fitted.model, fitted.theta)
+    for rows in (slopes, offer.nuisances(fitted)):
+        n = laxity.n
+        again = rows.offered[:n]
+        assert candidates.trials[:n] == laxity.protocol.trials
+        assert rows.offered.shape[:2] == (candidates.n, 5)
+        made = np.zeros((n, 5, rows.made.shape[1]))
+        made[laxity.is_measured] = rows.made
+        np.testing.assert_allclose(
+            again[laxity.is_measured], made[laxity.is_measured], rtol=1e-6, atol=1e-8
+        )
