@@ -315,11 +315,9 @@ def _truth(knee: Knee, seed: int, found: _Found, facts: Mapping[str, object]) ->
     for x, size in zip(found.hidden, found.sizes, strict=True):
         amplitudes[x.name] = {"amplitude": (size, x.unit), **dict(x.amplitudes(size))}
         if x.line is not None:
-            # A left knee was mirrored when it was read.
-            side = [1.0, 1.0, -1.0 if knee.side == "left" else 1.0]
             lines[x.name] = (
-                knee.femur_frame.to_common(x.line[0]) * side,
-                knee.tibia_frame.to_common(x.line[1]) * side,
+                knee.as_scanned(knee.femur_frame.to_common(x.line[0])),
+                knee.as_scanned(knee.tibia_frame.to_common(x.line[1])),
             )
     return Truth(
         seed=seed,

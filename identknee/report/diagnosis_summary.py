@@ -19,11 +19,13 @@ from identknee.diagnosis.gain import Gain
 from identknee.diagnosis.gain_summary import gain_summary
 from identknee.diagnosis.missing_line import LineFinding
 from identknee.diagnosis.missing_pulls import MissingPull, pulls_of
+from identknee.diagnosis.refit import Refit
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
 from identknee.model.effects.facts import FACTS
 from identknee.runs.arrays import Array
+from identknee.subject.knee import Knee
 
 
 def diagnosis_summary(
@@ -56,7 +58,7 @@ def diagnosis_summary(
         "sentence": conclusion.verdict.sentence,
         "p_value": conclusion.p_value,
         "reasons": list(conclusion.reasons),
-        "causes": [_cause(x) for x in causes_of(explanation)],
+        "causes": _causes(explanation),
         "group": list(conclusion.group),
         "line": None if found.line is None else _line(found.line),
         "rivals": [_rival(x) for x in found.attribution.rivals],
@@ -104,7 +106,12 @@ def trials_summary(trials: Protocol) -> list[dict[str, Any]]:
     ]
 
 
-def _cause(cause: Cause) -> dict[str, Any]:
+def _causes(explanation: Refit) -> list[dict[str, Any]]:
+    knee = explanation.fitted.model.knee
+    return [_cause(x, knee) for x in causes_of(explanation)]
+
+
+def _cause(cause: Cause, knee: Knee) -> dict[str, Any]:
     size = cause.amplitude
     return {
         "name": cause.name,
@@ -113,14 +120,14 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "ci95": list(size.ci95),
         "parameter": size.name,
         "parameters": {x.name: _estimate(x) for x in cause.parameters},
-        "line": _ends(cause.line),
+        "line": None if cause.line is None else _ends(knee.as_scanned(cause.line)),
         "meaning": FACTS[cause.name].sentence,
         "source": FACTS[cause.name].source,
     }
 
 
-def _ends(line: Array | None) -> dict[str, Array] | None:
-    return None if line is None else {"femur": line[0], "tibia": line[1]}
+def _ends(line: Array) -> dict[str, Array]:
+    return {"femur": line[0], "tibia": line[1]}
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:
@@ -128,12 +135,12 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
 
 
 def _line(line: LineFinding) -> dict[str, Any]:
-    """The line of force where no known cause explains the data, ends in the scanned pose [mm]."""
+    """The line of force where no known cause explains the data, ends in the axes of the scan."""
+    knee = line.refit.fitted.model.knee
     return {
         "is_line": line.is_line,
         "sentence": line.sentence,
-        "femur": line.femur,
-        "tibia": line.tibia,
+        **_ends(knee.as_scanned(np.stack([line.femur, line.tibia]))),
         "offset_95_mm": line.offset_95,
         "angle_95_deg": line.angle_95_deg,
         "side": line.side,
@@ -164,7 +171,7 @@ def _rival(rival: Rival) -> dict[str, Any]:
         "log_evidence_below": rival.lead,
         "distance": rival.distance,
         "is_excluded": rival.is_excluded,
-        "amplitudes": [] if rival.is_excluded else [_cause(x) for x in causes_of(rival.refit)],
+        "amplitudes": [] if rival.is_excluded else _causes(rival.refit),
         "parameters": None if rival.is_excluded else _values(ligament_estimates(rival.refit)),
     }
 

@@ -131,6 +131,13 @@ class Knee:
         """A copy whose model is extended by other effects."""
         return replace(self, effects=tuple(effects))
 
+    def as_scanned(self, points: Array) -> Array:
+        """Points of the common frame [mm], shape ``(..., 3)``, where the scan has them, or back.
+
+        Those of a left knee are mirrored; those of a right one stay where they are.
+        """
+        return np.asarray(points * [1.0, 1.0, -1.0 if self.side == "left" else 1.0])
+
     def mirrored(self) -> "Knee":
         """The knee seen in the mirror z = 0, its frames turned so that z is lateral again.
 

@@ -36,7 +36,7 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
         if result.verb == "diagnose" and extended.is_dir():
             model = LaxityModel(knee=read_subject(extended), protocol=protocol)
             theta = load_start(str(extended / FITTED), model.parameters)
-            return model_scene(model, theta, missing_line=_line(result.summary))
+            return model_scene(model, theta, missing_line=_line(result.summary, model.knee))
         if "predictions" in result.groups:
             model = LaxityModel(knee=knee, protocol=protocol)
             return model_scene(model, _theta(result, model))
@@ -49,9 +49,9 @@ def _theta(result: Result, model: LaxityModel) -> Array:
     return np.array([values[name] for name in model.parameters.names])
 
 
-def _line(summary: Mapping[str, Any]) -> Array | None:
-    """Ends of the missing line of action in the scanned pose [mm]; None where there is none."""
+def _line(summary: Mapping[str, Any], knee: Knee) -> Array | None:
+    """Ends of the missing line of action in the common frame [mm]; None where there is none."""
     line = summary.get("line")
     if not line or not line["is_line"] or line["femur"] is None:
         return None
-    return np.array([line["femur"], line["tibia"]], dtype=np.float64)
+    return knee.as_scanned(np.array([line["femur"], line["tibia"]], dtype=np.float64))

@@ -122,6 +122,18 @@ def test_an_unexplained_misfit_changes_no_parameter() -> None:
     assert "Cause" not in diagnosis_lines(unexplained, (), None)
 
 
+def test_lines_of_a_left_knee_are_where_it_was_scanned(reference: Knee) -> None:
+    found = _with_line(diagnosed(FRAME), reference)
+    assert found.line is not None
+    fitted = found.line.refit.fitted
+    model = replace(fitted.model, knee=replace(fitted.model.knee, side="left"))
+    left = replace(found.line.refit, fitted=replace(fitted, model=model))
+    mirrored = replace(found, line=replace(found.line, refit=left))
+    one, other = (diagnosis_summary(x, (), None)["line"] for x in (found, mirrored))
+    for end in ("femur", "tibia"):
+        np.testing.assert_array_equal(one[end] * [1.0, 1.0, -1.0], other[end])
+
+
 def _with_line(found: Diagnosis, knee: Knee) -> Diagnosis:
     """As if the data were unexplained and a line along the MCL had been found."""
     ends = knee.ligament("MCL").femur, knee.ligament("MCL").tibia
