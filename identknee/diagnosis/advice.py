@@ -7,11 +7,11 @@ import numpy as np
 
 from identknee.diagnosis.attribution import Attribution, Rival
 from identknee.diagnosis.data_noise import DataNoise
-from identknee.diagnosis.isolability import Pair, advise_trials
+from identknee.diagnosis.isolability import Pair
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.diagnosis.offered_trials import OfferedTrials, Rows
 from identknee.diagnosis.refit import Refit
-from identknee.laxity.candidates import candidate_trials, repeated
+from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE
@@ -73,32 +73,13 @@ def advise(attribution: Attribution, laxity: Laxity, noise: DataNoise) -> Advice
     rivals = [x for x in attribution.open_rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
     if not rivals or _depends_on_order(best):
         return None
-    candidates = candidate_trials(laxity.protocol)
     offer = OfferedTrials(
         laxity=replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation),
         noise=build_noise_model(noise.sd, laxity.is_measured, correlation=noise.correlation),
-        candidates=candidates,
+        candidates=candidate_trials(laxity.protocol),
     )
     rows, pairs = _table(best, rivals, offer)
-    nuisances = offer.nuisances(best.fitted)
-    prior = best.fitted.evaluation.jacobian[best.fitted.n_data :, : best.n_base]
-    padded = np.pad(prior, ((0, 0), (0, rows.made.shape[1] - best.n_base)))
-    found = advise_trials(
-        np.hstack(
-            [np.vstack([rows.made, padded]), np.pad(nuisances.made, ((0, len(prior)), (0, 0)))]
-        ),
-        np.concatenate([rows.offered, nuisances.offered], axis=2),
-        pairs,
-        n_base=best.n_base,
-        n_nuisances=nuisances.made.shape[1],
-    )
-    chosen = [candidates.trials[i] for i in found.chosen]
-    trials = Protocol(
-        name="advised",
-        trials=repeated(chosen, laxity.protocol.trials),
-        flexion_deg=candidates.flexion_deg[list(found.chosen)],
-        loads=candidates.loads[list(found.chosen)],
-    )
+    trials, found = offer.advise(rows, pairs, best.fitted, n_base=best.n_base)
     return Advice(
         trials=trials,
         rivals=tuple(x.refit.names for x in rivals),

@@ -13,7 +13,6 @@ from identknee.diagnosis.isolability import (
     LEAST_DISTANCE,
     Distances,
     Pair,
-    advise_trials,
     groups,
     visible_root,
     worst_distances,
@@ -24,7 +23,7 @@ from identknee.diagnosis.offered_trials import OfferedTrials, Rows
 from identknee.diagnosis.projection import base_projector
 from identknee.diagnosis.score import ScoreTest, score_test
 from identknee.diagnosis.signature import ProjectedSignature
-from identknee.laxity.candidates import candidate_trials, repeated
+from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.contact_law import contact_nuisance
@@ -225,34 +224,25 @@ def _advise(
     fitted: Fitted, test: ScoreTest, members: Sequence[Variant], everything: Sequence[Variant]
 ) -> GroupAdvice:
     """The trials that set the members of a group apart, each from the others where most alike."""
-    data, made_protocol = fitted.laxity, fitted.laxity.protocol
     confused = [
         (one, _most_alike(test, one, [x for x in everything if x.effect is other.effect]))
         for one, other in permutations(members, 2)
     ]
     variants = list({id(x): x for x in [*members, *(rival for _, rival in confused)]}.values())
-    candidates = candidate_trials(made_protocol)
-    offer = OfferedTrials(laxity=data, noise=_plain_noise(data), candidates=candidates)
-    rows, nuisances = _rows(fitted, variants, offer), offer.nuisances(fitted)
-    prior = _prior_rows(fitted, variants)
-    found = advise_trials(
-        np.hstack(
-            [np.vstack([rows.made, prior]), np.pad(nuisances.made, ((0, len(prior)), (0, 0)))]
-        ),
-        np.concatenate([rows.offered, nuisances.offered], axis=2),
-        _pairs(fitted, test, variants, confused),
-        n_base=fitted.model.parameters.n,
-        n_nuisances=nuisances.made.shape[1],
+    offer = OfferedTrials(
+        laxity=fitted.laxity,
+        noise=_plain_noise(fitted.laxity),
+        candidates=candidate_trials(fitted.laxity.protocol),
     )
-    chosen = list(found.chosen)
+    trials, found = offer.advise(
+        _rows(fitted, variants, offer),
+        _pairs(fitted, test, variants, confused),
+        fitted,
+        n_base=fitted.model.parameters.n,
+    )
     return GroupAdvice(
         names=tuple(x.effect.name for x in members),
-        trials=Protocol(
-            name="advised",
-            trials=repeated([candidates.trials[i] for i in chosen], made_protocol.trials),
-            flexion_deg=candidates.flexion_deg[chosen],
-            loads=candidates.loads[chosen],
-        ),
+        trials=trials,
         before=float(found.distances[0].min()),
         after=float(found.distances[-1].min()),
     )
@@ -277,12 +267,6 @@ def _rows(fitted: Fitted, variants: Sequence[Variant], offer: OfferedTrials) -> 
         made=np.concatenate([x.made for x in blocks], axis=1),
         offered=np.concatenate([x.offered for x in blocks], axis=2),
     )
-
-
-def _prior_rows(fitted: Fitted, variants: Sequence[Variant]) -> Array:
-    """Of the base parameters; those of the effects are the pairs' own."""
-    rows = fitted.evaluation.jacobian[fitted.n_data :]
-    return np.pad(rows, ((0, 0), (0, sum(len(x.moved) for x in variants))))
 
 
 def _most_alike(test: ScoreTest, effect: Variant, rivals: Sequence[Variant]) -> Variant:
