@@ -19,13 +19,14 @@ from identknee.identify.equivalents.extremum import (
 from identknee.identify.equivalents.rays import longest_axes, points_along
 from identknee.identify.equivalents.region import Region, RegionView
 from identknee.identify.quantity import ParameterQuantity, Quantity
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.executors import Executor
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
 
 AXES, PAIRS, STARTS = 3, 4, 3
 RAYS_PER_TASK = 20
+BLOCK = 256  # points whose distances from all others are held at once
 SIGNS = (-1.0, 1.0)
 # Searches that end this close, relative to the quantity's range, agree.
 AGREEMENT = 1e-4
@@ -195,11 +196,10 @@ class Searches:
     def far_pairs(self) -> list[Array]:
         """Pairs to begin with: points of the pool far apart, each pair with another first point."""
         points = self.pool
-        apart = cdist(points / self.steps, points / self.steps)
-        partner = apart.argmax(axis=1)
+        partner, apart = _farthest(points / self.steps)
         found: list[Array] = []
         used: set[int] = set()
-        for i in np.argsort(-apart.max(axis=1), kind="stable"):
+        for i in np.argsort(-apart, kind="stable"):
             j = int(partner[i])
             if not {int(i), j} & used and len(found) < PAIRS:
                 used |= {int(i), j}
@@ -295,3 +295,13 @@ def _as_row(extreme: Extreme) -> Row:
         "end": extreme.end.value,
         "path": extreme.path,
     }
+
+
+def _farthest(points: Array) -> tuple[IntArray, Array]:
+    """Of each point the one farthest from it, and how far that is, both shape ``(n,)``."""
+    partners, apart = [], []
+    for start in range(0, len(points), BLOCK):
+        block = cdist(points[start : start + BLOCK], points)
+        partners.append(block.argmax(axis=1))
+        apart.append(block.max(axis=1))
+    return np.concatenate(partners), np.concatenate(apart)

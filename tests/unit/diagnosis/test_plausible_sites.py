@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
+from identknee.diagnosis.base_fit import fit_from
 from identknee.diagnosis.diagnose import Diagnosis, diagnose
 from identknee.diagnosis.plausible_sites import shift_mm, site_p_value
 from identknee.diagnosis.refit import Refit, refit
@@ -64,3 +65,15 @@ def test_fixed_insertions_are_where_they_are(reference: Knee) -> None:
     assert found is not None
     fixed = replace(structure_of(reference), sites_vary=False)
     assert site_p_value(found.base, fixed) == 1.0
+
+
+def test_a_structure_without_stiffness_may_lie_anywhere(reference: Knee) -> None:
+    found = diagnose(reference, data_with(reference, 0.0), effects=[structure_of(reference)])
+    assert found is not None
+    base = found.base
+    extended = base.fitted.model.with_effects([*base.fitted.model.effects, structure_of(reference)])
+    theta = np.r_[base.fitted.theta, structure_of(reference).parameters.center]
+    fitted = fit_from(extended, base.fitted.laxity, base.fitted.noise, [theta], most_steps=1)
+    slack = replace(base, causes=(structure_of(reference),), fitted=fitted)
+    assert slack.amplitudes(NAME)[0] == 0.0
+    assert site_p_value(slack, structure_of(reference)) == 1.0
