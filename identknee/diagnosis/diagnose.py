@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from identknee.diagnosis.advice import Advice, advise
 from identknee.diagnosis.attribution import Attribution, attribute
-from identknee.diagnosis.base_fit import BaseFit, fit_base
+from identknee.diagnosis.base_fit import BaseFit, fit_base, fit_from
 from identknee.diagnosis.data_noise import DataNoise
 from identknee.diagnosis.goodness import smooth_patterns
 from identknee.diagnosis.localisation import Localisation, TrialLayout, localise
@@ -25,6 +25,8 @@ DIRECTIONS = (
     ("distraction", "compression"),
     ("lateral force", "medial force"),
 )
+# Of the deviance: another minimum of the base model, and not the end of the same one.
+LOWER = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,11 +92,11 @@ def diagnose(
     found = fit_base(knee, laxity, starts=starts, seed=seed)
     if found is None or not found.fitted.evaluation.is_finite:
         return None
-    base = _base_refit(found)
-    attribution = attribute(base, effects, seed=seed)
-    p_value = alarm_p_value(base, attribution.steps[0].scores.p_value)
-    if p_value <= LEVEL and not attribution.steps[0].is_significant:
-        attribution = attribute(base, effects, seed=seed, is_forced=True)
+    attribution, p_value = _explained(found, effects, seed)
+    if (start := lower_start(attribution)) is not None:
+        found = fit_base(knee, laxity, starts=[*starts, start], seed=seed) or found
+        attribution, p_value = _explained(found, effects, seed)
+    base = attribution.base
     conclusion = conclude(attribution, p_value)
     is_open = conclusion.verdict is Verdict.AMBIGUOUS
     is_unknown = conclusion.verdict is Verdict.UNEXPLAINED
@@ -109,6 +111,31 @@ def diagnose(
         line=find_line(base, seed=seed) if is_unknown else None,
         seed=seed,
     )
+
+
+def _explained(found: BaseFit, effects: Sequence[Effect], seed: int) -> tuple[Attribution, float]:
+    """The explanation of what a fit leaves, and how probable so clear a misfit is."""
+    base = _base_refit(found)
+    attribution = attribute(base, effects, seed=seed)
+    p_value = alarm_p_value(base, attribution.steps[0].scores.p_value)
+    if p_value <= LEVEL and not attribution.steps[0].is_significant:
+        attribution = attribute(base, effects, seed=seed, is_forced=True)
+    return attribution, p_value
+
+
+def lower_start(attribution: Attribution) -> Array | None:
+    """Ligament parameters from which the base model fits better than it did; None without any.
+
+    A cause that has no size may have led the fit to a better minimum of the base model.
+    """
+    base, best = attribution.base.fitted, attribution.best.fitted
+    if best is base:
+        return None
+    n_base = attribution.base.n_base
+    again = fit_from(base.model, base.laxity, base.noise, [best.theta[:n_base]])
+    if again.evaluation.deviance > base.evaluation.deviance - LOWER:
+        return None
+    return again.theta[: base.model.n_ligament_parameters]
 
 
 def _not_stored(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:

@@ -1,0 +1,30 @@
+"""A base fit that stopped beside a better minimum is found out by the explanations."""
+
+from dataclasses import replace
+
+import numpy as np
+from diagnoses import SD, short_trials
+
+from identknee.diagnosis.base_fit import fit_from
+from identknee.diagnosis.diagnose import LOWER, lower_start, diagnose
+from identknee.laxity.noise import add_noise
+from identknee.model.effects.loads import compression
+from identknee.model.laxity_model import LaxityModel
+from identknee.subject.knee import Knee
+
+
+def test_a_better_minimum_of_the_base_model_is_a_start(reference: Knee) -> None:
+    model = LaxityModel(knee=reference, protocol=short_trials())
+    laxity = add_noise(model.simulate(model.parameters.center), sd_mm=SD, sd_deg=SD, seed=2)
+    found = diagnose(reference, laxity, effects=[compression()])
+    assert found is not None
+    assert lower_start(found.attribution) is None
+    base = found.base.fitted
+    beside = base.theta + np.where(np.arange(base.theta.size) % 2, 0.5, 0.0)
+    stuck = fit_from(base.model, base.laxity, base.noise, [beside], most_steps=1)
+    assert stuck.evaluation.deviance > base.evaluation.deviance + LOWER
+    (step, *_) = found.attribution.steps
+    at = replace(step, at=replace(found.base, fitted=stuck))
+    start = lower_start(replace(found.attribution, steps=(at,), best=found.base))
+    assert start is not None
+    np.testing.assert_allclose(start, base.theta[: base.model.n_ligament_parameters], rtol=0.01)
