@@ -199,13 +199,17 @@ def nuisances(fitted: Fitted) -> tuple[Array, Array]:
 def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
     """The same of the coordinates of all trials of a model, shapes ``(n, 5, k)`` and ``(k,)``.
 
-    Rough surfaces, and a force-strain curve whose toe is not quite the one of the equations.
+    Rough surfaces, and a force-strain curve whose toe is not quite the one of the equations, unless
+    that is one of the model's effects.
     """
     rough = roughness_columns(model, model.predict_once(theta))
-    found = model.with_effects([*model.effects, toe_strain()]).predict(np.r_[theta, 0.0])
+    heights = np.full(rough.shape[2], roughness_of(model.knee))
+    toe = toe_strain()
+    if toe.name in {x.name for x in model.effects}:
+        return rough, heights
+    found = model.with_effects([*model.effects, toe]).predict(np.r_[theta, 0.0])
     if found.jacobian is None:  # pragma: no cover - it was asked for
         raise AssertionError
-    heights = np.full(rough.shape[2], roughness_of(model.knee))
     return np.concatenate([rough, found.jacobian[:, :, -1:]], axis=2), np.r_[heights, TOE]
 
 

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.base_fit import base_model, fit_from
+from identknee.diagnosis.base_fit import base_model, fit_from, nuisance_changes
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.diagnosis.offered_trials import OfferedTrials
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.table import Laxity
 from identknee.laxity.unloaded import relative_to_unloaded
+from identknee.model.effects.toe_strain import toe_strain
 from identknee.subject.knee import Knee
 
 
@@ -40,3 +41,12 @@ def test_a_trial_made_and_offered_has_the_same_rows(reference: Knee, zero: str) 
         np.testing.assert_allclose(
             again[laxity.is_measured], made[laxity.is_measured], rtol=1e-6, atol=1e-8
         )
+
+
+def test_an_effect_of_the_model_is_not_a_nuisance_too(reference: Knee) -> None:
+    plain = base_model(reference, short_trials())
+    extended = plain.with_effects([*plain.effects, toe_strain()])
+    one, spreads = nuisance_changes(plain, plain.parameters.center)
+    other, fewer = nuisance_changes(extended, extended.parameters.center)
+    assert len(fewer) == len(spreads) - 1
+    np.testing.assert_allclose(other, one[:, :, :-1], rtol=1e-6, atol=1e-9)
