@@ -58,10 +58,11 @@ def waterfall_figure(panels: Mapping[str, Mapping[str, tuple[Array, Array]]]) ->
             )
             axes.set_xlim(0, float(np.max(number)))
         axes.set_yscale("log")
-        axes.set_ylim(bottom=0.3 * lowest)
         axes.set_title(title, fontsize=9)
         axes.set_xlabel("starts, by objective")
         _bare(axes)
+    # A limit ends the scaling of all panels that share the axis.
+    grid[0].set_ylim(bottom=0.3 * lowest)
     grid[0].set_ylabel("objective (below 1e-12 at 1e-12)")
     grid[0].legend(frameon=False, fontsize=SMALL)
     return figure

@@ -9,7 +9,14 @@ from types import ModuleType
 import pytest
 
 STUDIES = Path(__file__).parents[3] / "studies"
-NAMES = ("01_model_evaluation", "02_initial_guess", "04_profiles", "10_diagnosis", "11_reality_gap")
+NAMES = (
+    "01_model_evaluation",
+    "02_initial_guess",
+    "03_basin_of_attraction",
+    "04_profiles",
+    "10_diagnosis",
+    "11_reality_gap",
+)
 LARGEST_RECORD = 1_000_000  # bytes
 
 

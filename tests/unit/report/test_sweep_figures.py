@@ -26,6 +26,20 @@ def drawn(figure: Figure) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
+def test_every_waterfall_is_within_the_shared_axis() -> None:
+    number = np.array([1.0, 2.0])
+    figure = waterfall_figure(
+        {
+            "low": {"end": (number, np.array([1e-12, 1e-11]))},
+            "high": {"end": (number, np.array([1.0, 100.0]))},
+        }
+    )
+    for axes in figure.axes:
+        low, high = axes.get_ylim()
+        assert low < 1e-12
+        assert high > 100.0
+
+
 def test_waterfall_leaves_failed_starts_out() -> None:
     fall = np.array([0.0, 1e-3, np.inf])
     figure = waterfall_figure({"sweep": {"end": (np.arange(1.0, 4.0), fall)}})
