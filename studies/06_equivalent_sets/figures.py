@@ -107,7 +107,6 @@ def set_table(record: Row) -> Table:
                     f"{case['closest'] / case['diameter']:.3f}",
                     *(f"{max(case['rmse'][x]):.2f}" for x in TITLES),
                     case["n_simulations"],
-                    f"{case['seconds'] / 60:.1f}",
                     f"{ends.get('cliff', 0)} / {ends.get('budget', 0)} / {ends['found_once']}",
                 )
             )
@@ -124,7 +123,6 @@ def set_table(record: Row) -> Table:
             Column(name="varus", unit="deg"),
             Column(name="internal", unit="deg"),
             Column(name="simulations"),
-            Column(name="time", unit="min"),
             Column(name="forces: cliff / budget / found once"),
         ),
         rows=tuple(body),

@@ -14,6 +14,7 @@ NAMES = (
     "02_initial_guess",
     "03_basin_of_attraction",
     "04_profiles",
+    "06_equivalent_sets",
     "10_diagnosis",
     "11_reality_gap",
 )
