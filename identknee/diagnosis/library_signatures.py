@@ -14,8 +14,9 @@ from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.placed import Structure
 from identknee.model.effects.structures import MissingStructure
-from identknee.model.laxity_model import PER_KN, LaxityModel
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
+from identknee.model.setting import PER_KN
 from identknee.runs.arrays import Array, IntArray, frozen
 
 # Reference strains [%] and shifts of the insertions [mm] at which a missing structure is tried.

@@ -7,8 +7,9 @@ import numpy as np
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.ligament_tensions import ligament_tensions
-from identknee.model.laxity_model import PER_KN, PER_PCT, LaxityModel
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
+from identknee.model.setting import PER_KN, PER_PCT
 from identknee.runs.arrays import Array, BoolArray, frozen
 from identknee.subject.insertion_surfaces import insertion_surfaces
 from identknee.subject.knee import Knee

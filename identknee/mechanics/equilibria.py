@@ -107,7 +107,8 @@ class Lines:
         for name in ("femoral", "tibial"):
             object.__setattr__(self, name, frozen(getattr(self, name), m, 3, name=name))
         for name in ("reference_length", "transition", "lift", "lift_place"):
-            values = np.broadcast_to(np.asarray(getattr(self, name), float), (m,))
+            values = getattr(self, name)
+            values = np.full(m, values) if np.ndim(values) == 0 else values
             object.__setattr__(self, name, frozen(values, m, name=name))
 
     def arrays(self, stiffness: Array, reference_strain: Array) -> tuple[Array, Array, Array]:

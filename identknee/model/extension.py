@@ -14,6 +14,7 @@ from identknee.model.effects.effect import (
     SelfContainedEffect,
     Tests,
 )
+from identknee.model.gradient_change import gradient_changes
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array, IntArray
@@ -89,11 +90,12 @@ class Extension:
                 own = effect.gradient_columns(before, values[part], flexion, poses)
                 columns[:, :, part] = -own
             else:
-                for k in range(part.start, part.stop):
-                    low = self._from(place, before, values - moves[k])
-                    high = self._from(place, before, values + moves[k])
-                    change = self._gradient_change(low, high, flexion, found, nodes)
-                    columns[:, :, k] = -change / (2.0 * moves[k, k])
+                pairs = [
+                    (self._from(place, before, values - x), self._from(place, before, values + x))
+                    for x in moves[part]
+                ]
+                changes = gradient_changes(pairs, flexion, found, nodes)
+                columns[:, :, part] = -changes / (2.0 * np.diag(moves)[part])
             before = effect.change(before, values[part])
         return np.asarray(np.linalg.solve(found.hessians[nodes], columns))
 
@@ -121,24 +123,6 @@ class Extension:
         if parameters is None:
             return np.zeros((0, 0))
         return np.diag(STEP * (parameters.upper - parameters.lower))
-
-    def _gradient_change(
-        self, low: Setting, high: Setting, flexion: Array, found: Equilibria, nodes: IntArray
-    ) -> Array:
-        """Change of the energy's gradient at fixed poses from one setting to another, (n, 5)."""
-        poses = found.poses[nodes]
-        change = low.loads[nodes] - high.loads[nodes]
-        if high.lines is not low.lines or high.stiffness is not low.stiffness:
-            change = change + high.line_gradient(flexion, poses) - low.line_gradient(flexion, poses)
-        change = change + found.flexed[nodes] * (high.flexion - low.flexion)[nodes][:, None]
-        law = np.array(
-            [np.log(high.law.modulus / low.law.modulus), high.law.exponent - low.law.exponent]
-        )
-        if law.any():
-            # The sensitivities are -H^-1 times the columns that are wanted here.
-            shift = found.sensitivities[nodes][:, :, -2:] @ law
-            change = change - np.einsum("nij,nj->ni", found.hessians[nodes], shift)
-        return change
 
     def _from(self, place: int, setting: Setting, values: Array) -> Setting:
         """The setting with the mechanical effects from number `place` on.

@@ -23,15 +23,13 @@ from identknee.model.extension import Extension, joined
 from identknee.model.joint import Joint, joint_of, sheets_of
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.model.prediction import LEFT_GEOMETRY, Prediction
-from identknee.model.setting import Setting
+from identknee.model.setting import PER_KN, PER_PCT, Setting
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
 Contact = Literal["field", "mesh"]
 RIM_MARGIN = 3.0  # mm
-# Kernel units per unit of theta: N per kN, strain per %.
-PER_KN, PER_PCT = 1000.0, 0.01
 # Loads of a protocol (internal, varus moment, anterior, distraction, lateral force) to generalised
 # loads of (varus, internal, x, y, z).
 _GENERALISED = np.array(

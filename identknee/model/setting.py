@@ -5,8 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identknee.mechanics.equilibria import ContactLaw, Lines
-from identknee.mechanics.ligament_tensions import ligament_tensions, line_lengths
+from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.runs.arrays import Array, IntArray
+
+# Units of the mechanics per unit of a parameter: N per kN, strain per %.
+PER_KN, PER_PCT = 1000.0, 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,33 +60,12 @@ class Setting:
         """Lengths of lines in the scanned pose [mm], shape ``(m,)``."""
         return line_lengths(lines, self.start_flexion, self.start)
 
-    def line_gradient(self, flexion: Array, poses: Array) -> Array:
-        """Gradient of the energy of all lines at given angles and poses, shape ``(n, 5)``."""
-        return ligament_tensions(
-            self.lines, flexion, poses, self.stiffness, self.reference_strain
-        ).gradient
-
 
 def with_lines(
     setting: Setting, added: Lines, stiffness: Array, reference_strain: Array
 ) -> Setting:
     """The setting with lines added that belong to none of the subject's ligaments."""
-    none = np.full(len(added.femoral), -1)
-    return _joined(setting, added, (stiffness, reference_strain), none, np.zeros(len(none)))
-
-
-def with_shares(
-    setting: Setting, added: Lines, reference_strain: Array, owner: IntArray, share: Array
-) -> Setting:
-    """The setting with lines added that take shares of the stiffness of their owners."""
-    stiffness = share * setting.stiffness[owner] / setting.share[owner]
-    return _joined(setting, added, (stiffness, reference_strain), owner, share)
-
-
-def _joined(
-    setting: Setting, added: Lines, law: tuple[Array, Array], owner: IntArray, share: Array
-) -> Setting:
-    lines = setting.lines
+    lines, none = setting.lines, np.full(len(added.femoral), -1)
     return replace(
         setting,
         lines=Lines(
@@ -94,8 +76,8 @@ def _joined(
             lift=np.r_[lines.lift, added.lift],
             lift_place=np.r_[lines.lift_place, added.lift_place],
         ),
-        stiffness=np.r_[setting.stiffness, law[0]],
-        reference_strain=np.r_[setting.reference_strain, law[1]],
-        owner=np.r_[setting.owner, owner],
-        share=np.r_[setting.share, share],
+        stiffness=np.r_[setting.stiffness, stiffness],
+        reference_strain=np.r_[setting.reference_strain, reference_strain],
+        owner=np.r_[setting.owner, none],
+        share=np.r_[setting.share, np.zeros(len(none))],
     )

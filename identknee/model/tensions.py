@@ -3,9 +3,9 @@
 import numpy as np
 
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
-from identknee.model.laxity_model import PER_KN, PER_PCT, LaxityModel
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.model.setting import Setting
+from identknee.model.setting import PER_KN, PER_PCT, Setting
 from identknee.runs.arrays import Array
 
 

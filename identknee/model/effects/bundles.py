@@ -8,7 +8,7 @@ from identknee.mechanics.equilibria import Lines
 from identknee.model.effects.changes import SettingChange, remeasured
 from identknee.model.effects.effect import amplitudes
 from identknee.model.effects.insertion import AXES, BONES
-from identknee.model.setting import Setting, with_shares
+from identknee.model.setting import PER_PCT, Setting
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 
@@ -50,33 +50,28 @@ def bundles(knee: Knee) -> SettingChange:
 
 
 def _split(setting: Setting, values: Array) -> Setting:
-    is_own = setting.owner >= 0
-    own = np.flatnonzero(is_own)
-    owner, lines = setting.owner[own], setting.lines
+    is_own, lines = setting.owner >= 0, setting.lines
+    # Every line, then the second bundles of those that belong to a ligament.
+    line = np.r_[np.arange(is_own.size), np.flatnonzero(is_own)]
+    owner = setting.owner[line]
+    side = np.where(owner >= 0, 0.5, 0.0)
+    side[is_own.size :] *= -1.0
     n = len(values) // (1 + len(BONES) * len(AXES))
-    tauter = 0.005 * values[:n][owner]
-    aside = 0.5 * values[n:].reshape(n, len(BONES), len(AXES))[owner]
-    halved = np.where(is_own, 0.5, 1.0)
-    strain = np.array(setting.reference_strain)
-    femoral, tibial = np.array(lines.femoral), np.array(lines.tibial)
-    strain[own] += tauter
-    femoral[own] += aside[:, 0]
-    tibial[own] += aside[:, 1]
-    first = replace(
+    aside = side[:, None, None] * values[n:].reshape(n, len(BONES), len(AXES))[owner]
+    half = np.where(owner >= 0, 0.5, 1.0)
+    bundled = Lines(
+        femoral=lines.femoral[line] + aside[:, 0],
+        tibial=lines.tibial[line] + aside[:, 1],
+        reference_length=lines.reference_length[line],
+        transition=np.asarray(lines.transition)[line],
+        lift=np.asarray(lines.lift)[line],
+        lift_place=np.asarray(lines.lift_place)[line],
+    )
+    split = replace(
         setting,
-        stiffness=halved * setting.stiffness,
-        share=halved * setting.share,
-        reference_strain=strain,
+        stiffness=half * setting.stiffness[line],
+        reference_strain=setting.reference_strain[line] + PER_PCT * side * values[:n][owner],
+        owner=owner,
+        share=half * setting.share[line],
     )
-    first = remeasured(first, replace(lines, femoral=femoral, tibial=tibial), is_own)
-    second = Lines(
-        femoral=lines.femoral[own] - aside[:, 0],
-        tibial=lines.tibial[own] - aside[:, 1],
-        reference_length=lines.reference_length[own],
-        transition=np.asarray(lines.transition)[own],
-        lift=np.asarray(lines.lift)[own],
-        lift_place=np.asarray(lines.lift_place)[own],
-    )
-    second = replace(second, reference_length=setting.lengths_at_start(second))
-    slacker = setting.reference_strain[own] - tauter
-    return with_shares(first, second, slacker, owner, first.share[own])
+    return remeasured(split, bundled, owner >= 0)

@@ -9,7 +9,7 @@ from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.effects.effect import amplitudes
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
-from identknee.model.setting import Setting, with_lines
+from identknee.model.setting import PER_KN, PER_PCT, Setting, with_lines
 from identknee.runs.arrays import Array, frozen
 from identknee.subject.knee import Knee
 
@@ -18,8 +18,6 @@ SITE_SDS = 3.0  # how many of these they may be away
 SITE_STEP = 1e-4  # mm
 AXES = ("x", "y", "z")
 SHIFTS = tuple(f"{bone}_{axis}_mm" for bone in ("femur", "tibia") for axis in AXES)
-# Kernel units per unit of an amplitude: N per kN, strain per %.
-PER_KN, PER_PCT = 1000.0, 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from line_gradient import line_gradient
 from small_knee import small_knee, small_protocol
 
 from identknee.diagnosis.data_noise import DataNoise, NoiseSource
@@ -62,7 +63,7 @@ def test_it_is_the_pull_of_the_structure_left_out(model: LaxityModel) -> None:
     flexion = setting.flexion[model.paths.trial_node]
     # What the other lines do not do; the load that stands for a pull is minus its gradient.
     unchanged = extended.setting(theta=np.r_[theta, 0.0, 6.0])
-    pull = unchanged.line_gradient(flexion, poses) - setting.line_gradient(flexion, poses)
+    pull = line_gradient(unchanged, flexion, poses) - line_gradient(setting, flexion, poses)
     size = np.linalg.norm(pull, axis=0)
     assert (np.linalg.norm(found.wrench - pull, axis=0) < LINEAR * size.max()).all()
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from line_gradient import line_gradient
 
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.capsule import PosteriorCapsule
@@ -119,8 +120,9 @@ def test_menisci_resist_sliding_by_their_stiffness(reference: Knee) -> None:
 
     def force(move: Array) -> Array:
         pose = (start + move)[None]
-        found: Array = springs.line_gradient(flexion, pose) - bare.line_gradient(flexion, pose)
-        moved: Array = found[0]
+        moved: Array = (line_gradient(springs, flexion, pose) - line_gradient(bare, flexion, pose))[
+            0
+        ]
         return moved
 
     assert np.abs(force(np.zeros(5))).max() < 1e-9

@@ -1,0 +1,12 @@
+"""What the lines of a setting add to the gradient of the energy."""
+
+from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.model.setting import Setting
+from identknee.runs.arrays import Array
+
+
+def line_gradient(setting: Setting, flexion: Array, poses: Array) -> Array:
+    """At given angles (n,) and poses (n, 5), shape ``(n, 5)``."""
+    return ligament_tensions(
+        setting.lines, flexion, poses, setting.stiffness, setting.reference_strain
+    ).gradient
