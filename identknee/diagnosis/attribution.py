@@ -211,12 +211,17 @@ def _with_refits(step: Step, base: Refit) -> Step:
 
 def _finished(base: Refit, begun: Refit, starts: Sequence[Array]) -> Refit:
     """A refit taken to its end, by way of low loads where it is stuck."""
-    found = refit(base, begun.causes, [begun.fitted.theta, *starts])
+    begins = [begun.fitted.theta, *starts]
+    if not _is_flexible(begun.causes[-1]):
+        # Few amplitudes have few minima: what is ahead after a few steps ends lowest.
+        tried = [refit(base, begun.causes, [x], most_steps=FEW_STEPS) for x in starts]
+        begins = [min([begun, *tried], key=lambda x: x.fitted.deviance).fitted.theta]
+    found = refit(base, begun.causes, begins)
     fitted = found.fitted
     if fitted.outcome is Outcome.MINIMUM:
         return found
     low = fitted_to_low_loads(fitted.model, fitted.laxity, fitted.noise, starts[-1])
-    again = refit(base, begun.causes, [fitted.theta, low])
+    again = refit(base, begun.causes, [low])
     return max(found, again, key=lambda x: x.log_evidence)
 
 
