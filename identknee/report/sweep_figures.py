@@ -256,9 +256,8 @@ def methods_figure(
             for place, start in enumerate(printed):
                 values = by_start[start][:, column]
                 at = np.full(len(values), place + offsets[k])
-                axes.plot(
-                    at, values, MARKERS[k], color=COLOURS[k], markersize=4, alpha=0.8, label=method
-                )
+                (points,) = axes.plot(at, values, MARKERS[k], color=COLOURS[k], label=method)
+                points.set(markersize=4, alpha=0.8, clip_on=False)
         for place, paper in enumerate(printed.values()):
             axes.plot(
                 [place - 0.45, place + 0.45], [paper[column]] * 2, color=BLACK, label="the paper"

@@ -85,7 +85,7 @@ def method_table(record: Row) -> Table:
                     median_range(spread([row["error_pct"] for row in rows])),
                     median_range(spread(np.array([row["rmse_deg"] for row in rows], float)), 3),
                     median_range(spread([row["n_simulations"] for row in rows]), 0),
-                    median_range(spread([row["seconds"] for row in rows]), 1),
+                    median_range(spread([row["seconds"] for row in rows])),
                 )
             )
     return Table(
