@@ -15,6 +15,7 @@ NAMES = (
     "03_basin_of_attraction",
     "04_profiles",
     "06_equivalent_sets",
+    "08_protocol_design",
     "09_optimizers",
     "10_diagnosis",
     "11_reality_gap",
