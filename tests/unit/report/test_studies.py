@@ -19,6 +19,7 @@ NAMES = (
     "09_optimizers",
     "10_diagnosis",
     "11_reality_gap",
+    "12_geometry_uncertainty",
 )
 LARGEST_RECORD = 1_000_000  # bytes
 
