@@ -2,8 +2,8 @@
 Reading a verdict
 =================
 
-Data are made with something in the knee that the model lacks, by a generator that shares no code
-with it. A diagnosis sees the data alone. Then the truth is opened.
+Data are made with something in the knee that the model lacks, by a generator that shares no
+mechanics with it. A diagnosis sees the data alone. Then the truth is opened.
 """
 
 import identknee as ik

@@ -153,7 +153,7 @@ def fit(
     seed
         Of the random numbers, not negative.
     budget
-        Simulations allowed; the paper's 2,500 if None.
+        Simulations allowed; 2,500 if None.
     fixed
         Names of parameters to hold at their start.
     priors

@@ -30,7 +30,7 @@ Method = Annotated[
     typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
 ]
 Budget = Annotated[
-    int | None, typer.Option(help="Simulations allowed; 2,500 as in the paper without.")
+    int | None, typer.Option(help="Simulations allowed; 2,500 without.")
 ]
 Weighting = Annotated[
     Literal["unit", "noise"],

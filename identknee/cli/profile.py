@@ -64,7 +64,7 @@ Pairs = Annotated[
 ]
 Level = Annotated[float, typer.Option(help="Confidence level of the sets, as in 0.95.")]
 Budget = Annotated[
-    int, typer.Option(min=1, help="Simulations a profile may make; most need 50 to 200.")
+    int, typer.Option(min=1, help="Simulations a profile may make; most need 25 to 100.")
 ]
 Bootstrap = Annotated[
     int,

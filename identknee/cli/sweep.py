@@ -33,7 +33,7 @@ Method = Annotated[
 ]
 Budget = Annotated[
     int | None,
-    typer.Option(help="Simulations a search may make; without it 2,500 as in the paper."),
+    typer.Option(help="Simulations a search may make; 2,500 without."),
 ]
 Design = Annotated[
     Literal["sobol", "shells"],

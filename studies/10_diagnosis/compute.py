@@ -47,7 +47,7 @@ PAIRS = (
     ("shank_gravity", "axis_misalignment"),
 )
 N_NULLS, N_UNLISTED = 20, 3
-FIRST_SEED = 210_000
+FIRST_SEED = 220_000
 DIGITS = 5
 Row = dict[str, Any]
 

@@ -69,14 +69,14 @@ def sentences(record: Row) -> dict[str, str]:
     wrong = share(sum(ending(x) is Ending.WRONG for x in cases), len(cases))
     nulls = [x for x in cases if x["series"] == NULLS]
     alarms = sum(x["verdict"] not in SILENT for x in nulls)
-    right = [x for x in cases if x["effects"] and ending(x) is Ending.RIGHT and x["causes"]]
+    right = [x for x in cases if x["verdict"] == "NAMED" and ending(x) is Ending.RIGHT]
     errors = np.median(values_of(right, "stiffness_error_kN"), axis=0) if right else [np.nan] * 2
     held = 100 * values_of(right, "coverage").mean(axis=0) if right else [np.nan] * 2
     answer = (
         f"Of the single effects {'; '.join(by_signal)}, while over all {len(cases)} cases a wrong "
         f"name is given in {wrong.count} (at most {100 * wrong.upper:.0f} % with 95 % confidence) "
         f"and an alarm raised in {alarms} of {len(nulls)} with nothing hidden. "
-        f"In the {len(right)} cases with the right cause the median error of the stiffnesses falls "
+        f"In the {len(right)} cases named rightly the median error of the stiffnesses falls "
         f"from {errors[0]:.2f} to {errors[1]:.2f} kN, and the parameters' 95 % intervals hold the "
         f"truth in {held[1]:.0f} % instead of {held[0]:.0f} %."
     )
