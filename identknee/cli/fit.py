@@ -29,9 +29,7 @@ Method = Annotated[
     str,
     typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
 ]
-Budget = Annotated[
-    int | None, typer.Option(help="Simulations allowed; 2,500 without.")
-]
+Budget = Annotated[int | None, typer.Option(help="Simulations allowed; 2,500 without.")]
 Weighting = Annotated[
     Literal["unit", "noise"],
     typer.Option(help="unit: plain mm and deg (equation 6). noise: divided by the sd_ columns."),
