@@ -14,6 +14,7 @@ NAMES = (
     "02_initial_guess",
     "03_basin_of_attraction",
     "04_profiles",
+    "05_posterior",
     "06_equivalent_sets",
     "08_protocol_design",
     "09_optimizers",
