@@ -188,6 +188,8 @@ def _converging(axes: Axes, simulations: Array, widths: Array) -> None:
     axes.axhline(0.02, color=COLOURS[1], linewidth=1.0, linestyle="--", label="0.02")
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.set_xticks(simulations, [f"{x:,.0f}" for x in simulations])
+    axes.set_xticks([], minor=True)
     axes.set_xlabel("simulations")
     axes.set_title("largest half-width of a group", fontsize=10)
     axes.legend(frameon=False, fontsize=SMALL)

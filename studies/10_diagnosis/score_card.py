@@ -83,7 +83,7 @@ def sentences(record: Row) -> dict[str, str]:
     seconds = [x["seconds"] for x in cases]
     cost = (
         f"A diagnosis took {np.median(seconds):.0f} s (median; the longest "
-        f"{np.max(seconds):.0f} s) on a busy machine, all together "
+        f"{np.max(seconds):.0f} s) on two cores beside other long runs, all together "
         f"{np.sum(seconds) / 60:.0f} minutes."
     )
     return {"answer": _wrapped(f"**Answer.** {answer}"), "cost": _wrapped(cost)}
