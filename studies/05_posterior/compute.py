@@ -38,6 +38,7 @@ from identknee.report.study_records import (
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.resume import open_work
+from identknee.runs.store import Store
 from identknee.subject.knee import Knee
 
 HERE = Path(__file__).parent
@@ -99,10 +100,9 @@ def parsed_options() -> argparse.Namespace:
 
 def parts(name: str, knee: Knee, options: argparse.Namespace, executor: Executor) -> Iterator[Row]:
     """Parts of the record of one knee, as they are done."""
-    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    problem = problem_of(knee)
+    model = problem.model
     truth = named_start(TRUTH, model.parameters)
-    laxity = add_noise(model.simulate(truth), sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=SEED)
-    problem = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
     about = {"knee": knee_digest(knee), "truth": truth, "noise": [NOISE_MM, NOISE_DEG]}
     rule = QUICK if options.quick else StopRule()
     began = time.perf_counter()
@@ -125,16 +125,26 @@ def parts(name: str, knee: Knee, options: argparse.Namespace, executor: Executor
                 "verdicts": sensitivity.verdicts,
             }
         }
-        best = best_fit(problem, seed=SEED, executor=executor)
-        profiles = profile_parameters(problem, best.theta, executor=executor, store=store)
-        yield {
-            "profiles": {
-                x.name: {"lower": x.lower, "upper": x.upper, "verdict": x.verdict.value}
-                for x in profiles
-            }
-        }
+        yield {"profiles": intervals(problem, executor, store)}
     if name == NESTED_KNEE:
         yield {"nested": second_opinion(found, problem, quick=options.quick)}
+
+
+def problem_of(knee: Knee) -> LaxityResiduals:
+    """The 63 trials simulated at the true parameters with noise, in units of that noise."""
+    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    truth = named_start(TRUTH, model.parameters)
+    laxity = add_noise(model.simulate(truth), sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=SEED)
+    return LaxityResiduals(model=model, laxity=laxity, weighting="noise")
+
+
+def intervals(problem: LaxityResiduals, executor: Executor, store: Store | None = None) -> Row:
+    """Both ends and the verdict of every parameter's profile."""
+    best = best_fit(problem, seed=SEED, executor=executor)
+    profiles = profile_parameters(problem, best.theta, executor=executor, store=store)
+    return {
+        x.name: {"lower": x.lower, "upper": x.upper, "verdict": x.verdict.value} for x in profiles
+    }
 
 
 def draws(found: Posterior) -> Row:

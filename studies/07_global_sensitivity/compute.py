@@ -98,14 +98,8 @@ def parsed_options() -> argparse.Namespace:
 
 def analysed(knee: Knee, numbers: dict[str, int], folder: Path, executor: Executor) -> Any:
     """Parts of the record of one knee, as they are done."""
-    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
-    truth = named_start(TRUTH, model.parameters)
-    outputs = LaxityOutputs(
-        model=model,
-        groups=laxity_groups(model.protocol),
-        free=tuple(range(model.parameters.n)),
-        at=truth,
-    )
+    outputs = outputs_of(knee)
+    model, truth = outputs.model, outputs.at
     box = box_around(model.parameters, truth)
     yield {
         "parameters": list(model.parameters.names),
@@ -118,17 +112,23 @@ def analysed(knee: Knee, numbers: dict[str, int], folder: Path, executor: Execut
         over: Box | Array = box if method in OVER_BOX else draws
         began = time.perf_counter()
         with open_work(folder / f"{knee.name}_{kind(over)}.sqlite", work(about, over)) as store:
+            n = numbers.get(method)
             found = sensitivity(
-                outputs,
-                over,
-                method=method,
-                n_samples=numbers.get(method),
-                seed=SEED,
-                executor=executor,
-                store=store,
+                outputs, over, method=method, n_samples=n, seed=SEED, executor=executor, store=store
             )
         say(f"{knee.name} {method}: {time.perf_counter() - began:.0f} s")
         yield {method: row_of(found, time.perf_counter() - began)}
+
+
+def outputs_of(knee: Knee) -> LaxityOutputs:
+    """All coordinates of the 63 trials in their groups, as functions of every parameter."""
+    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    return LaxityOutputs(
+        model=model,
+        groups=laxity_groups(model.protocol),
+        free=tuple(range(model.parameters.n)),
+        at=named_start(TRUTH, model.parameters),
+    )
 
 
 def kind(over: Box | Array) -> str:

@@ -1,0 +1,42 @@
+"""What of the record can be computed again alone."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+from compute import PARTS, SEED, problem_of, starts_of
+
+from identknee.calibrate.fit import fit
+from identknee.identify.sweep.sweep import kind_of_end, search_seed
+from identknee.model.residuals import LaxityResiduals
+from identknee.report.study_records import rounded, study_knee
+from identknee.runs.arrays import Array
+
+METHOD = "least-squares"
+Row = dict[str, Any]
+
+
+def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
+    """Of each entry its name, what was recorded, and a function that computes it again.
+
+    Single searches by least squares; one by Complex takes longer than all of them together.
+    """
+    for name, part in record["knees"].items():
+        knee = study_knee(name)
+        if knee is None:
+            continue
+        problem = problem_of(knee)
+        for wanted in (x for x in PARTS if x.method == METHOD):
+            first = part["parts"][wanted.name]["first"]
+            starts = starts_of(problem, wanted.design, wanted.numbers[name])
+            for i, (end, kind) in enumerate(zip(first["ends"], first["kinds"], strict=True)):
+                row = {"start": first["starts"][i], "end": end, "kind": kind}
+                yield f"{name}, {wanted.name} {i}", row, partial(searched, problem, starts[i], i)
+
+
+def searched(problem: LaxityResiduals, start: Array, number: int) -> Row:
+    """One search of a sweep."""
+    end = fit(problem, start, method=METHOD, seed=search_seed(SEED, number))
+    kind = kind_of_end(problem, end).value
+    row: Row = rounded({"start": start, "end": end.theta, "kind": kind}, 5)
+    return row

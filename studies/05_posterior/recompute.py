@@ -1,0 +1,30 @@
+"""What of the record can be computed again alone."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+from compute import DIGITS, intervals, problem_of
+
+from identknee.report.study_records import rounded, study_knee
+from identknee.runs.executors import serial
+from identknee.subject.knee import Knee
+
+Row = dict[str, Any]
+
+
+def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
+    """Of each entry its name, what was recorded, and a function that computes it again.
+
+    The samples themselves take too long.
+    """
+    for name, part in record["knees"].items():
+        knee = study_knee(name)
+        if knee is not None:
+            yield f"{name}, profiles", part["profiles"], partial(profiled, knee)
+
+
+def profiled(knee: Knee) -> Row:
+    """Intervals as the record keeps them."""
+    row: Row = rounded(intervals(problem_of(knee), serial), DIGITS)
+    return row

@@ -1,0 +1,30 @@
+"""What of the record can be computed again alone."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+from compute import DIGITS, replicate_row
+
+from identknee.report.study_records import rounded, study_knee
+from identknee.subject.knee import Knee
+
+Row = dict[str, Any]
+
+
+def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
+    """Of each entry its name, what was recorded, and a function that computes it again."""
+    for name, part in record["knees"].items():
+        knee = study_knee(name)
+        if knee is None:
+            continue
+        for row in part["fits"]:
+            task = {key: row[key] for key in ("kind", "size", "replicate")}
+            entry = f"{name}, {row['kind']} {row['size']:g}, replicate {row['replicate']}"
+            yield entry, row, partial(fitted, knee, task)
+
+
+def fitted(knee: Knee, task: Row) -> Row:
+    """One fit as the record keeps it."""
+    row: Row = rounded(replicate_row(knee, task), DIGITS)
+    return row
