@@ -1,5 +1,6 @@
 """Figures of trials to add, one function a figure, in the style of `identknee.report.figures`."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -83,13 +84,14 @@ def candidates_figure(
             i, j = rows.index(text), int(np.searchsorted(angles, candidates.flexion_deg[k]))
             places[k], table[i, j] = (j, i), gains[k]
             lost += [(j, i)] if np.isnan(gains[k]) else []
-    figure = Figure(figsize=(3.4 + 0.5 * len(angles), 1.2 + 0.2 * len(rows)), layout="constrained")
+    width, height = 4.0 + 0.5 * len(angles), 1.8 + 0.2 * len(rows)
+    figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(table, cmap="cividis", aspect="auto", vmin=0.0)
     for place in lost:
         axes.plot(*place, "x", color=GREY, markersize=4)
     for k, order in _orders(chosen).items():
-        axes.plot(*places[k], "o", color="white", markersize=13, markeredgecolor=BLACK)
+        axes.plot(*places[k], "o", color="white", markersize=17, markeredgecolor=BLACK)
         axes.annotate(order, places[k], ha="center", va="center", fontsize=6)
     axes.set_xticks(range(len(angles)), [f"{x:g}" for x in angles])
     axes.set_yticks(range(len(rows)), rows, fontsize=6)
@@ -162,8 +164,9 @@ def _rows(labels: Sequence[str], n_angles: int, chosen: set[str]) -> list[str]:
 
 
 def _orders(chosen: Sequence[int]) -> dict[int, str]:
-    """The order of choice of each chosen trial, several where it comes again."""
-    orders: dict[int, str] = {}
-    for number, place in enumerate(chosen, 1):
-        orders[place] = f"{orders[place]},{number}" if place in orders else str(number)
-    return orders
+    """When each chosen trial was: its first number, and how often it comes where that is more."""
+    counts = Counter(chosen)
+    return {
+        place: str(list(chosen).index(place) + 1) + (f" x{n}" if n > 1 else "")
+        for place, n in counts.items()
+    }

@@ -29,7 +29,9 @@ def effects_figure(
     """
     figure, grid = _grid(len(panels), height=3.2)
     for axes, (name, (size, half_width, spread)) in zip(grid, panels.items(), strict=False):
-        top = 1.12 * float(max(np.max(size + half_width), np.max(spread), 1e-12))
+        # One trajectory has no spread and no interval.
+        far = np.concatenate([size + np.nan_to_num(half_width), spread])
+        top = 1.12 * max(float(np.nanmax(far)), 1e-12)
         axes.plot([0, top], [0, top], color=GREY, linewidth=0.8, linestyle=":")
         for i, parameter in enumerate(parameters):
             axes.errorbar(

@@ -101,7 +101,9 @@ def _sample(result: Result) -> Iterator[Drawing]:
 
 
 def _forces(predictive: xarray.Dataset) -> Drawing:
-    values = predictive["tension_N"].transpose(..., "trial", "ligament")
+    tensions = predictive["tension_N"].transpose(..., "trial", "ligament")
+    # A trial may have no prediction anywhere.
+    values = tensions.dropna("trial", how="all")
     spread = np.nanquantile(values.values.reshape(-1, *values.shape[-2:]), QUANTILES, axis=0)
     widths = (spread[-1] - spread[0]).max(axis=1)
     chosen = np.sort(np.argsort(-widths)[:MOST_FORCES])
@@ -219,7 +221,8 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
     )
     if index == "mu_star":
         size, width, spread = (data[x].values for x in ("mu_star", "mu_star_half_width", "sigma"))
-        order = np.argsort(-np.nanmax(np.where(_is_laxity(groups)[:, None], size, -1.0), axis=1))
+        laxity = np.where(_is_laxity(groups)[:, None], np.nan_to_num(size, nan=-1.0), -1.0)
+        order = np.argsort(-laxity.max(axis=1))
         panels = {", ".join(groups[i]): (size[i], width[i], spread[i]) for i in order[:2]}
         yield Drawing(
             name="effects",

@@ -117,7 +117,7 @@ def _candidates(data: xarray.Dataset, trials: list[str]) -> Drawing:
             protocol, loss[0] - data["loss_alone"].values, data["chosen"].values.tolist(),
             "gain of one such trial",
         ),
-        caption="What each possible trial alone would gain; numbers are the trials advised, in "
-        "their order.",
+        caption="What each possible trial alone would gain; circles are the trials advised, with "
+        "their order and how often each comes.",
         description=f"Gain of {protocol.n} candidate trials; chosen are {listed(trials)}.",
     )  # fmt: skip

@@ -134,3 +134,9 @@ def test_figures_are_drawn() -> None:
     assert labels == ["A k", "new k", "A eps", "new eps"]
     # The last of an odd number of panels leaves its neighbour empty.
     assert not effects_figure({"one": panels["one"]}, names).axes[1].axison
+
+
+def test_effects_of_one_trajectory_are_drawn_without_spread() -> None:
+    size, unknown = np.array([0.5, 0.1, 0.0, 0.3]), np.full(4, np.nan)
+    axes = effects_figure({"one": (size, unknown, unknown)}, PARAMETERS.names).axes[0]
+    assert axes.get_xlim() == pytest.approx((0.0, 0.56))
