@@ -83,7 +83,7 @@ def test_candidates_show_the_order_of_choice_and_those_left_out() -> None:
     gains[-1] = np.nan
     figure = candidates_figure(protocol, gains, [2, 5, 2], "narrower [%]")
     texts = _texts(figure)
-    assert "1,3" in texts
+    assert "1 x2" in texts
     assert "2" in texts
     assert "unloaded" in texts
     assert "internal moment 5 N·m + valgus moment 10 N·m" in texts
