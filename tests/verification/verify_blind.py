@@ -77,7 +77,7 @@ def measure(options: argparse.Namespace) -> Row:
     notes = [
         f"{len(everything)} cases, {typical:.1f} s each (median), {most:.1f} s (95 %), two at once",
         *(_verdicts(name, found) for name, found in _series(nulls, singles, real, pairs, unlisted)),
-        *(f"wrong: {x}" for x in hidden if x.get("wrong")),
+        *(_told(x) for x in hidden if x.get("wrong")),
         *(f"no case: {x['error']}" for x in [*singles, *real, *pairs, *unlisted] if "error" in x),
     ]
     return Row(
@@ -86,6 +86,11 @@ def measure(options: argparse.Namespace) -> Row:
         measures=measures,
         notes=notes,
     )
+
+
+def _told(wrong: Mapping[str, Any]) -> str:
+    hidden, called = (" and ".join(wrong[x]) for x in ("effects", "causes"))
+    return f"wrong name: {hidden} at {wrong['signal']:.1f} called {called}, seed {wrong['seed']}"
 
 
 class _Run:
