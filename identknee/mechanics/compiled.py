@@ -2,7 +2,8 @@
 
 numba's own cache looks at one file only: a caller of an edited function in another file is not
 recompiled and may crash the interpreter. Here the cache folder's name is a digest of every source
-in this package and of the versions involved, so an edit or an upgrade starts a fresh folder.
+in this package, of where it lies and since when, which numba asks for as well, and of the versions
+involved, so an edit, an upgrade or another installation starts a fresh folder.
 
 A process that compiles also runs other machine code than one that loads what was kept: its linker
 takes an inner function from where that was compiled alone, not from the optimised whole, and sums
@@ -45,7 +46,7 @@ def cache_folder() -> Path:
 def _compiled_folder() -> Path:
     digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
+        digest.update(f"{source} {source.stat().st_mtime_ns}".encode() + source.read_bytes())
     return cache_folder() / "compiled" / digest.hexdigest()[:16]
 
 

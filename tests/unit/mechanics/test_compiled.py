@@ -22,7 +22,7 @@ def test_the_cache_is_where_the_environment_says(
     assert compiled.cache_folder.__wrapped__().name == "identknee"
 
 
-def test_compiled_code_is_kept_by_the_sources_content(
+def test_compiled_code_is_kept_by_the_sources_content_place_and_age(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = compiled._compiled_folder()
@@ -32,9 +32,13 @@ def test_compiled_code_is_kept_by_the_sources_content(
     for source in Path(compiled.__file__).parent.glob("*.py"):
         (tmp_path / source.name).write_bytes(source.read_bytes())
     monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
-    assert compiled._compiled_folder.__wrapped__() == now
+    elsewhere = compiled._compiled_folder.__wrapped__()
+    os.utime(tmp_path / "energy.py", (0.0, 0.0))
+    older = compiled._compiled_folder.__wrapped__()
     (tmp_path / "energy.py").write_text("edited")
-    assert compiled._compiled_folder.__wrapped__() != now
+    os.utime(tmp_path / "energy.py", (0.0, 0.0))
+    edited = compiled._compiled_folder.__wrapped__()
+    assert len({now, elsewhere, older, edited}) == 4
 
 
 def test_compiling_leaves_the_callers_settings_alone() -> None:
