@@ -5,6 +5,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import typer
 
 import identknee as ik
@@ -115,6 +116,7 @@ def _summary(simulation: "ik.Simulation", seconds: float) -> dict[str, Any]:
         prediction.outcomes,
         simulation.reasons,
         prediction.margins,
+        prediction.rim_share,
         strict=True,
     )
     return {
@@ -125,8 +127,14 @@ def _summary(simulation: "ik.Simulation", seconds: float) -> dict[str, Any]:
         "seconds": seconds,
         "parameters": nested(dict(zip(model.parameters.names, prediction.theta, strict=True))),
         "trials": [
-            {"trial": trial, "outcome": end.value, "reason": reason, "margin_N_per_mm": margin}
-            for trial, end, reason, margin in rows
+            {
+                "trial": trial,
+                "outcome": end.value,
+                "reason": reason,
+                "margin_N_per_mm": margin,
+                "rim_share": rim_share,
+            }
+            for trial, end, reason, margin, rim_share in rows
         ],
     }
 
@@ -139,6 +147,14 @@ def _lines(simulation: "ik.Simulation", out: Path) -> list[str]:
     # The mesh law has no second derivatives and no margins.
     if margins.size and math.isfinite(margin := margins.min()):
         lines.append(f"Lowest stability margin {margin:.3g} N/mm.")
+    near = prediction.is_near_rim
+    if near.any():
+        worst = int(np.argmax(np.where(near, prediction.rim_share, 0.0)))
+        lines.append(
+            f"In {near.sum()} trials contact acts within 3 mm of a rim, where the surface ends "
+            f"(most in {simulation.model.protocol.trials[worst]}, "
+            f"{prediction.rim_share[worst]:.0%} of the force): cartilage beyond it is missing."
+        )
     if converged < n:
         failed = Counter(x for x in prediction.outcomes if x is not ik.Outcome.CONVERGED)
         lines += [f"{count} x {end.value}: {end.sentence}" for end, count in failed.items()]

@@ -22,9 +22,9 @@ from identknee.model.effects.stored import effects_of, values_of
 from identknee.model.extension import Extension, joined
 from identknee.model.joint import Joint, joint_of, sheets_of
 from identknee.model.parameters import Parameters, ligament_parameters
-from identknee.model.prediction import LEFT_GEOMETRY, Prediction
+from identknee.model.prediction import Prediction
 from identknee.model.setting import PER_KN, PER_PCT, Setting
-from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.arrays import Array, IntArray
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
@@ -262,7 +262,6 @@ class LaxityModel:
     ) -> Prediction:
         nodes = self.paths.trial_node
         codes = np.array(found.codes[nodes])
-        codes[(codes == CONVERGED) & self._near_rim(found.centres[nodes])] = LEFT_GEOMETRY
         poses = found.poses[nodes]
         converged = codes == CONVERGED
         actual = coordinates_from_pose(poses)
@@ -283,6 +282,7 @@ class LaxityModel:
             hessians=found.hessians[nodes],
             reached=found.reached[nodes],
             centres=found.centres[nodes],
+            rim_share=self._rim_share(found.centres[nodes]),
             node_poses=found.poses,
         )
 
@@ -343,19 +343,23 @@ class LaxityModel:
             hessians=None,
             reached=np.ones(n),
             centres=np.zeros((n, 0, 7)),
+            rim_share=np.full(n, np.nan),
             node_poses=found.poses,
         )
 
-    def _near_rim(self, centres: Array) -> BoolArray:
-        """Whether the centre of a compartment's contact is too close to a rim, shape ``(n,)``."""
-        too_close = np.zeros(len(centres), bool)
+    def _rim_share(self, centres: Array) -> Array:
+        """Share of each trial's contact force that acts near a rim, shape ``(n,)``."""
+        forces = centres[:, :, 0]
+        near = np.zeros(len(centres))
         for c, tibial in enumerate(self.joint.tibial_rims):
             margin = np.minimum(
                 tibial.at(centres[:, c, 1:4]),
                 self.joint.femoral_rim.at(centres[:, c, 4:7]),
             )
-            too_close |= (centres[:, c, 0] > 0.0) & (margin < RIM_MARGIN)
-        return too_close
+            near += forces[:, c] * (margin < RIM_MARGIN)
+        total = forces.sum(axis=1)
+        share: Array = np.divide(near, total, out=np.zeros(len(centres)), where=total > 0.0)
+        return share
 
 
 @lru_cache(maxsize=4)

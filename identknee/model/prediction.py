@@ -9,14 +9,14 @@ from identknee.mechanics.kernel import CONVERGED
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.outcome import Outcome
 
-LEFT_GEOMETRY = 4
-# In the order of the kernel's codes, then those found afterwards.
+# A trial with more of its contact force near a rim than this is worth a word to the user.
+NOTEWORTHY_RIM_SHARE = 0.05
+# In the order of the kernel's codes.
 OUTCOMES = (
     Outcome.CONVERGED,
     Outcome.FOLD,
     Outcome.NO_EQUILIBRIUM,
     Outcome.UNCONSTRAINED,
-    Outcome.LEFT_GEOMETRY,
 )
 
 
@@ -48,6 +48,10 @@ class Prediction:
     centres
         Of every trial and compartment: contact force [N], its centre in tibial and in femoral axes
         [mm], shape ``(n, compartments, 7)``.
+    rim_share
+        Share of every trial's contact force that acts within 3 mm of a rim, where the surface
+        ends, shape ``(n,)``; NaN for mesh contact. Such a prediction is kept: losing it would end a
+        set of parameters without any data.
     node_poses
         Poses at all nodes of the load paths, where another prediction may start.
     """
@@ -61,6 +65,7 @@ class Prediction:
     hessians: Array | None
     reached: Array
     centres: Array
+    rim_share: Array
     node_poses: Array
 
     def __post_init__(self) -> None:
@@ -81,6 +86,11 @@ class Prediction:
     def all_converged(self) -> bool:
         """Whether every trial has one."""
         return bool(self.is_converged.all())
+
+    @property
+    def is_near_rim(self) -> BoolArray:
+        """Which converged trials carry a noteworthy share of contact near a rim, shape ``(n,)``."""
+        return np.asarray(self.is_converged & (self.rim_share > NOTEWORTHY_RIM_SHARE))
 
     @property
     def margins(self) -> Array:

@@ -123,6 +123,7 @@ def _predictions(simulation: Simulation) -> xarray.Dataset:
             "coordinates": (("trial", "coordinate"), prediction.coordinates),
             "outcome": ("trial", [x.value for x in prediction.outcomes]),
             "margin_N_per_mm": ("trial", prediction.margins),
+            "rim_share": ("trial", prediction.rim_share),
             "tension_N": (("trial", "ligament"), tensions_of(model, prediction)),
             "theta": ("parameter", prediction.theta),
         },

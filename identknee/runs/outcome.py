@@ -15,7 +15,6 @@ class Outcome(Enum):
     FOLD = "fold"
     NO_EQUILIBRIUM = "no_equilibrium"
     UNCONSTRAINED = "unconstrained"
-    LEFT_GEOMETRY = "left_geometry"
     # Fits.
     MINIMUM = "minimum"
     VALLEY = "valley"
@@ -35,7 +34,6 @@ _SENTENCES = {
     Outcome.FOLD: "The branch of equilibria ended before the full load: the knee would snap.",
     Outcome.NO_EQUILIBRIUM: "No equilibrium was found from the reference pose.",
     Outcome.UNCONSTRAINED: "Nothing resists one direction of motion, so the pose is not unique.",
-    Outcome.LEFT_GEOMETRY: "Contact came within 3 mm of a surface's rim, where it ends.",
     Outcome.MINIMUM: "Exact derivatives confirm a local minimum.",
     Outcome.VALLEY: "The optimizer stopped in a valley before a minimum was reached.",
     Outcome.CLIFF: "The way down is cut by a cliff: beyond it a trial leaves its branch.",

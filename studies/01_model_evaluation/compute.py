@@ -178,18 +178,11 @@ def ending(model: LaxityModel, prediction: Prediction) -> Row:
     if not failed.size:
         return {}
     first = int(failed[0])
-    column = int(np.flatnonzero(model.protocol.loads.any(axis=0))[0])
-    values = model.protocol.loads[:, column]
     outcome = prediction.outcomes[first]
     ended: Row = {"outcome": outcome.value, "first_failing_trial": model.protocol.trials[first]}
-    if outcome is Outcome.LEFT_GEOMETRY:
-        # The equilibrium is there and stable; it is its contact that came too near a rim.
-        last_load = values[first]
-    else:
-        last_load = stable_load(model, first, float(prediction.reached[first]))
     return {
         **ended,
-        "last_stable_load": last_load,
+        "last_stable_load": stable_load(model, first, float(prediction.reached[first])),
         "last_stable_pose": coordinates_from_pose(prediction.poses[first]),
         "last_stable_margin_N_per_mm": float(prediction.margins[first]),
     }

@@ -1,0 +1,21 @@
+"""The reference knee with narrower plateaus, as where the segmented cartilage ends early."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+from identknee.subject import reference
+from identknee.subject.knee import Knee
+from identknee.subject.plateau import Plateau
+
+
+@lru_cache(maxsize=4)
+def narrow_knee(share: float = 0.6, edge_mm: float = reference.EDGE_MM) -> Knee:
+    """The reference knee with plateaus of this share of its width, about the same centres."""
+    numbers = reference._numbers()["tibia"]
+    plateaus = [Plateau(**reference._values(numbers[side])) for side in ("medial", "lateral")]
+    narrow = [replace(x, half_width=share * x.half_width) for x in plateaus]
+    return replace(
+        reference.reference_knee(edge_mm),
+        name="narrow",
+        tibia=tuple(x.mesh(edge_mm) for x in narrow),
+    )
