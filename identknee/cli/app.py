@@ -7,7 +7,7 @@ import typer
 
 from identknee.cli import subject
 from identknee.cli.blind import blind
-from identknee.cli.command import Verbs
+from identknee.cli.command import Verb, Verbs
 from identknee.cli.demo import demo
 from identknee.cli.design import design
 from identknee.cli.diagnose import diagnose
@@ -75,4 +75,4 @@ for verb, words in (
     (report, "identknee-demo"),
     (doctor, ""),
 ):
-    app.command(epilog=f"Example: identknee {verb.__name__} {words}".rstrip())(verb)
+    app.command(cls=Verb, epilog=f"Example: identknee {verb.__name__} {words}".rstrip())(verb)

@@ -4,6 +4,7 @@ import errno
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -15,12 +16,15 @@ from identknee.runs.errors import InputError
 from identknee.runs.executors import WorkerDied
 from identknee.runs.files import digest, plain
 from identknee.runs.progress import progress_bar
+from identknee.runs.unforeseen import report_unforeseen, warnings_logged
 
 Result = TypeVar("Result")
 
 NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 STOPPED = "stopped; the same command does it again from the start"
 STOPPED_WORK = "stopped; what was finished is kept in --out, and the same command resumes"
+# What a verb was called with, and whether its folder --out is its own.
+SETTINGS, IS_NEW = "identknee.settings", "identknee.is_new"
 RESUMING = {"sweep", "profile", "sample", "sensitivity", "equivalents"}
 
 Subject = Annotated[
@@ -44,6 +48,18 @@ class NotComputed(Exception):  # noqa: N818 - said to a person as a sentence
     """Raised where the input is fine and the answer still cannot be had; says why."""
 
 
+class Verb(typer.core.TyperCommand):
+    """A verb that tells the group it belongs to what it was called with."""
+
+    # typing.override came with Python 3.12.
+    def invoke(self, ctx: Any) -> Any:  # type: ignore[explicit-override]
+        """Result of the verb."""
+        out = ctx.params.get("out")
+        ctx.meta[SETTINGS] = ctx.params
+        ctx.meta[IS_NEW] = out is not None and not Path(out).exists()
+        return super().invoke(ctx)
+
+
 class Verbs(typer.core.TyperGroup):
     """Verbs that end with a sentence and an exit code instead of a traceback."""
 
@@ -51,32 +67,59 @@ class Verbs(typer.core.TyperGroup):
     def invoke(self, ctx: Any) -> Any:  # type: ignore[explicit-override]
         """Result of the verb, its mistakes turned into exit codes."""
         try:
-            return super().invoke(ctx)
-        except typer.BadParameter as error:
-            # A missing argument is better answered by the usage, which typer shows.
-            if type(error) is not typer.BadParameter:
-                raise
-            sentence, code = option_sentence(error), WRONG_INPUT
+            with warnings_logged():
+                return super().invoke(ctx)
         except KeyboardInterrupt:
             is_kept = ctx.invoked_subcommand in RESUMING
             sentence, code = STOPPED_WORK if is_kept else STOPPED, INTERRUPTED
-        except (NotComputed, ModuleNotFoundError, WorkerDied) as error:
-            sentence, code = f"{error}{remedy_for_module(error)}", NOT_COMPUTED
-        except MemoryError:
-            sentence, code = "there is not enough memory", NOT_COMPUTED
-        except OSError as error:
-            # A closed pipe, as in `identknee ... | head`, is typer's to end quietly.
-            if error.errno == errno.EPIPE:
+        # The one place where an error ends, foreseen or not.
+        except Exception as error:
+            if _is_ending(error):
                 raise
-            sentence, code = f"a file or folder cannot be used: {error}", WRONG_INPUT
-        except ValueError as error:
-            if not is_our_sentence(error):
-                raise
-            sentence, code = str(error), WRONG_INPUT
+            sentence, code = _foreseen(error) or (_unforeseen(error, ctx.meta), NOT_COMPUTED)
+        _remove_if_empty(ctx.meta)
         # A file that is no text may bring anything into the sentence about it.
         line = "".join(x if x.isprintable() else "?" for x in sentence)
         typer.echo(f"identknee: {line}", err=True)
         raise typer.Exit(code)
+
+
+def _is_ending(error: Exception) -> bool:
+    """Whether an exception is how typer ends a command, or one that it answers itself."""
+    # A closed pipe, as in `identknee ... | head`, ends quietly.
+    if isinstance(error, OSError):
+        return error.errno == errno.EPIPE
+    # A missing argument is better answered by the usage, which typer shows.
+    is_typers = hasattr(error, "exit_code") or isinstance(error, typer.Abort)
+    return is_typers and type(error) is not typer.BadParameter
+
+
+def _foreseen(error: Exception) -> tuple[str, int] | None:
+    """What a person is told, and the exit code; None where nobody foresaw the error."""
+    if isinstance(error, typer.BadParameter):
+        return option_sentence(error), WRONG_INPUT
+    if isinstance(error, NotComputed | ModuleNotFoundError | WorkerDied):
+        return f"{error}{remedy_for_module(error)}", NOT_COMPUTED
+    if isinstance(error, MemoryError):
+        return "there is not enough memory", NOT_COMPUTED
+    if isinstance(error, OSError):
+        return f"a file or folder cannot be used: {error}", WRONG_INPUT
+    if isinstance(error, ValueError) and is_our_sentence(error):
+        return str(error), WRONG_INPUT
+    return None
+
+
+def _unforeseen(error: Exception, meta: Mapping[str, Any]) -> str:
+    settings = meta.get(SETTINGS, {})
+    out = settings.get("out")
+    return report_unforeseen(error, settings, out if out is not None and out.is_dir() else None)
+
+
+def _remove_if_empty(meta: Mapping[str, Any]) -> None:
+    """Remove the folder of results that a verb made and left nothing in."""
+    if meta.get(IS_NEW):
+        with suppress(OSError):
+            meta[SETTINGS]["out"].rmdir()
 
 
 def option_sentence(error: typer.BadParameter) -> str:

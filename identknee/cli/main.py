@@ -28,6 +28,12 @@ def main() -> None:
     except KeyboardInterrupt:
         print(STOPPED, file=sys.stderr)
         sys.exit(INTERRUPTED)
+    # What breaks before or around the verbs, which answer for themselves.
+    except Exception as error:  # noqa: BLE001
+        from identknee.runs.unforeseen import report_unforeseen
+
+        print(f"identknee: {report_unforeseen(error, {}, None)}", file=sys.stderr)
+        sys.exit(NOT_COMPUTED)
 
 
 def _stop(_number: int, frame: FrameType | None) -> None:

@@ -14,6 +14,7 @@ from identknee.cli.command import (
     Out,
     Seed,
     Subject,
+    Verb,
     Verbs,
     Workers,
     knee_digest,
@@ -46,7 +47,7 @@ Bundles = Annotated[
 ]
 
 
-@app.command(epilog="Example: identknee subject check my-knee")
+@app.command(cls=Verb, epilog="Example: identknee subject check my-knee")
 def check(
     context: typer.Context,
     subject: Subject,
@@ -85,7 +86,7 @@ def check(
         raise typer.Exit(WRONG_INPUT)
 
 
-@app.command("show", epilog="Example: identknee subject show reference --out picture")
+@app.command("show", cls=Verb, epilog="Example: identknee subject show reference --out picture")
 def draw(
     context: typer.Context,
     subject: Subject,
@@ -106,7 +107,7 @@ def draw(
     show(summary, [f"{knee.name}: {path}"], as_json=as_json)
 
 
-@app.command(epilog="Example: identknee subject export reference --out my-knee")
+@app.command(cls=Verb, epilog="Example: identknee subject export reference --out my-knee")
 def export(
     context: typer.Context,
     subject: Subject,
@@ -122,7 +123,11 @@ def export(
     _write_subject(knee, out, recording, as_json=as_json)
 
 
-@app.command("import-osim", epilog="Example: identknee subject import-osim model.osim --out knee")
+@app.command(
+    "import-osim",
+    cls=Verb,
+    epilog="Example: identknee subject import-osim model.osim --out knee",
+)
 def import_osim(
     context: typer.Context,
     file: OsimFile,

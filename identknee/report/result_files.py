@@ -1,6 +1,5 @@
 """The two files every verb leaves: a flat summary for people and checks, and all arrays."""
 
-import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import xarray
 
 from identknee.report.units import with_units
 from identknee.runs.errors import InputError
-from identknee.runs.files import write_atomically, write_json
+from identknee.runs.files import part_beside, write_atomically, write_json
 from identknee.runs.record import Record
 
 SUMMARY = "result.json"
@@ -57,7 +56,7 @@ def _write_arrays(path: Path, groups: Mapping[str, xarray.Dataset], record: Reco
         "versions": ", ".join(f"{name} {version}" for name, version in record.versions.items()),
     }
     # The library writes to paths only; its file becomes bytes that are written whole or not at all.
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    temporary = part_beside(path)
     try:
         tree.to_netcdf(temporary, engine="h5netcdf")
         content = temporary.read_bytes()

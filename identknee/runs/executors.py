@@ -5,12 +5,14 @@ will do. The results do not depend on the choice, bit for bit, because each task
 seed and shares nothing.
 """
 
+import ctypes
 import hashlib
 import multiprocessing
 import os
 import pickle
 import shutil
 import signal
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -25,9 +27,12 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from identknee.runs.files import write_atomically
+from identknee.runs.unforeseen import are_warnings_logged, log_warnings
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+# From <linux/prctl.h>: the signal a process gets when its parent dies.
+PR_SET_PDEATHSIG = 1
 
 
 class Executor(Protocol):
@@ -84,7 +89,10 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
         tempfile.TemporaryDirectory(prefix="identknee-", ignore_cleanup_errors=True) as folder,
     ):
         pool = ProcessPoolExecutor(
-            n_workers, mp_context=context, initializer=_start_worker, initargs=(line, folder)
+            n_workers,
+            mp_context=context,
+            initializer=_start_worker,
+            initargs=(line, folder, are_warnings_logged()),
         )
         try:
             yield _Processes(pool, Path(folder))
@@ -171,9 +179,23 @@ def _check_workers(n_workers: int) -> None:
         raise ValueError(f"the number of workers must be at least 1, got {n_workers}")
 
 
-def _start_worker(line: Connection, folder: str) -> None:
+def _start_worker(line: Connection, folder: str, has_log: bool) -> None:  # noqa: FBT001
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if has_log:
+        log_warnings()
+    if sys.platform == "linux":
+        _end_soon_after_parent()
     threading.Thread(target=_end_with, args=(line, folder), daemon=True).start()
+
+
+def _end_soon_after_parent() -> None:
+    # The thread below waits for the interpreter lock, which compiled code may hold for long. So the
+    # kernel tells of the parent's death too: by a signal whose handler is `alarm` itself. It takes
+    # the signal's number, 3, for the seconds that are left to clean up in.
+    library = ctypes.CDLL(None)
+    library.signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
+    library.signal(int(signal.SIGQUIT), ctypes.cast(library.alarm, ctypes.c_void_p))
+    library.prctl(PR_SET_PDEATHSIG, int(signal.SIGQUIT))
 
 
 def _end_with(line: Connection, folder: str) -> None:

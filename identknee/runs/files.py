@@ -5,8 +5,11 @@ import hashlib
 import json
 import math
 import os
+import re
 import secrets
+import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -17,6 +20,8 @@ from identknee.runs.errors import InputError
 
 PathLike = str | os.PathLike[str]
 BYTES_PER_MB = 10**6
+# The process that writes it is part of the name of an unfinished file.
+_PART = re.compile(r"\.(\d+)-\w{8}\.part$")
 
 
 def write_atomically(path: PathLike, content: str | bytes) -> Path:
@@ -33,7 +38,7 @@ def write_atomically(path: PathLike, content: str | bytes) -> Path:
     """
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
-    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
+    temporary = part_beside(target)
     try:
         try:
             with temporary.open("xb") as file:
@@ -51,13 +56,15 @@ def write_atomically(path: PathLike, content: str | bytes) -> Path:
 def prepare_folder(path: PathLike) -> Path:
     """Path of a folder that exists, made where it is missing, and can be written to.
 
+    Parts of files that a killed process left in it are removed.
+
     Raises
     ------
     InputError
         If it cannot be made or written to, or is a file.
     """
     folder = Path(path)
-    probe = folder / f".{secrets.token_hex(4)}.part"
+    probe = part_beside(folder / "probe")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -70,7 +77,17 @@ def prepare_folder(path: PathLike) -> Path:
         ) from error
     except OSError as error:
         raise _unwritable(folder, error) from error
+    _remove_stale_parts(folder)
     return folder
+
+
+def part_beside(path: PathLike) -> Path:
+    """Path in the same folder for what is to become `path` once it is whole.
+
+    What a killed process leaves under such a name goes when the folder is next prepared.
+    """
+    target = Path(path)
+    return target.with_name(f".{target.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.part")
 
 
 def check_readable(path: PathLike, limit_mb: float = 512) -> Path:
@@ -186,6 +203,31 @@ def plain(value: Any, *, keep_nonfinite: bool = False) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item, keep_nonfinite=keep_nonfinite) for item in value]
     raise TypeError(f"{value!r} of type {type(value).__name__} has no JSON form")
+
+
+def _remove_stale_parts(folder: Path) -> None:
+    for path in folder.glob(".*.part"):
+        found = _PART.search(path.name)
+        if found is None or _is_running(int(found[1])):
+            continue
+        with suppress(OSError):
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+
+
+def _is_running(process: int) -> bool:
+    # On Windows a file that is in use cannot be removed, so there is nothing to ask.
+    if os.name == "nt":
+        return False
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:

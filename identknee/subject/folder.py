@@ -74,7 +74,9 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
     """
     target = prepare_folder(folder)
     written = knee.mirrored() if knee.side == "left" else knee
-    with tempfile.TemporaryDirectory(prefix=".subject-", dir=target) as staging:
+    # Of a killed process, `prepare_folder` removes it.
+    prefix = f".subject.{os.getpid()}-"
+    with tempfile.TemporaryDirectory(prefix=prefix, suffix=".part", dir=target) as staging:
         names = [f"{name}.ply" for name in SURFACES]
         for surface, name in zip((written.femur, *written.tibia), names, strict=True):
             write_surface(surface, Path(staging) / name)

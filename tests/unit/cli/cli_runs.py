@@ -9,6 +9,7 @@ from typer.testing import CliRunner, Result
 import identknee as ik
 from identknee.cli.app import app
 
+UNFORESEEN = "this should not have happened"
 _READ_SUBJECT = ik.read_subject
 SHORT_PROTOCOL = """
 format = 1
@@ -30,6 +31,7 @@ def run(*words: object) -> Result:
         result = CliRunner().invoke(app, [str(word) for word in words])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
+    assert UNFORESEEN not in result.stderr, result.stderr
     return result
 
 

@@ -1,16 +1,23 @@
 """How verbs end: sentences and exit codes instead of tracebacks."""
 
 import errno
+import logging
+import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+import pytest
 import typer
 from typer.testing import CliRunner
 
 import identknee as ik
-from identknee.cli.command import NotComputed, Verbs, knee_digest, nested
+from identknee.cli.command import NotComputed, Verb, Verbs, knee_digest, nested
+from identknee.runs import unforeseen
 from identknee.runs.arrays import frozen
+from identknee.runs.files import digest
 
 
 def _ended(error: BaseException) -> tuple[int, str]:
@@ -85,18 +92,89 @@ def test_a_callers_mistake_ends_with_its_sentence() -> None:
     assert result.stderr.startswith("identknee: the vector must have shape 3")
 
 
-def test_a_librarys_value_error_is_a_bug_and_stays_one() -> None:
+def test_what_nobody_foresaw_ends_with_1_and_a_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unforeseen, "log_folder", lambda: tmp_path / "log")
+    # A library's ValueError says nothing to a person.
+    code, said = _ended(np.linalg.LinAlgError("3-th leading minor\nnot positive"))
+    assert code == 1
+    (path,) = (tmp_path / "log").iterdir()
+    assert said == (
+        "identknee: this should not have happened (numpy.linalg.LinAlgError: 3-th leading "
+        f"minor not positive). Please send {path} to the maintainers of identknee\n"
+    )
+    report = path.read_text(encoding="utf-8")
+    for words in ("Traceback (most recent call last)", "not positive", "'numpy': ", "call: ["):
+        assert words in report
+
+
+def _verb(action: Callable[[Path], None]) -> typer.Typer:
     app = typer.Typer(cls=Verbs, pretty_exceptions_enable=False)
 
-    @app.command()
-    def first() -> None:
-        np.linalg.cholesky(-np.eye(2))
+    @app.command(cls=Verb)
+    def first(data: Path, out: Path = Path("out")) -> None:
+        out.mkdir(exist_ok=True)
+        action(out)
 
     @app.command()
     def second() -> None:
         pass
 
-    assert isinstance(CliRunner().invoke(app, ["first"]).exception, np.linalg.LinAlgError)
+    return app
+
+
+def test_the_report_lies_in_the_folder_of_results_and_knows_the_inputs(tmp_path: Path) -> None:
+    def fail(_: Path) -> None:
+        raise RecursionError("too deep")
+
+    data, out = tmp_path / "data.csv", tmp_path / "out"
+    data.write_text("1")
+    result = CliRunner().invoke(_verb(fail), ["first", str(data), "--out", str(out)])
+    assert result.exit_code == 1
+    (path,) = out.iterdir()
+    assert str(path) in result.stderr
+    assert f"data: {data}, SHA-256 {digest(data)}" in path.read_text(encoding="utf-8")
+
+
+def test_a_refused_verb_leaves_no_folder_of_its_own(tmp_path: Path) -> None:
+    def refuse(_: Path) -> None:
+        raise ik.InputError("a.csv", "", "it is wrong", "Mend it.")
+
+    def write_and_refuse(out: Path) -> None:
+        (out / "kept").touch()
+        refuse(out)
+
+    old, new, kept = (tmp_path / x for x in ("old", "new", "kept"))
+    old.mkdir()
+    for action, out in ((refuse, old), (refuse, new), (write_and_refuse, kept)):
+        result = CliRunner().invoke(_verb(action), ["first", "x", "--out", str(out)])
+        assert result.exit_code == 2
+    assert old.is_dir()
+    assert not new.exists()
+    assert (kept / "kept").exists()
+
+
+def test_warnings_go_to_the_log_and_not_to_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def warn(_: Path) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            # As under a shell; the tests turn warnings into errors.
+            warnings.showwarning = shown
+            warnings.warn("divided by zero", RuntimeWarning, stacklevel=1)
+        logging.getLogger("some.library").error("cannot read this")
+
+    monkeypatch.setattr(unforeseen, "log_folder", lambda: tmp_path / "log")
+    with unforeseen.warnings_logged():
+        shown = warnings.showwarning
+    result = CliRunner().invoke(_verb(warn), ["first", "x", "--out", str(tmp_path / "out")])
+    assert (result.exit_code, result.output) == (0, "")
+    log = (tmp_path / "log" / unforeseen.LOG).read_text(encoding="utf-8")
+    assert "RuntimeWarning: divided by zero" in log
+    assert "some.library: cannot read this" in log
+    assert not unforeseen.are_warnings_logged()
 
 
 def test_nested_splits_at_the_last_dot() -> None:

@@ -75,12 +75,38 @@ if __name__ == "__main__":
         print(next(iter(executor.map(eval, ["__import__('os').getpid()"]))), flush=True)
         time.sleep(60)
 """
+# Compiled code and libraries keep the interpreter lock, and nothing else in Python runs meanwhile.
+BUSY_SCRIPT = """
+import ctypes, os, sys
+from identknee.runs.executors import process_pool
+
+def hold(_):
+    print(os.getpid(), flush=True)
+    while True:
+        ctypes.PyDLL(None).sleep(60)
+
+if __name__ == "__main__":
+    with process_pool(2) as executor:
+        list(executor.map(hold, [0]))
+"""
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is of POSIX systems")
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    worker = worker_of_a_killed_parent(SCRIPT, tmp_path)
+    assert not is_running(worker)
+    assert list(tmp_path.iterdir()) == [tmp_path / "script.py"], "the function's file is left"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no signal tells of a parent's death")
+def test_workers_that_hold_the_interpreter_lock_end_too(tmp_path: Path) -> None:
+    assert not is_running(worker_of_a_killed_parent(BUSY_SCRIPT, tmp_path))
+
+
+def worker_of_a_killed_parent(text: str, tmp_path: Path) -> int:
+    """Process of the first worker, when it has ended or should have."""
     script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
+    script.write_text(text)
     root = str(Path(__file__).parents[3])
     environment = {**os.environ, "PYTHONPATH": root, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(
@@ -92,8 +118,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     deadline = time.monotonic() + 20
     while is_running(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not is_running(worker)
-    assert list(tmp_path.iterdir()) == [script], "the function's file is left"
+    return worker
 
 
 def is_running(process: int) -> bool:

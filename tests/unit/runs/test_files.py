@@ -1,6 +1,8 @@
 import errno
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from identknee.runs.errors import InputError
 from identknee.runs.files import (
     check_readable,
     digest,
+    part_beside,
     plain,
     prepare_folder,
     write_atomically,
@@ -144,3 +147,17 @@ def test_write_json(tmp_path: Path) -> None:
 def test_plain_refuses_what_json_cannot_hold() -> None:
     with pytest.raises(TypeError, match="of type object has no JSON form"):
         plain({"a": object()})
+
+
+def test_parts_of_a_killed_process_go_and_those_of_a_living_one_stay(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    dead = tmp_path / f".result.nc.{process.pid}-0123abcd.part"
+    folder = tmp_path / f".subject.{process.pid}-0123abc_.part"
+    living = part_beside(tmp_path / "result.nc")
+    other = tmp_path / ".something.part"
+    folder.mkdir()
+    for path in (dead, folder / "a.ply", living, other):
+        path.touch()
+    prepare_folder(tmp_path)
+    assert set(tmp_path.iterdir()) == {living, other}
