@@ -1,5 +1,6 @@
 """`identknee design`: which laxity trials to add to those measured."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,10 +15,11 @@ from identknee.cli.identification import (
     Identification,
     Noise,
     Start,
-    best_fit,
+    best_fits,
     identification,
 )
 from identknee.runs.files import prepare_folder
+from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import record
 
 ADVICE = "advised_trials.csv"
@@ -81,7 +83,7 @@ def design(
     recording = record("design", context.params, its.inputs, seed)
     offered = _candidates(its, candidates)
     quantities = [_target(its, name) for name in targets or []]
-    found, seconds = timed(
+    (found, findings), seconds = timed(
         lambda: _designed(
             its,
             offered,
@@ -101,11 +103,12 @@ def design(
         "advised": list(advised.protocol.trials),
         "seconds": seconds,
         "degrees_of_freedom": its.degrees_of_freedom,
-        "assumptions": its.assumptions_at(found.before[0].deviance),
+        "assumptions": its.assumptions,
+        "findings": findings_summary(findings),
     }
     groups = design_groups(found, offered.protocol, its.problem.parameters.names)
     summary = write_result(out, summary, groups, recording.finish())
-    show(summary, _lines(its, found, out), as_json=as_json)
+    show(summary, _lines(its, found, findings, out), as_json=as_json)
 
 
 def _designed(
@@ -116,23 +119,25 @@ def _designed(
     level: float,
     seed: int,
     workers: int,
-) -> "ik.Design":
+) -> "tuple[ik.Design, tuple[Finding, ...]]":
     from identknee.runs.executors import process_pool
 
     threshold = ik.chi2_threshold(level)
     if its.degrees_of_freedom is not None:
         threshold = ik.f_threshold(level, its.degrees_of_freedom)
     with process_pool(workers) as executor:
-        best = best_fit(its, seed=seed, executor=executor)
-        return ik.design(
+        fits = best_fits(its, seed=seed, executor=executor)
+        found = ik.design(
             its.problem,
-            best.theta,
+            fits[0].theta,
             offered,
             executor=executor,
             level=level,
             thresholds=threshold,
             **wanted,
         )
+    best = found.before[0]
+    return found, its.findings_at(best.optimum, best.deviance, fits)
 
 
 def _candidates(its: Identification, name: str | None) -> "ik.CandidateLaxity":
@@ -194,7 +199,9 @@ def _advised(its: Identification, found: "ik.Design", offered: "ik.CandidateLaxi
     )
 
 
-def _lines(its: Identification, found: "ik.Design", out: Path) -> list[str]:
+def _lines(
+    its: Identification, found: "ik.Design", findings: Sequence[Finding], out: Path
+) -> list[str]:
     lines = ["Trials to add, the most telling first:"]
     lines += [f"{i}. {name}" for i, name in enumerate(found.trials, 1)]
     width = max(len(name) for name in found.targets)
@@ -213,7 +220,8 @@ def _lines(its: Identification, found: "ik.Design", out: Path) -> list[str]:
         lines.append(f"{n} of {len(found.names)} candidates were not offered: {example}")
     return [
         *lines,
-        *its.assumptions_at(found.before[0].deviance),
+        *its.assumptions,
+        *finding_lines(findings),
         f"{found.n_simulations} simulations. Results: {out}, trials to measure: {out / ADVICE}",
     ]
 

@@ -30,6 +30,7 @@ from identknee.cli.identification import (
 )
 from identknee.cli.values import named_bounds
 from identknee.runs.files import prepare_folder
+from identknee.runs.findings import finding_lines, findings_summary
 from identknee.runs.record import record
 from identknee.runs.resume import finish_work
 
@@ -131,8 +132,12 @@ def equivalents(
                 store=store,
             )
         )
-    assumptions = its.assumptions_at(2.0 * fitted.objective)
-    said = {"seconds": seconds, "assumptions": assumptions}
+    findings = its.findings_at(fitted.theta, 2.0 * fitted.objective)
+    said = {
+        "seconds": seconds,
+        "assumptions": its.assumptions,
+        "findings": findings_summary(findings),
+    }
     summary = write_result(
         out,
         _summary(its, found, criterion) | said,
@@ -140,7 +145,8 @@ def equivalents(
         recording.finish(),
     )
     finish_work(out / WORK)
-    show(summary, _lines(found, summary, out), as_json=as_json)
+    lines = [*_lines(found, summary), *finding_lines(findings), f"Results: {out}"]
+    show(summary, lines, as_json=as_json)
 
 
 def _region(
@@ -198,7 +204,7 @@ def _summary(its: Identification, found: Any, criterion: str) -> dict[str, Any]:
     }
 
 
-def _lines(found: Any, summary: dict[str, Any], out: Path) -> list[str]:
+def _lines(found: Any, summary: dict[str, Any]) -> list[str]:
     n = found.parameters.n
     ranked = sorted(found.extrema[n:], key=lambda x: float(x.lower.value - x.upper.value))
     shown = [*found.extrema[:n], *ranked[:MOST_SHOWN]]
@@ -227,7 +233,7 @@ def _lines(found: Any, summary: dict[str, Any], out: Path) -> list[str]:
     return [
         *lines,
         *summary["assumptions"],
-        f"{found.n_simulations} simulations. Results: {out}",
+        f"{found.n_simulations} simulations.",
     ]
 
 

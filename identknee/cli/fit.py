@@ -1,5 +1,6 @@
 """`identknee fit`: one parameter set from measured laxity and one start."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,6 +22,7 @@ from identknee.cli.command import (
 )
 from identknee.cli.values import named_bounds
 from identknee.runs.files import digest, prepare_folder
+from identknee.runs.findings import Finding, Severity, finding_lines, findings_summary
 from identknee.runs.record import Recording, record
 
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
@@ -93,11 +95,22 @@ def fit(
     )
     fitted = ik.Simulation(model=model, prediction=model.predict(found.theta, derivatives=False))
     error = ik.laxity_rmse(fitted.laxity, laxity)
-    summary = _write(out, _summary(found, error, start), (found, fitted, laxity), recording)
-    show(summary, _lines(found, error, out), as_json=as_json)
+    from identknee.diagnosis.fit_findings import fit_findings, lost_trials
+
+    findings = fit_findings(problem, found, fitted, error, laxity)
+    lost = lost_trials(fitted, laxity)
+    said = _summary(found, error, start) | {
+        "findings": findings_summary(findings),
+        "trials_without_equilibrium": [
+            {"trial": x.trial, "outcome": x.outcome.value, "reason": x.reason} for x in lost
+        ],
+    }
+    summary = _write(out, said, (found, fitted, laxity), recording)
+    show(summary, _lines(found, error, findings, out), as_json=as_json)
     if found.outcome is ik.Outcome.START_FAILED:
         raise NotComputed(
-            f"{found.message} Choose another --start, or see: identknee subject check {subject}"
+            f"{found.message} {lost[0].trial}: {lost[0].reason} Choose another --start, or see: "
+            f"identknee subject check {subject}"
         )
 
 
@@ -135,7 +148,12 @@ def _summary(found: "ik.Fit", error: "ik.LaxityError", start: str) -> dict[str, 
     }
 
 
-def _lines(found: "ik.Fit", error: "ik.LaxityError", out: Path) -> list[str]:
+def _lines(
+    found: "ik.Fit", error: "ik.LaxityError", findings: Sequence[Finding], out: Path
+) -> list[str]:
+    where = f"Results: {out}"
+    if found.outcome is ik.Outcome.START_FAILED:
+        return [*finding_lines(findings), where]
     width = max(len(name) for name in found.parameters.names)
     lines = [f"{'':{width}}  {'start':>9}  {'fitted':>9}"]
     for name, start, end in zip(found.parameters.names, found.start, found.theta, strict=True):
@@ -145,7 +163,9 @@ def _lines(found: "ik.Fit", error: "ik.LaxityError", out: Path) -> list[str]:
     lines += [
         f"RMSE {error.mm:.3g} mm, {error.deg:.3g} deg over {error.n_compared} measured values.",
         f"{found.message} {found.seconds:.2f} s.",
-        "This is one parameter set that fits; how well it is known is another question.",
-        f"Results: {out}",
+        *finding_lines(findings),
     ]
-    return lines
+    if all(x.severity is Severity.INFO for x in findings):
+        fits = "" if findings else " that fits"
+        lines.append(f"This is one parameter set{fits}; how well it is known is another question.")
+    return [*lines, where]

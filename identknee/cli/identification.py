@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -13,10 +13,14 @@ from identknee.cli.command import NotComputed, knee_digest, warm_up
 from identknee.cli.values import named_bounds, noise_sizes
 from identknee.runs.executors import Executor
 from identknee.runs.files import digest
+from identknee.runs.findings import Finding, Severity
 
+if TYPE_CHECKING:
+    from identknee.identify.noise import EstimatedNoise
+
+# Of lengths and of angles [mm, deg].
+Sizes = tuple[float | None, float | None]
 WORK = "unfinished.sqlite"
-# A misfit that noise alone would leave less often than this makes the model doubtful.
-DOUBT = 1e-3
 
 Noise = Annotated[
     str | None,
@@ -67,6 +71,9 @@ class Identification:
         Where the parameters of the problem stand among those of the model.
     degrees_of_freedom
         Of a noise estimated from the fit; None where the noise is stated.
+    estimated_noise
+        Its standard deviation for lengths and for angles [mm, deg]; None where it is stated or no
+        such coordinate was measured.
     assumptions
         What was taken for granted, as sentences for the user.
     inputs
@@ -80,6 +87,7 @@ class Identification:
     start: Any
     free: tuple[int, ...]
     degrees_of_freedom: int | None
+    estimated_noise: Sizes
     assumptions: tuple[str, ...]
     inputs: dict[str, str]
 
@@ -89,21 +97,41 @@ class Identification:
         values[..., list(self.free)] = theta
         return values
 
-    def assumptions_at(self, deviance: float) -> tuple[str, ...]:
-        """The assumptions, and that the model is right where its best fit makes that doubtful."""
-        from scipy.stats import chi2
+    def findings_at(
+        self, theta: Any, deviance: float, fits: "Sequence[ik.Fit]" = ()
+    ) -> tuple[Finding, ...]:
+        """What speaks against the best fit: its misfit, its bounds, and where others ended.
 
-        degrees = int(self.laxity.is_measured.sum()) - self.problem.parameters.n
-        if self.degrees_of_freedom is not None or degrees < 1:
-            return self.assumptions
-        if not chi2.sf(deviance, degrees) < DOUBT:
-            return self.assumptions
-        doubt = (
-            f"The best fit leaves {deviance / degrees:.3g} times the misfit that noise of the "
-            "stated size would: the data have a mistake, the model is wrong somewhere or the noise "
-            "is larger, and nothing said here allows for that."
+        Parameters
+        ----------
+        theta
+            The best parameters of the problem, shape ``(n,)``.
+        deviance
+            Sum of squared residuals there, in units of their noise.
+        fits
+            All fits that it is the best of.
+        """
+        from identknee.calibrate.doubts import (
+            bound_findings,
+            misfit_findings,
+            start_findings,
+            unstated_misfit_findings,
         )
-        return (*self.assumptions, doubt)
+
+        parameters = self.problem.parameters
+        if self.degrees_of_freedom is None:
+            n = int(self.laxity.is_measured.sum())
+            misfit = misfit_findings(deviance, n, parameters.n)
+        else:
+            # That the noise was estimated is among the assumptions.
+            left = unstated_misfit_findings(*self.estimated_noise)
+            misfit = tuple(x for x in left if x.severity is not Severity.INFO)
+        bounds = bound_findings(np.asarray(theta), parameters)
+        if not fits:
+            return (*misfit, *bounds)
+        thetas = np.array([x.theta for x in fits])
+        deviances = 2.0 * np.array([x.objective for x in fits])
+        return (*misfit, *bounds, *start_findings(thetas, deviances, parameters))
 
     def free_index(self, name: str, option: str) -> int:
         """Where the parameter called `name` stands among those that vary.
@@ -148,10 +176,13 @@ def identification(
     part = restricted(ik.with_bounds(residuals, limits), fixed or (), theta)
     warm_up(knee, laxity.protocol)
     problem: ik.Problem = part
-    degrees, assumptions = None, [*_about_the_data(laxity, part.parameters.n)]
+    degrees: int | None = None
+    sizes: Sizes = (None, None)
+    assumptions = _about_the_data(laxity, part.parameters.n)
     if laxity.sd is None:
-        problem, degrees, sentence = _with_estimated_noise(part, residuals, theta)
-        assumptions.append(sentence)
+        estimate, sizes = _with_estimated_noise(part, residuals, theta)
+        problem, degrees = estimate.problem, estimate.degrees_of_freedom
+        assumptions.append(_about_estimated_noise(sizes, degrees))
     return Identification(
         knee=knee,
         laxity=laxity,
@@ -160,6 +191,7 @@ def identification(
         start=theta,
         free=part.free,
         degrees_of_freedom=degrees,
+        estimated_noise=sizes,
         assumptions=tuple(assumptions),
         inputs={
             "subject": knee_digest(knee),
@@ -183,8 +215,8 @@ def measured(subject: str, data: Path, noise: str | None) -> "tuple[ik.Knee, ik.
     return knee, laxity
 
 
-def best_fit(its: Identification, *, seed: int, executor: Executor) -> "ik.Fit":
-    """The lowest of several fits, from the start and from around it.
+def best_fits(its: Identification, *, seed: int, executor: Executor) -> "tuple[ik.Fit, ...]":
+    """Fits from the start and from around it, the lowest first.
 
     Raises
     ------
@@ -193,10 +225,12 @@ def best_fit(its: Identification, *, seed: int, executor: Executor) -> "ik.Fit":
     NotComputed
         If none of them found a prediction; it says which trials are to blame.
     """
+    from identknee.identify.optimum import best_fits as find
+
     start = its.start[list(its.free)]
     check_start(its)
     try:
-        return ik.best_fit(its.problem, start=start, seed=seed, executor=executor)
+        return find(its.problem, start=start, seed=seed, executor=executor)
     except ValueError as error:
         raise no_prediction(its) from error
 
@@ -275,7 +309,7 @@ def _check_stated_noise(laxity: "ik.Laxity") -> None:
 
 def _with_estimated_noise(
     part: Any, residuals: "ik.LaxityResiduals", theta: Any
-) -> "tuple[ik.Problem, int, str]":
+) -> "tuple[EstimatedNoise, Sizes]":
     from identknee.identify.noise import with_estimated_noise
 
     if not np.isfinite(residuals.residuals(theta)).all():
@@ -283,15 +317,19 @@ def _with_estimated_noise(
     # Where only lengths or only angles were measured there is one group.
     units, groups = np.unique(residuals.units, return_inverse=True)
     found = with_estimated_noise(part, groups, theta[list(part.free)])
-    sizes = ", ".join(
-        f"{sd:.3g} {('mm', 'deg')[unit]}" for sd, unit in zip(found.sds, units, strict=True)
+    sizes = dict(zip(units.tolist(), found.sds.tolist(), strict=True))
+    return found, (sizes.get(0), sizes.get(1))
+
+
+def _about_estimated_noise(sizes: Sizes, degrees: int) -> str:
+    shown = ", ".join(
+        f"{sd:.3g} {unit}" for sd, unit in zip(sizes, ("mm", "deg"), strict=True) if sd is not None
     )
-    sentence = (
-        f"The data state no noise: one standard deviation for lengths and one for angles was "
-        f"estimated from what the best fit leaves ({sizes}, {found.degrees_of_freedom} degrees of "
-        "freedom), and F thresholds are used."
+    return (
+        "The data state no noise: one standard deviation for lengths and one for angles was "
+        f"estimated from what the best fit leaves ({shown}, {degrees} degrees of freedom), and F "
+        "thresholds are used."
     )
-    return found.problem, found.degrees_of_freedom, sentence
 
 
 def _about_the_data(laxity: "ik.Laxity", n_parameters: int) -> list[str]:

@@ -13,10 +13,11 @@ from identknee.cli.identification import (
     Identification,
     Noise,
     Start,
-    best_fit,
+    best_fits,
     identification,
 )
 from identknee.runs.files import prepare_folder
+from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import record
 
 Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
@@ -51,7 +52,7 @@ def information(
     prepare_folder(out)
     its = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
     recording = record("information", context.params, its.inputs, seed)
-    answer, seconds = timed(lambda: _found(its, scaling, seed=seed, workers=workers))
+    (answer, findings), seconds = timed(lambda: _found(its, scaling, seed=seed, workers=workers))
     from identknee.report.information_groups import information_groups, information_summary
     from identknee.report.result_files import write_result
 
@@ -59,30 +60,32 @@ def information(
         **information_summary(*answer),
         "seconds": seconds,
         "degrees_of_freedom": its.degrees_of_freedom,
-        "assumptions": _assumptions(its, answer[0]),
+        "assumptions": its.assumptions,
+        "findings": findings_summary(findings),
     }
     summary = write_result(out, summary, information_groups(*answer), recording.finish())
-    show(summary, _lines(its, answer, out), as_json=as_json)
+    show(
+        summary,
+        [*_lines(its, answer), *finding_lines(findings), f"Results: {out}"],
+        as_json=as_json,
+    )
 
 
 def _found(
     its: Identification, scaling: Literal["typical", "prior"], *, seed: int, workers: int
-) -> "tuple[ik.Information, ik.StructureCheck, tuple[ik.Geodesic, ik.Geodesic]]":
+) -> tuple[Any, tuple[Finding, ...]]:
     from identknee.runs.executors import process_pool
 
     with process_pool(workers) as executor:
-        best = best_fit(its, seed=seed, executor=executor)
+        fits = best_fits(its, seed=seed, executor=executor)
         structure = ik.check_structure(its.problem, seed=seed, executor=executor)
-    return (
-        ik.information(its.problem, best.theta, scaling=scaling, seed=seed),
+    theta = fits[0].theta
+    answer = (
+        ik.information(its.problem, theta, scaling=scaling, seed=seed),
         structure,
-        ik.geodesics(its.problem, best.theta, scaling=scaling),
+        ik.geodesics(its.problem, theta, scaling=scaling),
     )
-
-
-def _assumptions(its: Identification, found: "ik.Information") -> tuple[str, ...]:
-    residuals = its.problem.residuals(found.theta)
-    return its.assumptions_at(float(residuals @ residuals))
+    return answer, its.findings_at(theta, 2.0 * fits[0].objective, fits)
 
 
 def _table(found: "ik.Information") -> list[str]:
@@ -101,7 +104,7 @@ def _table(found: "ik.Information") -> list[str]:
     ]
 
 
-def _lines(its: Identification, answer: Any, out: Path) -> list[str]:
+def _lines(its: Identification, answer: Any) -> list[str]:
     found, structure, paths = answer
     names = found.parameters.names
     pair, index = found.collinear_sets(2)[0] if len(names) > 1 else (names, 1.0)
@@ -121,6 +124,5 @@ def _lines(its: Identification, answer: Any, out: Path) -> list[str]:
             "prediction)"
         ),
         *(f"Least known direction: {path.sentence}" for path in paths),
-        *_assumptions(its, found),
-        f"Results: {out}",
+        *its.assumptions,
     ]

@@ -1,5 +1,6 @@
 """`identknee profile`: which values of each parameter, or of any prediction, the data allow."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,11 +17,12 @@ from identknee.cli.identification import (
     Identification,
     Noise,
     Start,
-    best_fit,
+    best_fits,
     file_digests,
     identification,
 )
 from identknee.runs.files import prepare_folder
+from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import Recording, record
 from identknee.runs.resume import finish_work
 
@@ -129,12 +131,15 @@ def profile(
     _plain_threshold(its, level)
     wanted = [*_parameters(its, chosen), *_predictions(its, quantities, forces, trials)]
     couples = [_couple(its, x) for x in pairs or []]
-    answer, seconds = timed(
+    (answer, fits), seconds = timed(
         lambda: _profiled(its, wanted, couples, about, out=out, workers=workers)
     )
-    summary = _written(out, its, answer, {"seconds": seconds}, recording)
+    best = min(answer[0], key=lambda x: x.deviance)
+    findings = its.findings_at(best.optimum, best.deviance, fits)
+    said = {"seconds": seconds, "findings": findings_summary(findings)}
+    summary = _written(out, its, answer, said, recording)
     finish_work(out / WORK)
-    show(summary, _lines(its, answer, out), as_json=as_json)
+    show(summary, _lines(its, answer, findings, out), as_json=as_json)
 
 
 def _parameters(its: Identification, chosen: list[str] | None) -> "list[ik.Quantity]":
@@ -187,13 +192,14 @@ def _profiled(
     *,
     out: Path,
     workers: int,
-) -> "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]":
+) -> "tuple[tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]], tuple[ik.Fit, ...]]":
     from identknee.runs.executors import process_pool
     from identknee.runs.resume import open_work
 
     level = about["level"]
     with open_work(out / WORK, about) as store, process_pool(workers) as executor:
-        best = best_fit(its, seed=about["seed"], executor=executor)
+        fits = best_fits(its, seed=about["seed"], executor=executor)
+        best = fits[0]
         profiles = ik.profile_quantities(
             its.problem,
             best.theta,
@@ -220,7 +226,7 @@ def _profiled(
             )
             for couple in couples
         )
-    return profiles, pairs
+    return (profiles, pairs), fits
 
 
 def _thresholds(
@@ -278,7 +284,7 @@ def _written(
         "deviance": best.deviance,
         "n_simulations": _cost(profiles, pairs),
         "degrees_of_freedom": its.degrees_of_freedom,
-        "assumptions": its.assumptions_at(best.deviance),
+        "assumptions": its.assumptions,
         **said,
     }
     groups = profile_groups(profiles, parameters, pairs)
@@ -288,6 +294,7 @@ def _written(
 def _lines(
     its: Identification,
     answer: "tuple[tuple[ik.Profile, ...], tuple[ik.PairProfile, ...]]",
+    findings: Sequence[Finding],
     out: Path,
 ) -> list[str]:
     from identknee.report.profile_table import profile_table, shown_parts
@@ -316,7 +323,7 @@ def _lines(
         for x in pairs
     ]
     n = _cost(profiles, pairs)
-    said = its.assumptions_at(min(x.deviance for x in profiles))
+    said = [*its.assumptions, *finding_lines(findings)]
     return [*lines, *said, f"{n} simulations. Results: {out}"]
 
 

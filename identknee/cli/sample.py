@@ -21,6 +21,7 @@ from identknee.cli.identification import (
 )
 from identknee.runs.errors import InputError
 from identknee.runs.files import check_readable, digest, prepare_folder
+from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import Recording, record
 from identknee.runs.resume import finish_work
 
@@ -88,13 +89,20 @@ def sample(
     }
     found, seconds = timed(lambda: _sampled(its, optima, about, budget, (out, workers)))
     opinion = ik.nested_posterior(its.problem, seed=seed) if nested and found.gates else None
-    assumptions = [*_assumptions(its, found), *_about_noise(its)]
-    said = {"seconds": seconds, "assumptions": assumptions, **_opinion(found, opinion)}
+    assumptions = [*its.assumptions, *_about_noise(its)]
+    findings = _findings(its, found)
+    said = {
+        "seconds": seconds,
+        "assumptions": assumptions,
+        "findings": findings_summary(findings),
+        **_opinion(found, opinion),
+    }
     summary = _written(out, its, found, said, recording)
     lines = [
         *_verdict(found),
         str(found),
         *assumptions,
+        *finding_lines(findings),
         *_opinion_lines(said),
         f"{seconds:.0f} s.",
         f"Results: {out}",
@@ -141,10 +149,13 @@ def _optima(path: Path, parameters: "ik.Parameters") -> Any:
     return np.array(thetas)
 
 
-def _assumptions(its: Identification, found: "ik.Posterior") -> tuple[str, ...]:
+def _findings(its: Identification, found: "ik.Posterior") -> tuple[Finding, ...]:
     if not found.gates:
-        return its.assumptions
-    return its.assumptions_at(-2.0 * float(found.kept_log_likelihood.max()))
+        return ()
+    best = int(np.argmax(found.kept_log_likelihood))
+    deviance = -2.0 * float(found.kept_log_likelihood.ravel()[best])
+    theta = found.kept.reshape(-1, found.kept.shape[-1])[best]
+    return its.findings_at(theta, deviance)
 
 
 def _verdict(found: "ik.Posterior") -> list[str]:

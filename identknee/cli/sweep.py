@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import typer
 
 import identknee as ik
@@ -21,6 +22,7 @@ from identknee.cli.identification import (
 )
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.files import prepare_folder
+from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import Recording, record
 from identknee.runs.resume import finish_work, open_work
 from identknee.runs.store import Store
@@ -107,13 +109,17 @@ def sweep(
         found = ik.survey(its.problem, swept, within=within)
         cliffs = _cliffs(its, found, ways, executor, store)
     answer = (found, cliffs)
-    assumptions = its.assumptions
-    if found.target is not None:
-        assumptions = its.assumptions_at(2.0 * float(swept.polished_objectives[swept.best]))
-    said = {"design": design, "seconds": seconds, "assumptions": assumptions}
+    findings = _findings(its, found)
+    said = {
+        "design": design,
+        "seconds": seconds,
+        "assumptions": its.assumptions,
+        "findings": findings_summary(findings),
+    }
     summary = _written(out, answer, said, recording)
     finish_work(out / WORK)
-    show(summary, [*_lines(*answer), *assumptions, f"Results: {out}"], as_json=as_json)
+    lines = [*_lines(*answer), *its.assumptions, *finding_lines(findings), f"Results: {out}"]
+    show(summary, lines, as_json=as_json)
     if found.target is None:
         raise no_prediction(its)
 
@@ -158,6 +164,21 @@ def _cliffs(
         lost_at=partial(_lost, its),
         executor=executor,
         store=store,
+    )
+
+
+def _findings(its: Identification, found: "ik.Survey") -> tuple[Finding, ...]:
+    """What speaks against the best end, and whether others fit as well."""
+    from identknee.calibrate.doubts import start_findings
+
+    swept = found.sweep
+    if found.target is None:
+        return ()
+    deviances = 2.0 * swept.polished_objectives
+    best = int(np.argmin(deviances))
+    return (
+        *its.findings_at(swept.polished[best], float(deviances[best])),
+        *start_findings(swept.polished, deviances, swept.parameters),
     )
 
 

@@ -36,17 +36,24 @@ def best_fit(
     ValueError
         If the start lies outside the bounds, or no fit found a point with a prediction.
     """
+    return best_fits(problem, start=start, seed=seed, executor=executor)[0]
+
+
+def best_fits(
+    problem: Problem, *, start: Array | None = None, seed: int = 0, executor: Executor = serial
+) -> tuple[Fit, ...]:
+    """The seventeen fits that `best_fit` is the lowest of, from low to high; as there."""
     parameters = problem.parameters
     first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
     check_inside(first, parameters)
     around = fit_many(problem, _around(first, parameters, seed), seed=seed, executor=executor)
-    best = min([fit(problem, first, seed=seed), *around], key=lambda found: found.objective)
-    if not np.isfinite(best.objective):
+    fits = sorted([fit(problem, first, seed=seed), *around], key=lambda found: found.objective)
+    if not np.isfinite(fits[0].objective):
         raise ValueError(
             f"the model has no prediction at any of {N_STARTS + 1} starts; "
             "see: identknee subject check"
         )
-    return best
+    return tuple(fits)
 
 
 def check_inside(theta: Array, parameters: Parameters) -> None:

@@ -39,6 +39,7 @@ from identknee.report.page.search_sentences import (
 )
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
+from identknee.report.page.warnings import warnings
 from identknee.report.tables import Column, Table
 from identknee.runs.record import versions
 
@@ -177,7 +178,7 @@ def _subject(findings: Findings, number: int, level: int, scene: KneeScene | Non
     said = [
         _Said(finding=x, source=_source(result))
         for result in findings.results
-        for x in _SAY[result.verb](result)
+        for x in (*warnings(result), *_SAY[result.verb](result))
     ]
     figures = _figures(findings, number)
     parts = [("answer", "The answer", _answer(said))]

@@ -14,6 +14,7 @@ from identknee.report.page.words import (
     parameter_words,
 )
 from identknee.report.tables import Column, Table
+from identknee.runs.outcome import Outcome
 
 # Below this a parameter error is rounding [kN].
 EXACT_KN = 1e-6
@@ -83,6 +84,10 @@ def simulate_findings(result: Result) -> Iterator[Finding]:
 def fit_findings(result: Result) -> Iterator[Finding]:
     """How well the best fit reproduces the data, and how the search ended."""
     summary = result.summary
+    if summary["outcome"] == Outcome.START_FAILED.value:
+        # What the search began with is no fit, and its error is that of the other trials.
+        yield Finding(question=Question.SEARCH, sentence=str(summary["sentence"]), is_answer=True)
+        return
     rmse = summary["rmse"]
     errors = [
         amount(rmse[key], unit)
@@ -103,7 +108,7 @@ def fit_findings(result: Result) -> Iterator[Finding]:
     yield Finding(
         question=Question.SEARCH,
         sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
-        f"(RMSE). {summary['sentence']} That it fits does not show that its parameters are right.",
+        f"(RMSE). {summary['sentence']} A good fit does not show that its parameters are right.",
         tables=(Table(title="Fitted parameters", columns=columns, rows=rows),),
         is_answer=True,
     )

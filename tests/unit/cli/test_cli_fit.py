@@ -135,8 +135,19 @@ def test_a_start_without_prediction_ends_with_1(tmp_path: Path) -> None:
     )
     assert result.exit_code == 1
     assert "Choose another --start" in result.stderr
-    assert summary_of(tmp_path / "fit")["outcome"] == "start_failed"
-    assert summary_of(tmp_path / "fit")["objective"] is None
+    assert "flexion0_varus-10Nm: Nothing resists one direction" in result.stderr
+    summary = summary_of(tmp_path / "fit")
+    assert summary["outcome"] == "start_failed"
+    assert summary["objective"] is None
+    # A start is no fit, on the terminal as in the file.
+    assert "that fits" not in result.stdout
+    assert "fitted" not in result.stdout.replace("Nothing was fitted", "")
+    assert "63 of 63 measured trials have no equilibrium" in result.stdout
+    assert "flexion0_varus-10Nm, flexion0_varus-8Nm" in result.stdout
+    assert [x["severity"] for x in summary["findings"]] == ["error", "info"]
+    lost = summary["trials_without_equilibrium"]
+    assert len(lost) == 63
+    assert lost[0]["outcome"] == "unconstrained"
 
 
 def test_wrong_words_are_refused(tmp_path: Path) -> None:
@@ -189,3 +200,24 @@ def test_a_missing_argument_shows_the_usage() -> None:
     assert result.exit_code == 2
     assert "Missing argument 'DATA.csv'" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_a_mirrored_rotation_is_said(tmp_path: Path) -> None:
+    run("simulate", "reference", "--noise", "0.5mm,0.5deg", "--out", tmp_path / "data")
+    measured = ik.read_laxity(tmp_path / "data" / "laxity.csv")
+    mirrored = replace(measured, coordinates=measured.coordinates * [1.0, 1.0, 1.0, 1.0, -1.0])
+    data = ik.write_laxity(mirrored, tmp_path / "mirrored.csv")
+    right = run("fit", "reference", tmp_path / "data" / "laxity.csv", "--out", tmp_path / "right")
+    assert summary_of(tmp_path / "right")["findings"] == []
+    assert "that fits" in right.stdout
+    wrong = run("fit", "reference", data, "--start", "IG2", "--out", tmp_path / "wrong")
+    summary = summary_of(tmp_path / "wrong")
+    assert summary["rmse"]["deg"] > 5.0
+    found = {x["where"]: x for x in summary["findings"]}
+    assert found["data"]["severity"] == "error"
+    assert found["parameters"]["severity"] == "warning"
+    assert all(name in found["parameters"]["sentence"] for name in summary["at_bounds"])
+    # The second search of a fit from IG2 begins at the subject's own values.
+    assert "least squares from subject" in found["starts"]["sentence"]
+    assert "that fits" not in wrong.stdout
+    assert "Error: The best fit leaves" in wrong.stdout

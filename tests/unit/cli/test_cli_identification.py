@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from identknee.cli.command import NotComputed
-from identknee.cli.identification import best_fit, file_digests, identification
+from identknee.cli.identification import best_fits, file_digests, identification
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.executors import serial
+from identknee.runs.findings import Severity
 
 
 @pytest.fixture(scope="module")
@@ -109,9 +110,22 @@ def test_noise_stated_of_some_coordinates_only_is_refused(measured: Laxity, tmp_
 def test_a_misfit_beyond_the_noise_is_said(measured: Laxity, tmp_path: Path) -> None:
     setup = identification("reference", written(measured, tmp_path))
     # 315 values, 8 parameters: noise leaves 307, with a standard deviation of 25.
-    assert setup.assumptions_at(307.0) == ()
-    (sentence,) = setup.assumptions_at(614.0)
-    assert "leaves 2 times the misfit" in sentence
+    assert setup.findings_at(setup.start, 307.0) == ()
+    (found,) = setup.findings_at(setup.start, 614.0)
+    assert (found.severity, found.where) == (Severity.WARNING, "data")
+    assert "leaves 2 times the misfit" in found.sentence
+
+
+def test_an_estimated_noise_that_no_instrument_has_is_said(
+    measured: Laxity, tmp_path: Path
+) -> None:
+    mirrored = measured.coordinates * [1.0, 1.0, 1.0, 1.0, -1.0]
+    wrong = replace(measured, coordinates=mirrored, sd=None)
+    setup = identification("reference", written(wrong, tmp_path))
+    assert setup.estimated_noise[1] is not None
+    (found,) = setup.findings_at(setup.problem.parameters.center, 307.0)
+    assert (found.severity, found.where) == (Severity.ERROR, "data")
+    assert "more than a laxity test should err by" in found.sentence
 
 
 def test_a_parameter_held_is_no_choice(measured: Laxity, tmp_path: Path) -> None:
@@ -141,7 +155,7 @@ def test_no_prediction_names_the_trials(measured: Laxity, tmp_path: Path) -> Non
         "reference", written(measured, tmp_path), start=str(start), bounds=bounds
     )
     with pytest.raises(NotComputed, match="at the start 63 of 63 trials have none; flexion0_"):
-        best_fit(setup, seed=0, executor=serial)
+        best_fits(setup, seed=0, executor=serial)
 
 
 def test_noise_to_be_estimated_without_a_prediction_is_no_mistake_of_the_input(
@@ -159,4 +173,4 @@ def test_a_start_outside_the_bounds_is_refused(measured: Laxity, tmp_path: Path)
     bounds = ["ACL.stiffness_kN=20:30"]
     setup = identification("reference", written(measured, tmp_path), bounds=bounds)
     with pytest.raises(ValueError, match="stiffness_kN is 10, outside its bounds 20 to 30"):
-        best_fit(setup, seed=0, executor=serial)
+        best_fits(setup, seed=0, executor=serial)

@@ -8,9 +8,12 @@ from report_folders import write_verb
 
 from identknee.identify.profile.result import Verdict
 from identknee.report.page.diagnosis_sentences import diagnosis_findings
+from identknee.report.page.finding import Question
 from identknee.report.page.known_sentences import equivalents_findings, profile_findings
+from identknee.report.page.page import report_html
 from identknee.report.page.results import Result, found_results
-from identknee.report.page.search_sentences import exact_fit, sweep_findings
+from identknee.report.page.search_sentences import exact_fit, fit_findings, sweep_findings
+from identknee.report.page.warnings import warnings
 
 
 def entry(lower: float | None, upper: float | None, verdict: Verdict) -> dict[str, Any]:
@@ -84,6 +87,36 @@ def test_doubts_are_passed_on(tmp_path: Path) -> None:
     entries = {"ACL.stiffness_kN": entry(8.8, 11.2, Verdict.IDENTIFIABLE)}
     said = profiled(tmp_path, entries, assumptions=["The misfit is more than the noise."])
     assert said[-1] == "The misfit is more than the noise."
+
+
+def test_stored_findings_stand_where_they_belong_and_lead(tmp_path: Path) -> None:
+    found = result(
+        tmp_path,
+        "fit",
+        {
+            "outcome": "start_failed",
+            "sentence": "The model has no prediction at the start.",
+            "findings": [
+                {"severity": "error", "sentence": "A sign is wrong.", "where": "data"},
+                {"severity": "warning", "sentence": "A bound decided.", "where": "parameters"},
+                {"severity": "info", "sentence": "Tried again.", "where": "starts"},
+            ],
+        },
+    )
+    said = [(x.question, x.sentence, x.is_answer) for x in warnings(found)]
+    assert said == [
+        (Question.WRONG, "Error: A sign is wrong.", True),
+        (Question.KNOWN, "Warning: A bound decided.", True),
+        (Question.SEARCH, "Tried again.", False),
+    ]
+    page = report_html([found])
+    assert page.index("A sign is wrong.") < page.index("Tried again.")
+
+
+def test_a_start_that_failed_is_not_called_a_fit(tmp_path: Path) -> None:
+    summary = {"outcome": "start_failed", "sentence": "The model has no prediction at the start."}
+    (found,) = fit_findings(result(tmp_path, "fit", summary))
+    assert found.sentence == "The model has no prediction at the start."
 
 
 def test_an_equivalent_set_without_an_end_is_not_ranked(tmp_path: Path) -> None:

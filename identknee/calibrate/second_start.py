@@ -1,0 +1,112 @@
+"""A second search from another literature guess, where a fit is doubtful."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.problem import Problem
+from identknee.calibrate.scales import typical_steps
+from identknee.calibrate.starts import named_start, start_names
+from identknee.runs.arrays import Array
+from identknee.runs.findings import Finding, Severity
+from identknee.runs.outcome import Outcome
+
+# Of the objective, and in its own unit: ends that are the same, also where a search stops early.
+ALIKE, ROUNDING = 1e-3, 1e-9
+# Typical steps (3 kN, 2 %) between parameter sets that are not the same.
+APART = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SecondSearch:
+    """Where least squares from another start ended.
+
+    Attributes
+    ----------
+    name
+        Of the start, as for `identknee.calibrate.starts.named_start`.
+    first, found
+        The doubtful fit, and the one from this start.
+    """
+
+    name: str
+    first: Fit
+    found: Fit
+
+    @property
+    def finding(self) -> Finding:
+        """Whether both agree, as a sentence."""
+        first, second = self.first.objective, self.found.objective
+        ended = f"a second search, least squares from {self.name}, ended"
+        if self.found.outcome is Outcome.START_FAILED:
+            return _about(Severity.INFO, f"No second search: {self.name} has no prediction either.")
+        objectives = f"(objective {second:.4g}, here {first:.4g})"
+        alike = ALIKE * first + ROUNDING
+        if second < first - alike:
+            return _about(
+                Severity.ERROR,
+                f"Starts disagree: {ended} at a lower misfit {objectives}, so this fit is not the "
+                "best. identknee sweep tries many starts.",
+            )
+        if second > first + alike:
+            return _about(
+                Severity.WARNING,
+                f"Starts disagree: {ended} at a higher misfit {objectives}. identknee sweep tries "
+                "many starts.",
+            )
+        steps = typical_steps(self.first.parameters)
+        if float(np.max(np.abs(self.found.theta - self.first.theta) / steps)) > APART:
+            return _about(
+                Severity.WARNING,
+                f"Starts disagree: {ended} at the same misfit with other parameters "
+                f"({self._farthest()}). See: identknee profile",
+            )
+        return _about(
+            Severity.INFO,
+            f"{ended[0].upper()}{ended[1:]} at the same parameters: the start is not the reason.",
+        )
+
+    def _farthest(self) -> str:
+        parameters = self.first.parameters
+        steps = typical_steps(parameters)
+        i = int(np.argmax(np.abs(self.found.theta - self.first.theta) / steps))
+        return f"{parameters.names[i]} {self.first.theta[i]:.3g} or {self.found.theta[i]:.3g}"
+
+
+def second_search(problem: Problem, first: Fit) -> SecondSearch:
+    """Least squares from the first named start that is not the one of a fit.
+
+    Parameters
+    ----------
+    problem
+        That of the fit.
+    first
+        The fit; its fixed parameters and its priors are kept.
+    """
+    name, start = _other_start(first)
+    found = fit(problem, start, seed=first.seed, fixed=first.fixed, priors=first.priors)
+    return SecondSearch(name=name, first=first, found=found)
+
+
+def _other_start(first: Fit) -> tuple[str, Array]:
+    """A start by name with a free parameter elsewhere; the middle of the bounds failing that."""
+    held = [first.parameters.index(x) for x in first.fixed]
+    for name in start_names():
+        try:
+            start = np.array(named_start(name, first.parameters))
+        except ValueError:
+            # The guesses of the paper speak of four ligaments that a knee need not have.
+            continue
+        start[held] = first.start[held]
+        start = np.clip(start, first.parameters.lower, first.parameters.upper)
+        start[held] = first.start[held]
+        if not np.allclose(start, first.start):
+            return name, start
+    middle = 0.5 * (first.parameters.lower + first.parameters.upper)
+    middle[held] = first.start[held]
+    return "the middle of the bounds", middle
+
+
+def _about(severity: Severity, sentence: str) -> Finding:
+    return Finding(severity=severity, sentence=sentence, where="starts")

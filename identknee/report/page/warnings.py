@@ -1,0 +1,26 @@
+"""What results say against themselves, on the page."""
+
+from collections.abc import Iterator
+
+from identknee.report.page.finding import Finding, Question
+from identknee.report.page.results import Result
+from identknee.runs.findings import Severity
+
+# Where a finding stands, by what it is about; what is not listed is about the search.
+PLACES = {
+    "data": Question.WRONG,
+    "subject": Question.WRONG,
+    "causes": Question.WRONG,
+    "parameters": Question.KNOWN,
+}
+
+
+def warnings(result: Result) -> Iterator[Finding]:
+    """The findings that a verb stored with its result; all but infos lead the page."""
+    for x in result.summary.get("findings") or ():
+        severity = Severity(x["severity"])
+        yield Finding(
+            question=PLACES.get(str(x["where"]), Question.SEARCH),
+            sentence=f"{severity.prefix}{x['sentence']}",
+            is_answer=severity is not Severity.INFO,
+        )

@@ -1,0 +1,76 @@
+"""What a result says against itself: sentences that a person must read beside the numbers."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum, unique
+
+
+@unique
+class Severity(Enum):
+    """How much a finding takes from a result; the value is the word written to files."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the sentence on a terminal; nothing before an info."""
+        return _PREFIXES[self]
+
+
+_PREFIXES = {Severity.INFO: "", Severity.WARNING: "Warning: ", Severity.ERROR: "Error: "}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that a reader of a result must know.
+
+    Terminal, ``result.json`` and report show the same findings.
+
+    Attributes
+    ----------
+    severity
+        An info explains; a warning says that conclusions may be wrong; after an error the
+        numbers must not be used before its cause is known.
+    sentence
+        One or a few whole sentences that end with what can be done, where something can.
+    where
+        What it is about: ``"data"``, ``"parameters"``, ``"starts"``, ``"subject"`` or the name of
+        a parameter, trial or cause.
+    """
+
+    severity: Severity
+    sentence: str
+    where: str
+
+    @property
+    def line(self) -> str:
+        """As a terminal shows it."""
+        return f"{self.severity.prefix}{self.sentence}"
+
+    def to_json(self) -> dict[str, str]:
+        """As an entry of ``findings`` in ``result.json``."""
+        return {
+            "severity": self.severity.value,
+            "sentence": self.sentence,
+            "where": self.where,
+        }
+
+
+def finding_lines(findings: Iterable[Finding]) -> list[str]:
+    """What a terminal shows, the gravest first.
+
+    Examples
+    --------
+    >>> about = Finding(severity=Severity.WARNING, sentence="Only one start.", where="starts")
+    >>> finding_lines([about])
+    ['Warning: Only one start.']
+    """
+    order = list(Severity)
+    return [x.line for x in sorted(findings, key=lambda x: -order.index(x.severity))]
+
+
+def findings_summary(findings: Iterable[Finding]) -> list[dict[str, str]]:
+    """What ``result.json`` has under ``findings``."""
+    return [x.to_json() for x in findings]
