@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from blind_axes import conditions_of
 from knees import knee
 
 from identknee.blind.case import BlindCase, blind_case
@@ -26,7 +27,8 @@ class BlindTask:
     """A blind case to be made and diagnosed.
 
     ``sd_factor`` multiplies the stated noise, ``start`` names one more start of the fit, and
-    ``adds_trials`` repeats the diagnosis with the trials that the first one advises.
+    ``adds_trials`` repeats the diagnosis with the trials that the first one advises. ``axis`` is
+    what of the generator is varied, a name in `blind_axes.AXES`, or empty.
     """
 
     subject: str
@@ -37,6 +39,7 @@ class BlindTask:
     start: str = ""
     adds_trials: bool = False
     measures_gain: bool = True
+    axis: str = ""
 
 
 def outcome_of(task: BlindTask) -> dict[str, Any]:
@@ -44,7 +47,11 @@ def outcome_of(task: BlindTask) -> dict[str, Any]:
     subject = knee(task.subject)
     try:
         case = blind_case(
-            subject, seed=task.seed, effect=list(task.effects) or None, signal=task.signal
+            subject,
+            seed=task.seed,
+            effect=list(task.effects) or None,
+            signal=task.signal,
+            conditions=conditions_of(task.axis, subject),
         )
     except ValueError as error:
         return {"error": str(error), "effects": list(task.effects), "signal": task.signal}

@@ -105,8 +105,9 @@ def largest_of(
 def run(tier: str, modules: Mapping[str, str], script: str) -> int:
     """Measure the rows asked for on the command line; 1 if a bar was missed, else 0.
 
-    Each module has ``measure(options) -> Row``. The record is written anew after every row; rows
-    not measured this time keep what they had.
+    Each module has ``measure(options) -> Row``, or ``parts(options)`` that yields the row again
+    whenever more of it is measured. The record is written anew each time; rows not measured this
+    time keep what they had.
     """
     parser = argparse.ArgumentParser(description=f"Measure the {tier} rows and record them.")
     parser.add_argument("--only", nargs="+", choices=list(modules), default=list(modules))
@@ -115,20 +116,27 @@ def run(tier: str, modules: Mapping[str, str], script: str) -> int:
         default=os.environ.get("OPENSIM_PYTHON", sys.executable),
         help="interpreter that can import opensim, where it is not this one",
     )
+    parser.add_argument("--workers", type=int, default=2, help="of the rows that use several")
     options = parser.parse_args()
-    all_met = True
+    verdicts = {}
     for name in options.only:
         began = time.perf_counter()
-        row = importlib.import_module(modules[name]).measure(options)
-        entry = _entry(row, f"python {script} --only {name}", time.perf_counter() - began)
-        _record(tier, list(modules), name, entry)
-        print(f"== {name}: {entry['verdict']}, {entry['seconds']:.0f} s", flush=True)
-        for measure in row.measures:
-            print(f"   {_described(asdict(measure) | {'met': measure.met})}", flush=True)
-        for note in row.notes:
-            print(f"   {note}", flush=True)
-        all_met &= entry["verdict"] != "missed"
-    return 0 if all_met else 1
+        module = importlib.import_module(modules[name])
+        rows = module.parts(options) if hasattr(module, "parts") else [module.measure(options)]
+        for row in rows:
+            entry = _entry(row, f"python {script} --only {name}", time.perf_counter() - began)
+            _record(tier, list(modules), name, entry)
+            _show(name, row, entry)
+            verdicts[name] = entry["verdict"]
+    return 1 if "missed" in verdicts.values() else 0
+
+
+def _show(name: str, row: Row, entry: Mapping[str, Any]) -> None:
+    print(f"== {name}: {entry['verdict']}, {entry['seconds']:.0f} s", flush=True)
+    for measure in row.measures:
+        print(f"   {_described(asdict(measure) | {'met': measure.met})}", flush=True)
+    for note in row.notes:
+        print(f"   {note}", flush=True)
 
 
 def _entry(row: Row, command: str, seconds: float) -> dict[str, Any]:
@@ -141,13 +149,13 @@ def _entry(row: Row, command: str, seconds: float) -> dict[str, Any]:
         "notes": list(row.notes),
         "command": command,
         "date": datetime.now(UTC).date().isoformat(),
-        "commit": _commit(),
+        "commit": commit(),
         "machine": {"cores": os.cpu_count(), "processor": processor()},
         "seconds": round(seconds, 1),
     }
 
 
-def _commit() -> str:
+def commit() -> str:
     """The commit checked out, "dirty" if code differs from it; records do not count."""
     head = ["git", "rev-parse", "--short", "HEAD"]
     changes = ["git", "status", "--porcelain", "--", "identknee", "tests/*.py"]

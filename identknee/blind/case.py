@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identknee.blind.conditions import STANDARD, Conditions
 from identknee.blind.effects import EFFECTS, HISTORY, LISTED, UNLISTED
 from identknee.blind.experiment import (
     REFERENCE_STRAIN,
@@ -30,7 +31,6 @@ from identknee.subject.knee import Knee
 RANDOM = "random"
 # Shares of what "random" draws: nothing hidden, an effect no library lists; a listed one otherwise.
 NULL_SHARE, UNLISTED_SHARE = 0.15, 0.15
-STIFFNESS_LOG_SD, STRAIN_SD_PCT, STRAIN_LIMIT_PCT = 0.2, 1.0, 2.0
 SD, CORRELATION = 0.3, 0.3  # mm and deg
 HEAVY_SHARE, HEAVY_DEGREES = 0.1, 5.0
 STATED_RANGE = (0.8, 1.2)
@@ -79,6 +79,7 @@ def blind_case(
     signal: float | None = None,
     amplitude: float | None = None,
     protocol: Protocol | None = None,
+    conditions: Conditions = STANDARD,
 ) -> BlindCase:
     """A data set of `knee` with a hidden effect; the same seed gives the same numbers.
 
@@ -104,6 +105,8 @@ def blind_case(
         under another protocol.
     protocol
         The trials; ``seed63`` where None.
+    conditions
+        What truths, places, contact and errors are drawn from.
 
     Raises
     ------
@@ -114,7 +117,7 @@ def blind_case(
     protocol = load_protocol("seed63") if protocol is None else protocol
     if signal is not None and not 0.0 < signal < np.inf:
         raise ValueError(f"the signal must be greater than 0 and finite, got {signal:g}")
-    streams = [np.random.default_rng(x) for x in np.random.SeedSequence(seed).spawn(4)]
+    streams = [np.random.default_rng(x) for x in np.random.SeedSequence(seed).spawn(6)]
     names = _names(effect, streams[0])
     order, is_unloading = _history(protocol, streams[1])
     scene = Scene(
@@ -124,9 +127,11 @@ def blind_case(
         load_Nm=protocol.loads[:, :2],
         order=order,
         is_unloading=is_unloading,
+        conditions=conditions,
     )
+    exponent = conditions.exponent(streams[4])
     noise = Noise(sd_mm=SD, sd_deg=SD, correlation=CORRELATION)
-    base, rims = experiment_of(knee, protocol), rims_of(knee)
+    base, rims = experiment_of(knee, protocol, exponent), rims_of(knee)
     wanted = (noise, signal, amplitude)
     drawn = (_drawn(base, names, scene, wanted, streams[2]) for _ in range(MOST_DRAWS))
     draws = (x if x is not None and stays_inside(x.own, x.run, rims) else None for x in drawn)
@@ -148,6 +153,9 @@ def blind_case(
         comments=(f"blind case, seed {seed}",),
     )
     laxity, facts = _noisy(exact, noise, streams[3])
+    remounting = conditions.remounting(protocol.flexion_deg, streams[5])
+    laxity = replace(laxity, coordinates=laxity.coordinates + remounting)
+    facts |= {"contact_exponent": exponent, "largest_remounting": float(np.abs(remounting).max())}
     truth = _truth(knee, seed, found, {**facts, "redraws": redraws, "wanted_signal": signal})
     return BlindCase(laxity=laxity, truth=truth, noise_free=exact)
 
@@ -196,7 +204,9 @@ def _drawn(
 ) -> _Found | None:
     """Parameters and effects drawn and sized; None where a trial has no equilibrium."""
     noise, signal, amplitude = wanted
-    theta = _theta(base, scene.n_lines, generator)
+    theta = _theta(base, scene, generator)
+    if theta is None:
+        return None
     hidden = tuple(EFFECTS[name](scene, generator) for name in names)
     own = base.with_theta(theta)
     run = conduct(own)
@@ -205,7 +215,7 @@ def _drawn(
     null = BaseFit(theta=theta, run=run, signal=0.0)
     sizes, is_largest = [], False
     for x in hidden:
-        size = x.smallest * (x.largest / x.smallest) ** generator.random()
+        size = _usual_size(x, scene, generator)
         if amplitude is not None:
             size = abs(amplitude)
         elif signal is not None:
@@ -267,18 +277,30 @@ def _sized(
     return None if scaled is None else (scaled.amplitude, scaled.is_largest)
 
 
-def _theta(base: Experiment, n_lines: int, generator: np.random.Generator) -> Array:
-    """True stiffnesses [kN] and reference strains [%]: around the subject's, never the same."""
+def _usual_size(hidden: Hidden, scene: Scene, generator: np.random.Generator) -> float:
+    """Amplitude > 0 where no signal is wanted."""
+    spread = scene.conditions.amplitudes.get(hidden.name)
+    if spread is None:
+        share = generator.random()
+        return float(hidden.smallest * (hidden.largest / hidden.smallest) ** share)
+    return spread.size(generator, n=hidden.n_numbers, over=hidden.over, sign=hidden.sign)
+
+
+def _theta(base: Experiment, scene: Scene, generator: np.random.Generator) -> Array | None:
+    """True stiffnesses [kN] and reference strains [%]; None where one is of a size that cannot be.
+
+    They lie around the subject's own and are never the same.
+    """
+    n_lines, conditions = scene.n_lines, scene.conditions
+    limit = conditions.largest_shift_pct
     stiffness = (
         0.001
         * base.lines[:n_lines, STIFFNESS]
-        * np.exp(generator.normal(0.0, STIFFNESS_LOG_SD, n_lines))
+        * np.exp(generator.normal(0.0, conditions.stiffness_log_sd, n_lines))
     )
-    shift = np.clip(
-        generator.normal(0.0, STRAIN_SD_PCT, n_lines), -STRAIN_LIMIT_PCT, STRAIN_LIMIT_PCT
-    )
-    theta: Array = np.r_[stiffness, 100.0 * base.lines[:n_lines, REFERENCE_STRAIN] + shift]
-    return theta
+    shift = np.clip(generator.normal(0.0, conditions.strain_sd_pct, n_lines), -limit, limit)
+    strain = 100.0 * base.lines[:n_lines, REFERENCE_STRAIN] + shift
+    return np.r_[stiffness, strain] if conditions.is_plausible(stiffness, strain) else None
 
 
 def _noisy(

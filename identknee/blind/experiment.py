@@ -69,8 +69,8 @@ class Experiment:
         The same where no load is stated, shape ``(5,)``.
     flexion_offset
         Added to the stated flexion angle.
-    modulus
-        Of contact [N/mm3].
+    modulus, exponent
+        Of the contact law: pressure at a depth of 0.3 mm over that depth [N/mm3], and its power.
     weights
         Forces of fixed direction in the femur and the tibial place they act at, ``(w, 6)``.
     springs
@@ -94,6 +94,7 @@ class Experiment:
     preload: Array
     flexion_offset: float
     modulus: float
+    exponent: float
     weights: Array
     springs: Array
     torsion: tuple[float, float]
@@ -111,7 +112,7 @@ class Experiment:
 
     def arrays(self) -> tuple[Any, ...]:
         """The knee as compiled functions take it."""
-        surface = (self.points, self.areas, np.array([self.modulus, EXPONENT]))
+        surface = (self.points, self.areas, np.array([self.modulus, self.exponent]))
         field = (self.grid.values, self.grid.origin, self.grid.spacing)
         return surface, field, self.lines, self.weights, self.springs, np.array(self.torsion)
 
@@ -144,7 +145,7 @@ class Run:
         return all(end is TrialEnd.FOUND for end in self.ends)
 
 
-def experiment_of(knee: Knee, protocol: Protocol) -> Experiment:
+def experiment_of(knee: Knee, protocol: Protocol, exponent: float = EXPONENT) -> Experiment:
     """The experiment on a knee with nothing hidden, at the subject's own ligament values."""
     femur, tibia = knee.femur_frame, knee.tibia_frame
     surfaces = [_refined(Surface(vertices=tibia.to_local(x.vertices), faces=x.faces))
@@ -165,6 +166,7 @@ def experiment_of(knee: Knee, protocol: Protocol) -> Experiment:
         preload=np.zeros(5),
         flexion_offset=0.0,
         modulus=MODULUS,
+        exponent=exponent,
         weights=np.zeros((0, 6)),
         springs=np.zeros((0, 7)),
         torsion=(0.0, 0.0),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.blind.conditions import Conditions
 from identknee.blind.experiment import (
     FEMUR_END,
     LINE_COLUMNS,
@@ -38,6 +39,8 @@ class Scene:
         When each trial was made, 1 to n.
     is_unloading
         Whether the load was coming down, shape ``(n,)``.
+    conditions
+        What places and slack strains are drawn from.
     """
 
     places: Places
@@ -46,6 +49,7 @@ class Scene:
     load_Nm: Array  # noqa: N815 - newton metres
     order: IntArray
     is_unloading: BoolArray
+    conditions: Conditions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,6 +71,10 @@ class Hidden:
         library has for it.
     line
         Femoral and tibial end of a line structure in the bones' frames [mm].
+    n_numbers
+        How many numbers of equal spread the amplitude is the length of.
+    over
+        What that length is divided by: a root mean square has the root of their number.
     """
 
     name: str
@@ -77,6 +85,8 @@ class Hidden:
     apply: Callable[[Experiment, float], Experiment]
     amplitudes: Callable[[float], Mapping[str, tuple[float, str]]]
     line: tuple[Array, Array] | None = None
+    n_numbers: int = 1
+    over: float = 1.0
 
 
 Apply = Callable[[Experiment, float], Experiment]

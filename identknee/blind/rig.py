@@ -50,6 +50,7 @@ def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
             "posterior_N": (a * float(np.cos(angle)), "N"),
             "distal_N": (a * float(np.sin(angle)), "N"),
         },
+        n_numbers=2,
     )
 
 
@@ -86,6 +87,7 @@ def moment_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
             "IE_Nm": (a * float(share[1]), "N·m"),
             "VV_Nm": (a * float(share[0]), "N·m"),
         },
+        n_numbers=2,
     )
 
 
@@ -110,6 +112,7 @@ def axis_misalignment(_scene: Scene, generator: np.random.Generator) -> Hidden:
             "VV_to_IE_deg": (a * float(way[0]), "deg"),
             "IE_to_VV_deg": (a * float(way[1]), "deg"),
         },
+        n_numbers=2,
     )
 
 
@@ -134,6 +137,7 @@ def parasitic_shear(_scene: Scene, generator: np.random.Generator) -> Hidden:
         amplitudes=lambda a: {
             x: (a * float(w), "N/N·m") for x, w in zip(names, way.ravel(), strict=True)
         },
+        n_numbers=4,
     )
 
 
@@ -206,7 +210,9 @@ def drift(scene: Scene, generator: np.random.Generator) -> Hidden:
     way = _unit(generator, 5)
     share = (scene.order - 1.0) / max(len(scene.order) - 1, 1) - 0.5
     parts = dict(zip(COORDINATES, way.tolist(), strict=True))
-    return _reading_effect("drift", ("mm or deg", 0.2, 4.0), share[:, None] * way, parts)
+    return replace(
+        _reading_effect("drift", ("mm or deg", 0.2, 4.0), share[:, None] * way, parts), n_numbers=5
+    )
 
 
 def _loaded(experiment: Experiment, change: Array) -> Experiment:
@@ -265,6 +271,7 @@ def _turn_effect(name: str, way: Array, apply: Apply) -> Hidden:
         amplitudes=lambda a: {
             f"{x}_deg": (a * float(w), "deg") for x, w in zip("xyz", way, strict=True)
         },
+        n_numbers=int(np.count_nonzero(way)),
     )
 
 

@@ -22,8 +22,7 @@ from identknee.blind.hidden import Apply, Draw, Hidden, Scene, line_row
 from identknee.blind.sites import structure_ends
 from identknee.runs.arrays import Array
 
-# Jitter of each coordinate of a structure's ends [mm], and its slack strain [%].
-JITTER_MM = 3.0
+# Slack strain of a structure [%].
 STRAIN_PCT, STRAIN_JITTER_PCT = 3.0, 2.0
 # The middle of a condyle over its plateau [mm].
 CONDYLE_MM = 20.0
@@ -39,8 +38,8 @@ def structure(name: str, *, smallest_kN: float, largest_kN: float) -> Draw:
     """Draw of a missing structure of one line, by its name in `structure_ends`."""
 
     def draw(scene: Scene, generator: np.random.Generator) -> Hidden:
-        ends = [x + generator.normal(0.0, JITTER_MM, 3) for x in structure_ends(scene.places)[name]]
-        return _line_effect(name, scene, ends, _strain(generator), (smallest_kN, largest_kN))
+        ends = [scene.conditions.place(x, generator) for x in structure_ends(scene.places)[name]]
+        return _line_effect(name, scene, ends, _strain(scene, generator), (smallest_kN, largest_kN))
 
     return draw
 
@@ -95,10 +94,10 @@ def posterior_capsule(scene: Scene, generator: np.random.Generator) -> Hidden:
     """Medial and lateral posterior capsule, either as a line; the amplitude is the stiffer one."""
     ends = structure_ends(scene.places)
     strands = [
-        [x + generator.normal(0.0, JITTER_MM, 3) for x in ends[f"posterior_capsule_{side}"]]
+        [scene.conditions.place(x, generator) for x in ends[f"posterior_capsule_{side}"]]
         for side in ("medial", "lateral")
     ]
-    shares, strain = np.r_[1.0, generator.uniform(0.5, 1.0)], _strain(generator)
+    shares, strain = np.r_[1.0, generator.uniform(0.5, 1.0)], _strain(scene, generator)
     generator.shuffle(shares)
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
@@ -186,7 +185,8 @@ def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
     """Each condyle is held across its plateau, at rest in the scanned pose."""
     R, t = scene.start
     up = np.array([0.0, CONDYLE_MM * scene.places.scale, 0.0])
-    rest = scene.places.plateaus[:, 1] + up + generator.normal(0.0, JITTER_MM, (2, 3))
+    middles = scene.places.plateaus[:, 1] + up
+    rest = np.array([scene.conditions.place(x, generator) for x in middles])
     ratio = float(generator.uniform(0.5, 1.0))
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
@@ -251,6 +251,8 @@ def insertion(scene: Scene, generator: np.random.Generator) -> Hidden:
         largest=4.0,
         apply=apply,
         amplitudes=lambda a: {"rms_shift": (a, "mm")},
+        n_numbers=6 * n,
+        over=float(np.sqrt(6 * n)),
     )
 
 
@@ -363,5 +365,7 @@ def _directions(generator: np.random.Generator, shape: tuple[int, ...]) -> Array
     return units
 
 
-def _strain(generator: np.random.Generator) -> float:
+def _strain(scene: Scene, generator: np.random.Generator) -> float:
+    if scene.conditions.structure_strain_pct is not None:
+        return scene.conditions.structure_strain_pct.value(generator)
     return float(STRAIN_PCT + generator.uniform(-STRAIN_JITTER_PCT, STRAIN_JITTER_PCT))

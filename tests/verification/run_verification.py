@@ -26,6 +26,7 @@ MODULES = {
     "equivalents": "verify_equivalents",
     "kill": "verify_kill",
     "blind": "verify_blind",
+    "blind_axes": "verify_blind_axes",
 }
 
 if __name__ == "__main__":

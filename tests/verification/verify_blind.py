@@ -59,7 +59,7 @@ def measure(options: argparse.Namespace) -> Row:
         started = run("other starts", _started())
     hidden = [x for x in [*singles, *real, *pairs, *unlisted] if "error" not in x]
     measures = [
-        *(_share(f"false alarms, {x}", nulls[x], _alarmed, bar=0.08) for x in N_NULLS),
+        *(share_of(f"false alarms, {x}", nulls[x], is_alarm, bar=0.08) for x in N_NULLS),
         *_detected([*singles, *real]),
         *_named({REFERENCE: singles, REAL: real}, hidden),
         *_amplitudes([*singles, *real]),
@@ -76,8 +76,11 @@ def measure(options: argparse.Namespace) -> Row:
     typical, most = np.quantile(seconds, [0.5, 0.95])
     notes = [
         f"{len(everything)} cases, {typical:.1f} s each (median), {most:.1f} s (95 %), two at once",
-        *(_verdicts(name, found) for name, found in _series(nulls, singles, real, pairs, unlisted)),
-        *(_told(x) for x in hidden if x.get("wrong")),
+        *(
+            verdicts_of(name, found)
+            for name, found in _series(nulls, singles, real, pairs, unlisted)
+        ),
+        *(told(x) for x in hidden if x.get("wrong")),
         *(f"no case: {x['error']}" for x in [*singles, *real, *pairs, *unlisted] if "error" in x),
     ]
     return Row(
@@ -88,7 +91,7 @@ def measure(options: argparse.Namespace) -> Row:
     )
 
 
-def _told(wrong: Mapping[str, Any]) -> str:
+def told(wrong: Mapping[str, Any]) -> str:
     hidden, called = (" and ".join(wrong[x]) for x in ("effects", "causes"))
     return f"wrong name: {hidden} at {wrong['signal']:.1f} called {called}, seed {wrong['seed']}"
 
@@ -176,11 +179,11 @@ def _like(task: BlindTask, **changed: Any) -> BlindTask:
     return replace(task, adds_trials=False, measures_gain=False, **changed)
 
 
-def _alarmed(outcome: dict[str, Any]) -> bool:
+def is_alarm(outcome: dict[str, Any]) -> bool:
     return bool(outcome["verdict"] not in ("ADEQUATE", "NOT_TESTABLE"))
 
 
-def _share(
+def share_of(
     what: str,
     outcomes: Iterable[dict[str, Any]],
     holds: Callable[[dict[str, Any]], bool],
@@ -212,7 +215,7 @@ def _at(outcomes: Outcomes, signal: float) -> Outcomes:
 def _detected(outcomes: Outcomes) -> list[Measure]:
     bars = {4.0: 0.7, 6.0: 0.95, 10.0: 1.0, 20.0: 1.0}
     return [
-        _share(f"detected at signal {x:g}", _at(outcomes, x), _alarmed, bar=bar, at_least=True)
+        share_of(f"detected at signal {x:g}", _at(outcomes, x), is_alarm, bar=bar, at_least=True)
         for x, bar in bars.items()
     ]
 
@@ -248,28 +251,28 @@ def _named(by_subject: Mapping[str, Outcomes], hidden: Outcomes) -> list[Measure
         count=len(sizes),
     )
     return [
-        _share("right name, separable", alone, _is_right, bar=0.95, at_least=True),
-        _share("truth named or in the group, separable", alone, _is_in_group),
-        _share("in the group, not separable", ambiguous, _is_in_group, bar=0.95, at_least=True),
+        share_of("right name, separable", alone, is_right, bar=0.95, at_least=True),
+        share_of("truth named or in the group, separable", alone, is_in_group),
+        share_of("in the group, not separable", ambiguous, is_in_group, bar=0.95, at_least=True),
         size,
-        _share("wrong single name, all that hide something", hidden, _is_wrong, bar=0.03),
+        share_of("wrong single name, all that hide something", hidden, is_wrong, bar=0.03),
     ]
 
 
-def _is_right(outcome: dict[str, Any]) -> bool:
+def is_right(outcome: dict[str, Any]) -> bool:
     return outcome["verdict"] == "NAMED" and bool(outcome["correct"])
 
 
-def _is_wrong(outcome: dict[str, Any]) -> bool:
+def is_wrong(outcome: dict[str, Any]) -> bool:
     return bool(outcome.get("wrong"))
 
 
-def _is_in_group(outcome: dict[str, Any]) -> bool:
+def is_in_group(outcome: dict[str, Any]) -> bool:
     return bool(outcome.get("in_group"))
 
 
 def _right(outcomes: Outcomes) -> Outcomes:
-    return [x for x in outcomes if "error" not in x and _is_right(x)]
+    return [x for x in outcomes if "error" not in x and is_right(x)]
 
 
 def _amplitudes(outcomes: Outcomes) -> list[Measure]:
@@ -337,15 +340,15 @@ def _held_out(outcomes: Outcomes) -> list[Measure]:
 
 def _of_pairs(outcomes: Outcomes) -> list[Measure]:
     return [
-        _share(
+        share_of(
             "pairs: both found",
             outcomes,
             lambda x: set(x["effects"]) <= set(x["group"]) | set(x["causes"]),
             bar=0.8,
             at_least=True,
         ),
-        _share("pairs: exactly both named", outcomes, _is_right),
-        _share(
+        share_of("pairs: exactly both named", outcomes, is_right),
+        share_of(
             "pairs: an extra cause named",
             outcomes,
             lambda x: bool(set(x["causes"]) - set(x["effects"])) and x["verdict"] == "NAMED",
@@ -358,14 +361,14 @@ def _of_unlisted(outcomes: Outcomes) -> list[Measure]:
     lines = [x for x in outcomes if "error" not in x and x["effects"] == ["missing_line"]]
     found = [x for x in lines if x["line"][0] is not None]
     return [
-        _share(
+        share_of(
             "unlisted: unexplained or ambiguous",
             outcomes,
             lambda x: x["verdict"] in ("UNEXPLAINED", "AMBIGUOUS"),
             bar=0.9,
             at_least=True,
         ),
-        _share(
+        share_of(
             "line within 10 mm and 15 deg, where one was sought",
             found,
             lambda x: x["line"][0] <= LINE_MM and x["line"][1] <= LINE_DEG,
@@ -378,14 +381,14 @@ def _of_unlisted(outcomes: Outcomes) -> list[Measure]:
 def _of_advice(outcomes: Outcomes) -> list[Measure]:
     again = [x["added"] for x in outcomes if x.get("added") and x["verdict"] == "AMBIGUOUS"]
     what = "ambiguous, then rightly named with the advised trials"
-    return [_share(what, again, _is_right, bar=0.8, at_least=True)]
+    return [share_of(what, again, is_right, bar=0.8, at_least=True)]
 
 
 def _of_same(again: Outcomes, singles: Outcomes, what: str, bar: float) -> list[Measure]:
     first = {x["seed"]: x for x in singles if "error" not in x}
     cases = [x for x in again if "error" not in x]
     return [
-        _share(
+        share_of(
             f"{what}: same verdict",
             cases,
             lambda x: x["verdict"] in (first[x["seed"]]["verdict"], "NOT_TESTABLE"),
@@ -406,7 +409,7 @@ def _series(
     ]
 
 
-def _verdicts(name: str, outcomes: Outcomes) -> str:
+def verdicts_of(name: str, outcomes: Outcomes) -> str:
     verdicts = [x["verdict"] for x in outcomes if "error" not in x]
     counts = ", ".join(f"{verdicts.count(x)} {x}" for x in sorted(set(verdicts)))
     return f"{name}: {counts}"

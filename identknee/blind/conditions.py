@@ -1,0 +1,153 @@
+"""What blind cases are drawn from, so that what the generator shares with a library can vary."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identknee.blind.experiment import EXPONENT
+from identknee.runs.arrays import Array
+
+# Draws until one lies between the ends of a spread.
+MOST_TRIES = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """A normal distribution cut off at its ends.
+
+    Attributes
+    ----------
+    sd
+        Standard deviation, > 0.
+    center
+        Mean.
+    lower, upper
+        Ends, which values do not pass.
+    """
+
+    sd: float
+    center: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.sd < np.inf:
+            raise ValueError(
+                f"the standard deviation of a spread must be greater than 0 and finite, got "
+                f"{self.sd:g}"
+            )
+        if not self.lower < self.upper:
+            raise ValueError(
+                f"the ends of a spread must be lower < upper, got {self.lower:g} and {self.upper:g}"
+            )
+
+    def value(self, generator: np.random.Generator) -> float:
+        """A value between the ends."""
+        for _ in range(MOST_TRIES):
+            drawn = float(generator.normal(self.center, self.sd))
+            if self.lower <= drawn <= self.upper:
+                return drawn
+        raise ValueError(
+            f"hardly any value of a normal distribution around {self.center:g} with sd {self.sd:g} "
+            f"lies between {self.lower:g} and {self.upper:g}; set the ends farther apart"
+        )
+
+    def size(
+        self, generator: np.random.Generator, *, n: int = 1, over: float = 1.0, sign: float = 1.0
+    ) -> float:
+        """Length of `n` values of mean 0, over `over`; it lies between the ends times `sign`."""
+        for _ in range(MOST_TRIES):
+            drawn = self.sd * float(np.linalg.norm(generator.normal(size=n))) / over
+            if self.lower <= sign * drawn <= self.upper:
+                return drawn
+        raise ValueError(
+            f"hardly any amplitude of sd {self.sd:g} lies between {self.lower:g} and "
+            f"{self.upper:g}; set the ends farther apart"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Conditions:
+    """What true parameters, places, contact and errors of blind cases are drawn from.
+
+    Without arguments, those of the standard blind test.
+
+    Attributes
+    ----------
+    stiffness_log_sd
+        Of the true stiffnesses around the subject's: standard deviation of their logarithm.
+    strain_sd_pct
+        Of the true reference strains around the subject's [%].
+    largest_shift_pct
+        Where a shift of a reference strain is cut off [%].
+    most_stiffness_kN, most_strain_pct
+        Size beyond which a true parameter is drawn again.
+    amplitudes
+        Spread of an effect's amplitudes by its name, for an effect sized without a signal; the
+        sizes of the literature where it is missing.
+    structure_strain_pct
+        Spread of the slack strain of structures [%]; evenly from 1 to 5 where None.
+    exponents
+        Ends of the range that the exponent of the contact law is drawn from evenly.
+    jitter_mm
+        Standard deviation of each coordinate of a structure's places around its anatomical ones.
+    shift_mm
+        Distance that each place of a structure lies from there, in a direction drawn anew, in
+        place of the jitter; None for the jitter.
+    remount_mm, remount_deg
+        Standard deviation of an error that all trials of a flexion angle have in common, one for
+        each coordinate: the knee was mounted again.
+    """
+
+    stiffness_log_sd: float = 0.2
+    strain_sd_pct: float = 1.0
+    largest_shift_pct: float = 2.0
+    most_stiffness_kN: float = np.inf  # noqa: N815 - the unit
+    most_strain_pct: float = np.inf
+    amplitudes: Mapping[str, Spread] = field(default_factory=dict)
+    structure_strain_pct: Spread | None = None
+    exponents: tuple[float, float] = (EXPONENT, EXPONENT)
+    jitter_mm: float = 3.0
+    shift_mm: float | None = None
+    remount_mm: float = 0.0
+    remount_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        low, high = self.exponents
+        if not 0.0 < low <= high < np.inf:
+            raise ValueError(
+                f"the exponents of the contact law must be 0 < low <= high, got {low:g} and "
+                f"{high:g}"
+            )
+        for name in ("remount_mm", "remount_deg", "jitter_mm"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(
+                    f"{name} must be at least 0 and finite, got {getattr(self, name):g}"
+                )
+
+    def exponent(self, generator: np.random.Generator) -> float:
+        """An exponent of the contact law."""
+        return float(generator.uniform(*self.exponents))
+
+    def place(self, anatomical: Array, generator: np.random.Generator) -> Array:
+        """A structure's true place [mm] near its anatomical one, shape ``(3,)``."""
+        if self.shift_mm is None:
+            return np.asarray(anatomical + generator.normal(0.0, self.jitter_mm, 3))
+        way = generator.normal(size=3)
+        return np.asarray(anatomical + self.shift_mm * way / np.linalg.norm(way))
+
+    def is_plausible(self, stiffness: Array, strain: Array) -> bool:
+        """Whether true stiffnesses [kN] and reference strains [%] are of a size that may be."""
+        within_strain = np.abs(strain) <= self.most_strain_pct
+        return bool((stiffness <= self.most_stiffness_kN).all() and within_strain.all())
+
+    def remounting(self, flexion_deg: Array, generator: np.random.Generator) -> Array:
+        """The error of each trial that its flexion angle has in common [mm, deg], ``(n, 5)``."""
+        sd = np.repeat([self.remount_mm, self.remount_deg], [3, 2])
+        angles, number = np.unique(flexion_deg, return_inverse=True)
+        errors: Array = (sd * generator.standard_normal((len(angles), 5)))[number.ravel()]
+        return errors
+
+
+STANDARD = Conditions()
