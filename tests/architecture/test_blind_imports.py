@@ -3,11 +3,13 @@
 import ast
 from pathlib import Path
 
+import pytest
+
 import identknee
 
 ROOT = Path(identknee.__file__).parent
 SHARED = {"subject", "laxity", "runs"}
-TESTED = ("mechanics", "model", "calibrate", "identify", "diagnose", "report")
+TESTED = ("mechanics", "model", "calibrate", "identify", "diagnosis", "report")
 
 
 def _imports(path: Path) -> set[str]:
@@ -31,6 +33,8 @@ def _module(name: str) -> Path | None:
 
 def _reached(package: str) -> set[str]:
     """Every module of identknee that a package's modules lead to."""
+    if not (ROOT / package / "__init__.py").exists():
+        raise FileNotFoundError(f"no package identknee.{package}: a check of nothing would pass")
     reached: set[str] = set()
     waiting = {
         f"identknee.{x.relative_to(ROOT).with_suffix('').as_posix().replace('/', '.')}"
@@ -61,6 +65,14 @@ def test_nothing_tested_imports_the_generator() -> None:
 
 def test_both_share_what_they_are_given_and_nothing_else() -> None:
     generator = _reached("blind")
-    for package in ("model", "diagnose"):
+    for package in ("model", "diagnosis"):
         common = generator & _reached(package)
         assert {_part(x) for x in common} <= SHARED
+
+
+def test_every_package_is_there_to_be_checked() -> None:
+    """Of `TESTED` none is misspelt, and only those that use the generator are left out."""
+    there = {x.parent.name for x in ROOT.glob("*/__init__.py")}
+    assert there == {*TESTED, *SHARED, "blind", "cli"}
+    with pytest.raises(FileNotFoundError, match="diagnose"):
+        _reached("diagnose")
