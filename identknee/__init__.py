@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from identknee.identify.sweep.survey import Survey, survey
     from identknee.identify.sweep.sweep import Sweep, sweep
     from identknee.laxity.candidates import candidate_trials
+    from identknee.laxity.examples import example_laxity
     from identknee.laxity.noise import add_noise
     from identknee.laxity.protocol import Protocol, load_protocol
     from identknee.laxity.rmse import LaxityError, laxity_rmse
@@ -83,7 +84,7 @@ if TYPE_CHECKING:
     from identknee.runs.errors import InputError
     from identknee.runs.outcome import Outcome
     from identknee.subject.check import Finding, check_geometry
-    from identknee.subject.folder import read_subject, write_subject
+    from identknee.subject.folder import example, read_subject, write_subject
     from identknee.subject.frames import Frame
     from identknee.subject.knee import Knee
     from identknee.subject.ligament import Ligament
@@ -96,6 +97,7 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "write_subject",
     "import_opensim",
     "reference_knee",
+    "example",
     "Knee",
     "Surface",
     "Ligament",
@@ -106,6 +108,7 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "Protocol",
     "read_laxity",
     "write_laxity",
+    "example_laxity",
     "Laxity",
     "add_noise",
     "laxity_rmse",
@@ -210,7 +213,7 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
 ]
 
 _MODULES = {
-    "subject.folder": ("read_subject", "write_subject"),
+    "subject.folder": ("read_subject", "write_subject", "example"),
     "subject.opensim": ("import_opensim",),
     "subject.reference": ("reference_knee",),
     "subject.knee": ("Knee",),
@@ -220,6 +223,7 @@ _MODULES = {
     "subject.check": ("check_geometry", "Finding"),
     "laxity.protocol": ("load_protocol", "Protocol"),
     "laxity.table": ("read_laxity", "write_laxity", "Laxity"),
+    "laxity.examples": ("example_laxity",),
     "laxity.noise": ("add_noise",),
     "laxity.rmse": ("laxity_rmse", "LaxityError"),
     "model.laxity_model": ("LaxityModel",),

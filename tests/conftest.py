@@ -1,7 +1,6 @@
 """Options, hypothesis profiles and the knees that many tests share."""
 
 import os
-from pathlib import Path
 
 # Read when numpy is loaded; test processes with threads of their own get in each other's way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -13,7 +12,7 @@ from hypothesis import HealthCheck, settings
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.subject.folder import read_subject
+from identknee.subject.folder import example
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
 
@@ -51,15 +50,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 @pytest.fixture(scope="session")
-def shared() -> Path:
-    """The folder of shared data."""
-    path = os.environ.get("IDENTKNEE_SHARED")
-    if path is None or not Path(path).is_dir():
-        pytest.skip("the shared data are not here: IDENTKNEE_SHARED names no folder")
-    return Path(path)
-
-
-@pytest.fixture(scope="session")
 def reference() -> Knee:
     """The reference knee at its default resolution."""
     return reference_knee()
@@ -78,7 +68,6 @@ def reference_prediction(reference_model: LaxityModel) -> Prediction:
 
 
 @pytest.fixture(scope="session")
-def stable_model(shared: Path) -> LaxityModel:
+def stable_model() -> LaxityModel:
     """The real knee whose four-line model is well posed, under the 63 trials."""
-    knee = read_subject(shared / "data" / "lenhart2015_stable")
-    return LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    return LaxityModel(knee=example("lenhart2015_stable"), protocol=load_protocol("seed63"))

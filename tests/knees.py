@@ -15,8 +15,8 @@ from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
-from identknee.report.study_records import study_knee
 from identknee.runs.arrays import Array
+from identknee.subject.folder import example
 from identknee.subject.knee import Knee
 
 SCALE = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
@@ -24,11 +24,8 @@ DEFAULT: Any = LaxityModel.__dataclass_fields__["n_points"].default
 
 
 def knee(name: str) -> Knee:
-    """The knee called `name`, ``"reference"`` or a folder of the shared data."""
-    found = study_knee(name)
-    if found is None:
-        raise SystemExit(f"{name} is in the shared data; set IDENTKNEE_SHARED to their folder")
-    return found
+    """The named subject called `name`."""
+    return example(name)
 
 
 def model(name: str, n_points: int | None = DEFAULT) -> LaxityModel:

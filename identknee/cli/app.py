@@ -50,9 +50,9 @@ def identknee(
 ) -> None:
     """Fit knee ligament parameters to laxity tests, and see how far they can be trusted.
 
-    SUBJECT is a subject folder or the word reference. A verb that computes leaves result.json, and
-    result.nc where it has arrays, in the folder --out. Exit codes: 0 done, 1 it could not be
-    computed, 2 the input is wrong.
+    SUBJECT is a subject folder, or a name such as reference or lenhart2015 that identknee subject
+    list knows. A verb that computes leaves result.json, and result.nc where it has arrays, in the
+    folder --out. Exit codes: 0 done, 1 it could not be computed, 2 the input is wrong.
     """
 
 

@@ -6,13 +6,19 @@ from typing import Annotated, Any
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, Out, Seed, Workers, knee_digest, show, timed
+from identknee.cli.command import (
+    Json,
+    Out,
+    Seed,
+    SubjectOrReference,
+    Workers,
+    knee_digest,
+    show,
+    timed,
+)
 from identknee.runs.files import prepare_folder, write_json
 from identknee.runs.record import record
 
-SubjectOrReference = Annotated[
-    str, typer.Argument(metavar="[SUBJECT]", help="A subject folder, or the word reference.")
-]
 Effect = Annotated[
     list[str] | None,
     typer.Option(metavar="ID", help="A cause, random, or none; two may be given."),

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -12,11 +13,13 @@ import typer
 import typer.core
 
 import identknee as ik
+from identknee.laxity.named_tables import TABLES
 from identknee.runs.errors import InputError
 from identknee.runs.executors import WorkerDied
 from identknee.runs.files import digest, plain
 from identknee.runs.progress import progress_bar
 from identknee.runs.unforeseen import report_unforeseen, warnings_logged
+from identknee.subject.examples import named_subject
 
 Result = TypeVar("Result")
 
@@ -27,8 +30,58 @@ STOPPED_WORK = "stopped; what was finished is kept in --out, and the same comman
 SETTINGS, IS_NEW = "identknee.settings", "identknee.is_new"
 RESUMING = {"sweep", "profile", "sample", "sensitivity", "equivalents"}
 
+
+def _subject_word(word: str) -> str:
+    return _said_which(word, is_name=named_subject(word) is not None)
+
+
+def _data_word(word: str | None) -> str | None:
+    return word if word is None else _said_which(word, is_name=word in TABLES)
+
+
+def _said_which(word: str, *, is_name: bool) -> str:
+    """The word; where it is a name and a path too, a person is told which of them is meant."""
+    if is_name and Path(word).exists():
+        typer.echo(
+            f"identknee: {word} means what comes with identknee under this name; "
+            f"write .{os.sep}{word} for what is called so here.",
+            err=True,
+        )
+    return word
+
+
 Subject = Annotated[
-    str, typer.Argument(metavar="SUBJECT", help="A subject folder, or the word reference.")
+    str,
+    typer.Argument(
+        metavar="SUBJECT",
+        help="A subject folder, or a name that identknee subject list knows.",
+        callback=_subject_word,
+    ),
+]
+SubjectOrReference = Annotated[
+    str,
+    typer.Argument(
+        metavar="[SUBJECT]",
+        help="A subject folder, or a name that identknee subject list knows.",
+        callback=_subject_word,
+    ),
+]
+Data = Annotated[
+    str,
+    typer.Argument(
+        metavar="DATA.csv",
+        help="The measured laxity table, or the name of a subject that comes with one.",
+        callback=_data_word,
+    ),
+]
+MaybeData = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[DATA.csv]",
+        help="The measured laxity table, or the name of a subject that comes with one; none with "
+        "--protocol.",
+        callback=_data_word,
+    ),
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of all random numbers; it is recorded.")]

@@ -8,7 +8,7 @@ import numpy as np
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import (
     Bounds,
     Fixed,
@@ -24,7 +24,6 @@ from identknee.runs.record import record
 
 ADVICE = "advised_trials.csv"
 
-Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 NTrials = Annotated[int, typer.Option(min=1, help="How many trials to add.")]
 Targets = Annotated[
     list[str] | None,

@@ -9,6 +9,7 @@ import typer
 import identknee as ik
 from identknee.cli.command import (
     Json,
+    MaybeData,
     Out,
     Seed,
     Subject,
@@ -20,6 +21,7 @@ from identknee.cli.command import (
 )
 from identknee.cli.identification import Noise, file_digests, measured
 from identknee.cli.isolability import say_isolability, shown
+from identknee.laxity.named_tables import laxity_file
 from identknee.runs.files import digest, prepare_folder, write_atomically
 from identknee.runs.record import Recording, record
 
@@ -27,10 +29,6 @@ if TYPE_CHECKING:
     from identknee.diagnosis.diagnose import Diagnosis
     from identknee.diagnosis.gain import Gain
 
-Data = Annotated[
-    Path | None,
-    typer.Argument(metavar="[DATA.csv]", help="The measured laxity table; none with --protocol."),
-]
 Planned = Annotated[
     str | None,
     typer.Option(
@@ -53,7 +51,7 @@ EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
 def diagnose(
     context: typer.Context,
     subject: Subject,
-    data: Data = None,
+    data: MaybeData = None,
     protocol: Planned = None,
     noise: Noise = None,
     start: Start = "subject",
@@ -83,7 +81,11 @@ def diagnose(
     from identknee.diagnosis.diagnose import diagnose as find
 
     knee, laxity = measured(subject, data, noise)
-    inputs = {"subject": knee_digest(knee), "data": digest(data), **file_digests(start=start)}
+    inputs = {
+        "subject": knee_digest(knee),
+        "data": digest(laxity_file(data)),
+        **file_digests(start=start),
+    }
     recording = record("diagnose", context.params, inputs, seed)
     starts = _starts(knee, laxity, start)
     warm_up(knee, laxity.protocol)

@@ -7,6 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import (
+    Data,
     Json,
     Out,
     Seed,
@@ -34,7 +35,6 @@ from identknee.runs.findings import finding_lines, findings_summary
 from identknee.runs.record import record
 from identknee.runs.resume import finish_work
 
-Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 NumberOfSets = Annotated[int, typer.Option("--n-sets", min=2, help="Parameter sets wanted.")]
 Criterion = Annotated[
     Literal["noise", "paper"],

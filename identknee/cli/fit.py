@@ -9,6 +9,7 @@ import typer
 import identknee as ik
 from identknee.cli.command import (
     Continuation,
+    Data,
     Json,
     NotComputed,
     Out,
@@ -21,11 +22,11 @@ from identknee.cli.command import (
     warm_up,
 )
 from identknee.cli.values import named_bounds
+from identknee.laxity.named_tables import laxity_file
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.findings import Finding, Severity, finding_lines, findings_summary
 from identknee.runs.record import Recording, record
 
-Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]
 Method = Annotated[
     str,
@@ -77,7 +78,7 @@ def fit(
     limits = named_bounds(bounds or [], "--bounds")
     prepare_folder(out)
     laxity, knee = ik.read_laxity(data), ik.read_subject(subject)
-    inputs = {"subject": knee_digest(knee), "data": digest(data)}
+    inputs = {"subject": knee_digest(knee), "data": digest(laxity_file(data))}
     recording = record("fit", context.params, inputs, seed)
     model = ik.LaxityModel(knee=knee, protocol=laxity.protocol, continuation=continuation)
     residuals = ik.LaxityResiduals(model=model, laxity=laxity, weighting=weighting)

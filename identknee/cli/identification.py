@@ -11,8 +11,9 @@ import typer
 import identknee as ik
 from identknee.cli.command import NotComputed, knee_digest, warm_up
 from identknee.cli.values import named_bounds, noise_sizes
+from identknee.laxity.named_tables import laxity_file
 from identknee.runs.executors import Executor
-from identknee.runs.files import digest
+from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import Finding, Severity
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ class Identification:
 
 def identification(
     subject: str,
-    data: Path,
+    data: PathLike,
     *,
     noise: str | None = None,
     start: str = "subject",
@@ -195,13 +196,13 @@ def identification(
         assumptions=tuple(assumptions),
         inputs={
             "subject": knee_digest(knee),
-            "data": digest(data),
+            "data": digest(laxity_file(data)),
             **file_digests(start=start),
         },
     )
 
 
-def measured(subject: str, data: Path, noise: str | None) -> "tuple[ik.Knee, ik.Laxity]":
+def measured(subject: str, data: PathLike, noise: str | None) -> "tuple[ik.Knee, ik.Laxity]":
     """Subject and data, the noise of the data as `--noise` says where it is given.
 
     Raises

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import (
     Bounds,
     Fixed,
@@ -20,7 +20,6 @@ from identknee.runs.files import prepare_folder
 from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import record
 
-Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 ScalingName = Annotated[
     Literal["typical", "prior"],
     typer.Option(

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import (
     WORK,
     Bounds,
@@ -26,7 +26,6 @@ from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import Recording, record
 from identknee.runs.resume import finish_work
 
-Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 Chosen = Annotated[
     list[str] | None,
     typer.Option(

@@ -10,6 +10,7 @@ import typer
 import identknee as ik
 from identknee.cli.command import (
     Json,
+    MaybeData,
     NotComputed,
     Out,
     Seed,
@@ -26,12 +27,6 @@ from identknee.runs.record import record
 from identknee.runs.resume import finish_work
 
 MethodName = Literal["morris", "sobol", "delta", "pawn", "hdmr", "shapley"]
-Data = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="[DATA.csv]", help="A laxity table whose trials are analysed, not its values."
-    ),
-]
 ProtocolName = Annotated[
     str | None,
     typer.Option(
@@ -77,7 +72,7 @@ MEANINGS = {
 def sensitivity(
     context: typer.Context,
     subject: Subject,
-    data: Data = None,
+    data: MaybeData = None,
     protocol: ProtocolName = None,
     method: Method = "sobol",
     samples: Samples = None,
@@ -141,7 +136,7 @@ def sensitivity(
 
 
 def _outputs(
-    subject: str, data: Path | None, protocol: str, start: str, fixed: list[str] | None
+    subject: str, data: str | None, protocol: str, start: str, fixed: list[str] | None
 ) -> "tuple[Any, dict[str, str]]":
     from identknee.model.laxity_outputs import LaxityOutputs
     from identknee.report.sensitivity_groups import laxity_groups

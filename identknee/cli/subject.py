@@ -1,4 +1,4 @@
-"""`identknee subject`: check, show, export and import a subject's knee."""
+"""`identknee subject`: list, check, show, export and import subjects' knees."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -21,15 +21,17 @@ from identknee.cli.command import (
     show,
     warm_up,
 )
+from identknee.cli.subject_list import list_subjects
 from identknee.runs.executors import threads
 from identknee.runs.files import digest, prepare_folder, write_atomically
 from identknee.runs.record import Recording, record
+from identknee.subject.examples import opensim_file
 
 SCENE_FILE = "scene.png"
 
 app = typer.Typer(
     cls=Verbs,
-    help="Check, show, export or import a subject's knee.",
+    help="List the knees that come with identknee; check, show, export or import one.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -40,11 +42,19 @@ ProtocolName = Annotated[
 Samples = Annotated[
     int, typer.Option(min=0, help="Parameter vectors to draw from the box; 0 for none.")
 ]
-OsimFile = Annotated[Path, typer.Argument(metavar="FILE.osim", help="An OpenSim/JAM model.")]
+OsimFile = Annotated[
+    str,
+    typer.Argument(
+        metavar="FILE.osim",
+        help="An OpenSim/JAM model, or lenhart2015 for the one that comes with identknee.",
+    ),
+]
 Bundles = Annotated[
     Literal["separate", "merged"],
     typer.Option(help="Bundles as they are, or merged to the four single lines."),
 ]
+
+app.command("list", epilog="Example: identknee subject list --json")(list_subjects)
 
 
 @app.command(cls=Verb, epilog="Example: identknee subject check my-knee")
@@ -140,7 +150,9 @@ def import_osim(
     """Turn an OpenSim model into a subject folder."""
     prepare_folder(out)
     knee = ik.import_opensim(file, bundles=bundles)
-    recording = record("subject import-osim", context.params, {"osim": digest(file)}, seed)
+    recording = record(
+        "subject import-osim", context.params, {"osim": digest(opensim_file(file))}, seed
+    )
     _write_subject(knee, out, recording, as_json=as_json)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import (
     WORK,
     Bounds,
@@ -27,7 +27,6 @@ from identknee.runs.record import Recording, record
 from identknee.runs.resume import finish_work, open_work
 from identknee.runs.store import Store
 
-Data = Annotated[Path, typer.Argument(metavar="DATA.csv", help="The measured laxity table.")]
 Starts = Annotated[int, typer.Option("--n-starts", min=1, help="Searches to make.")]
 Method = Annotated[
     str,

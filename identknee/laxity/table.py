@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.laxity.cells import CellFile, Row, written
+from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, chosen_rows, name_fault, range_fault
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
 from identknee.runs.errors import InputError
@@ -133,13 +134,14 @@ class Laxity:
 
 
 def read_laxity(path: PathLike) -> Laxity:
-    """Laxity of a CSV file with one row a trial.
+    """Laxity of a CSV file with one row a trial, or of a named subject such as ``"s192803"``.
 
     Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing), any of
     `COORDINATES`, ``sd_`` and the name of a coordinate, ``order`` and ``phase``. A blank coordinate
     was not measured. Comment lines start with ``#``; two of them state something:
     ``# within_trial_correlation: 0.3`` and ``# zero: unloaded``. The protocol is called after the
-    file.
+    file. A name stands for the table that comes with identknee even where a file is called so:
+    write ``"./s192803"``, or give a `pathlib.Path`, for the file.
 
     Raises
     ------
@@ -147,7 +149,7 @@ def read_laxity(path: PathLike) -> Laxity:
         If the file breaks a rule; the message names the row (the line number in the file), the
         column and what to do.
     """
-    with CellFile.open(path) as file:
+    with CellFile.open(laxity_file(path)) as file:
         file.check_columns(_COLUMNS, ("trial", FLEXION))
         _check_coordinates(file)
         names: dict[str, int] = {}

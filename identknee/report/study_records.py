@@ -1,4 +1,4 @@
-"""What the research studies share: where their knees are, and the head of their records."""
+"""What the research studies share: their knees, and the head of their records."""
 
 import json
 import os
@@ -13,27 +13,17 @@ import numpy as np
 
 from identknee.runs.files import PathLike, digest, plain, prepare_folder, write_atomically
 from identknee.runs.record import versions
-from identknee.subject.folder import read_subject
+from identknee.subject.folder import example
 from identknee.subject.knee import Knee
+from identknee.subject.opensim import import_opensim
 
-SHARED = "IDENTKNEE_SHARED"
-REFERENCE = "reference"
+BUNDLES = "lenhart2015_bundles"
 DIGITS = 6
 
 
-def study_knee(name: str) -> Knee | None:
-    """The knee called `name`: ``"reference"``, or a subject folder of the shared data.
-
-    None where the environment variable ``IDENTKNEE_SHARED`` is not set or lacks the folder
-    ``data/name``: a study goes on without it and says so.
-    """
-    if name == REFERENCE:
-        return read_subject(REFERENCE)
-    shared = os.environ.get(SHARED)
-    if not shared:
-        return None
-    folder = Path(shared) / "data" / name
-    return read_subject(folder) if folder.is_dir() else None
+def study_knee(name: str) -> Knee:
+    """The named subject called `name`, or ``"lenhart2015_bundles"``: its OpenSim model as it is."""
+    return import_opensim("lenhart2015") if name == BUNDLES else example(name)
 
 
 def knee_digest(knee: Knee) -> str:

@@ -1,4 +1,4 @@
-"""Subject folders: subject.toml and the surfaces it names."""
+"""Subject folders, subject.toml and the surfaces it names, and the named subjects."""
 
 import json
 import os
@@ -11,10 +11,11 @@ from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.check import unusable
 from identknee.subject.effect_choice import EffectChoice
+from identknee.subject.examples import known_names, named_subject
 from identknee.subject.frames import LANDMARKS, Frame, frames_from_landmarks
 from identknee.subject.knee import Knee, Landmark
 from identknee.subject.ligament import Ligament
-from identknee.subject.reference import NAME, reference_knee
+from identknee.subject.reference import reference_knee
 from identknee.subject.subject_file import FORMAT, Table, read_tables
 from identknee.subject.surface import Surface, read_surface, write_surface
 
@@ -23,17 +24,43 @@ SURFACES = ("femur", "tibia_medial", "tibia_lateral")
 Made = TypeVar("Made")
 
 
+def example(name: str) -> Knee:
+    """The knee of a named subject, which comes with identknee.
+
+    Parameters
+    ----------
+    name
+        ``"reference"``, ``"lenhart2015"``, ``"lenhart2015_stable"``, ``"s192803"`` or
+        ``"s192803_bundles"``; ``identknee subject list`` tells source and licence of each.
+
+    Raises
+    ------
+    ValueError
+        If there is no such subject; the message lists them.
+
+    Examples
+    --------
+    >>> example("s192803").side
+    'left'
+    """
+    named = named_subject(name)
+    if named is None:
+        raise ValueError(f"there is no named subject {name!r}. {known_names(str(name))}")
+    return reference_knee() if named.file is None else _read(named.file)
+
+
 def read_subject(path: PathLike) -> Knee:
-    """The knee of a subject folder, or the analytic one for the word ``reference``.
+    """The knee of a subject folder, or of a named subject such as ``"lenhart2015"``.
 
     Lengths in the files are mm. Every frame there has x anterior, y superior and z to the subject's
     right; a left knee is mirrored, so that the knee returned is always a right one with z lateral.
-    A folder that is itself called reference is read as ``./reference``.
 
     Parameters
     ----------
     path
-        The folder, its ``subject.toml``, or ``"reference"``.
+        The folder, its ``subject.toml``, or a name that `example` knows. A name stands for the knee
+        that comes with identknee even where a folder is called so: write ``"./lenhart2015"``, or
+        give a `pathlib.Path`, for the folder.
 
     Raises
     ------
@@ -41,24 +68,21 @@ def read_subject(path: PathLike) -> Knee:
         If a file is missing or cannot be used: the message names the file, the place in it and the
         remedy. What can be used but looks wrong is left to `check_geometry`.
     """
-    if os.fspath(path) == NAME:
-        return reference_knee()
+    if isinstance(path, str) and named_subject(path) is not None:
+        return example(path)
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.exists() and file.name != FILE:
         raise InputError(
             path,
             "",
             "there is no such subject folder",
-            f"Give a folder that holds {FILE}, or the word {NAME}.",
+            f"{known_names(file.name)} Or give a folder that holds {FILE}.",
         )
     if file.name == FILE and not file.exists() and file.parent.is_dir():
         raise InputError(
             file.parent, "", f"the folder holds no {FILE}", "Add one, or give another folder."
         )
-    knee = _knee(read_tables(file))
-    for finding in unusable(knee):
-        raise InputError(file, finding.subject, finding.sentence, finding.remedy)
-    return knee
+    return _read(file)
 
 
 def write_subject(knee: Knee, folder: PathLike) -> Path:
@@ -84,6 +108,13 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
         for name in (*names, FILE):
             (Path(staging) / name).replace(target / name)
     return target
+
+
+def _read(file: Path) -> Knee:
+    knee = _knee(read_tables(file))
+    for finding in unusable(knee):
+        raise InputError(file, finding.subject, finding.sentence, finding.remedy)
+    return knee
 
 
 def _knee(table: Table) -> Knee:

@@ -14,6 +14,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike
 from identknee.subject.check import unusable
+from identknee.subject.examples import opensim_file
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee, Landmark, Side
 from identknee.subject.ligament import Ligament
@@ -54,7 +55,7 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     Parameters
     ----------
     path
-        The ``.osim`` file.
+        The ``.osim`` file, or the name ``"lenhart2015"`` for the one that comes with identknee.
     bundles
         ``"separate"`` for the ligaments as they are; ``"merged"`` for ACL, PCL, LCL and
         (superficial) MCL alone, each the mean of its bundles' insertions, the sum of their
@@ -73,7 +74,7 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     """
     if bundles not in ("separate", "merged"):
         raise ValueError(f'bundles must be "separate" or "merged", got {bundles!r}')
-    model = OsimModel(path)
+    model = OsimModel(opensim_file(path))
     meshes = [x for kind in MESH_CLASSES for x in model.all_of(kind)]
     bones = _bones(model, meshes)
     ligaments, remarks = _ligaments(bones)

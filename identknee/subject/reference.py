@@ -9,13 +9,13 @@ import numpy as np
 
 from identknee.runs.arrays import Array
 from identknee.subject.condyle import Condyle
+from identknee.subject.examples import REFERENCE
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee
 from identknee.subject.ligament import Ligament
 from identknee.subject.plateau import Plateau
 from identknee.subject.surface import joined
 
-NAME = "reference"
 EDGE_MM = 1.2
 FINEST_FEMUR_EDGE_MM = 0.8
 
@@ -74,7 +74,7 @@ def reference_knee(edge_mm: float = EDGE_MM, *, femur_edge_mm: float | None = No
     plateaus = [Plateau(**_values(numbers["tibia"][side])) for side in ("medial", "lateral")]
     frame = Frame(origin=np.zeros(3), axes=np.eye(3))
     return Knee(
-        name=NAME,
+        name=REFERENCE,
         side="right",
         description="Analytic reference knee: canal-surface condyles, height-field plateaus.",
         femur=joined(*(x.mesh(femur_edge_mm) for x in condyles)),

@@ -147,7 +147,8 @@ def read_surface(path: PathLike) -> Surface:
 def write_surface(surface: Surface, path: PathLike) -> Path:
     """Path of the file that now holds the surface: PLY, STL or OBJ by its ending.
 
-    PLY and OBJ keep double precision; STL has single precision and no shared vertices.
+    PLY and OBJ keep every number, PLY in single precision where that loses nothing; STL has single
+    precision and no shared vertices.
 
     Raises
     ------
@@ -222,15 +223,18 @@ def _merged(vertices: Array, faces: IntArray) -> Surface:
 
 
 def _ply(surface: Surface) -> bytes:
+    single = surface.vertices.astype("<f4")
+    is_exact = np.array_equal(single, surface.vertices)
+    vertices, kind = (single, "float") if is_exact else (surface.vertices.astype("<f8"), "double")
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment lengths in mm\n"
         f"element vertex {len(surface.vertices)}\n"
-        "property double x\nproperty double y\nproperty double z\n"
+        f"property {kind} x\nproperty {kind} y\nproperty {kind} z\n"
         f"element face {len(surface.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     rows = np.empty(len(surface.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, surface.faces
-    return header.encode() + surface.vertices.astype("<f8").tobytes() + rows.tobytes()
+    return header.encode() + vertices.tobytes() + rows.tobytes()
 
 
 def _obj(surface: Surface) -> str:

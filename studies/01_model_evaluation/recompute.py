@@ -15,8 +15,6 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Of each entry its name, what was recorded, and a function that computes it again."""
     for name, part in record["knees"].items():
         knee = study_knee(name)
-        if knee is None:
-            continue
         yield f"{name}, Table 2", part["table2"], partial(table2, knee)
         yield f"{name}, 63 trials", part["seed63"], partial(seed63, knee)
         yield f"{name}, all vertices", part["contact_points"], partial(all_vertices, knee)

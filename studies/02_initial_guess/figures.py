@@ -30,14 +30,11 @@ def main() -> None:
     draw_study(HERE, FIGURE_OF, tables)
 
 
-def figure_1(record: Row) -> Figure | None:
-    """The knees in their scanned pose; None, so that an older one stays, without their folders."""
+def figure_1(record: Row) -> Figure:
+    """The knees in their scanned pose."""
     knees = [study_knee(name) for name in record["knees"]]
-    found = [knee for knee in knees if knee is not None]
-    if len(found) < len(knees):
-        return None
-    figure = Figure(figsize=(5.4 * len(found), 5.8), layout="constrained")
-    for axes, knee in zip(figure.subplots(1, len(found), squeeze=False)[0], found, strict=True):
+    figure = Figure(figsize=(5.4 * len(knees), 5.8), layout="constrained")
+    for axes, knee in zip(figure.subplots(1, len(knees), squeeze=False)[0], knees, strict=True):
         draw_scene(axes, knee, view_from(215.0, 12.0))
         axes.set_title(knee.name, fontsize=10)
     return figure
@@ -83,7 +80,7 @@ def figure_5(record: Row) -> Figure:
     return error_figure(errors, {x: (k[0], eps[0]) for x, (k, eps) in PAPER_TABLE3.items()})
 
 
-FIGURE_OF: Mapping[str, Callable[[Row], Figure | None]] = {
+FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
     "figure_1_knees": figure_1,
     "figure_2_laxity_profile": figure_2,
     "figure_3_optimised_parameters": figure_3,

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from compute import branch_counts, fit_row, profile
 
-from identknee.report.study_records import study_knee
 from identknee.runs.executors import serial
 
 METHOD = "least-squares"
@@ -22,9 +21,6 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """
     budget = record["head"]["settings"]["budget"]
     for name, part in record["knees"].items():
-        knee = study_knee(name)
-        if knee is None:
-            continue
         yield f"{name}, profile", part["profile"], partial(profile, name)
         for row in part[METHOD]:
             task = {"knee": name, "method": METHOD, "budget": budget}

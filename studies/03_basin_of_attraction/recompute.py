@@ -26,8 +26,6 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """
     for name, part in record["knees"].items():
         knee = study_knee(name)
-        if knee is None:
-            continue
         problem = problem_of(knee)
         for wanted in (x for x in PARTS if x.method == METHOD):
             first = part["parts"][wanted.name]["first"]

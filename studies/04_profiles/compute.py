@@ -59,7 +59,7 @@ Item = tuple[str, float, int]
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
     options = parsed_options()
-    knees = {name: knee for name in KNEES if (knee := study_knee(name)) is not None}
+    knees = {name: study_knee(name) for name in KNEES}
     digests = {name: knee_digest(knee) for name, knee in knees.items()}
     settings: Row = {"seed": SEED, "noises_mm_deg": NOISES, "quick": options.quick}
     record: Row = {
@@ -68,7 +68,6 @@ def main() -> None:
             settings={**settings, "n_data_sets": N_DATA_SETS, "workers": options.workers},
             inputs=digests,
         ),
-        "missing_knees": sorted(set(KNEES) - set(knees)),
         "knees": {},
     }
     about = {"study": "04_profiles", **settings, "inputs": digests}
@@ -115,10 +114,7 @@ def parsed_options() -> argparse.Namespace:
 @cache
 def model_of(knee: str) -> LaxityModel:
     """The model of a knee under the 63 trials, made once in each process."""
-    found = study_knee(knee)
-    if found is None:
-        raise ValueError(f"the subject folder of {knee} is missing; set IDENTKNEE_SHARED")
-    return LaxityModel(knee=found, protocol=load_protocol("seed63"))
+    return LaxityModel(knee=study_knee(knee), protocol=load_protocol("seed63"))
 
 
 @cache

@@ -7,16 +7,12 @@ from typing import Any
 from compute import NOISE, SEED, Item, forced_trials, forces, ligaments, open_ends, pair_profile
 from compute import untested as profile_untested
 
-from identknee.report.study_records import study_knee
-
 Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Of each entry its name, what was recorded, and a function that computes it again."""
     for name, part in record["knees"].items():
-        if study_knee(name) is None:
-            continue
         own: Item = (name, NOISE, SEED)
         for ligament, row in zip(ligaments(name), part["pairs"], strict=True):
             yield f"{name}, pair of {ligament}", row, partial(pair_profile, (own, ligament))

@@ -19,9 +19,7 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     The samples themselves take too long.
     """
     for name, part in record["knees"].items():
-        knee = study_knee(name)
-        if knee is not None:
-            yield f"{name}, profiles", part["profiles"], partial(profiled, knee)
+        yield f"{name}, profiles", part["profiles"], partial(profiled, study_knee(name))
 
 
 def profiled(knee: Knee) -> Row:

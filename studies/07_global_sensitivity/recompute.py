@@ -20,8 +20,6 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """
     for name, part in record["knees"].items():
         knee = study_knee(name)
-        if knee is None:
-            continue
         for method in OVER_POSTERIOR:
             again = partial(analysed, knee, method, part["posterior"]["n"])
             yield f"{name}, {method}", part[method], again

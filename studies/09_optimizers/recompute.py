@@ -16,8 +16,6 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     budget = record["head"]["settings"]["budget"]
     for name, part in record["knees"].items():
         knee = study_knee(name)
-        if knee is None:
-            continue
         problem = problem_of(knee)
         names, starts = starts_of(problem, name, quick=False)
         for method, rows in part["methods"].items():

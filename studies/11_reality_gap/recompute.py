@@ -4,7 +4,9 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-from compute import ODD_STUDY, as_it_is, diagnosed, fitted, knee_called
+from compute import ODD_STUDY, as_it_is, diagnosed, fitted
+
+from identknee.report.study_records import study_knee
 
 Row = dict[str, Any]
 
@@ -13,9 +15,7 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Of each entry its name, what was recorded, and a function that computes it again."""
     seed = record["head"]["settings"]["seed"]
     for name, part in record["knees"].items():
-        knee = knee_called(name)
-        if knee is None:
-            continue
+        knee = study_knee(name)
         yield f"{name}, as it is", part["as_it_is"], partial(as_it_is, knee)
         if "fit" in part:
             yield f"{name}, fit", part["fit"], partial(fitted, knee, seed)

@@ -16,8 +16,6 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Of each entry its name, what was recorded, and a function that computes it again."""
     for name, part in record["knees"].items():
         knee = study_knee(name)
-        if knee is None:
-            continue
         for row in part["fits"]:
             task = {key: row[key] for key in ("kind", "size", "replicate")}
             entry = f"{name}, {row['kind']} {row['size']:g}, replicate {row['replicate']}"

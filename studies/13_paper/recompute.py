@@ -6,8 +6,6 @@ from typing import Any
 
 from compute import before_any_fit, one_course, one_way, small_errors, smallest_step
 
-from identknee.report.study_records import study_knee
-
 Row = dict[str, Any]
 
 
@@ -15,8 +13,6 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Of each entry its name, what was recorded, and a function that computes it again."""
     draws = record["head"]["settings"]["draws"]
     for name, part in record["knees"].items():
-        if study_knee(name) is None:
-            continue
         yield f"{name}, before any fit", part["before_any_fit"], partial(before_any_fit, name)
         yield f"{name}, small errors", part["small_errors"], partial(small_errors, name, draws)
         yield f"{name}, one-way", part["one_way"], partial(one_way, name)

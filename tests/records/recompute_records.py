@@ -107,10 +107,7 @@ def head_problems(record: Any) -> list[str]:
     head = record["head"]
     problems = [f"no {x} in the head" for x in ("command", "commit", "inputs") if not head.get(x)]
     for name, digest in head["inputs"].items():
-        knee = study_knee(name)
-        if knee is None:
-            print(f"{name} is not here: its digest is not compared")
-        elif knee_digest(knee) != digest:
+        if knee_digest(study_knee(name)) != digest:
             problems.append(f"{name} is another knee now: compute the study again")
     return problems
 

@@ -1,7 +1,6 @@
 """`identknee subject`, from its words to its files and sentences."""
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,6 @@ import xarray
 from cli_runs import refused, run, short_protocol
 
 import identknee as ik
-
-SHARED = os.environ.get("IDENTKNEE_SHARED")
-needs_shared = pytest.mark.skipif(
-    SHARED is None, reason="IDENTKNEE_SHARED names no folder of shared data"
-)
-
-
-def shared(*parts: str) -> Path:
-    return Path(SHARED or "", *parts)
 
 
 def summary_of(out: Path) -> dict[str, Any]:
@@ -89,21 +79,18 @@ def test_an_exported_subject_reads_back_as_the_same_knee(tmp_path: Path) -> None
     assert len(copy.femur.faces) == len(knee.femur.faces)
 
 
-@needs_shared
 def test_an_opensim_model_becomes_a_subject(tmp_path: Path) -> None:
-    file = shared("data", "lenhart2015", "opensim", "lenhart2015.osim")
     words = ["--bundles", "merged", "--out", tmp_path / "subject", "--json"]
-    result = run("subject", "import-osim", file, *words)
+    result = run("subject", "import-osim", "lenhart2015", *words)
     assert result.exit_code == 0, result.output
     names = {x["name"] for x in json.loads(result.stdout)["ligaments"]}
     assert {"ACL", "PCL", "LCL", "MCL"} <= names
     assert len(ik.read_subject(tmp_path / "subject").ligaments) == len(names)
 
 
-@needs_shared
 def test_raw_centroids_fold_and_that_is_said(tmp_path: Path) -> None:
     words = ["--samples", "0", "--out", tmp_path]
-    result = run("subject", "check", shared("data", "lenhart2015"), *words)
+    result = run("subject", "check", "lenhart2015", *words)
     assert result.exit_code == 2
     assert "do not converge at the subject's own parameters" in result.stdout
     assert "fold" in result.stdout

@@ -17,7 +17,7 @@ from cli_runs import refused
         ("simulate reference --protocol seed36", "Did you mean seed63?"),
         ("fit reference nothere.csv", "nothere.csv: there is no such file."),
         ("reveal nothere nowhere", "Give the folder of blind first and that of diagnose second."),
-        ("subject check nothere", "or the word reference."),
+        ("subject check nothere", "Named subjects are reference, lenhart2015, lenhart2015_stable,"),
     ],
 )
 def test_one_sentence_names_what_is_wrong_and_the_remedy(

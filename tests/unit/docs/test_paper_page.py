@@ -114,7 +114,6 @@ def test_the_record_says_how_it_was_made() -> None:
 
 def test_checks_are_computed_anew(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     """With few draws and short searches, beside the committed record where they must agree."""
-    monkeypatch.delenv("IDENTKNEE_SHARED", raising=False)
     module = import_module("compute")
     monkeypatch.setattr(module, "CHECKPOINTS", (20, 30))
     tasks = [("reference", start, 0) for start in ("IG1", "IG4")]

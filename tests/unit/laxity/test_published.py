@@ -1,26 +1,22 @@
 import csv
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from identknee.laxity.named_tables import FOLDER
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.published import TABLE2, TABLE5, table2_laxity
 from identknee.laxity.table import COORDINATES, Laxity
 
 
-def shared_rows(name: str) -> list[dict[str, str]]:
-    shared = os.environ.get("IDENTKNEE_SHARED")
-    if not shared:
-        pytest.skip("IDENTKNEE_SHARED does not name the folder of shared data")
-    with (Path(shared) / "data" / "measured" / name).open(newline="") as file:
+def printed_rows(name: str) -> list[dict[str, str]]:
+    with (FOLDER / name).open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
 def test_table2_is_as_printed() -> None:
-    measured = [row for row in shared_rows("literature_laxity.csv") if row["id"].startswith("S")]
-    models = shared_rows("paper_model_laxity.csv")
+    measured = [row for row in printed_rows("literature_laxity.csv") if row["id"].startswith("S")]
+    models = printed_rows("paper_model_laxity.csv")
     for row, printed, model in zip(TABLE2, measured, models, strict=True):
         assert row.study == printed["study"]
         assert row.load == printed["load_type"] == model["load_type"]
@@ -36,7 +32,7 @@ def test_table5_is_as_printed() -> None:
         mean, sd = row[f"{name}_rmse_{unit}"], row[f"{name}_sd"]
         return (float(mean), float(sd)) if mean else None
 
-    printed = shared_rows("simulation_vs_experiment_rmse.csv")
+    printed = printed_rows("simulation_vs_experiment_rmse.csv")
     studies = [row for row in TABLE5 if not row.study.startswith("the paper")]
     for row, other in zip(studies, printed, strict=True):
         assert row.study.split()[0] == other["study"].split()[0]

@@ -1,8 +1,5 @@
 """The paper's contact law against closed forms, brute force and recorded numbers."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
@@ -18,6 +15,7 @@ from identknee.mechanics.mesh_contact import (
 )
 from identknee.mechanics.placement import place
 from identknee.runs.arrays import Array, IntArray
+from identknee.subject.folder import example
 
 # Closed forms are sums of some hundred terms, each rounded once or twice.
 CLOSED_FORM = 1e-12
@@ -240,18 +238,8 @@ def test_mistakes_are_named() -> None:
 def test_lenhart2015_at_the_reference_pose(
     convention: Convention, medial: float, lateral: float
 ) -> None:
-    if "IDENTKNEE_SHARED" not in os.environ:
-        pytest.skip("IDENTKNEE_SHARED is not set: the shared data are needed")
-    folder = Path(os.environ["IDENTKNEE_SHARED"]) / "data" / "lenhart2015"
-
-    def read(name: str) -> tuple[Array, IntArray]:
-        mesh = trimesh.load_mesh(folder / name)
-        return np.array(mesh.vertices), np.array(mesh.faces)
-
-    contact = mesh_contact(
-        read("femur_cartilage.stl"),
-        [read("tibia_cartilage_medial.stl"), read("tibia_cartilage_lateral.stl")],
-        convention,
-    )
+    knee = example("lenhart2015")
+    femur, *tibia = ((x.vertices, x.faces) for x in (knee.femur, *knee.tibia))
+    contact = mesh_contact(femur, tibia, convention)
     wrench = contact.wrench(place(0.0, np.zeros(5)))
     assert wrench.compartments == pytest.approx([medial, lateral], abs=RECORDED_N)

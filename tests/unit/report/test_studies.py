@@ -36,10 +36,8 @@ def test_figures_are_drawn_from_the_committed_record(
     out = tmp_path / "figures"
     monkeypatch.setattr(sys, "argv", ["figures.py", "--out", str(out), "--page", str(page)])
     module.main()
-    # A scene needs the subject folders, which may not be here; its picture is committed.
-    drawn = {x.name for x in out.iterdir()} | {"figure_1_knees.png"}
-    committed = {x.name for x in (STUDIES / study / "figures").iterdir()} | {"figure_1_knees.png"}
-    assert drawn == committed
+    committed = {x.name for x in (STUDIES / study / "figures").iterdir()}
+    assert {x.name for x in out.iterdir()} == committed
     assert page.read_text(encoding="utf-8") == (STUDIES / study / "README.md").read_text(
         encoding="utf-8"
     )
@@ -62,31 +60,31 @@ def test_every_picture_on_a_page_is_there(study: str) -> None:
         assert f"(figures/{name.name})" in text
 
 
-def test_a_knee_that_is_missing_is_named_in_the_record(
+def test_a_study_is_computed_from_the_package_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = load("01_model_evaluation", "compute")
-    monkeypatch.delenv("IDENTKNEE_SHARED", raising=False)
+    monkeypatch.setattr(module, "KNEES", ("reference", "lenhart2015_stable"))
     monkeypatch.setattr(module, "RAMPS", (("varus_moment_Nm", 1.0, 0.5),))
     monkeypatch.setattr(module, "RAMP_FLEXION_DEG", (0.0,))
     path = tmp_path / "record.json"
     monkeypatch.setattr(sys, "argv", ["compute.py", "--record", str(path), "--workers", "1"])
     module.main()
     record = json.loads(path.read_text(encoding="utf-8"))
-    assert record["missing_knees"] == ["lenhart2015", "lenhart2015_stable"]
-    assert list(record["knees"]) == ["reference"]
-    assert record["knees"]["reference"]["seed63"]["outcomes"] == {"converged": 63}
+    assert list(record["knees"]) == ["reference", "lenhart2015_stable"]
+    for name, part in record["knees"].items():
+        assert part["seed63"]["outcomes"] == {"converged": 63}, name
 
 
 def test_fits_are_kept_and_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = load("02_initial_guess", "compute")
-    monkeypatch.delenv("IDENTKNEE_SHARED", raising=False)
+    monkeypatch.setattr(module, "KNEES", ("reference",))
     arguments = ["--seeds", "1", "--budget", "25", "--box-samples", "1", "--workers", "1"]
     paths = ["--store", str(tmp_path / "store.sqlite"), "--record", str(tmp_path / "record.json")]
     monkeypatch.setattr(sys, "argv", ["compute.py", *arguments, *paths])
     module.main()
     first = json.loads((tmp_path / "record.json").read_text(encoding="utf-8"))
-    assert first["missing_knees"] == ["lenhart2015_stable"]
+    assert list(first["knees"]) == ["reference"]
     assert first["counts"]["fits"] == 8
     exact = first["knees"]["reference"]["least-squares"]
     assert max(max(row["error_kN"] + row["error_pct"]) for row in exact) < 1e-6

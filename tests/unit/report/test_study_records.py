@@ -14,19 +14,17 @@ from identknee.report.study_records import (
 )
 
 
-def test_a_missing_folder_gives_no_knee(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv("IDENTKNEE_SHARED", raising=False)
-    assert study_knee("lenhart2015") is None
-    monkeypatch.setenv("IDENTKNEE_SHARED", str(tmp_path))
-    assert study_knee("lenhart2015") is None
+def test_knees_of_studies_are_the_named_subjects_and_the_bundles_of_one() -> None:
+    assert study_knee("lenhart2015_stable").name == "lenhart2015_stable"
+    assert len(study_knee("lenhart2015_bundles").ligaments) == 55
+    with pytest.raises(ValueError, match="there is no named subject 'lenhart'"):
+        study_knee("lenhart")
 
 
 def test_the_digest_of_a_knee_changes_with_a_ligament() -> None:
     knee = study_knee("reference")
-    assert knee is not None
     other = knee.with_ligaments(knee.ligaments[::-1])
     again = study_knee("reference")
-    assert again is not None
     assert knee_digest(knee) == knee_digest(again)
     assert knee_digest(knee) != knee_digest(other)
 

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from identknee.runs.arrays import Array
 from identknee.subject.anatomy import Anatomy, anatomy, meniscus_springs, rim_point
 from identknee.subject.condyle import Condyle
-from identknee.subject.folder import read_subject
+from identknee.subject.folder import example, read_subject
 from identknee.subject.knee import Knee
 from identknee.subject.structure_sites import structure_sites
 from identknee.subject.surface import Surface, joined
@@ -121,8 +121,8 @@ def test_a_femur_without_one_condyle_is_refused(reference: Knee) -> None:
 
 
 @pytest.mark.parametrize("name", ["lenhart2015_stable", "lenhart2015"])
-def test_ligaments_of_real_knees(shared: Path, name: str) -> None:
-    assert roles(anatomy(read_subject(shared / "data" / name))) == ("MCL", "LCL", "ACL", "PCL")
+def test_ligaments_of_real_knees(name: str) -> None:
+    assert roles(anatomy(example(name))) == ("MCL", "LCL", "ACL", "PCL")
 
 
 def test_ligaments_are_known_by_where_they_run_not_by_name_or_order(reference: Knee) -> None:

@@ -1,6 +1,5 @@
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from identknee.runs.arrays import IntArray
 from identknee.subject.check import Finding, check_geometry, unusable
-from identknee.subject.folder import read_subject
+from identknee.subject.folder import example
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee, Landmark
 from identknee.subject.reference import reference_knee
@@ -34,9 +33,9 @@ def test_sound_knees_raise_no_alarm(knee: Knee) -> None:
         assert {x.subject for x in check_geometry(sound)} == {"tibia_medial", "tibia_lateral"}
 
 
-def test_shared_knees_raise_no_alarm(shared: Path) -> None:
+def test_named_subjects_raise_no_alarm() -> None:
     for name in ("lenhart2015", "lenhart2015_stable"):
-        findings = check_geometry(read_subject(shared / "data" / name))
+        findings = check_geometry(example(name))
         assert alarming(findings) == []
         assert {x.sentence for x in findings} == {
             "In the scanned pose it overlaps the femur by 0.41 mm.",

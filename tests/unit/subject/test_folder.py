@@ -277,11 +277,3 @@ def test_the_wrong_side_with_landmarks(tmp_path: Path, side: Side, other: Side) 
     message = refused(folder)
     assert "the rear of the femoral condyles lies in front" in message
     assert f'Write side = "{side}"' in message
-
-
-def test_shared_subjects_are_read(shared: Path) -> None:
-    for name in ("lenhart2015", "lenhart2015_stable"):
-        knee = read_subject(shared / "data" / name)
-        assert knee.name == name
-        assert [len(x.faces) for x in (knee.femur, *knee.tibia)] == [29782, 4244, 4358]
-        assert {x.name for x in knee.landmarks} == {"hip_centre", "ankle_centre"}

@@ -1,14 +1,12 @@
 """The points between which lines of action are sought."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from posed_knees import posed_reference
 from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array
-from identknee.subject.folder import read_subject
+from identknee.subject.folder import example
 from identknee.subject.insertion_surfaces import InsertionPoints, insertion_surfaces
 from identknee.subject.knee import Knee
 from identknee.subject.structure_sites import structure_sites
@@ -43,8 +41,8 @@ def test_every_insertion_and_site_is_near_a_point(reference: Knee) -> None:
 
 
 @pytest.mark.parametrize("name", ["lenhart2015_stable", "lenhart2015"])
-def test_points_of_real_knees(shared: Path, name: str) -> None:
-    check(read_subject(shared / "data" / name))
+def test_points_of_real_knees(name: str) -> None:
+    check(example(name))
 
 
 def test_own_insertions_are_among_them(reference: Knee) -> None:

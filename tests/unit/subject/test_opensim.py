@@ -1,15 +1,15 @@
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from data_files import stored
 from osim_files import LIGAMENT, write_model
 from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
-from identknee.subject.folder import read_subject, write_subject
+from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim import import_opensim
 from identknee.subject.reference import reference_knee
@@ -17,7 +17,6 @@ from identknee.subject.surface import write_surface
 
 SINGLE = 1e-4  # mm; meshes have single precision
 PLACE = 1e-9  # mm; roundings on the way through metres
-MODEL = Path("data/lenhart2015/opensim/lenhart2015.osim")
 
 
 @pytest.fixture(scope="module")
@@ -154,9 +153,9 @@ def test_ligaments_of_other_bones_stay_out(tmp_path: Path, knee: Knee) -> None:
     assert [x.name for x in import_opensim(path).ligaments] == ["ACL", "PCL", "LCL", "MCL"]
 
 
-def test_the_55_bundles_of_lenhart2015(shared: Path) -> None:
-    knee = import_opensim(shared / MODEL)
-    listed = json.loads((shared / "data/lenhart2015/knee.json").read_text())
+def test_the_55_bundles_of_lenhart2015() -> None:
+    knee = import_opensim("lenhart2015")
+    listed = stored("lenhart2015.json")
     assert knee.side == "right"
     assert len(knee.ligaments) == 55
     bundles = {x["name"]: x for x in listed["bundles"]}
@@ -178,10 +177,10 @@ def test_the_55_bundles_of_lenhart2015(shared: Path) -> None:
     )
 
 
-def test_the_four_lines_of_lenhart2015(shared: Path) -> None:
-    knee = import_opensim(shared / MODEL, bundles="merged")
-    listed = json.loads((shared / "data/lenhart2015/knee.json").read_text())["four_ligaments"]
-    subject = read_subject(shared / "data/lenhart2015")
+def test_the_four_lines_of_lenhart2015() -> None:
+    knee = import_opensim("lenhart2015", bundles="merged")
+    listed = stored("lenhart2015.json")["four_ligaments"]
+    subject = example("lenhart2015")
     assert {x.name for x in knee.ligaments} == set(listed)
     for line in knee.ligaments:
         known = subject.ligament(line.name)

@@ -1,8 +1,6 @@
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
+from data_files import stored
 
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
@@ -55,9 +53,8 @@ def test_edges_follow_what_is_asked() -> None:
         reference_knee(0.01)
 
 
-def test_numbers_are_the_documented_ones(shared: Path, reference: Knee) -> None:
-    path = shared / "reference_knee" / "reference_knee.json"
-    documented = json.loads(path.read_text())
+def test_numbers_are_the_documented_ones(reference: Knee) -> None:
+    documented = stored("reference_knee.json")
     for ligament in reference.ligaments:
         entry = documented["ligaments"][ligament.name]
         assert ligament.femur.tolist() == entry["femur"]["value"]

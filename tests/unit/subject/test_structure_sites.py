@@ -1,17 +1,16 @@
 """Whether missing structures run where they do in a knee."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from data_files import stored
 from posed_knees import posed_reference
 
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.runs.arrays import Array
 from identknee.subject.anatomy import anatomy
-from identknee.subject.folder import read_subject
+from identknee.subject.folder import example
 from identknee.subject.knee import Knee
 from identknee.subject.structure_sites import Site, structure_sites
 
@@ -80,14 +79,13 @@ def test_sites_of_a_renamed_knee_elsewhere() -> None:
 
 
 @pytest.mark.parametrize("name", ["lenhart2015_stable", "lenhart2015"])
-def test_sites_of_real_knees(shared: Path, name: str) -> None:
-    check(read_subject(shared / "data" / name))
+def test_sites_of_real_knees(name: str) -> None:
+    check(example(name))
 
 
-def test_sites_lie_where_the_ligaments_of_a_real_knee_were_segmented(shared: Path) -> None:
-    folder = shared / "data" / "lenhart2015"
-    bundles = json.loads((folder / "knee.json").read_text())["bundles"]
-    sites = structure_sites(read_subject(folder))
+def test_sites_lie_where_the_ligaments_of_a_real_knee_were_segmented() -> None:
+    bundles = stored("lenhart2015.json")["bundles"]
+    sites = structure_sites(example("lenhart2015"))
     for name, limit in SEGMENTED.items():
         (site,) = sites[name]
         for bone in ("femur", "tibia"):

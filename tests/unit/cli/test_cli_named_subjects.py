@@ -1,0 +1,80 @@
+"""Named subjects on the command line: their list, and a name where a path is wanted."""
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_runs import refused, run, short_protocol
+
+import identknee as ik
+from identknee.laxity.named_tables import TABLES
+from identknee.runs.files import digest
+
+
+def test_the_list_tells_source_licence_and_laxity() -> None:
+    result = run("subject", "list")
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    row = lines.index("s192803: left knee, 25 measured trials, licence CC0-1.0")
+    assert lines[row + 1].split() == ["4", "ligaments:", "ACL,", "PCL,", "LCL,", "MCL"]
+    assert lines[row + 2].endswith("Dryad, doi:10.5061/dryad.zkh1893gw")
+    assert "lenhart2015: right knee, no measured laxity, licence Apache-2.0" in lines
+
+
+def test_the_list_as_json() -> None:
+    result = run("subject", "list", "--json")
+    assert result.exit_code == 0, result.output
+    subjects = {x["name"]: x for x in json.loads(result.stdout)["subjects"]}
+    assert list(subjects) == [
+        *("reference", "lenhart2015", "lenhart2015_stable", "s192803", "s192803_bundles")
+    ]
+    assert [x["has_measured_laxity"] for x in subjects.values()] == [False] * 3 + [True] * 2
+    assert [x["has_opensim_model"] for x in subjects.values()] == [False, True] + [False] * 3
+    bundles = subjects["s192803_bundles"]
+    assert bundles["side"] == "left"
+    assert len(bundles["ligaments"]) == 14
+    assert bundles["licence"] == "CC0-1.0"
+
+
+def test_a_name_is_simulated(tmp_path: Path) -> None:
+    words = ["--protocol", short_protocol(tmp_path), "--out", tmp_path / "out"]
+    result = run("simulate", "lenhart2015_stable", *words)
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    summary = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert summary["subject"] == "lenhart2015_stable"
+    assert summary["record"]["settings"]["subject"] == "lenhart2015_stable"
+
+
+def test_a_name_stands_for_data_too(tmp_path: Path) -> None:
+    run("fit", "s192803", "s192803", "--out", tmp_path)
+    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert summary["n_compared"] + summary["n_missing"] == 125
+    assert summary["record"]["settings"]["data"] == "s192803"
+    assert summary["record"]["inputs"]["data"] == digest(TABLES["s192803"])
+
+
+def test_a_name_wins_over_what_is_called_so_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ik.write_subject(ik.reference_knee(3.0, femur_edge_mm=3.0), tmp_path / "lenhart2015")
+    monkeypatch.chdir(tmp_path)
+    result = run("subject", "export", "lenhart2015", "--out", "shipped")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == (
+        "identknee: lenhart2015 means what comes with identknee under this name; "
+        "write ./lenhart2015 for what is called so here.\n"
+    )
+    assert ik.read_subject("shipped").name == "lenhart2015"
+    result = run("subject", "export", "./lenhart2015", "--out", "mine")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert ik.read_subject("mine").name == "reference"
+
+
+def test_mistyped_names_are_answered_with_the_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    said = refused("simulate", "lenhart2051_stable")
+    assert "Did you mean lenhart2015_stable? Named subjects are reference, lenhart2015," in said
+    assert "Did you mean s192803?" in refused("fit", "s192803", "s129803")
