@@ -1,17 +1,18 @@
 """Starts by name: the paper's four initial guesses, the subject's own values, or a file."""
 
-import math
 import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, RootModel
 
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.errors import InputError, suggestion
-from identknee.runs.files import check_readable
+from identknee.runs.schema import Fault, number, read_toml, validated
 
 SUBJECT = "subject"
 FILE_LIMIT_MB = 1
@@ -93,30 +94,40 @@ def read_start(path: str | os.PathLike[str], parameters: Parameters) -> Array:
         If the file cannot be read, or has a name that is no parameter's, or a value that is not a
         number within the parameter's bounds.
     """
-    file = check_readable(path, FILE_LIMIT_MB)
-    try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        remedy = 'Write it as in: [ACL] and below it "stiffness_kN = 9.5".'
-        raise InputError(file, "", f"this is not TOML ({error})", remedy) from error
-    values = {name: _checked(file, name, value, parameters) for name, value in _flat(table)}
-    return frozen(parameters.vector(values), parameters.n, name="the start")
+    file = Path(path)
+    values = dict(_flat(read_toml(file, FILE_LIMIT_MB)))
+    for name in values:
+        if name not in parameters.names:
+            raise InputError(
+                file, name[:100], "there is no such parameter", suggestion(name, parameters.names)
+            )
+    start = validated(StartValues, values, lambda fault: _wrong(file, fault, parameters)).root
+    for name, value in start.items():
+        i = parameters.index(name)
+        if not parameters.lower[i] <= value <= parameters.upper[i]:
+            why = f"{value:g}{_unit(name)} is out of bounds"
+            raise InputError(file, name, why, _allowed(name, parameters))
+    return frozen(parameters.vector(start), parameters.n, name="the start")
 
 
-def _checked(file: Path, name: str, value: Any, parameters: Parameters) -> float:
-    if name not in parameters.names:
-        raise InputError(
-            file, name, "there is no such parameter", suggestion(name, parameters.names)
-        )
+class StartValues(RootModel[dict[str, Annotated[float, number("{} is not a finite number")]]]):
+    """The values of a file of starts by the parameter's name."""
+
+    model_config = ConfigDict(strict=True)
+
+
+def _wrong(file: Path, fault: Fault, parameters: Parameters) -> InputError:
+    name = str(fault.place[0])
+    return InputError(file, name, fault.why, _allowed(name, parameters))
+
+
+def _allowed(name: str, parameters: Parameters) -> str:
     i = parameters.index(name)
-    low, high = parameters.lower[i], parameters.upper[i]
-    unit = " " + name.rpartition("_")[2].replace("pct", "%") if "_" in name else ""
-    allowed = f"Give a number from {low:g} to {high:g}{unit}."
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(file, name, f"{value!r} is not a finite number", allowed)
-    if not low <= value <= high:
-        raise InputError(file, name, f"{value:g}{unit} is out of bounds", allowed)
-    return float(value)
+    return f"Give a number from {parameters.lower[i]:g} to {parameters.upper[i]:g}{_unit(name)}."
+
+
+def _unit(name: str) -> str:
+    return " " + name.rpartition("_")[2].replace("pct", "%") if "_" in name else ""
 
 
 def _published() -> dict[str, Any]:
@@ -124,12 +135,15 @@ def _published() -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
+def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    # Not by recursion: a dotted key of a file may be deeper than that goes.
+    waiting = list(reversed(table.items()))
+    while waiting:
+        name, value = waiting.pop()
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
+            waiting += [(f"{name}.{key}", x) for key, x in reversed(value.items())]
         else:
-            yield f"{prefix}{key}", value
+            yield name, value
 
 
 def _an_owner(parameters: Parameters) -> str:

@@ -2,18 +2,17 @@
 
 import math
 import os
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.laxity.protocol_file import ProtocolTables, Ramp, Trial, read_tables
 from identknee.runs.arrays import Array, BoolArray, frozen
 from identknee.runs.errors import InputError, suggestion
-from identknee.runs.files import check_readable
 
 LOADS = (
     "internal_moment_Nm",
@@ -27,7 +26,8 @@ BUILT_IN = ("seed63", "table2", "drawer")
 MOMENT_LIMIT_NM = 50.0
 FORCE_LIMIT_N = 1000.0
 FLEXION_LIMITS_DEG = (-10.0, 160.0)
-FORMAT = 1
+# Enough for any test; more come of a list pasted by mistake, and would fill the memory.
+MOST_TRIALS = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,14 +167,7 @@ def load_protocol(name_or_path: str | os.PathLike[str]) -> Protocol:
             "there is no built-in protocol and no file of this name",
             f"{suggestion(str(path), BUILT_IN)} Or give the path of a TOML file.",
         )
-    check_readable(path)
-    try:
-        data = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(path, "", "the text is not UTF-8", "Save it as UTF-8.") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(path, "", f"this is not TOML: {error}", "Mend that line.") from error
-    return _File(path).protocol(data)
+    return _File(path).protocol(read_tables(path))
 
 
 def trial_name(flexion_deg: float, loads: Sequence[float]) -> str:
@@ -245,23 +238,16 @@ def chosen_rows(indices: ArrayLike, n: int) -> list[int]:
 
 
 class _File:
-    """A protocol's file while it is read; knows its path for the messages."""
+    """A protocol's file made into trials; knows its path for the messages."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def protocol(self, data: Mapping[str, Any]) -> Protocol:
-        self._check_keys("", data, ("format", "name", "description", "ramps", "trials"))
-        if data.get("format") != FORMAT:
-            self._refuse(
-                "format",
-                f"the format is {data.get('format', 'not given')}",
-                f"Write format = {FORMAT}, the only one there is.",
-            )
+    def protocol(self, tables: ProtocolTables) -> Protocol:
         rows: dict[str, tuple[float, ...]] = {}
-        for number, ramp in enumerate(self._blocks(data, "ramps"), 1):
+        for number, ramp in enumerate(tables.ramps, 1):
             rows.update(self._ramp(f"[[ramps]] block {number}", ramp))
-        for number, trial in enumerate(self._blocks(data, "trials"), 1):
+        for number, trial in enumerate(tables.trials, 1):
             place = f"[[trials]] block {number}"
             name, row = self._trial(place, trial)
             if name in rows:
@@ -269,79 +255,49 @@ class _File:
             rows[name] = row
         if not rows:
             self._refuse("", "there is no trial", "Add a [[ramps]] or [[trials]] block.")
-        return _protocol(str(data.get("name", self._path.stem)), rows)
+        return _protocol(tables.name or self._path.stem, rows)
 
-    def _ramp(self, place: str, ramp: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
-        self._check_keys(place, ramp, (FLEXION, "load", "values", "held"))
-        load = ramp.get("load")
-        if load not in LOADS:
-            why = "it does not say which load varies" if load is None else f"no load is {load!r}"
-            self._refuse(f"{place}, load", why, suggestion(str(load), LOADS))
-        held = ramp.get("held", {})
-        if not isinstance(held, Mapping):
-            self._refuse(
-                f"{place}, held", "this is no table", "Write held = { anterior_force_N = 30 }."
-            )
-        others = tuple(column for column in LOADS if column != load)
-        self._check_keys(f"{place}, held", held, others)
+    def _ramp(self, place: str, ramp: Ramp) -> dict[str, tuple[float, ...]]:
+        n = len(ramp.flexion_deg) * len(ramp.values)
+        if n > MOST_TRIALS:
+            why = f"it makes {n} trials, more than {MOST_TRIALS}"
+            self._refuse(place, why, "Give fewer angles or values.")
+        held = ramp.held.model_dump(exclude={ramp.load})
+        if ramp.load in ramp.held.model_fields_set:
+            why = f"{ramp.load} is the load that varies and held as well"
+            self._refuse(f"{place}, held", why, "Leave it out.")
+        self._check(f"{place}, held", **held)
+        self._check(f"{place}, {FLEXION}", **{FLEXION: ramp.flexion_deg})
+        self._check(f"{place}, values", **{ramp.load: ramp.values})
         rows = {}
-        for flexion in self._numbers(place, ramp, FLEXION, FLEXION):
-            for value in self._numbers(place, ramp, "values", str(load)):
-                loads = self._loads(place, {**held, str(load): value})
+        for flexion in ramp.flexion_deg:
+            for value in ramp.values:
+                loads = tuple({**held, ramp.load: value}[x] for x in LOADS)
                 rows[trial_name(flexion, loads)] = (flexion, *loads)
         return rows
 
-    def _trial(self, place: str, trial: Mapping[str, Any]) -> tuple[str, tuple[float, ...]]:
-        self._check_keys(place, trial, ("name", FLEXION, *LOADS))
-        angles = self._numbers(place, trial, FLEXION, FLEXION)
+    def _trial(self, place: str, trial: Trial) -> tuple[str, tuple[float, ...]]:
+        angles = trial.flexion_deg
         if len(angles) != 1:
             self._refuse(
                 f"{place}, {FLEXION}",
                 f"a trial has one angle, not {len(angles)}",
                 "Write a block for each angle, or a [[ramps]] block.",
             )
-        loads = self._loads(place, trial)
-        name = trial.get("name", trial_name(angles[0], loads))
-        if not isinstance(name, str):
-            self._refuse(f"{place}, name", f"the name {name!r} is no text", "Put it in quotes.")
+        self._check(f"{place}, {FLEXION}", **{FLEXION: angles})
+        loads = tuple(float(getattr(trial, x)) for x in LOADS)
+        for column, value in zip(LOADS, loads, strict=True):
+            self._check(f"{place}, {column}", **{column: value})
+        name = trial_name(angles[0], loads) if trial.name is None else trial.name
         if fault := name_fault(name):
             self._refuse(f"{place}, name", *fault)
         return name, (angles[0], *loads)
 
-    def _loads(self, place: str, table: Mapping[str, Any]) -> tuple[float, ...]:
-        return tuple(self._number(f"{place}, {x}", x, table.get(x, 0.0)) for x in LOADS)
-
-    def _numbers(self, place: str, table: Mapping[str, Any], key: str, column: str) -> list[float]:
-        place = f"{place}, {key}"
-        if key not in table:
-            self._refuse(place, "it is missing", f"Write {key} = [0, 30] or other numbers.")
-        values = table[key] if isinstance(table[key], list) else [table[key]]
-        if not values:
-            self._refuse(place, "the list is empty", "Write at least one number.")
-        return [self._number(place, column, value) for value in values]
-
-    def _number(self, place: str, column: str, value: object) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            self._refuse(place, f"{value!r} is no number", "Write numbers without quotes.")
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if fault := range_fault(column, number):
-            self._refuse(place, *fault)
-        return number
-
-    def _blocks(self, data: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-        blocks = data.get(key, [])
-        if not isinstance(blocks, list) or not all(isinstance(x, Mapping) for x in blocks):
-            self._refuse(key, "these are no blocks", f"Start each with a line [[{key}]].")
-        return blocks
-
-    def _check_keys(self, place: str, table: Mapping[str, Any], known: Iterable[str]) -> None:
-        known = tuple(known)
-        for key in table:
-            if key not in known:
-                self._refuse(place, f"the word {key!r} is unknown here", suggestion(key, known))
+    def _check(self, place: str, **values: float | list[float]) -> None:
+        for column, given in values.items():
+            for value in given if isinstance(given, list) else [given]:
+                if fault := range_fault(column, value):
+                    self._refuse(place, *fault)
 
     def _refuse(self, place: str, why: str, remedy: str) -> NoReturn:
         raise InputError(self._path, place, why, remedy)

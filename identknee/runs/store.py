@@ -9,9 +9,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from identknee.runs.errors import InputError
-from identknee.runs.files import PathLike, plain, prepare_folder
+from identknee.runs.files import PathLike, digest, plain, prepare_folder
 
 WAIT_S = 10.0
+_ANEW = "Remove the file and start again, or choose another folder with --out."
 
 
 class Store:
@@ -19,7 +20,8 @@ class Store:
 
     Each `put_many` is one transaction: after a kill or a power cut the file holds all of a batch or
     none of it. Numbers come back equal bit for bit, infinities and NaN too; arrays come back as
-    lists. One process writes; others may read meanwhile.
+    lists. Each row has a checksum, so what comes back is what was put. One process writes; others
+    may read meanwhile.
 
     Parameters
     ----------
@@ -44,19 +46,30 @@ class Store:
                 with self._connection:
                     self._connection.execute(
                         "CREATE TABLE IF NOT EXISTS rows "
-                        "(key TEXT PRIMARY KEY, value TEXT NOT NULL)"
+                        "(key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum TEXT NOT NULL)"
                     )
         except InputError:
             self.close()
             raise
 
     def get(self, key: str) -> Any:
-        """Value under `key`, None where there is none."""
+        """Value under `key`, None where there is none.
+
+        Raises
+        ------
+        InputError
+            If the row is not what was put there.
+        """
         with self._explained():
             row = self._connection.execute(
-                "SELECT value FROM rows WHERE key = ?", (key,)
+                "SELECT value, checksum FROM rows WHERE key = ?", (key,)
             ).fetchone()
-        return None if row is None else json.loads(row[0])
+        if row is None:
+            return None
+        value, checksum = row
+        if not isinstance(value, str) or checksum != _checksum(key, value):
+            raise InputError(self.path, f"row {key}", "it is damaged", _ANEW)
+        return json.loads(value)
 
     def put_many(self, rows: Mapping[str, Any]) -> None:
         """Keep `rows`, all of them or none; a key already there gets the new value.
@@ -68,16 +81,18 @@ class Store:
         TypeError
             If a value has no JSON form.
         """
-        texts = [
-            (key, json.dumps(plain(value, keep_nonfinite=True))) for key, value in rows.items()
-        ]
+        texts = {key: json.dumps(plain(value, keep_nonfinite=True)) for key, value in rows.items()}
+        kept = [(key, text, _checksum(key, text)) for key, text in texts.items()]
         with self._explained(), self._connection:
-            self._connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?)", texts)
+            self._connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?)", kept)
 
     def keys(self) -> set[str]:
         """All keys kept so far."""
         with self._explained():
-            return {key for (key,) in self._connection.execute("SELECT key FROM rows")}
+            found = {key for (key,) in self._connection.execute("SELECT key FROM rows")}
+        if not all(isinstance(key, str) for key in found):
+            raise InputError(self.path, "", "the names of its rows are damaged", _ANEW)
+        return found
 
     def clear(self) -> None:
         """Forget all keys."""
@@ -103,9 +118,17 @@ class Store:
     def _explained(self) -> Iterator[None]:
         try:
             yield
+        # Text that is damaged may be no UTF-8 any more.
+        except UnicodeDecodeError as error:
+            raise InputError(self.path, "", "its text is damaged", _ANEW) from error
         except sqlite3.Error as error:
             why, remedy = _explanation(error)
             raise InputError(self.path, "", why, remedy) from error
+
+
+def _checksum(key: str, text: str) -> str:
+    # A damaged text may hold half of a surrogate pair.
+    return digest(f"{key} {text}".encode("utf-8", "surrogatepass"))
 
 
 def _explanation(error: sqlite3.Error) -> tuple[str, str]:
@@ -121,7 +144,7 @@ def _explanation(error: sqlite3.Error) -> tuple[str, str]:
     if primary in {sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT}:
         return (
             f"this is not a store of finished work, or it is damaged ({error})",
-            "Remove the file and start again, or choose another folder with --out.",
+            _ANEW,
         )
     if primary in {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM}:
         return (

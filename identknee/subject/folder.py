@@ -4,20 +4,29 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.check import unusable
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.examples import known_names, named_subject
-from identknee.subject.frames import LANDMARKS, Frame, frames_from_landmarks
+from identknee.subject.frames import Frame, frames_from_landmarks
 from identknee.subject.knee import Knee, Landmark
 from identknee.subject.ligament import Ligament
 from identknee.subject.reference import reference_knee
-from identknee.subject.subject_file import FORMAT, Table, read_tables
-from identknee.subject.surface import Surface, read_surface, write_surface
+from identknee.subject.subject_file import (
+    FORMAT,
+    EffectTable,
+    LigamentTable,
+    SubjectTables,
+    read_tables,
+)
+from identknee.subject.surface import read_surface, write_surface
 
 FILE = "subject.toml"
 SURFACES = ("femur", "tibia_medial", "tibia_lateral")
@@ -111,31 +120,27 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
 
 
 def _read(file: Path) -> Knee:
-    knee = _knee(read_tables(file))
+    knee = _knee(file, read_tables(file))
     for finding in unusable(knee):
         raise InputError(file, finding.subject, finding.sentence, finding.remedy)
     return knee
 
 
-def _knee(table: Table) -> Knee:
-    table.check_keys(
-        ("format", "name", "side", "surfaces", "ligaments"),
-        ("description", "frames", "landmarks", "effects"),
+def _knee(file: Path, tables: SubjectTables) -> Knee:
+    landmarks = tuple(
+        Landmark(name=x, position=np.array(position)) for x, position in tables.places.items()
     )
-    side = table.text("side")
-    if side not in ("right", "left"):
-        table.refuse("side", f"{side!r} is no side", 'Write "right" or "left".')
-    landmarks = _landmarks(table)
-    femur_frame, tibia_frame = _frames(table, landmarks, is_left=side == "left")
-    surfaces = _surfaces(table)
-    ligaments = [_ligament(x) for x in table.tables("ligaments")]
-    effects = [_effect(x) for x in table.tables("effects")] if "effects" in table.values else []
+    femur_frame, tibia_frame = _frames(file, tables, landmarks)
+    surfaces = tuple(read_surface(file.parent / getattr(tables.surfaces, x)) for x in SURFACES)
+    ligaments = [_ligament(file, x) for x in tables.ligaments]
+    effects = [_effect(file, x) for x in tables.effects]
     knee = _made(
-        table,
+        file,
+        "",
         lambda: Knee(
-            name=table.text("name"),
-            side="left" if side == "left" else "right",
-            description=table.text("description", ""),
+            name=tables.name,
+            side=tables.side,
+            description=tables.description,
             femur=surfaces[0],
             tibia=surfaces[1:],
             ligaments=tuple(ligaments),
@@ -145,79 +150,58 @@ def _knee(table: Table) -> Knee:
             effects=tuple(effects),
         ),
     )
-    return knee.mirrored() if side == "left" else knee
+    return knee.mirrored() if tables.side == "left" else knee
 
 
-def _surfaces(table: Table) -> tuple[Surface, ...]:
-    files = table.table("surfaces")
-    files.check_keys(SURFACES)
-    return tuple(read_surface(table.path.parent / files.text(name)) for name in SURFACES)
-
-
-def _landmarks(table: Table) -> tuple[Landmark, ...]:
-    if "landmarks" not in table.values:
-        return ()
-    places = table.table("landmarks")
-    places.check_keys((), LANDMARKS)
-    return tuple(Landmark(name=x, position=places.point(x)) for x in places.values)
-
-
-def _frames(table: Table, landmarks: tuple[Landmark, ...], *, is_left: bool) -> tuple[Frame, Frame]:
-    if "frames" in table.values:
-        frames = table.table("frames")
-        frames.check_keys(("femur", "tibia"))
-        femur, tibia = (_frame(frames.table(x, f"[frames.{x}]")) for x in ("femur", "tibia"))
+def _frames(
+    file: Path, tables: SubjectTables, landmarks: tuple[Landmark, ...]
+) -> tuple[Frame, Frame]:
+    if tables.frames is not None:
+        femur, tibia = (
+            _made(
+                file,
+                f"[frames.{bone}]",
+                partial(Frame, origin=np.array(own.origin), axes=np.array(own.axes)),
+            )
+            for bone, own in (("femur", tables.frames.femur), ("tibia", tables.frames.tibia))
+        )
         return femur, tibia
-    if not landmarks:
-        table.check_keys(("frames",), table.values)
-    places = table.table("landmarks")
     positions = {x.name: x.position for x in landmarks}
-    return _made(places, lambda: frames_from_landmarks(positions, is_left=is_left))
+    is_left = tables.side == "left"
+    return _made(file, "[landmarks]", lambda: frames_from_landmarks(positions, is_left=is_left))
 
 
-def _frame(table: Table) -> Frame:
-    table.check_keys(("origin", "axes"))
-    return _made(table, lambda: Frame(origin=table.point("origin"), axes=table.axes("axes")))
-
-
-def _ligament(table: Table) -> Ligament:
-    table.check_keys(("name", "femur", "tibia", "stiffness_kN", "reference_strain_pct"))
+def _ligament(file: Path, table: LigamentTable) -> Ligament:
     return _made(
-        table,
+        file,
+        f"ligament {table.name}",
         lambda: Ligament(
-            name=table.text("name"),
-            femur=table.point("femur"),
-            tibia=table.point("tibia"),
-            stiffness_kN=table.number("stiffness_kN"),
-            reference_strain_pct=table.number("reference_strain_pct"),
+            name=table.name,
+            femur=np.array(table.femur),
+            tibia=np.array(table.tibia),
+            stiffness_kN=table.stiffness_kN,
+            reference_strain_pct=table.reference_strain_pct,
         ),
     )
 
 
-def _effect(table: Table) -> EffectChoice:
-    table.check_keys(("name",), ("values", "fixed", "lines", "stiffness_sd_kN", "site_sd_mm"))
-    name = table.text("name")
-    amplitudes = (
-        table.table("values", f"effect {name}, values") if "values" in table.values else None
-    )
-    lines = table.tables("lines") if "lines" in table.values else ()
-    for line in lines:
-        line.check_keys(("femur", "tibia"))
+def _effect(file: Path, table: EffectTable) -> EffectChoice:
     return _made(
-        table,
+        file,
+        f"effect {table.name}",
         lambda: EffectChoice(
-            name=name,
-            values={x: amplitudes.number(x) for x in amplitudes.values} if amplitudes else {},
-            fixed=table.texts("fixed"),
-            lines=tuple((x.point("femur"), x.point("tibia")) for x in lines),
-            stiffness_sd_kN=table.optional_number("stiffness_sd_kN"),
-            site_sd_mm=table.optional_number("site_sd_mm"),
+            name=table.name,
+            values=table.values,
+            fixed=tuple(table.fixed),
+            lines=tuple((np.array(x.femur), np.array(x.tibia)) for x in table.lines),
+            stiffness_sd_kN=table.stiffness_sd_kN,
+            site_sd_mm=table.site_sd_mm,
         ),
     )
 
 
-def _made(table: Table, make: Callable[[], Made]) -> Made:
-    """What `make` makes; the values it refuses are a mistake in the table's file.
+def _made(file: Path, place: str, make: Callable[[], Made]) -> Made:
+    """What `make` makes; the values it refuses are a mistake at a place of the file.
 
     A message "what is wrong; what to do" is told as sentence and remedy.
     """
@@ -227,7 +211,8 @@ def _made(table: Table, make: Callable[[], Made]) -> Made:
         raise
     except ValueError as error:
         why, _, remedy = str(error).partition("; ")
-        table.refuse("", why, f"{remedy[:1].upper()}{remedy[1:] or 'Correct the value'}.")
+        remedy = f"{remedy[:1].upper()}{remedy[1:] or 'Correct the value'}."
+        raise InputError(file, place, why, remedy) from error
 
 
 def _text(knee: Knee, surfaces: Iterable[str]) -> str:

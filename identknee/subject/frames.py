@@ -8,14 +8,6 @@ from numpy.typing import ArrayLike
 
 from identknee.runs.arrays import Array, frozen
 
-LANDMARKS = (
-    "hip_centre",
-    "ankle_centre",
-    "medial_epicondyle",
-    "lateral_epicondyle",
-    "medial_malleolus",
-    "lateral_malleolus",
-)
 # Axes written with three decimals are off by less; a sheared or scaled frame by more.
 ROUNDING = 2e-3
 
@@ -103,8 +95,8 @@ def frames_from_landmarks(
     Parameters
     ----------
     landmarks
-        Positions in the common frame [mm], shape ``(3,)``, by the names in `LANDMARKS`; the ankle
-        is given by its centre or by both malleoli.
+        Positions in the common frame [mm], shape ``(3,)``, by their names in a subject's file; the
+        ankle is given by its centre or by both malleoli.
     is_left
         Whether this is a left knee, whose lateral side is on the left.
 

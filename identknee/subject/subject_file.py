@@ -1,160 +1,33 @@
-"""The tables of a subject.toml, each value read with the place that a message about it names."""
+"""What a subject.toml may hold, and how a message about it names the place."""
 
-import math
-import tomllib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Annotated, Any, Literal, Self
 
-import numpy as np
+from pydantic import Field, StringConstraints, model_validator
 
-from identknee.runs.arrays import Array
-from identknee.runs.errors import InputError, suggestion
-from identknee.runs.files import PathLike, check_readable
+from identknee.runs.errors import InputError
+from identknee.runs.files import PathLike
+from identknee.runs.schema import (
+    Fault,
+    Number,
+    Part,
+    Place,
+    otherwise,
+    read_toml,
+    refusal,
+    remedy_of,
+    validated,
+)
 
 FORMAT = 1
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Table:
-    """A table of a subject file.
-
-    Attributes
-    ----------
-    path
-        The file.
-    place
-        The table's name for a person, such as ``"[surfaces]"``; empty for the whole file.
-    values
-        What TOML gave.
-    """
-
-    path: Path
-    place: str
-    values: dict[str, Any]
-
-    def check_keys(self, required: Iterable[str], optional: Iterable[str] = ()) -> None:
-        """Accept the table if it has all required keys and no unknown one.
-
-        Raises
-        ------
-        InputError
-            Otherwise; an unknown key comes with the closest known one.
-        """
-        required = tuple(required)
-        known = (*required, *optional)
-        for key in self.values:
-            if key not in known:
-                self.refuse(key, f"there is no key {key!r} here", suggestion(key, known))
-        for key in required:
-            if key not in self.values:
-                self.refuse("", f"the key {key!r} is missing", f"Add {_EXAMPLES.get(key, key)}.")
-
-    def text(self, key: str, default: str | None = None) -> str:
-        """The text at `key`, without spaces around it."""
-        value = self.values.get(key, default)
-        if not isinstance(value, str):
-            self.refuse(key, f"{value!r} is not text", f"Write {_EXAMPLES.get(key, key)}.")
-        return value.strip()
-
-    def number(self, key: str) -> float:
-        """The finite number at `key`."""
-        return self._number(key, self.values[key])
-
-    def optional_number(self, key: str) -> float | None:
-        """The finite number at `key`; None where there is none."""
-        return self.number(key) if key in self.values else None
-
-    def texts(self, key: str) -> tuple[str, ...]:
-        """The texts of the list at `key`; none where it is missing."""
-        value = self.values.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(x, str) for x in value):
-            self.refuse(key, f"{value!r} is not a list of texts", f'Write {key} = ["...", "..."].')
-        return tuple(value)
-
-    def point(self, key: str) -> Array:
-        """The three numbers at `key`, shape ``(3,)``."""
-        return np.array(self._three(key, self.values[key]))
-
-    def axes(self, key: str) -> Array:
-        """The three rows of three numbers at `key`, shape ``(3, 3)``."""
-        rows = self.values[key]
-        if not isinstance(rows, list) or len(rows) != 3:
-            self.refuse(key, "three rows are wanted", f"Write {_EXAMPLES['axes']}.")
-        return np.array([self._three(key, row) for row in rows])
-
-    def table(self, key: str, place: str | None = None) -> "Table":
-        """The table at `key`."""
-        value = self.values[key]
-        place = place or f"[{key}]"
-        if not isinstance(value, dict):
-            self.refuse(key, f"{value!r} is not a table", f"Write it below a line {place}.")
-        return Table(path=self.path, place=place, values=value)
-
-    def tables(self, key: str) -> Sequence["Table"]:
-        """The tables at `key`, one for each ``[[key]]`` of the file."""
-        value = self.values[key]
-        if not isinstance(value, list) or not all(isinstance(x, dict) for x in value):
-            self.refuse(key, "a list of tables is wanted", f"Write each below a line [[{key}]].")
-        if not value:
-            self.refuse(key, "the list is empty", f"Add a table below a line [[{key}]].")
-        return [
-            Table(path=self.path, place=f"{key[:-1]} {x.get('name', i)}", values=x)
-            for i, x in enumerate(value, start=1)
-        ]
-
-    def refuse(self, key: str, why: str, remedy: str) -> NoReturn:
-        """Raise an `InputError` about `key` of this table, or about the table where it is empty."""
-        where = ", ".join(x for x in (self.place, f"key {key}" if key else "") if x)
-        raise InputError(self.path, where, why, remedy)
-
-    def _three(self, key: str, value: Any) -> list[float]:
-        if not isinstance(value, list) or len(value) != 3:
-            self.refuse(
-                key,
-                f"three numbers are wanted, got {value!r}",
-                "Write [x, y, z] with points in mm.",
-            )
-        return [self._number(key, x) for x in value]
-
-    def _number(self, key: str, value: Any) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            self.refuse(key, f"{value!r} is not a number", "Write a number without quotes.")
-        if not math.isfinite(value):
-            self.refuse(key, f"{value} is not a finite number", "Write the measured value.")
-        return float(value)
-
-
-def read_tables(path: PathLike) -> Table:
-    """The whole of a subject file, its format checked.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, is no TOML or is of another format.
-    """
-    file = check_readable(path)
-    try:
-        values = tomllib.loads(file.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(file, "", "the text is not UTF-8", "Save the file as UTF-8.") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(
-            file, "", f"this is not valid TOML: {str(error) or 'nested too deeply'}", "Mend it."
-        ) from error
-    table = Table(path=file, place="", values=values)
-    if "format" not in values:
-        table.refuse("", "the key 'format' is missing", f"Add {_EXAMPLES['format']} at the top.")
-    if values["format"] is True or values["format"] != FORMAT:
-        table.refuse(
-            "format",
-            f"format {values['format']!r} is not known",
-            f"Write {_EXAMPLES['format']}, or update identknee if the file is newer.",
-        )
-    return table
-
-
+Text = Annotated[str, StringConstraints(strip_whitespace=True)]
+Point = Annotated[
+    list[Number],
+    Field(min_length=3, max_length=3),
+    otherwise("three numbers are wanted, got {}", "Write [x, y, z] with points in mm."),
+]
 _EXAMPLES = {
     "format": f"format = {FORMAT}",
     "name": 'name = "..." (any text)',
@@ -172,3 +45,175 @@ _EXAMPLES = {
     "stiffness_kN": "stiffness_kN = ... (kN per unit strain)",
     "reference_strain_pct": "reference_strain_pct = ... (% in the scanned pose)",
 }
+_TABLE = "{} is not a table"
+
+
+class SurfaceFiles(Part):
+    """``[surfaces]``: the files of the surfaces."""
+
+    femur: Text
+    tibia_medial: Text
+    tibia_lateral: Text
+
+
+class FrameTable(Part):
+    """``[frames.femur]`` or ``[frames.tibia]``."""
+
+    origin: Point
+    axes: Annotated[
+        list[Point],
+        Field(min_length=3, max_length=3),
+        otherwise("three rows are wanted", f"Write {_EXAMPLES['axes']}."),
+    ]
+
+
+class FrameTables(Part):
+    """``[frames]``."""
+
+    femur: Annotated[FrameTable, otherwise(_TABLE, "Write it below a line [frames.femur].")]
+    tibia: Annotated[FrameTable, otherwise(_TABLE, "Write it below a line [frames.tibia].")]
+
+
+class LigamentTable(Part):
+    """A ``[[ligaments]]``."""
+
+    name: Text
+    femur: Point
+    tibia: Point
+    stiffness_kN: Number  # noqa: N815 - the unit
+    reference_strain_pct: Number
+
+
+class LineTable(Part):
+    """A line of force of an effect."""
+
+    femur: Point
+    tibia: Point
+
+
+class EffectTable(Part):
+    """A ``[[effects]]``."""
+
+    name: Text
+    values: Annotated[
+        dict[str, Number], otherwise(_TABLE, "Write it below a line [effects.values].")
+    ] = Field(default_factory=dict)
+    fixed: Annotated[
+        list[str], otherwise("{} is not a list of texts", 'Write fixed = ["...", "..."].')
+    ] = Field(default_factory=list)
+    lines: Annotated[
+        list[LineTable],
+        Field(min_length=1),
+        otherwise("a list of tables is wanted", "Write each below a line [[effects.lines]]."),
+    ] = Field(default_factory=list)
+    stiffness_sd_kN: Number | None = None  # noqa: N815 - the unit
+    site_sd_mm: Number | None = None
+
+
+class LandmarkTable(Part):
+    """``[landmarks]``, any of them."""
+
+    hip_centre: Point | None = None
+    ankle_centre: Point | None = None
+    medial_epicondyle: Point | None = None
+    lateral_epicondyle: Point | None = None
+    medial_malleolus: Point | None = None
+    lateral_malleolus: Point | None = None
+
+
+_LIGAMENTS, _EFFECTS = (
+    otherwise("a list of tables is wanted", f"Write each below a line [[{x}]].")
+    for x in ("ligaments", "effects")
+)
+
+
+class SubjectTables(Part):
+    """The whole of a subject.toml."""
+
+    format: Annotated[
+        Literal[1],
+        otherwise(
+            "format {} is not known",
+            f"Write {_EXAMPLES['format']}, or update identknee if the file is newer.",
+        ),
+    ]
+    name: Text
+    side: Annotated[
+        Literal["right", "left"], otherwise("{} is no side", 'Write "right" or "left".')
+    ]
+    description: Text = ""
+    surfaces: Annotated[SurfaceFiles, otherwise(_TABLE, "Write it below a line [surfaces].")]
+    frames: Annotated[
+        FrameTables | None, otherwise(_TABLE, "Write [frames.femur] and [frames.tibia].")
+    ] = None
+    landmarks: Annotated[
+        LandmarkTable | None, otherwise(_TABLE, "Write it below a line [landmarks].")
+    ] = None
+    ligaments: Annotated[list[Annotated[LigamentTable, _LIGAMENTS]], _LIGAMENTS]
+    effects: Annotated[list[Annotated[EffectTable, _EFFECTS]], _EFFECTS] = Field(
+        default_factory=list
+    )
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        if not self.ligaments:
+            raise refusal("ligaments: the list is empty", "Add a table below a line [[ligaments]].")
+        if self.frames is None and not self.places:
+            raise refusal("the key 'frames' is missing", f"Add {_EXAMPLES['frames']}.")
+        return self
+
+    @property
+    def places(self) -> Mapping[str, list[float]]:
+        """The landmarks given, by name."""
+        return {} if self.landmarks is None else self.landmarks.model_dump(exclude_none=True)
+
+
+def read_tables(path: PathLike) -> SubjectTables:
+    """The whole of a subject file, against its schema.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is no TOML or breaks the schema: it names the place and the remedy.
+    """
+    file = Path(path)
+    values = read_toml(file)
+
+    def refuse(fault: Fault) -> InputError:
+        remedy = remedy_of(SubjectTables, fault, _EXAMPLES)
+        key = fault.key if fault.is_unknown else ""
+        where = place_of(fault.place, values, key) if fault.place or key else ""
+        return InputError(file, where, fault.why, remedy)
+
+    return validated(SubjectTables, values, refuse)
+
+
+def place_of(place: Place, values: Mapping[str, Any], key: str = "") -> str:
+    """A place in a subject file as a person would name it.
+
+    Examples
+    --------
+    >>> place_of(("frames", "femur", "axes"), {})
+    '[frames.femur], key axes'
+    >>> place_of(("ligaments", 0, "name"), {"ligaments": [{"name": "ACL"}]})
+    'ligament ACL, key name'
+    """
+    # Positions in a point or in a list of texts are no help.
+    steps = list(place)
+    while len(steps) > 2 and isinstance(steps[-1], int):
+        steps.pop()
+    table = ""
+    if len(steps) > 1 and steps[0] in ("ligaments", "effects") and isinstance(steps[1], int):
+        own = values[steps[0]][steps[1]]
+        name = own.get("name", steps[1] + 1) if isinstance(own, dict) else steps[1] + 1
+        table = f"{str(steps[0])[:-1]} {name}"
+        steps = steps[2:]
+    elif steps and steps[0] in ("frames", "surfaces", "landmarks"):
+        is_frame = steps[:1] == ["frames"] and len(steps) > 1 and steps[1] in ("femur", "tibia")
+        whole = steps[: 2 if is_frame else 1]
+        table = f"[{'.'.join(map(str, whole))}]"
+        steps = steps[len(whole) :]
+    inner = [str(x + 1) if isinstance(x, int) else str(x) for x in steps]
+    if not key and inner:
+        key = inner.pop()
+    return ", ".join(x for x in (table, *inner, f"key {key}" if key else "") if x)

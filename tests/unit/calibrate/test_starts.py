@@ -97,6 +97,12 @@ def test_a_file_may_name_parameters_that_are_no_ligaments(tmp_path: Path) -> Non
         ("ACL: 9", "this is not TOML"),
         ("ACL = 9", "ACL: there is no such parameter"),
         ("", "the file is empty"),
+        ("a = " + "[" * 5000, "nested too deeply"),
+        ("a" + ".a" * 5000 + " = 1", "there is no such parameter"),
+        ("[ACL]\nstiffness_kN = 1" + "0" * 4000, "is not a finite number"),
+        ("[ACL]\nstiffness_kN = 1" + "0" * 5000, "this is not TOML"),
+        ("[ACL]\nstiffness_kN = 0x" + "f" * 5000, "is not a finite number"),
+        ("a = 2000-02-31", "this is not TOML"),
     ],
 )
 def test_bad_files_are_named_with_place_and_remedy(

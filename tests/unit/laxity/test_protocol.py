@@ -169,6 +169,28 @@ def test_messages_name_place_and_remedy(tmp_path: Path, text: str, message: str)
     assert str(caught.value) == f"{path}{joint}{message}"
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 5000,
+        "a = 1" + "0" * 5000,
+        "a = 2000-02-31",
+        "format = 0x" + "f" * 5000,
+        "format = [[[1]]]",
+        "format = 1\nname = 3",
+        "format = 1\nramps = [3]",
+        "format = 1\n[[trials]]\nflexion_deg = 0x" + "f" * 5000,
+        "format = 1\n[[ramps]]\nload = [1]",
+        "format = 1\n" + RAMP.replace("[0]", str([30] * 1000)).replace("[1]", str([1] * 1000)),
+    ],
+)
+def test_odd_files_end_in_a_sentence(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"mine\.toml.*: .*\. [A-Z]") as caught:
+        load_protocol(written(tmp_path, text))
+    assert len(str(caught.value)) < 400
+    assert "\n" not in str(caught.value)
+
+
 def test_text_that_is_not_toml(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"this is not TOML: .*line 1.*\. Mend that line\."):
         load_protocol(written(tmp_path, "format : 1"))

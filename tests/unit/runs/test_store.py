@@ -4,6 +4,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ from identknee.runs.store import Store
 store = Store(sys.argv[1])
 store.put_many({"done": [1.5]})
 store._connection.execute("BEGIN")
-store._connection.execute("INSERT INTO rows VALUES ('half', '1')")
+store._connection.execute("INSERT INTO rows VALUES ('half', '1', '')")
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -89,3 +90,35 @@ def test_a_full_disk_is_named(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"the disk is full\. Free some space"):
             store.put_many({"a": "x" * 100_000})
         assert store.keys() == set()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE rows SET value = '[1.5, 2.6]'",
+        "UPDATE rows SET value = '[1.5'",
+        "UPDATE rows SET value = 15",
+        "UPDATE rows SET value = x'ff'",
+        "UPDATE rows SET value = CAST(x'ff' AS TEXT)",
+        "UPDATE rows SET checksum = ''",
+        "UPDATE rows SET key = 'b' WHERE key = 'a'",
+        "UPDATE rows SET key = x'61' WHERE key = 'a'",
+        "ALTER TABLE rows DROP COLUMN checksum",
+        "DROP TABLE rows; CREATE TABLE rows (key TEXT, value TEXT)",
+    ],
+)
+def test_what_is_damaged_never_comes_back(tmp_path: Path, change: str) -> None:
+    path = tmp_path / "runs.sqlite"
+    with Store(path) as store:
+        store.put_many({"a": [1.5, 2.5]})
+    with closing(sqlite3.connect(path)) as other:
+        other.executescript(change)
+    with pytest.raises(InputError, match=r"(Remove the file|choose another folder)"):
+        use(path)
+
+
+def use(path: Path) -> None:
+    with Store(path) as store:
+        for key in sorted(store.keys()):
+            store.get(key)
+        store.put_many({"c": 1})

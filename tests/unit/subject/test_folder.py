@@ -158,7 +158,7 @@ def test_frames_win_over_landmarks(edited: Callable[..., Path]) -> None:
     [
         ("format = 1", "", "the key 'format' is missing. Add format = 1"),
         ("format = 1", "format = 2", "format 2 is not known"),
-        ("format = 1", "format = ", "not valid TOML"),
+        ("format = 1", "format = ", "this is not TOML"),
         ('name = "mine"', "", "the key 'name' is missing"),
         ('name = "mine"', "name = 3", "key name: 3 is not text"),
         ('name = "mine"', 'naem = "mine"', "Did you mean name?"),
@@ -191,7 +191,7 @@ def test_frames_win_over_landmarks(edited: Callable[..., Path]) -> None:
         ('name = "PCL"', 'name = "ACL"', "two ligaments are called ACL. Rename one of them."),
         ('name = "PCL"', "", "ligament 2: the key 'name' is missing"),
         ('name = "PCL"', 'name = "a.b"', "Rename it."),
-        ("[[ligaments]]", "[ligaments]", "not valid TOML"),
+        ("[[ligaments]]", "[ligaments]", "this is not TOML"),
     ],
 )
 def test_mistakes_in_subject_toml(
@@ -223,7 +223,7 @@ def test_no_ligaments(edited: Callable[..., Path], ligaments: str, said: str) ->
 def test_text_of_another_encoding(edited: Callable[..., Path]) -> None:
     folder = edited()
     (folder / "subject.toml").write_bytes('name = "\u00e9"'.encode("latin-1"))
-    assert "Save the file as UTF-8" in refused(folder)
+    assert "Save it as UTF-8" in refused(folder)
 
 
 @pytest.mark.parametrize("name", ["femur", "tibia_medial", "tibia_lateral"])
