@@ -137,11 +137,11 @@ def _published() -> dict[str, Any]:
 
 def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     # Not by recursion: a dotted key of a file may be deeper than that goes.
-    waiting = list(reversed(table.items()))
+    waiting = [*table.items()][::-1]
     while waiting:
         name, value = waiting.pop()
         if isinstance(value, Mapping):
-            waiting += [(f"{name}.{key}", x) for key, x in reversed(value.items())]
+            waiting += [(f"{name}.{key}", x) for key, x in [*value.items()][::-1]]
         else:
             yield name, value
 
