@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 from identknee.cli.app import app
 
 MANY_COLUMNS = {"COLUMNS": "100", "TERM": "dumb"}
-# Not a verb, but what holds four of them.
+# Not a verb, but what holds some of them.
 GROUP = "subject"
 
 

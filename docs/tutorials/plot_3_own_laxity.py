@@ -21,6 +21,8 @@ measured = ik.add_noise(truth.laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
 path = ik.write_laxity(measured, folder / "laxity.csv")
 
 # %%
+# A table that a robot measured on a cadaver comes with identknee: ``ik.example_laxity("s192803")``.
+#
 # This is what the file looks like. A column that is missing is a load of zero, a cell that is
 # blank was not measured, and the columns ``sd_`` state the errors.
 

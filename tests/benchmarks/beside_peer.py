@@ -1,7 +1,6 @@
 """A peer and the model on the same trials of the same knee, in one run."""
 
 import json
-import os
 import subprocess
 import tempfile
 import time
@@ -15,6 +14,7 @@ from rows import Measure, median_of
 from identknee.laxity.protocol import LOADS, Protocol, trial_name
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
+from identknee.subject.examples import FOLDER
 
 HERE = Path(__file__).parent
 SUBJECT = "lenhart2015_stable"
@@ -24,12 +24,9 @@ RUNS = 100
 
 def peer_record(python: str, script: str, *options: str) -> dict[str, Any]:
     """What a peer's script writes after solving its trials."""
-    folder = Path(os.environ.get("IDENTKNEE_SHARED", "")) / "data" / SUBJECT
-    if not folder.is_dir():
-        raise SystemExit(f"{SUBJECT} is in the shared data; set IDENTKNEE_SHARED to their folder")
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "record.json"
-        command = [python, str(HERE / script), "--subject", str(folder), "--mesh", MESH]
+        command = [python, str(HERE / script), "--subject", str(FOLDER / SUBJECT), "--mesh", MESH]
         subprocess.run([*command, *options, "--out", str(out)], check=True)
         record: dict[str, Any] = json.loads(out.read_text("utf-8"))
     return record

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 # Residual (5,) in N, moments divided by 40 mm, at x (5,) in mm, angles multiplied by 40 mm.
 Residual = Callable[[Array], Array]
 
+MESHES = Path(__file__).parent / "meshes"
 MM_PER_RADIAN = 40.0
 SCALE = np.array([MM_PER_RADIAN, MM_PER_RADIAN, 1.0, 1.0, 1.0])
 ENOUGH_N = 1e-6  # what identknee's own equilibria must reach: no peer is asked for more
@@ -107,17 +108,16 @@ class Timed:
 
 
 def read_subject(folder: Path, mesh: str) -> Subject:
-    """The subject in `folder` with its "full", "medium" or "coarse" meshes."""
+    """The subject in `folder` with its "full" meshes, or with coarser ones of lenhart2015."""
     with (folder / "subject.toml").open("rb") as file:
         content = tomllib.load(file)
     frames = content.get("frames", {}).values()
     if not all(np.allclose(f["axes"], np.eye(3)) and not np.any(f["origin"]) for f in frames):
         raise SystemExit(f"{folder}: the peers need both frames to be the common frame")
-    suffix = "" if mesh == "full" else f"_{mesh}"
-    meshes = {}
-    for name, relative in content["surfaces"].items():
-        path = folder / relative
-        meshes[name] = trimesh.load_mesh(path.with_name(f"{path.stem}{suffix}{path.suffix}"))
+    files = {name: folder / relative for name, relative in content["surfaces"].items()}
+    if mesh != "full":
+        files = {name: MESHES / f"{name}_{mesh}.ply" for name in files}
+    meshes = {name: trimesh.load_mesh(file) for name, file in files.items()}
     lines = content["ligaments"]
     return Subject(
         name=content["name"],
