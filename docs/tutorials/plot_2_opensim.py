@@ -89,5 +89,5 @@ ik.write_subject(knee, folder / "subject")
 print(sorted(x.name for x in (folder / "subject").iterdir()))
 
 # %%
-# On the command line: ``identknee subject import-osim small_knee.osim --out subject``. A model with all
-# bundles of a real knee comes with identknee: ``ik.import_opensim("lenhart2015")``.
+# On the command line: ``identknee subject import-osim small_knee.osim --out subject``. A model with
+# all bundles of a real knee comes with identknee: ``ik.import_opensim("lenhart2015")``.
