@@ -108,13 +108,15 @@ def _say(
     from identknee.report.result_files import write_result
 
     gain, tested = _gain(found), exclusions(found)
-    _write_extension(found, out)
-    for name, figure in diagnosis_figures(found).items():
-        write_atomically(out / f"{name}.png", png(figure))
+    # All of it is made before any of it is written, so that no half of it is left.
+    pictures = {name: png(figure) for name, figure in diagnosis_figures(found).items()}
     summary = {**diagnosis_summary(found, tested, gain), "seconds": seconds}
     groups = diagnosis_groups(found, tested)
-    summary = write_result(out, summary, groups, recording.finish())
     lines = shown(diagnosis_lines(found, tested, gain))
+    for name, picture in pictures.items():
+        write_atomically(out / f"{name}.png", picture)
+    _write_extension(found, out)
+    summary = write_result(out, summary, groups, recording.finish())
     show(summary, [*lines, f"{seconds:.1f} s. Results: {out}"], as_json=as_json)
 
 

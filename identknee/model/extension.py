@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from identknee.mechanics.equilibria import Equilibria
+from identknee.mechanics.kernel import CONVERGED
 from identknee.model.effects.effect import (
     Effect,
     MechanicalEffect,
@@ -68,7 +69,7 @@ class Extension:
     def pose_columns(
         self, unchanged: Setting, values: Array, found: Equilibria, nodes: IntArray
     ) -> Array:
-        """Derivatives of the poses by the amplitudes, shape ``(n, 5, a)``.
+        """Derivatives of the poses by the amplitudes, shape ``(n, 5, a)``; NaN without a pose.
 
         Parameters
         ----------
@@ -97,7 +98,11 @@ class Extension:
                 changes = gradient_changes(pairs, flexion, found, nodes)
                 columns[:, :, part] = -changes / (2.0 * np.diag(moves)[part])
             before = effect.change(before, values[part])
-        return np.asarray(np.linalg.solve(found.hessians[nodes], columns))
+        # Where no equilibrium was found the Hessian may be singular.
+        has_pose = found.codes[nodes] == CONVERGED
+        columns[~has_pose] = np.nan
+        columns[has_pose] = np.linalg.solve(found.hessians[nodes][has_pose], columns[has_pose])
+        return columns
 
     def observed_slopes(
         self, coordinates: Array, values: Array, tests: Tests

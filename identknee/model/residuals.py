@@ -133,5 +133,14 @@ def _whitening(laxity: Laxity, weighting: Weighting) -> Array:
         used = np.flatnonzero(measured[trial])
         sd = laxity.sd[trial, used]
         covariance = sd[:, None] * shared[np.ix_(used, used)] * sd
-        matrices[trial][np.ix_(used, used)] = np.linalg.inv(np.linalg.cholesky(covariance))
+        # Rounding and standard deviations of very different size may leave no inverse.
+        try:
+            matrices[trial][np.ix_(used, used)] = np.linalg.inv(np.linalg.cholesky(covariance))
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                f"the noise of trial {laxity.protocol.trials[trial]} has no inverse: the "
+                f"within-trial correlation is {laxity.within_trial_correlation!r} and the standard "
+                f"deviations are {sd.min():g} to {sd.max():g}; give a correlation further from "
+                "its limits and standard deviations of like size"
+            ) from None
     return matrices

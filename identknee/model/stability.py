@@ -159,8 +159,10 @@ def box_sample(parameters: Parameters, n: int, generator: np.random.Generator) -
     reach = np.select(
         [is_stiffness, is_strain], [STIFFNESS_SHARE * parameters.start, STRAIN_PCT], np.inf
     )
-    low = np.maximum(parameters.start - reach, parameters.lower)
-    high = np.minimum(parameters.start + reach, parameters.upper)
+    # Of values that lie outside the bounds the nearest bound is left.
+    low, high = (
+        np.clip(parameters.start + x, parameters.lower, parameters.upper) for x in (-reach, reach)
+    )
     return generator.uniform(low, high, size=(n, parameters.n))
 
 

@@ -70,8 +70,10 @@ def misfit_figure(localisation: Localisation) -> Figure:
     return figure
 
 
-def residual_curves_figure(found: Diagnosis) -> Figure:
+def residual_curves_figure(found: Diagnosis) -> Figure | None:
     """What the base model leaves along every load curve, with what the leading causes explain.
+
+    None where no three trials make a curve.
 
     Dots are measured less predicted values, the band is two standard deviations of the noise. Lines
     are what the model changes when a cause joins it and everything is fitted again: the cause that
@@ -89,8 +91,10 @@ def residual_curves_figure(found: Diagnosis) -> Figure:
 
 def residuals_figure(
     protocol: Protocol, residuals: Array, sd: Array, changes: Mapping[str, Array]
-) -> Figure:
+) -> Figure | None:
     """What a model leaves of the data along every load curve, and what others change of it.
+
+    None where no three trials make a curve.
 
     Parameters
     ----------
@@ -105,6 +109,8 @@ def residuals_figure(
     """
     curves = load_curves(protocol)
     rows = np.flatnonzero(np.isfinite(residuals).any(axis=0))
+    if not curves or not rows.size:
+        return None
     size = (1.2 + 1.75 * len(curves), 1.0 + 1.45 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(rows), len(curves), squeeze=False, sharey="row", sharex="col")
@@ -292,8 +298,8 @@ def estimates_figure(
 
 
 def diagnosis_figures(found: Diagnosis) -> dict[str, Figure]:
-    """All figures of a diagnosis, by the name of their file."""
-    return {
+    """All figures that a diagnosis has something for, by the name of their file."""
+    drawn = {
         "misfit": misfit_figure(found.localisation),
         "residuals": residual_curves_figure(found),
         "added_variable": added_variable_figure(found),
@@ -301,6 +307,7 @@ def diagnosis_figures(found: Diagnosis) -> dict[str, Figure]:
         "parameters": parameters_before_after_figure(found),
         "missing_wrench": wrench_figure(found),
     }
+    return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
 def _changes(found: Diagnosis, residuals: Array) -> dict[str, Array]:

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+# A kilometre: squares and cubes of anything larger may overflow.
+FARTHEST_MM = 1e6
 
 
 def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
@@ -48,6 +50,20 @@ def frozen_integers(values: ArrayLike) -> IntArray:
     array = np.array(values, dtype=np.int64, order="C")
     array.flags.writeable = False
     return array
+
+
+def too_far(points: ArrayLike) -> str:
+    """What is wrong with points [mm] that lie beyond any measurement; empty where nothing is.
+
+    Examples
+    --------
+    >>> too_far([0.0, 1e9, 0.0])
+    '1e+09 mm away, which no measurement is; check the units and the export'
+    """
+    largest = float(np.abs(points).max(initial=0.0))
+    if largest <= FARTHEST_MM:
+        return ""
+    return f"{largest:g} mm away, which no measurement is; check the units and the export"
 
 
 def _fits(actual: Iterable[int], wanted: Iterable[int | None]) -> bool:

@@ -106,23 +106,29 @@ def check_readable(path: PathLike, limit_mb: float = 512) -> Path:
         If it is missing, a folder, empty, too large or may not be read.
     """
     file = Path(path)
-    if file.is_dir():
-        raise InputError(
-            file, "", "this is a folder, not a file", "Give the path of the file in it."
-        )
     try:
-        size = file.stat().st_size
-        with file.open("rb"):
-            pass
+        is_folder, size = file.is_dir(), file.stat().st_size
+        if not is_folder:
+            with file.open("rb"):
+                pass
     except FileNotFoundError as error:
         raise InputError(
             file, "", "there is no such file", "Check the spelling and the folder."
+        ) from error
+    # A path with a null character is a ValueError.
+    except ValueError as error:
+        raise InputError(
+            repr(os.fspath(file)), "", "this is no path of a file", "Check the spelling."
         ) from error
     except OSError as error:
         reason = _reason(error)
         raise InputError(
             file, "", f"the file cannot be read ({reason})", "Check its permissions."
         ) from error
+    if is_folder:
+        raise InputError(
+            file, "", "this is a folder, not a file", "Give the path of the file in it."
+        )
     if size > limit_mb * BYTES_PER_MB:
         raise InputError(
             file,

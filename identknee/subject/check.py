@@ -30,6 +30,8 @@ FEMUR_EXTENT = (40.0, 200.0)
 LIGAMENT_LENGTH = (5.0, 200.0)
 WIDEST_GAP = 3.0
 DEEPEST_OVERLAP = 4.0
+# Stiffness [kN] that is odd, and stiffness and reference strain [%] that no ligament is near.
+ODD_STIFFNESS, IMPOSSIBLE_STIFFNESS, IMPOSSIBLE_STRAIN = 100.0, 1000.0, 100.0
 FARTHEST_ORIGIN = 150.0
 LANDMARK_ANGLE = 5.0
 NEAR_DUPLICATE = 1e-4
@@ -82,7 +84,12 @@ def check_geometry(knee: Knee) -> tuple[Finding, ...]:
 def unusable(knee: Knee) -> tuple[Finding, ...]:
     """The errors that forbid any use of the knee; quick enough for every reading."""
     # Metres make the other tests meaningless, and so does a wrong side.
-    return tuple(_metres(knee)) or tuple(_wrong_side(knee)) or tuple(_flipped(knee))
+    return (
+        tuple(_metres(knee))
+        or tuple(_impossible(knee))
+        or tuple(_wrong_side(knee))
+        or tuple(_flipped(knee))
+    )
 
 
 def _surfaces(knee: Knee) -> tuple[tuple[str, Surface], ...]:
@@ -114,6 +121,22 @@ def _metres(knee: Knee) -> Iterator[Finding]:
             f"They are at most {max(apart):.3g} mm apart; lengths are in mm.",
             multiply,
         )
+
+
+def _impossible(knee: Knee) -> Iterator[Finding]:
+    for ligament in knee.ligaments:
+        if ligament.stiffness_kN > IMPOSSIBLE_STIFFNESS:
+            yield _error(
+                f"ligament {ligament.name}",
+                f"Its stiffness is {ligament.stiffness_kN:g} kN per unit strain.",
+                "If this is N per unit strain, divide by 1000.",
+            )
+        if abs(ligament.reference_strain_pct) > IMPOSSIBLE_STRAIN:
+            yield _error(
+                f"ligament {ligament.name}",
+                f"Its reference strain is {ligament.reference_strain_pct:g} %.",
+                "Give the strain in the scanned pose in %, a few at most.",
+            )
 
 
 def _wrong_side(knee: Knee) -> Iterator[Finding]:
@@ -247,7 +270,7 @@ def _ligament_findings(knee: Knee) -> Iterator[Finding]:
                 f"It is {ligament.length:.1f} mm long in the scanned pose.",
                 "Check its insertions: both are points of the common frame in mm.",
             )
-        if ligament.stiffness_kN > 100.0:
+        if ODD_STIFFNESS < ligament.stiffness_kN <= IMPOSSIBLE_STIFFNESS:
             yield _warning(
                 subject,
                 f"Its stiffness is {ligament.stiffness_kN:g} kN per unit strain.",

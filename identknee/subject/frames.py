@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array, frozen, too_far
 
 # Axes written with three decimals are off by less; a sheared or scaled frame by more.
 ROUNDING = 2e-3
@@ -38,7 +38,12 @@ class Frame:
         axes = frozen(self.axes, 3, 3, name="the axes of a frame")
         if not (np.isfinite(origin).all() and np.isfinite(axes).all()):
             raise ValueError("the origin and axes of a frame must be finite numbers")
-        error = float(np.abs(axes @ axes.T - np.eye(3)).max())
+        if far := too_far(origin):
+            raise ValueError(f"the origin of a frame lies {far}")
+        # Products of larger numbers may overflow.
+        error = (
+            np.inf if np.abs(axes).max() > 2.0 else float(np.abs(axes @ axes.T - np.eye(3)).max())
+        )
         if error > ROUNDING:
             raise ValueError(
                 "the axes of a frame must be unit vectors at right angles, one a row, but their "

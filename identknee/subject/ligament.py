@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array, frozen, too_far
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +46,8 @@ class Ligament:
                     f"the {bone} insertion of {self.name} must be finite numbers in mm, "
                     f"got {place.tolist()}"
                 )
+            if far := too_far(place):
+                raise ValueError(f"the {bone} insertion of {self.name} lies {far}")
             object.__setattr__(self, bone, place)
         if self.length == 0.0:
             raise ValueError(

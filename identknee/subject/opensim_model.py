@@ -9,10 +9,15 @@ import numpy as np
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
+from identknee.runs.schema import shown
 from identknee.subject.surface import Surface
 
 Element = ET.Element
 MM_PER_M = 1000.0
+# No length, angle, factor or stiffness of a knee comes near; products of larger ones may overflow.
+LARGEST = 1e9
+# Frames in frames, and functions of functions.
+DEEPEST = 100
 # These joints do not displace anything while their coordinates are zero.
 ZERO_JOINTS = (
     "WeldJoint",
@@ -164,9 +169,11 @@ class OsimModel:
             raise self._malformed(element, tag, "numbers") from None
         if len(values) == 0 or not np.isfinite(values).all():
             raise self._malformed(element, tag, "finite numbers")
+        if np.abs(values).max() > LARGEST:
+            raise self._malformed(element, tag, f"numbers up to {LARGEST:g}")
         return values
 
-    def placed(self, reference: str, joint: str = "") -> tuple[str, Transform]:
+    def placed(self, reference: str, joint: str = "", *, depth: int = 0) -> tuple[str, Transform]:
         """Body of a frame that a socket refers to, and where the frame is in that body.
 
         Parameters
@@ -175,7 +182,15 @@ class OsimModel:
             A path such as ``/bodyset/femur_r``, or the name of a frame of the joint itself.
         joint
             The joint whose socket it is, where it is one's.
+        depth
+            In how many frames it is already.
         """
+        if depth > DEEPEST:
+            raise self.refusal(
+                joint,
+                f"frames lie in one another more than {DEEPEST} deep, or in a circle",
+                "Open the model in OpenSim 4 and save it.",
+            )
         parts = [x for x in reference.strip().split("/") if x not in ("", "..", ".")]
         if not parts:
             raise self.refusal(
@@ -190,7 +205,8 @@ class OsimModel:
             rotation=_about(0, turns[0]) @ _about(1, turns[1]) @ _about(2, turns[2]),
             translation=self.vector(offset, "translation", "0 0 0"),
         )
-        body, outer = self.placed(offset.findtext("socket_parent", ""), owner)
+        parent = offset.findtext("socket_parent", "")
+        body, outer = self.placed(parent, owner, depth=depth + 1)
         return body, outer @ inner
 
     def welded(self, body: str) -> dict[str, Transform]:
@@ -232,9 +248,10 @@ class OsimModel:
         for i in (1, 2, 3):
             turn, shift = axes.get(f"rotation{i}"), axes.get(f"translation{i}")
             if turn is not None:
-                rotation = rotation @ _turned(
-                    self.vector(turn, "axis"), self._at_zero(turn, joint.name)
-                )
+                axis = self.vector(turn, "axis")
+                if not axis.any():
+                    raise self._malformed(turn, "axis", "a direction")
+                rotation = rotation @ _turned(axis, self._at_zero(turn, joint.name))
             if shift is not None:
                 translation = translation + self.vector(shift, "axis") * self._at_zero(
                     shift, joint.name
@@ -255,7 +272,7 @@ class OsimModel:
             element=element,
         )
 
-    def _at_zero(self, element: Element, joint: str) -> float:
+    def _at_zero(self, element: Element, joint: str, *, depth: int = 0) -> float:
         """Value at zero of the function that an element holds."""
         function = next((x for x in element if x.get("name") == "function"), None)
         if function is None:
@@ -267,8 +284,9 @@ class OsimModel:
             return self.number(function, "value")
         if function.tag in ("LinearFunction", "PolynomialFunction"):
             return float(self.numbers(function, "coefficients")[-1])
-        if function.tag == "MultiplierFunction":
-            return self.number(function, "scale") * self._at_zero(function, joint)
+        if function.tag == "MultiplierFunction" and depth < DEEPEST:
+            inner = self._at_zero(function, joint, depth=depth + 1)
+            return self.number(function, "scale") * inner
         if function.tag in ("SimmSpline", "PiecewiseLinearFunction"):
             x, y = self.numbers(function, "x"), self.numbers(function, "y")
             # At a knot a spline has the knot's value, whatever its kind.
@@ -283,7 +301,7 @@ class OsimModel:
     def _malformed(self, element: Element, tag: str, wanted: str) -> InputError:
         return self.refusal(
             f"{element.tag} {element.get('name', '')}".strip(),
-            f"<{tag}> must hold {wanted}, got {element.findtext(tag)!r}",
+            f"<{tag}> must hold {wanted}, got {shown(element.findtext(tag))}",
             "Open the model in OpenSim 4 and save it again.",
         )
 

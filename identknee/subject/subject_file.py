@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
+from identknee.runs.arrays import too_far
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike
 from identknee.runs.schema import (
@@ -22,9 +23,17 @@ from identknee.runs.schema import (
 
 FORMAT = 1
 
+
+def _near(coordinate: float) -> float:
+    if far := too_far(coordinate):
+        why, _, remedy = far.partition("; ")
+        raise refusal(f"the point lies {why}", f"{remedy.capitalize()}.")
+    return coordinate
+
+
 Text = Annotated[str, StringConstraints(strip_whitespace=True)]
 Point = Annotated[
-    list[Number],
+    list[Annotated[Number, AfterValidator(_near)]],
     Field(min_length=3, max_length=3),
     otherwise("three numbers are wanted, got {}", "Write [x, y, z] with points in mm."),
 ]

@@ -1,6 +1,7 @@
 """Triangulated surfaces: their geometry, and the files they come from."""
 
 import io
+import logging
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,11 +12,13 @@ import trimesh
 from numpy.typing import ArrayLike
 from trimesh.exchange.stl import export_stl
 
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers, too_far
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
 
 FORMATS = (".stl", ".ply", ".obj")
+# With a handler of its own what the parser logs is not printed: its errors are told in a sentence.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -175,6 +178,8 @@ def _check(vertices: Array, faces: IntArray) -> None:
         raise ValueError(f"faces must have shape (m, 3) with m > 0, got {faces.shape}")
     if not np.isfinite(vertices).all():
         raise ValueError("vertices must be finite numbers in mm")
+    if far := too_far(vertices):
+        raise ValueError(f"a vertex lies {far}")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(
             f"faces must number the {len(vertices)} vertices from 0, "

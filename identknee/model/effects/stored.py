@@ -31,8 +31,13 @@ def effects_of(knee: Knee) -> tuple[Effect, ...]:
 
 
 def values_of(knee: Knee) -> dict[str, float]:
-    """The amplitudes stored with a knee by whole name, such as ``"compression.force_N"``."""
-    return {f"{x.name}.{name}": value for x in knee.effects for name, value in x.values.items()}
+    """The amplitudes stored with a knee that vary, by name, such as ``"compression.force_N"``."""
+    return {
+        f"{x.name}.{name}": value
+        for x in knee.effects
+        for name, value in x.values.items()
+        if name not in x.fixed
+    }
 
 
 def choice_of(

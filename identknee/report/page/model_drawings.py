@@ -39,15 +39,16 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
     before, after, sd = (coordinates(residuals, x) for x in ("before", "after", "sd"))
     causes = listed(x["name"] for x in result.summary["causes"])
     changes = {f"what {causes} explains": before - after} if causes else {}
-    yield Drawing(
-        name="residuals",
-        figure=residuals_figure(protocol, before, sd, changes),
-        caption="What the model leaves unexplained along every load curve (dots, with a band of "
-        "two standard deviations of the noise)"
-        + (", and what the cause explains of it (line)." if causes else "."),
-        description="Measured less predicted laxity along every load curve"
-        + (f", with the part that {causes} explains." if causes else "."),
-    )
+    if (figure := residuals_figure(protocol, before, sd, changes)) is not None:
+        yield Drawing(
+            name="residuals",
+            figure=figure,
+            caption="What the model leaves unexplained along every load curve (dots, with a band "
+            "of two standard deviations of the noise)"
+            + (", and what the cause explains of it (line)." if causes else "."),
+            description="Measured less predicted laxity along every load curve"
+            + (f", with the part that {causes} explains." if causes else "."),
+        )
     fits = {"without cause": stored_estimates(result, "before")}
     if causes:
         fits[f"with {causes}"] = stored_estimates(result, "after")

@@ -17,6 +17,7 @@ from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.mechanics.grood_suntay import coordinates_from_pose
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model import joint
+from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import OUTCOMES, Prediction
 from identknee.model.tensions import tensions_of
@@ -408,3 +409,13 @@ def test_any_number_of_ligaments_with_any_names(small: LaxityModel, tmp_path: Pa
     pairs = found.jacobian[:, :, :8].reshape(-1, 5, 4, 2).mean(axis=3)
     assert pairs == pytest.approx(expected.jacobian[:, :, :4], rel=1e-6, abs=1e-7)
     assert not found.jacobian[:, :, [8, 17]].any()
+
+
+def test_a_trial_without_a_pose_has_no_slope_and_spoils_no_other(small: LaxityModel) -> None:
+    # Nothing resists: the Hessian of the lost trial is singular.
+    model = replace(small, effects=(compression(),))
+    theta = np.r_[np.zeros(4), small.parameters.center[4:], 0.0]
+    found = model.predict(theta)
+    assert found.pose_jacobian is not None
+    assert not found.is_converged.any()
+    assert np.isnan(found.pose_jacobian[..., -1]).all()

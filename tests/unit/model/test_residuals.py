@@ -175,3 +175,11 @@ def test_the_way_there_does_not_matter(model: LaxityModel, laxity: Laxity, theta
     problem.residuals(theta)
     warm = problem.jacobian(theta)
     assert warm == pytest.approx(cold, rel=1e-6, abs=1e-8)
+
+
+def test_noise_without_an_inverse_is_told(model: LaxityModel, laxity: Laxity) -> None:
+    # The largest number below 1: rounding leaves one of these covariances without a root.
+    sd = np.random.default_rng(0).uniform(0.1, 1.0, laxity.coordinates.shape)
+    stated = replace(laxity, sd=sd, within_trial_correlation=float(np.nextafter(1.0, 0.0)))
+    with pytest.raises(ValueError, match=r"of trial .* has no inverse: .*; give a correlation"):
+        LaxityResiduals(model=model, laxity=stated, weighting="noise")

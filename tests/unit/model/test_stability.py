@@ -116,3 +116,13 @@ def test_amplitudes_of_effects_vary_over_their_own_plausible_ranges() -> None:
 def test_a_negative_number_of_samples_is_refused(model: LaxityModel) -> None:
     with pytest.raises(ValueError, match="number of samples must be 0 or more, got -1"):
         check_stability(model, n_samples=-1)
+
+
+def test_values_beyond_the_bounds_leave_the_nearest_bound() -> None:
+    parameters = ligament_parameters(["ACL", "PCL"], [10.0, 500.0], [-40.0, 17.0])
+    drawn = box_sample(parameters, 50, np.random.default_rng(0))
+    stiff, soft, slack, taut = drawn[:, 1], drawn[:, 0], drawn[:, 2], drawn[:, 3]
+    assert (stiff == 40.0).all()
+    assert ((soft >= 5.0) & (soft <= 15.0)).all()
+    assert (slack == -15.0).all()
+    assert ((taut >= 14.0) & (taut <= 15.0)).all()

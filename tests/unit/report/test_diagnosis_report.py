@@ -14,6 +14,7 @@ from identknee.diagnosis.localisation import Localisation
 from identknee.diagnosis.missing_line import LineFinding
 from identknee.diagnosis.refit import refit
 from identknee.diagnosis.verdict import Conclusion, Verdict
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import MISSING_LINE
 from identknee.model.effects.structures import structure_at
@@ -24,6 +25,7 @@ from identknee.report.diagnosis_figures import (
     misfit_figure,
     parameters_before_after_figure,
     residual_curves_figure,
+    residuals_figure,
 )
 from identknee.report.diagnosis_groups import diagnosis_groups
 from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
@@ -62,7 +64,9 @@ def test_an_empty_map_is_drawn_too() -> None:
 def test_the_cause_goes_through_the_residuals_of_its_curves() -> None:
     """The line of the right cause leaves less than the base model does."""
     found = diagnosed(FRAME)
-    panels = [x for x in residual_curves_figure(found).axes if x.lines]
+    figure = residual_curves_figure(found)
+    assert figure is not None
+    panels = [x for x in figure.axes if x.lines]
     assert len(panels) == len(COORDINATES) * 4
     left = before = 0.0
     for axes in panels:
@@ -187,3 +191,15 @@ def test_every_array_stands_over_the_trials_and_effects_it_is_of() -> None:
     assert np.nanstd(after) < np.nanstd(groups["residuals"]["before"].to_numpy())
     assert groups["scores"]["effect"].to_numpy().tolist() == [x.name for x in tested]
     assert int(np.isfinite(groups["misfit"]["score"]).sum()) == len(found.localisation.cells)
+
+
+def test_without_load_curves_there_is_no_figure_of_residuals() -> None:
+    angles = np.array([10.0, 20.0, 30.0, 40.0])
+    loads = np.zeros((4, 5))
+    loads[:, 0] = [-4.0, 0.0, 2.0, 4.0]
+    protocol = Protocol(name="x", trials=tuple("abcd"), flexion_deg=angles, loads=loads)
+    left, sd = np.zeros((4, 5)), np.ones((4, 5))
+    assert residuals_figure(protocol, left, sd, {}) is None
+    same = replace(protocol, flexion_deg=np.full(4, 30.0))
+    assert residuals_figure(same, left, sd, {}) is not None
+    assert residuals_figure(same, np.full((4, 5), np.nan), sd, {}) is None

@@ -176,3 +176,16 @@ def test_errors_come_first_and_forbid_use(knee: Knee) -> None:
 
 def test_exchanged_plateaus(knee: Knee) -> None:
     assert [x.subject for x in unusable(replace(knee, tibia=knee.tibia[::-1]))] == ["side"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"stiffness_kN": 1e4}, "10000 kN per unit strain. If this is N per unit strain, divide"),
+        ({"reference_strain_pct": 1e4}, "10000 %. Give the strain in the scanned pose"),
+    ],
+)
+def test_impossible_ligament(knee: Knee, changes: dict[str, object], said: str) -> None:
+    odd = replace(knee.ligaments[0], **changes)  # type: ignore[arg-type]
+    (finding,) = unusable(knee.with_ligaments([odd, *knee.ligaments[1:]]))
+    assert said in f"{finding.sentence} {finding.remedy}"

@@ -111,6 +111,15 @@ def _second_femur(text: str) -> str:
         (lambda x: x.replace("1 1 1</scale", "1 1</scale"), "must hold three numbers"),
         (lambda x: x.replace("_r<", "<").replace("knee_r", "knee"), "which side"),
         (lambda x: x.replace("1 1 1</scale", "0.001 0.001 0.001</scale"), "multiply by 1000"),
+        (lambda x: x.replace("1 1 1</scale", "1 1e300 1</scale"), "must hold numbers up to 1e+09"),
+        (lambda x: x.replace("<linear_stiffness>", "<linear_stiffness>9999"), "divide by 1000"),
+        (lambda x: x.replace("<axis>1 0 0<", "<axis>0 0 0<"), "must hold a direction"),
+        (lambda x: x.replace("<LinearFunction name=\"function\">", "<MultiplierFunction name="
+         "\"function\"><scale>1</scale>" + "<function><MultiplierFunction><scale>1</scale>" * 500
+         + "</MultiplierFunction></function>" * 500 + "</MultiplierFunction><LinearFunction>", 1),
+         "MultiplierFunction cannot be evaluated at zero"),
+        (lambda x: x.replace("<socket_parent>/bodyset/femur_r<", "<socket_parent>femur_offset<"),
+         "or in a circle"),
     ],
 )  # fmt: skip
 def test_unusable_models(tmp_path: Path, knee: Knee, edit: Callable[[str], str], said: str) -> None:

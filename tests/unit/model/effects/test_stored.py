@@ -1,6 +1,7 @@
 """An extended knee is a subject like any other: its model, its start, its prior, its file."""
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -148,3 +149,8 @@ def test_what_is_no_effect_is_refused(small: Knee, choice: EffectChoice, message
 
 def _a_line(knee: Knee) -> tuple[Array, Array]:
     return knee.femur_frame.to_common([5.0, 3.0, 35.0]), knee.tibia_frame.to_common([9, -30, 30])
+
+
+def test_an_effect_with_all_its_amplitudes_fixed_has_nothing_to_search(small: Knee) -> None:
+    choice = EffectChoice(name="compression", values={"force_N": 20.0}, fixed=("force_N",))
+    assert values_of(replace(small, effects=(choice,))) == {}
