@@ -385,15 +385,8 @@ def _words(coordinate: str) -> str:
 
 
 def _write_cell(axes: Axes, column: int, row: int, text: str, *, is_dark: bool) -> None:
-    axes.text(
-        column,
-        row,
-        text,
-        ha="center",
-        va="center",
-        fontsize=TINY,
-        color="white" if is_dark else BLACK,
-    )
+    color = "white" if is_dark else BLACK
+    axes.text(column, row, text, ha="center", va="center", fontsize=TINY, color=color)
 
 
 def _frame_cell(axes: Axes, column: int, row: int) -> None:
