@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identknee.diagnosis.attribution import Attribution, Rival
+from identknee.diagnosis.attribution import Attribution
 from identknee.diagnosis.data_noise import DataNoise
 from identknee.diagnosis.isolability import Pair
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.diagnosis.offered_trials import OfferedTrials, Rows
 from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.rivals import Rival
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity

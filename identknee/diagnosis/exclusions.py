@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.diagnosis.attribution import LEVEL, Step
 from identknee.diagnosis.causes import PLAIN, explanation_of, unit_of
 from identknee.diagnosis.diagnose import Diagnosis
 from identknee.diagnosis.library_signatures import Variant
+from identknee.diagnosis.look import LEVEL, Step
 from identknee.diagnosis.power import Cell, detectable_amplitude, detection_power, judge
 from identknee.diagnosis.score import ScoreTest
 from identknee.model.effects.effect import Effect

@@ -93,6 +93,17 @@ class Refit:
             + halves * np.log(2.0)
         )
 
+    @property
+    def promised_fall(self) -> float:
+        """What a straight model says the deviance would still fall by; inf without a prediction."""
+        evaluation = self.fitted.evaluation
+        if not evaluation.is_finite:
+            return np.inf
+        free = ~self.fitted.constrained.is_held
+        jacobian = evaluation.jacobian[:, free]
+        gradient = jacobian.T @ evaluation.residuals
+        return float(gradient @ np.linalg.solve(jacobian.T @ jacobian, gradient))
+
     def amplitudes(self, name: str) -> Array:
         """Fitted amplitudes of the cause called `name`."""
         return np.asarray(self.fitted.theta[self.places(name)])

@@ -25,6 +25,10 @@ HANGS_ON_NOISE = (
 )
 
 
+SEVERAL = "The model gets something wrong, and more than one known cause fits."
+UNTESTED = "The model gets something wrong that no known cause explains that could be tested."
+
+
 class Verdict(StrEnum):
     """The five ways in which a diagnosis ends."""
 
@@ -43,7 +47,7 @@ class Verdict(StrEnum):
 _SENTENCES = {
     Verdict.ADEQUATE: "The data show nothing that the model gets wrong.",
     Verdict.NAMED: "The data show what the model gets wrong, and only one known cause fits.",
-    Verdict.AMBIGUOUS: "The model gets something wrong, and more than one known cause fits.",
+    Verdict.AMBIGUOUS: "The model gets something wrong, and the data leave its cause open.",
     Verdict.UNEXPLAINED: "The model gets something wrong that no known cause explains.",
     Verdict.NOT_TESTABLE: "The data cannot say whether the model gets anything wrong.",
 }
@@ -57,6 +61,8 @@ class Conclusion:
     ----------
     verdict
         One of five.
+    sentence
+        What it means here.
     p_value
         Probability of a misfit as clear as this one of the base model, under noise alone.
     best
@@ -68,6 +74,7 @@ class Conclusion:
     """
 
     verdict: Verdict
+    sentence: str
     p_value: float
     best: Refit
     group: tuple[str, ...]
@@ -97,25 +104,33 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     if _hangs_on_noise(attribution, p_value):
         return _conclusion(Verdict.NOT_TESTABLE, p_value, base, (), [HANGS_ON_NOISE])
     if p_value > LEVEL:
-        return Conclusion(
-            verdict=Verdict.ADEQUATE,
-            p_value=p_value,
-            best=base,
-            group=(),
-            reasons=(f"Noise alone leaves a misfit as clear in {100 * p_value:.2g} % of cases.",),
-        )
+        reasons = [f"Noise alone leaves a misfit as clear in {100 * p_value:.2g} % of cases."]
+        return _conclusion(Verdict.ADEQUATE, p_value, base, (), reasons)
     reasons = [f"Noise alone would leave a misfit as clear in {100 * p_value:.2g} % of cases."]
-    if not best.causes:
-        reasons.append("No effect of the library fits better than the model without it.")
-        return _conclusion(Verdict.UNEXPLAINED, p_value, base, (), reasons)
+    untested = [x.reason for x in attribution.untested_rivals]
     fits = best.misfit_p_value
-    if faults := _faults(best, fits):
-        return _conclusion(Verdict.UNEXPLAINED, p_value, best, (), [*reasons, *faults])
+    faults = ["No effect of the library fits better than the model without it."]
+    if best.causes:
+        faults = _faults(best, fits)
+    if faults:
+        reasons += [*faults, *untested]
+        sentence = UNTESTED if untested else Verdict.UNEXPLAINED.sentence
+        return _conclusion(Verdict.UNEXPLAINED, p_value, best, (), reasons, sentence)
     doubts = _doubts(attribution, fits)
     group = _group(attribution)
-    if len(group) > len(best.causes) or doubts:
-        return _conclusion(Verdict.AMBIGUOUS, p_value, best, group, [*reasons, *doubts])
-    return _conclusion(Verdict.NAMED, p_value, best, group, reasons)
+    is_alone = len(group) == len(best.causes)
+    if is_alone and not doubts and not untested:
+        return _conclusion(Verdict.NAMED, p_value, best, group, reasons)
+    reasons += [*(x.reason for x in doubts), *untested]
+    short = [x.short for x in doubts] + ["another cause could not be tested"] * bool(untested)
+    sentence = _ambiguous(len(best.causes), short) if is_alone else SEVERAL
+    return _conclusion(Verdict.AMBIGUOUS, p_value, best, group, reasons, sentence)
+
+
+def _ambiguous(n_causes: int, doubts: Sequence[str]) -> str:
+    """What AMBIGUOUS means where one explanation alone fits."""
+    fits = "one known cause fits" if n_causes == 1 else f"{n_causes} known causes together fit"
+    return f"The model gets something wrong, and {fits}, with a doubt: {'; '.join(doubts)}."
 
 
 def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
@@ -129,10 +144,20 @@ def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
 
 
 def _conclusion(
-    verdict: Verdict, p_value: float, best: Refit, group: Sequence[str], reasons: Sequence[str]
+    verdict: Verdict,
+    p_value: float,
+    best: Refit,
+    group: Sequence[str],
+    reasons: Sequence[str],
+    sentence: str = "",
 ) -> Conclusion:
     return Conclusion(
-        verdict=verdict, p_value=p_value, best=best, group=tuple(group), reasons=tuple(reasons)
+        verdict=verdict,
+        sentence=sentence or verdict.sentence,
+        p_value=p_value,
+        best=best,
+        group=tuple(group),
+        reasons=tuple(reasons),
     )
 
 
@@ -150,20 +175,34 @@ def _faults(best: Refit, fits: float) -> list[str]:
     return faults
 
 
-def _doubts(attribution: Attribution, fits: float) -> list[str]:
-    """Why the best explanation may not be the only one or not all."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Doubt:
+    """Why the best explanation may not be the right one or not all: in a few words, and whole."""
+
+    short: str
+    reason: str
+
+
+def _doubts(attribution: Attribution, fits: float) -> list[_Doubt]:
+    """What speaks against the best explanation, none of it enough to refuse it."""
     best = attribution.best
     doubts = [
-        f"The insertions of {x.name} would lie {shift_mm(best, x):.0f} mm from where anatomy has "
-        f"them, which is rare (p {p_value:.2g}): a structure that no library lists may lie there."
+        _Doubt(
+            short=f"{x.name} would lie far from where anatomy has it",
+            reason=f"The insertions of {x.name} would lie {shift_mm(best, x):.0f} mm from where "
+            f"anatomy has them, which is rare (p {p_value:.2g}): a structure that no library lists "
+            "may lie there.",
+        )
         for x in best.causes
         if isinstance(x, Structure) and (p_value := site_p_value(best, x)) <= FAR_OFF
     ]
     if fits <= FITS:
-        doubts.append(f"The misfit that is left is rather improbable (p {fits:.2g}).")
+        reason = f"The misfit that is left is rather improbable (p {fits:.2g})."
+        doubts.append(_Doubt(short="it leaves more than noise would", reason=reason))
     if attribution.is_left_unexplained:
         further = attribution.steps[-1].scores.candidates[0].name
-        doubts.append(f"Something else is left: {further} scores high but does not fit.")
+        reason = f"Something else is left: {further} scores high but does not fit."
+        doubts.append(_Doubt(short="something else is left", reason=reason))
     return doubts
 
 

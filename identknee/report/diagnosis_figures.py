@@ -6,12 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.diagnosis.attribution import Step
 from identknee.diagnosis.causes import Estimate, explanation_of, ligament_estimates
 from identknee.diagnosis.curves import load_curves
 from identknee.diagnosis.diagnose import Diagnosis
 from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
 from identknee.diagnosis.localisation import LEVEL, Localisation
+from identknee.diagnosis.look import Step
 from identknee.diagnosis.noise_model import Curve
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES

@@ -118,6 +118,7 @@ def _refits(found: Diagnosis) -> xarray.Dataset:
             "p_value": ("explanation", [x.misfit_p_value for x in refits]),
             "distance": ("explanation", [np.nan] * n_other + [x.distance for x in rivals]),
             "is_excluded": ("explanation", [False] * n_other + [x.is_excluded for x in rivals]),
+            "state": ("explanation", ["-"] * n_other + [x.state.value for x in rivals]),
             "outcome": ("explanation", [x.fitted.outcome.value for x in refits]),
             "theta": (("explanation", "parameter"), np.array([x.fitted.theta[:n] for x in refits])),
         },

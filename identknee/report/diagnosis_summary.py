@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from identknee.diagnosis.attribution import Rival
 from identknee.diagnosis.causes import (
     Cause,
     Estimate,
@@ -20,6 +19,7 @@ from identknee.diagnosis.gain_summary import gain_summary
 from identknee.diagnosis.missing_line import LineFinding
 from identknee.diagnosis.missing_pulls import MissingPull, pulls_of
 from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.rivals import Rival, RivalState
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
@@ -35,10 +35,10 @@ def diagnosis_summary(
 
     ``causes`` are those of the best explanation, where the verdict names any, or the line of force
     where no known cause explains the data; ``group`` are the names that the data leave open, those
-    of the causes among them. ``parameters_before`` and
-    ``parameters_after`` are the ligaments' without and with the causes, their 95 % intervals under
-    the same keys with ``_ci95``. ``effects`` says of every effect tried whether it was seen and
-    which size would have been. Rivals that are not excluded have their own amplitudes and
+    of the causes among them. ``parameters_before`` and ``parameters_after`` are the ligaments'
+    without and with the causes, their 95 % intervals under the same keys with ``_ci95``. A rival
+    whose ``state`` is not tested says why. ``effects`` says of every effect tried whether it was
+    seen and which size would have been. Rivals that are open have their own amplitudes and
     parameters. ``missing_wrench`` is what else would have to act on the tibia, see
     `identknee.diagnosis.missing_pulls`.
 
@@ -55,7 +55,7 @@ def diagnosis_summary(
     before, after = ligament_estimates(found.base), ligament_estimates(explanation)
     return {
         "verdict": conclusion.verdict,
-        "sentence": conclusion.verdict.sentence,
+        "sentence": conclusion.sentence,
         "p_value": conclusion.p_value,
         "reasons": list(conclusion.reasons),
         "causes": _causes(explanation),
@@ -166,13 +166,18 @@ def _pull(pull: MissingPull) -> dict[str, Any]:
 
 
 def _rival(rival: Rival) -> dict[str, Any]:
+    is_open = rival.state is RivalState.OPEN
+    is_tested = rival.state is not RivalState.NOT_TESTED
     return {
         "causes": list(rival.refit.names),
-        "log_evidence_below": rival.lead,
-        "distance": rival.distance,
+        "log_evidence_below": rival.lead if is_tested else None,
+        "distance": rival.distance if is_tested else None,
+        "state": rival.state.value,
+        "reason": rival.reason or None,
+        "could_matter": rival.could_matter,
         "is_excluded": rival.is_excluded,
-        "amplitudes": [] if rival.is_excluded else _causes(rival.refit),
-        "parameters": None if rival.is_excluded else _values(ligament_estimates(rival.refit)),
+        "amplitudes": _causes(rival.refit) if is_open else [],
+        "parameters": _values(ligament_estimates(rival.refit)) if is_open else None,
     }
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from identknee.diagnosis.advice import Advice
-from identknee.diagnosis.attribution import Attribution, Rival
+from identknee.diagnosis.attribution import Attribution
 from identknee.diagnosis.causes import (
     Cause,
     Estimate,
@@ -17,6 +17,7 @@ from identknee.diagnosis.gain import Gain
 from identknee.diagnosis.power import Cell
 from identknee.diagnosis.protocol_isolability import Visibility
 from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.rivals import Rival, RivalState
 from identknee.diagnosis.verdict import Verdict
 from identknee.model.effects.facts import FACTS
 
@@ -44,7 +45,7 @@ def diagnosis_lines(
         is_open = conclusion.verdict is Verdict.AMBIGUOUS
         heading += ": " + (" or ".join(conclusion.group) if is_open else listed(explanation.names))
     sections = {
-        heading: [conclusion.verdict.sentence, *conclusion.reasons, found.noise.sentence],
+        heading: [conclusion.sentence, *conclusion.reasons, found.noise.sentence],
         "Where": [] if conclusion.verdict is Verdict.ADEQUATE else [found.localisation.sentence],
         "Cause": [x for cause in causes_of(explanation) for x in _cause(cause)],
         "Where it would act": [] if found.line is None else [found.line.sentence],
@@ -106,17 +107,22 @@ def _shown(estimate: Estimate) -> str:
 
 
 def _rivals(attribution: Attribution) -> list[str]:
-    rivals = attribution.rivals[:MOST_RIVALS]
+    untested = [x for x in attribution.rivals if x.state is RivalState.NOT_TESTED]
+    tested = [x for x in attribution.rivals if x not in untested]
+    rivals = [*tested[:MOST_RIVALS], *untested]
     if not rivals:
         return ["No other cause came near."]
     width = max(len(listed(x.refit.names)) for x in rivals)
-    return [f"{'':{width}}  log evidence  distance", *(_rival(x, width) for x in rivals)]
+    rows = [f"{'':{width}}  log evidence  distance", *(_rival(x, width) for x in rivals)]
+    # Those that may matter are among the reasons of the verdict.
+    return rows + [x.reason for x in untested if not x.could_matter]
 
 
 def _rival(rival: Rival, width: int) -> str:
-    state = "excluded" if rival.is_excluded else "open"
     name = listed(rival.refit.names) or "no cause"
-    return f"{name:{width}}  {-rival.lead:12.1f}  {rival.distance:8.1f}  {state}"
+    if rival.state is RivalState.NOT_TESTED:
+        return f"{name:{width}}  {'-':>12}  {'-':>8}  {rival.state}"
+    return f"{name:{width}}  {-rival.lead:12.1f}  {rival.distance:8.1f}  {rival.state}"
 
 
 def _advice(advice: Advice | None) -> list[str]:

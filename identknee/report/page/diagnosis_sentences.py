@@ -90,13 +90,19 @@ def _verdict_sentence(verdict: Verdict, summary: Mapping[str, Any]) -> str:
         )
     if verdict is Verdict.AMBIGUOUS:
         names = listed(summary["group"], "or")
-        return f"{verdict.sentence} It may be {names}." if names else verdict.sentence
+        said = [str(summary["sentence"]), *([f"It may be {names}."] if names else [])]
+        return " ".join([*said, *untested_reasons(summary)])
     line = summary.get("line")
     if verdict is Verdict.UNEXPLAINED and line:
-        return f"{verdict.sentence} {line['sentence']}"
+        return f"{summary['sentence']} {line['sentence']}"
     if verdict is Verdict.NOT_TESTABLE:
         return " ".join([verdict.sentence, *summary["reasons"]])
-    return verdict.sentence
+    return " ".join([str(summary["sentence"]), *untested_reasons(summary)])
+
+
+def untested_reasons(summary: Mapping[str, Any]) -> list[str]:
+    """Why causes could not be tested that may be the explanation."""
+    return [str(x["reason"]) for x in summary["rivals"] if x.get("reason") and x["could_matter"]]
 
 
 def _size(cause: Mapping[str, Any]) -> str:
@@ -134,7 +140,7 @@ def _compared(rivals: Sequence[Mapping[str, Any]]) -> Table:
             listed(x["causes"]) or "no cause",
             x["log_evidence_below"],
             x["distance"],
-            "excluded" if x["is_excluded"] else "open",
+            str(x.get("state") or ("excluded" if x["is_excluded"] else "open")),
         )
         for x in rivals
     )

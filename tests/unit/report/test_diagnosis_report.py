@@ -112,8 +112,9 @@ def test_what_cannot_be_tested_has_the_same_keys() -> None:
 def test_rivals_that_are_open_come_with_their_own_numbers() -> None:
     found = diagnosed(FRAME)
     for rival in diagnosis_summary(found, exclusions(found), None)["rivals"]:
-        assert bool(rival["amplitudes"]) == (not rival["is_excluded"])
-        assert (rival["parameters"] is None) == rival["is_excluded"]
+        assert bool(rival["amplitudes"]) == (rival["state"] == "open")
+        assert (rival["parameters"] is None) == (rival["state"] != "open")
+        assert rival["is_excluded"] == (rival["state"] == "excluded")
 
 
 def test_an_unexplained_misfit_changes_no_parameter() -> None:
