@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from identknee.blind.truth_schema import TruthFile
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
-from identknee.runs.files import PathLike, check_readable, plain, write_json
+from identknee.runs.files import BYTES_PER_MB, PathLike, check_readable, plain, write_json
 
 TRUTH_FILE = "truth.json"
 FORMAT = 1
+LARGEST_BYTES = 10**7
 NOTE = "Sealed: `identknee reveal` opens it. Diagnose the data first."
 
 
@@ -89,24 +91,25 @@ def read_truth(folder: PathLike) -> Truth:
     InputError
         If there is no such file or it cannot be opened.
     """
-    path = check_readable(Path(folder) / TRUTH_FILE)
+    path = check_readable(Path(folder) / TRUTH_FILE, LARGEST_BYTES / BYTES_PER_MB)
     try:
         outer = json.loads(path.read_text(encoding="utf-8"))
-        values = json.loads(zlib.decompress(base64.b64decode(outer["sealed"])))
+        text = zlib.decompressobj().decompress(base64.b64decode(outer["sealed"]), LARGEST_BYTES)
+        values = TruthFile.model_validate_json(text)
         return Truth(
-            seed=values["seed"],
-            effects=tuple(values["effects"]),
+            seed=values.seed,
+            effects=tuple(values.effects),
             amplitudes={
-                effect: {name: (x[0], x[1]) for name, x in numbers.items()}
-                for effect, numbers in values["amplitudes"].items()
+                effect: {name: (x.value, x.unit) for name, x in numbers.items()}
+                for effect, numbers in values.amplitudes.items()
             },
-            theta=values["theta"],
-            signal=values["signal"],
-            is_largest=values["is_largest"],
-            lines={name: (np.array(x[0]), np.array(x[1])) for name, x in values["lines"].items()},
-            facts=values["facts"],
+            theta=values.theta,
+            signal=values.signal,
+            is_largest=values.is_largest,
+            lines={name: (np.array(x), np.array(y)) for name, (x, y) in values.lines.items()},
+            facts=values.facts,
         )
-    except (ValueError, KeyError, TypeError, IndexError, zlib.error) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, zlib.error) as error:
         raise InputError(
             path, "", "this is no sealed truth", "Make the case again with identknee blind."
         ) from error

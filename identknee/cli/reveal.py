@@ -1,6 +1,5 @@
 """`identknee reveal`: the truth behind blind data, and how a diagnosis compares with it."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,9 +10,9 @@ import identknee as ik
 from identknee.blind.truth import TRUTH_FILE
 from identknee.cli.command import Json, show
 from identknee.runs.errors import InputError
-from identknee.runs.files import check_readable
 
 RESULT_FILE = "result.json"
+DIAGNOSIS_REMEDY = "Give the folder of identknee diagnose."
 
 BlindFolder = Annotated[
     Path, typer.Argument(metavar="BLIND_DIR", help="A folder that `identknee blind` wrote.")
@@ -47,17 +46,18 @@ def _check_order(blind_dir: Path, diagnosis_dir: Path) -> None:
 
 
 def _diagnosis(path: Path) -> dict[str, Any]:
-    try:
-        diagnosis = json.loads(check_readable(path).read_text(encoding="utf-8"))
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(path, "", "this is not JSON", "Run identknee diagnose again.") from error
-    if not isinstance(diagnosis, dict) or "verdict" not in diagnosis:
-        raise InputError(
-            path, "verdict", "there is no verdict in it", "Give the folder of identknee diagnose."
-        )
-    return diagnosis
+    # These take longer to load than anything else here.
+    from identknee.cli.revealed import Revealed
+    from identknee.runs.schema import Fault, read_json, validated
+
+    def refuse(fault: Fault) -> InputError:
+        where = "/".join(str(x) for x in (*fault.place, *([fault.key] * bool(fault.key))))
+        why = "there is no verdict in it" if fault.key == "verdict" else fault.why
+        return InputError(path, where, why, fault.remedy or DIAGNOSIS_REMEDY)
+
+    diagnosis = read_json(path, "Run identknee diagnose again.")
+    validated(Revealed, diagnosis, refuse)
+    return dict(diagnosis)
 
 
 def _lines(truth: "ik.Truth", score: "ik.Score") -> list[str]:

@@ -8,7 +8,7 @@ import xarray
 
 from identknee.report.units import with_units
 from identknee.runs.errors import InputError
-from identknee.runs.files import part_beside, write_atomically, write_json
+from identknee.runs.files import digest, part_beside, write_atomically, write_json
 from identknee.runs.record import Record
 
 SUMMARY = "result.json"
@@ -41,14 +41,15 @@ def write_result(
     InputError
         If a file cannot be written; neither is left half-written.
     """
-    whole = {**summary, "record": record.to_dict()}
     # The summary comes last: where it stands the arrays stand too.
-    _write_arrays(folder / ARRAYS, groups, record)
+    content = _write_arrays(folder / ARRAYS, groups, record)
+    whole = {**summary, "record": {**record.to_dict(), "arrays": digest(content)}}
     write_json(folder / SUMMARY, whole)
     return whole
 
 
-def _write_arrays(path: Path, groups: Mapping[str, xarray.Dataset], record: Record) -> None:
+def _write_arrays(path: Path, groups: Mapping[str, xarray.Dataset], record: Record) -> bytes:
+    """The bytes now written."""
     tree = xarray.DataTree.from_dict(with_units(groups))
     tree.attrs = {
         "verb": record.verb,
@@ -66,3 +67,4 @@ def _write_arrays(path: Path, groups: Mapping[str, xarray.Dataset], record: Reco
     finally:
         temporary.unlink(missing_ok=True)
     write_atomically(path, content)
+    return content

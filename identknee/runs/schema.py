@@ -1,5 +1,6 @@
 """Files against the schema of their kind: what is wrong first, as one sentence with its remedy."""
 
+import json
 import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -130,6 +131,28 @@ def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
     # Dates that are none and numbers of too many digits are no TOMLDecodeError.
     except (ValueError, OverflowError) as error:
         raise InputError(file, "", f"this is not TOML: {error}", "Mend that line.") from error
+
+
+def read_json(path: PathLike, remedy: str, limit_mb: float = 512) -> Any:
+    """What a JSON file holds, whatever it is.
+
+    Raises
+    ------
+    InputError
+        With this remedy, if it cannot be read, is larger than `limit_mb` [MB], no JSON or holds
+        text that cannot be written again.
+    """
+    file = check_readable(path, limit_mb)
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        json.dumps(values, ensure_ascii=False).encode()
+    except RecursionError as error:
+        why = "this is not JSON: it is nested too deeply"
+        raise InputError(file, "", why, remedy) from error
+    # No UTF-8, half of a surrogate pair and numbers of too many digits among them.
+    except ValueError as error:
+        raise InputError(file, "", "this is not JSON", remedy) from error
+    return values
 
 
 def validated(model: type[Made], values: object, refuse: Callable[[Fault], InputError]) -> Made:

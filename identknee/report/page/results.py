@@ -1,6 +1,6 @@
 """The results in a folder, as the verbs left them."""
 
-import json
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,9 +9,14 @@ from typing import Any
 import xarray
 
 from identknee.laxity.protocol import LOADS, Protocol
+from identknee.report.page.agreement import disagreement
+from identknee.report.page.array_schema import array_fault
+from identknee.report.page.summaries import schema_of
+from identknee.report.page.summary_parts import AGAIN
 from identknee.report.result_files import ARRAYS, SUMMARY
 from identknee.runs.errors import InputError
-from identknee.runs.files import check_readable
+from identknee.runs.files import digest
+from identknee.runs.schema import Fault, read_json, shown, validated
 
 # In the order of the flow; verbs that are not here leave nothing to report on.
 FLOW = (
@@ -143,28 +148,37 @@ def by_subject(results: Sequence[Result]) -> tuple[Findings, ...]:
 
 def _read(path: Path) -> Result | None:
     """The result at `path`; None where it is of a verb with nothing to report."""
-    again = "Run the command that made it again."
-    try:
-        summary = json.loads(check_readable(path).read_text(encoding="utf-8"))
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(path, "", "this is not JSON", again) from error
+    summary = read_json(path, AGAIN)
     record = summary.get("record") if isinstance(summary, dict) else None
-    if not isinstance(record, dict) or record.get("verb") not in FLOW:
+    verb = record.get("verb") if isinstance(record, dict) else None
+    if record is None or not isinstance(verb, str) or verb not in FLOW:
         return None
+    schema = schema_of(verb, summary)
+    validated(schema, summary, lambda fault: _error(path, fault))
     arrays = path.with_name(ARRAYS)
-    return Result(
-        folder=path.parent,
-        summary=summary,
-        groups=_groups(arrays, again) if arrays.is_file() else {},
-    )
+    groups = _groups(arrays, record.get("arrays")) if arrays.is_file() else {}
+    if (fault := array_fault(verb, groups)) is not None:
+        raise InputError(arrays, *fault, AGAIN)
+    if fault := disagreement(summary, groups):
+        raise InputError(arrays, *fault, AGAIN)
+    return Result(folder=path.parent, summary=summary, groups=groups)
 
 
-def _groups(path: Path, remedy: str) -> dict[str, xarray.Dataset]:
+def _error(path: Path, fault: Fault) -> InputError:
+    where = "/".join(str(x) for x in (*fault.place, *([fault.key] * bool(fault.key))))
+    return InputError(path, where, fault.why, fault.remedy or AGAIN)
+
+
+def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
+    if sha is not None and digest(path) != sha:
+        why = "it is not the file that was written with result.json"
+        raise InputError(path, "", why, AGAIN)
     try:
-        with xarray.open_datatree(path, engine="h5netcdf") as tree:
-            return {name: node.to_dataset().load() for name, node in tree.children.items()}
-    except (OSError, ValueError) as error:
-        why = f"the arrays cannot be read ({error})"
-        raise InputError(path, "", why, remedy) from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with xarray.open_datatree(path, engine="h5netcdf") as tree:
+                return {name: node.to_dataset().load() for name, node in tree.children.items()}
+    except Exception as error:
+        # The libraries below raise errors of many types at a damaged file.
+        why = f"the arrays cannot be read ({type(error).__name__}: {shown(str(error))})"
+        raise InputError(path, "", why, AGAIN) from error

@@ -230,7 +230,7 @@ def test_folders_that_hold_nothing_are_refused(tmp_path: Path) -> None:
         (file, "this is a file, not a folder"),
         (empty, "there are no results in it"),
         (broken, "this is not JSON"),
-        (torn, "the arrays cannot be read"),
+        (torn, "it is not the file that was written with result.json"),
     ):
         with pytest.raises(InputError, match=why):
             found_results(path)

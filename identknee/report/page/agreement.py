@@ -1,0 +1,75 @@
+"""Whether the arrays of a result and its summary speak of the same things."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import xarray
+from pydantic import ValidationError
+
+from identknee.identify.sweep.sweep import OUTCOMES
+from identknee.model.parameters import STIFFNESS, STRAIN
+from identknee.report.page.summaries import Drawn
+
+Groups = Mapping[str, xarray.Dataset]
+
+
+def disagreement(summary: Mapping[str, Any], groups: Groups) -> tuple[str, str] | None:
+    """The first place in the arrays that does not fit the summary, and why; None without.
+
+    Parameters
+    ----------
+    summary
+        As its schema wants it.
+    groups
+        The arrays, as theirs wants them.
+    """
+    checks = (_profiles, _targets, _kinds, _parameters)
+    return next((found for check in checks for found in check(summary, groups)), None)
+
+
+def _profiles(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
+    if "profile" not in groups:
+        return
+    entries = summary.get("profiles") or {
+        **summary.get("parameters", {}),
+        **(summary.get("quantities") or {}),
+    }
+    data = groups["profile"]
+    for name in map(str, data["quantity"].values):
+        if name not in entries:
+            yield "group profile, variable quantity", f"{name} is not in result.json"
+            continue
+        try:
+            Drawn.model_validate(entries[name])
+        except ValidationError:
+            yield "group profile", f"what result.json says of {name} is not all there"
+        if not np.isfinite(data["value"].sel(quantity=name).values).any():
+            yield "group profile, variable value", f"{name} has no points"
+
+
+def _targets(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
+    if "design" not in groups:
+        return
+    data = groups["design"]
+    for name in map(str, data["target"].values):
+        if name not in summary["targets"]:
+            yield "group design, variable target", f"{name} is not in result.json"
+    chosen = data["chosen"].values
+    if chosen.min() < 0 or chosen.max() >= data.sizes["candidate"]:
+        yield "group design, variable chosen", "a number is of no candidate"
+
+
+def _kinds(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
+    if "optimization" in groups and "kind" in groups["optimization"]:
+        kinds = groups["optimization"]["kind"].values
+        if kinds.min() < 0 or kinds.max() >= len(OUTCOMES):
+            yield "group optimization, variable kind", "a code stands for no outcome"
+
+
+def _parameters(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
+    if "residuals" not in groups:
+        return
+    values = summary.get("parameters_before") or {}
+    if not values or any(not {STIFFNESS, STRAIN} <= x.keys() for x in values.values()):
+        yield "group residuals", "result.json does not hold the parameters they belong to"
