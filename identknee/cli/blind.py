@@ -23,6 +23,8 @@ Effect = Annotated[
     list[str] | None,
     typer.Option(metavar="ID", help="A cause, random, or none; two may be given."),
 ]
+# Of the signal asked for: less than this is another case.
+REACHED = 0.9
 Signal = Annotated[
     float | None,
     typer.Option(help="Size of the effect beside the noise; sizes from the literature without."),
@@ -52,6 +54,8 @@ def blind(
         lambda: ik.blind_case(knee, seed=seed, effect=_chosen(effect), signal=signal)
     )
     ik.write_blind(case, out)
+    if signal is not None:
+        _say_signal(case.truth, signal, is_secret=effect is None or "random" in effect)
     summary = {
         "subject": knee.name,
         "n_trials": case.laxity.n,
@@ -60,6 +64,27 @@ def blind(
     }
     write_json(out / "result.json", summary)
     show(summary, [f"{case.laxity.n} trials: {out / 'laxity.csv'}"], as_json=as_json)
+
+
+def _say_signal(truth: "ik.Truth", wanted: float, *, is_secret: bool) -> None:
+    """Where the signal asked for was not reached, say so; what is hidden stays hidden."""
+    if is_secret:
+        # Said whatever was drawn, so that it tells nothing about it.
+        typer.echo(
+            f"The signal may be less than {wanted:g}: nothing may be hidden, or an effect at its "
+            "largest plausible size. identknee reveal says what it is.",
+            err=True,
+        )
+    elif truth.effects and truth.signal < REACHED * wanted:
+        names = " and ".join(truth.effects)
+        why = (
+            "the largest plausible size gives no more" if truth.is_largest else "it stays below"
+        )
+        typer.echo(
+            f"The signal of {names} is {truth.signal:.2g}, not {wanted:g}: {why}. Ask for less, or "
+            "choose another --effect or --seed.",
+            err=True,
+        )
 
 
 def _chosen(effect: list[str] | None) -> str | list[str] | None:

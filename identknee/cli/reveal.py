@@ -62,6 +62,12 @@ def _diagnosis(path: Path) -> dict[str, Any]:
 
 def _lines(truth: "ik.Truth", score: "ik.Score") -> list[str]:
     lines = [score.sentence]
+    wanted = truth.facts.get("wanted_signal")
+    if isinstance(wanted, int | float) and truth.effects and truth.is_largest:
+        lines.append(
+            f"A signal of {wanted:g} was asked for; at the largest plausible size of what is "
+            f"hidden it is {truth.signal:.2g}."
+        )
     for effect, numbers in truth.amplitudes.items():
         size = ", ".join(f"{name} {value:.3g} {unit}" for name, (value, unit) in numbers.items())
         lines.append(f"{effect}: {size}")

@@ -23,6 +23,7 @@ from identknee.cli.command import (
     timed,
     warm_up,
 )
+from identknee.cli.identification import file_digests
 from identknee.cli.values import named_values, noise_sizes
 from identknee.runs.files import prepare_folder
 from identknee.runs.record import record
@@ -36,6 +37,13 @@ Values = Annotated[
     list[str] | None,
     typer.Option(
         "--set", metavar="NAME=VALUE", help="A parameter, e.g. ACL.stiffness_kN=9.5; repeatable."
+    ),
+]
+Start = Annotated[
+    str,
+    typer.Option(
+        help="Parameters of the ligaments: subject (its own values), IG1 to IG4 of the paper, or a "
+        "file ending in .toml; --set changes single ones."
     ),
 ]
 Noise = Annotated[
@@ -57,6 +65,7 @@ def simulate(
     context: typer.Context,
     subject: Subject,
     protocol: ProtocolName = "seed63",
+    start: Start = "subject",
     values: Values = None,
     noise: Noise = None,
     noise_correlation: Correlation = 0.0,
@@ -82,7 +91,11 @@ def simulate(
         )
     prepare_folder(out)
     trials, knee = ik.load_protocol(protocol), ik.read_subject(subject)
-    recording = record("simulate", context.params, {"subject": knee_digest(knee)}, seed)
+    inputs = {"subject": knee_digest(knee), **file_digests(start=start)}
+    recording = record("simulate", context.params, inputs, seed)
+    parameters = ik.LaxityModel(knee=knee, protocol=trials).parameters
+    theta = ik.load_start(start, parameters).tolist()
+    chosen = dict(zip(parameters.names, theta, strict=True)) | chosen
     warm_up(knee, trials)
     simulation, seconds = timed(
         lambda: ik.simulate(knee, trials, chosen, continuation=continuation, contact=contact)

@@ -55,3 +55,35 @@ def test_mistakes_end_in_a_sentence(folder: Path, tmp_path: Path) -> None:
     assert "there is no truth.json in it" in refused("reveal", tmp_path / "none", tmp_path)
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
     assert "verdict" in refused("reveal", folder, tmp_path)
+
+
+def test_a_signal_that_is_not_reached_is_said(tmp_path: Path) -> None:
+    words = ["blind", "--effect", "toe_strain", "--signal", 20, "--seed", 1, "--out", tmp_path]
+    result = run(*words)
+    assert result.exit_code == 0, result.output
+    truth = ik.read_truth(tmp_path)
+    assert truth.is_largest
+    assert truth.signal < 10.0
+    assert f"The signal of toe_strain is {truth.signal:.2g}, not 20" in result.stderr
+    assert "the largest plausible size gives no more" in result.stderr
+    told = run("reveal", tmp_path, _diagnosis(tmp_path, "ADEQUATE")).stdout
+    assert "A signal of 20 was asked for; at the largest plausible size" in told
+    assert f"it is {truth.signal:.2g}." in told
+
+
+def test_what_a_random_case_says_of_its_signal_tells_nothing(tmp_path: Path) -> None:
+    # Of these two seeds one hides nothing and the other an effect of the signal asked for.
+    said = []
+    for seed in (20, 6):
+        result = run("blind", "--signal", 6, "--seed", seed, "--out", tmp_path / str(seed))
+        said.append(result.stderr)
+    truths = [ik.read_truth(tmp_path / str(seed)) for seed in (20, 6)]
+    assert sorted(bool(x.effects) for x in truths) == [False, True]
+    assert said[0] == said[1]
+    assert "may be less than 6" in said[0]
+
+
+def test_a_signal_that_is_reached_needs_no_word(folder: Path, tmp_path: Path) -> None:
+    words = ["--effect", "rig_compliance_IE", "--signal", 8, "--seed", 7, "--out", tmp_path]
+    assert run("blind", *words).stderr == ""
+    assert "was asked for" not in run("reveal", folder, _diagnosis(tmp_path, "ADEQUATE")).stdout

@@ -201,3 +201,27 @@ def test_a_seed_below_zero_and_unknown_options_are_refused() -> None:
         assert result.exit_code == 2
         assert "Traceback" not in result.stderr
         assert words[0] in result.stderr
+
+
+def test_values_come_from_a_start_and_single_ones_from_set(tmp_path: Path) -> None:
+    short = short_protocol(tmp_path)
+    words = ["simulate", "reference", "--protocol", short, "--json"]
+    guess = json.loads(run(*words, "--start", "IG4", "--out", tmp_path / "guess").stdout)
+    assert guess["parameters"]["PCL"] == {"stiffness_kN": 8.0, "reference_strain_pct": 4.0}
+    start = tmp_path / "start.toml"
+    start.write_text("[ACL]\nstiffness_kN = 9.5\nreference_strain_pct = 7.5\n", encoding="utf-8")
+    both = run(*words, "--start", start, "--set", "ACL.stiffness_kN=9", "--out", tmp_path / "file")
+    found = json.loads(both.stdout)
+    assert found["parameters"]["ACL"] == {"stiffness_kN": 9.0, "reference_strain_pct": 7.5}
+    assert found["parameters"]["PCL"] == {"stiffness_kN": 18.0, "reference_strain_pct": -4.0}
+    assert set(found["record"]["inputs"]) == {"subject", "start"}
+    simulation = ik.simulate(
+        ik.reference_knee(),
+        ik.load_protocol(short),
+        {"ACL.stiffness_kN": 9.0, "ACL.reference_strain_pct": 7.5},
+    )
+    read = ik.read_laxity(tmp_path / "file" / "laxity.csv")
+    np.testing.assert_array_equal(read.coordinates, simulation.laxity.coordinates)
+    assert "the starts are subject, IG1" in refused(
+        *words[:-1], "--start", "IG9", "--out", tmp_path
+    )
