@@ -309,7 +309,7 @@ def _lines(
     lines += [
         f"{p.name}, {side.status.value} at {side.reached:.4g}: {side.sentence}"
         for p, side in ends
-        if side.end is None or side.is_cliff
+        if side.end is None
     ]
     lines += [
         f"{p.name}: the set has {len(p.intervals)} parts, {shown_parts(p)}."

@@ -80,7 +80,6 @@ def _side(side: Side) -> dict[str, Any]:
     return {
         "sentence": side.sentence,
         "error": side.error,
-        "is_cliff": side.is_cliff,
         "reached": side.reached,
         "max_deviance": side.max_deviance,
         "at_bounds": side.at_bounds,
@@ -146,7 +145,6 @@ def _sets(profiles: Sequence[Profile]) -> xarray.Dataset:
             f"{name}_open": ("quantity", [x.end is None for x in found]),
             f"{name}_status": ("quantity", [x.status.value for x in found]),
             f"{name}_error": ("quantity", [x.error for x in found]),
-            f"{name}_is_cliff": ("quantity", [x.is_cliff for x in found]),
             f"{name}_reached": ("quantity", [x.reached for x in found]),
             f"{name}_max_deviance": ("quantity", [x.max_deviance for x in found]),
         }

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,11 +55,32 @@ def _problem(case: Case) -> tuple[Problem, int]:
     if case.name in SOLVED:
         return _in_terms_of_the_function(case), 0
     assert isinstance(case.quantity, ParameterQuantity)
-    return case.problem, case.quantity.index
+    return _continued(case.problem), case.quantity.index
+
+
+def _continued(problem: Problem) -> Problem:
+    """The problem as it would be if its model ended nowhere."""
+    if not isinstance(problem, Formula):
+        return problem
+    return replace(problem, is_feasible=lambda _: True)
+
+
+def _has_prediction(case: Case, value: float) -> bool:
+    """Whether any parameter set on a grid has a prediction at a value of the first parameter."""
+    problem = case.problem
+    if not isinstance(problem, Formula) or case.name in SOLVED:
+        return True
+    low, high = problem.parameters.lower[1:], problem.parameters.upper[1:]
+    others = np.linspace(np.maximum(low, -FAR), np.minimum(high, FAR), 101)
+    return any(problem.is_feasible(np.r_[value, x]) for x in others)
 
 
 def _profile(case: Case, value: float) -> float:
-    """Lowest deviance at a value, over a grid and fits from many places."""
+    """Lowest deviance at a value, over a grid and fits from many places; nothing is excluded
+    where the model has no prediction.
+    """
+    if not _has_prediction(case, value):
+        return 0.0
     problem, index = _problem(case)
     parameters = problem.parameters
     rng = np.random.default_rng(0)

@@ -25,17 +25,25 @@ class Formula:
     residuals_at, jacobian_at
         Functions of theta, of shapes ``(m,)`` and ``(m, n)``. Where a residual is not finite the
         problem has no prediction.
+    is_feasible
+        Whether there is a prediction at theta; where there is none, `residuals_at` says what there
+        would be if the model went on.
     """
 
     parameters: Parameters
     residuals_at: Callable[[Array], list[float] | Array]
     jacobian_at: Callable[[Array], list[list[float]] | Array]
+    is_feasible: Callable[[Array], bool] = lambda _: True
 
     def residuals(self, theta: Array) -> Array:
-        """Residuals at `theta`, shape ``(m,)``; all infinite where one of them is not finite."""
+        """Residuals at `theta`, shape ``(m,)``; all infinite where it is infeasible.
+
+        So they are where one of them is not finite.
+        """
         with np.errstate(all="ignore"):
             residuals = np.asarray(self.residuals_at(theta), dtype=np.float64)
-        return residuals if np.isfinite(residuals).all() else np.full(residuals.shape, np.inf)
+        is_predicted = self.is_feasible(theta) and np.isfinite(residuals).all()
+        return residuals if is_predicted else np.full(residuals.shape, np.inf)
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals, shape ``(m, n)``."""
@@ -49,7 +57,9 @@ class Case:
     The question: which values of a quantity do the data allow? The answer: the set of values at
     which the lowest deviance (the sum of squared residuals) within the bounds of all parameters is
     no more than the chi-square quantile of one degree of freedom above the lowest deviance of all.
-    Where there is no prediction nothing is allowed.
+    Where a model has no prediction the data exclude nothing: a value without any is not excluded,
+    and parameter sets that are infeasible at a value count with the deviance that they would have
+    if the model went on. An end that only the feasibility boundary makes is open.
 
     Attributes
     ----------
@@ -65,7 +75,8 @@ class Case:
         bound, or of any size, are allowed.
     lower, upper
         Words for the two ends that are right: ``"closed"``, ``"open_at_bound"`` (the deviance
-        still rises at the bound) or ``"open_flat"`` (it does not).
+        still rises at the bound), ``"open_flat"`` (it does not) or ``"open_at_feasibility"`` (the
+        model ends before the deviance has risen).
     verdict
         ``"identifiable"`` (both ends closed), ``"one_sided"``, ``"practically_nonidentifiable"``
         (both open), ``"structurally_suspect"`` (and the data do not depend on the quantity), or

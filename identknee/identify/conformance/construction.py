@@ -15,6 +15,7 @@ INF = math.inf
 # Signed root of the deviance's rise at the end of a 95 % interval: 1.95996.
 Z = math.sqrt(chi2.ppf(0.95, 1))
 CLOSED, AT_BOUND, FLAT = "closed", "open_at_bound", "open_flat"
+FEASIBILITY = "open_at_feasibility"
 VERDICTS = {
     0: "identifiable",
     1: "one_sided",

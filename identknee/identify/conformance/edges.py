@@ -1,11 +1,13 @@
 """Cases at the edges: bounds, and places without a prediction."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from identknee.identify.conformance.case import Case, Formula
 from identknee.identify.conformance.construction import (
+    FEASIBILITY,
     FLAT,
     INF,
     Z,
@@ -102,42 +104,40 @@ def nuisance_cases() -> list[Case]:
 
 
 def cliff_cases() -> list[Case]:
-    """Places without a prediction, where nothing is allowed."""
-
-    def cut(x: float) -> float:
-        return x if x <= 1.0 else INF
-
-    def band(x: float) -> float:
-        return INF if 1.0 < x < 1.2 else x
-
+    """Places without a prediction, where the data exclude nothing."""
+    plain = single(lambda x: x, lambda _: 1.0)
+    cut = replace(plain, is_feasible=lambda theta: bool(theta[0] <= 1.0))
+    band = replace(plain, is_feasible=lambda theta: not 1.0 < theta[0] < 1.2)
     slope = np.array([[1.0, -1.0], [0.0, 0.1]])
-    cliff = Formula(
-        parameters=plain_parameters((-10.0, 10.0), (-10.0, 10.0)),
-        residuals_at=lambda theta: np.where(theta[1] <= 0.5, slope @ theta, INF),
-        jacobian_at=lambda _: slope,
+    beside = replace(
+        linear(slope, np.zeros(2), (-10.0, 10.0), (-10.0, 10.0)),
+        is_feasible=lambda theta: bool(theta[1] <= 0.5),
     )
     return [
         case(
             "cliff",
             "no prediction beyond 1, where the rise is 1",
-            single(cut, lambda _: 1.0),
+            cut,
             [0.0],
-            [(-Z, 1.0)],
+            [(-Z, INF)],
+            upper=FEASIBILITY,
         ),
         case(
             "gap",
-            "no prediction between 1 and 1.2, and allowed values beyond",
-            single(band, lambda _: 1.0),
+            "no prediction between 1 and 1.2, and allowed values beyond: one set",
+            band,
             [0.0],
-            [(-Z, 1.0), (1.2, Z)],
+            [(-Z, Z)],
         ),
         case(
             "cliff beside the path",
             "the other parameter can follow up to a cliff only",
-            cliff,
+            beside,
             [0.0, 0.0],
-            # Below, the other one follows freely: x^2 / 101. Above it stops at 0.5.
-            [(-INF, 0.5 + math.sqrt(Z**2 - 0.0025))],
+            # The other one would follow freely, x^2 / 101. Above it stops at 0.5, and the rise to
+            # the threshold at 0.5 + sqrt(Z^2 - 0.0025) is the boundary's, not the data's.
+            [(-INF, INF)],
+            upper=FEASIBILITY,
         ),
         case(
             "slack ligament",

@@ -114,8 +114,6 @@ class Path:
         The target at the best fit.
     threshold
         Rise of the deviance that bounds the interval.
-    ends_at_cliff
-        Whether the model has no prediction beyond the lowest and the highest point.
     """
 
     places: IntArray
@@ -124,7 +122,6 @@ class Path:
     across: Array
     center: float
     threshold: float
-    ends_at_cliff: tuple[bool, bool]
 
     def ends(self, deltas: Array) -> tuple[Array, BoolArray]:
         """Interval ends for k profiles on the same points, shape ``(k, 2)``, and which are open.
@@ -139,8 +136,7 @@ class Path:
             roots = np.sqrt(np.maximum(deltas[:, chosen], 0.0))
             roots = np.hstack([np.zeros((len(deltas), 1)), roots])
             reach, goes_on = _first_crossing(away, roots, float(np.sqrt(self.threshold)))
-            is_open[:, side] = goes_on & (not self.ends_at_cliff[side])
-            reach = np.where(goes_on & self.ends_at_cliff[side], away[-1], reach)
+            is_open[:, side] = goes_on
             ends[:, side] = self.center + sign * reach
         return ends, is_open
 

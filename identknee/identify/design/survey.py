@@ -146,7 +146,6 @@ def paths_of(
         places = np.arange(first, first + len(profile.values))
         first += len(profile.values)
         gradients = np.array([quantity.evaluate(theta)[1] for theta in profile.thetas])
-        sides = (profile.lower_side, profile.upper_side)
         paths.append(
             Path(
                 places=places,
@@ -155,7 +154,6 @@ def paths_of(
                 across=directions_across(gradients * scales),
                 center=profile.optimum_value,
                 threshold=profile.threshold,
-                ends_at_cliff=(sides[0].is_cliff, sides[1].is_cliff),
             )
         )
     return tuple(paths)

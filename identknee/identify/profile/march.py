@@ -22,7 +22,7 @@ ON_CURVE, AT_END = 1e-3, 1e-4
 LEFT = 3.0
 # Of the signed root at the threshold, and of the distance to the optimum.
 END_TOLERANCE = 1e-4
-CLIFF_TOLERANCE = 3e-4
+GAP_TOLERANCE = 3e-4
 BESIDE_BOUND = 1e-3
 # Of the threshold: what a flat side may still rise by going as far again.
 FLAT = 1e-2
@@ -33,6 +33,15 @@ FAR = 1e4
 JUMP = 0.25
 MISMATCH = 0.02
 MOST_RETRIES = 4
+# How far to leap over values without prediction, in steps; and how often a side looks for other
+# points with the same value.
+LEAPS = (2.0, 4.0, 8.0)
+MOST_DETOURS = 12
+# Of the threshold: what the way cut off by the feasibility boundary may promise unheeded.
+CUT_OFF = 5e-2
+# Of the threshold: what a fit stopped at the boundary must promise to leave if its value is to
+# count as excluded.
+ENOUGH = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,13 +60,17 @@ class Leg:
     side: Side
 
 
-def march(walk: Walk, origin: Point, direction: int, blocked: float | None = None) -> Leg:
+def march(walk: Walk, origin: Point, direction: int) -> Leg:
     """The profile on one side of an optimum, until its deviance has risen by the threshold.
 
     Steps aim at equal rises of the deviance's root, by the parabola through the last point with its
     exact slope and Gauss-Newton curvature; theta is expected along the path's tangent and bend.
     The end is solved for: once a point lies beyond it, the cubic between the two nearest points
     gives the next, until the root is right to 1e-4 of it.
+
+    Where the path meets the feasibility boundary, beyond which a trial has no prediction, the fit
+    is begun again from other points with the same value, and then farther out. The side ends there
+    only where none of them has a prediction.
 
     Parameters
     ----------
@@ -67,26 +80,24 @@ def march(walk: Walk, origin: Point, direction: int, blocked: float | None = Non
         Where to begin.
     direction
         1 for growing values, -1 for falling ones.
-    blocked
-        A value on the way known to have no prediction.
     """
-    return _March(walk, origin, direction, blocked).run()
+    return _March(walk, origin, direction).run()
 
 
 class _March:
     """The state of one walk outward."""
 
-    def __init__(self, walk: Walk, origin: Point, direction: int, blocked: float | None) -> None:
+    def __init__(self, walk: Walk, origin: Point, direction: int) -> None:
         self._walk = walk
         self._direction = direction
         self._points = [origin]
         self._inside = origin
         self._outside: Point | None = None
-        self._blocked = blocked
-        self._is_cliff = blocked is not None
+        self._blocked: float | None = None
+        self._is_gap = False
         self._bound = walk.limits[1 if direction > 0 else 0]
         self._root = float(np.sqrt(walk.threshold))
-        self._n_refined = self._n_retries = 0
+        self._n_refined = self._n_retries = self._n_detours = 0
         self._unit = self._first_step(origin)
 
     def run(self) -> Leg:
@@ -114,17 +125,70 @@ class _March:
         start = self._walk.start(value, self._inside, self._behind())
         is_near_end = self._outside is not None or self._is_near_end(value)
         tolerance = self._walk.threshold * (AT_END if is_near_end else ON_CURVE)
-        solved = self._walk.solve(value, start, tolerance=tolerance)
-        if solved.outcome is Outcome.START_FAILED:
-            solved = self._walk.solve(value, self._inside.evaluation.theta, tolerance=tolerance)
+        solved = self._solved(value, start, tolerance)
         if solved.outcome is Outcome.BUDGET:
             return self._open(SideStatus.OPEN_BUDGET)
         if not np.isfinite(solved.evaluation.deviance):
-            self._blocked, self._is_cliff = value, True
-            return None
+            return self._meet_gap(value, tolerance)
         if not solved.is_on_target:
-            return self._missed(value, solved)
-        self._take(as_point(solved), start, is_settled=solved.outcome is not Outcome.CLIFF)
+            return self._missed(value, solved, tolerance)
+        self._take(as_point(solved), start)
+        return None
+
+    def _solved(self, value: float, start: Array, tolerance: float) -> Constrained:
+        """The constrained fit at a value, from other points too where the model ends on the way."""
+        walk, inside = self._walk, self._inside.evaluation
+        solved = walk.solve(value, start, tolerance=tolerance)
+        if solved.outcome is Outcome.START_FAILED:
+            solved = walk.solve(value, inside.theta, tolerance=tolerance)
+        if self._n_detours == MOST_DETOURS or not self._is_cut_off(solved):
+            return solved
+        self._n_detours += 1
+        around = walk.solve_around(value, inside, tolerance=tolerance)
+        if around is None or (
+            solved.is_on_target and solved.evaluation.deviance <= around.evaluation.deviance
+        ):
+            return solved
+        return around
+
+    def _is_cut_off(self, solved: Constrained) -> bool:
+        """Whether the feasibility boundary kept a fit from being made or from going lower."""
+        if solved.outcome is Outcome.START_FAILED:
+            return True
+        if solved.outcome is not Outcome.CLIFF:
+            return False
+        if not solved.is_on_target:
+            return True
+        point = as_point(solved)
+        promise = self._walk.delta(point) - self._walk.promised_delta(point)
+        return promise > CUT_OFF * self._walk.threshold
+
+    def _meet_gap(self, value: float, tolerance: float) -> Side | None:
+        """Go on beyond values without prediction where there are others; else come nearer."""
+        is_new = not self._is_gap
+        self._blocked, self._is_gap = value, True
+        if self._outside is not None:
+            # What lies beyond is excluded, and what lies between has no prediction.
+            self._n_retries += 1
+            if self._n_retries > MOST_RETRIES:
+                return self._closed(self._outside, abs(self._outside.value - self._inside.value))
+            return None
+        if not is_new:
+            return None
+        at = self._inside
+        for leap in LEAPS:
+            farther = at.value + leap * (value - at.value)
+            if self._direction * (farther - self._bound) > 0:
+                break
+            solved = self._solved(farther, self._walk.start(farther, at, None), tolerance)
+            if solved.outcome is Outcome.BUDGET:
+                return self._open(SideStatus.OPEN_BUDGET)
+            if solved.is_on_target and np.isfinite(solved.evaluation.deviance):
+                point = as_point(solved)
+                self._accept(point)
+                if self._inside is point:
+                    self._blocked, self._is_gap = None, False
+                break
         return None
 
     def _behind(self) -> Point | None:
@@ -142,6 +206,8 @@ class _March:
 
     def _next_value(self) -> float:
         if self._outside is not None:
+            if self._blocked is not None:
+                return 0.5 * (self._blocked + self._outside.value)
             return self._refined(self._outside)
         at = self._inside
         root = self._z(at)
@@ -178,8 +244,8 @@ class _March:
 
     # What came back.
 
-    def _missed(self, value: float, solved: Constrained) -> Side | None:
-        """Take a fit that is not on target: the end of the range, a cliff or a failure."""
+    def _missed(self, value: float, solved: Constrained, tolerance: float) -> Side | None:
+        """Take a fit that is not on target: the end of the range, a gap or a failure."""
         if solved.outcome is Outcome.MINIMUM:
             point = as_point(solved)
             self._bound = point.value
@@ -188,24 +254,30 @@ class _March:
             else:
                 return self._at_bound()
             return None
+        if solved.outcome is Outcome.CLIFF:
+            return self._meet_gap(value, tolerance)
         self._blocked = value
-        self._is_cliff = solved.outcome is Outcome.CLIFF
         return None
 
-    def _take(self, point: Point, start: Array, *, is_settled: bool) -> None:
-        mismatch = self._mismatch(point, start)
+    def _take(self, point: Point, start: Array) -> None:
+        # Beside the feasibility boundary slopes say nothing of the next fit.
+        is_smooth = point.is_settled and self._inside.is_settled
+        mismatch = self._mismatch(point, start) if is_smooth else 0.0
         limit = MISMATCH * self._walk.threshold
         if mismatch > limit and self._n_retries < MOST_RETRIES and self._outside is None:
             self._n_retries += 1
             self._blocked = point.value
             return
-        self._n_retries = 0
-        if not self._is_cliff:
-            self._blocked = None
+        if self._outside is None:
+            self._n_retries = 0
         if mismatch < -limit:
             self._repair(point)
         self._accept(point)
-        self._is_cliff = self._is_cliff or (not is_settled and self._outside is point)
+        is_beyond = self._blocked is not None and (
+            self._direction * (self._inside.value - self._blocked) > 0
+        )
+        if not self._is_gap or is_beyond:
+            self._blocked, self._is_gap = None, False
 
     def _accept(self, point: Point) -> None:
         self._points.append(point)
@@ -243,6 +315,8 @@ class _March:
         at, outside = self._inside, self._outside
         if at.value == self._bound:
             return self._at_bound()
+        if outside is not None and self._is_raised_by_boundary(outside):
+            return self._open(SideStatus.OPEN_AT_FEASIBILITY)
         for point in (outside, at):
             if point is not None and abs(self._z(point) - self._root) <= END_TOLERANCE * self._root:
                 return self._closed(point, self._error(point))
@@ -252,13 +326,17 @@ class _March:
                 return self._closed(at, width)
         elif self._blocked is not None:
             width = abs(self._blocked - at.value)
-            if width <= CLIFF_TOLERANCE * self._distance():
-                if not self._is_cliff:
-                    return self._open(SideStatus.FAILED)
-                return self._closed(at, width)
+            if width <= GAP_TOLERANCE * self._distance():
+                failed, ended = SideStatus.FAILED, SideStatus.OPEN_AT_FEASIBILITY
+                return self._open(ended if self._is_gap else failed)
         if not np.isfinite(self._bound) and self._is_flat_far_out():
             return self._open(SideStatus.OPEN_FLAT)
         return None
+
+    def _is_raised_by_boundary(self, point: Point) -> bool:
+        """Whether a fit is excluded only because the way to a better one has no prediction."""
+        promised = ENOUGH * self._walk.threshold
+        return not point.is_settled and self._walk.promised_delta(point) < promised
 
     def _at_bound(self) -> Side:
         flat = self._is_flat()
@@ -303,7 +381,6 @@ class _March:
             status=status,
             end=point.value if is_closed else None,
             error=error,
-            is_cliff=is_closed and self._is_cliff,
             reached=point.value,
             max_deviance=max(self._walk.delta(x) for x in self._points),
             at_bounds=tuple(x for x in names if x != self._walk.quantity.name),

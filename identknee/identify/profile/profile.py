@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
 from identknee.identify.constrained import Constrained, minimise
+from identknee.identify.detours import fit_around
 from identknee.identify.evaluation import Evaluator
 from identknee.identify.profile.result import Profile
 from identknee.identify.profile.search import (
@@ -130,6 +131,17 @@ class _Run:
                 "the model has no prediction at the optimum given; fit it first, or profile from "
                 "another parameter set"
             )
+        if optimum.outcome is Outcome.CLIFF:
+            around = fit_around(
+                self.evaluator,
+                optimum.evaluation,
+                quantity=None,
+                target=np.nan,
+                rise=self.threshold,
+                tolerance=OPTIMUM_TOLERANCE,
+            )
+            if around is not None and around.evaluation.deviance < optimum.evaluation.deviance:
+                return around
         return optimum
 
     def _branches(self, walk: Walk, optimum: Constrained) -> list[Branch]:

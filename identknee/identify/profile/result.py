@@ -19,6 +19,7 @@ class SideStatus(Enum):
     CLOSED = "closed"
     OPEN_AT_BOUND = "open_at_bound"
     OPEN_FLAT = "open_flat"
+    OPEN_AT_FEASIBILITY = "open_at_feasibility"
     OPEN_BUDGET = "open_budget"
     FAILED = "failed"
 
@@ -49,10 +50,13 @@ _SIDES = {
     SideStatus.CLOSED: "The data exclude every value beyond this end.",
     SideStatus.OPEN_AT_BOUND: "The data exclude no value up to the bound or the end of the range.",
     SideStatus.OPEN_FLAT: "The data exclude no value on this side: the misfit stopped rising.",
+    SideStatus.OPEN_AT_FEASIBILITY: (
+        "The model ends the set here, not the data: parameter sets beyond that would fit have no "
+        "prediction in some trial."
+    ),
     SideStatus.OPEN_BUDGET: "The budget of simulations was used up before this end was found.",
     SideStatus.FAILED: "The constrained fits on this side failed before an end was found.",
 }
-CLIFF = "The model has no prediction beyond this end, which ends the set without any data."
 _VERDICTS = {
     Verdict.IDENTIFIABLE: "The data bound the value on both sides.",
     Verdict.ONE_SIDED: "The data bound the value on one side only.",
@@ -76,10 +80,9 @@ class Side:
     error
         How far the end may be off by the tolerances of its solution, in the quantity's unit; NaN
         where the side is not closed.
-    is_cliff
-        Whether the set ends because the model has no prediction beyond, which has likelihood zero.
     reached
-        The outermost value at which the profile was computed.
+        The outermost value at which the profile was computed. Where the side is open at the
+        feasibility boundary of the model, that is where the boundary lies.
     max_deviance
         Largest rise of the deviance between the optimum and there.
     at_bounds
@@ -90,7 +93,6 @@ class Side:
     status: SideStatus
     end: float | None
     error: float
-    is_cliff: bool
     reached: float
     max_deviance: float
     at_bounds: tuple[str, ...]
@@ -98,7 +100,7 @@ class Side:
     @property
     def sentence(self) -> str:
         """What that means, as a full sentence."""
-        return CLIFF if self.is_cliff else self.status.sentence
+        return self.status.sentence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -27,9 +27,6 @@ WIDTHS = 1.0
 NARROW = 0.05
 # How far beyond an end to go and come back, in distances to the optimum.
 OUTSIDE = 1.0
-# How far beyond a cliff to look, in distances to the optimum.
-GAP_WIDTHS = (0.02, 0.1, 0.3, 1.0)
-
 # Of the way to the ends of the likely values: how far a constant is tried.
 ALMOST = 0.9
 # Of the largest: eigenvalues of the information below this are none.
@@ -90,7 +87,6 @@ def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
         status=SideStatus.CLOSED,
         end=origin.value,
         error=0.0,
-        is_cliff=False,
         reached=origin.value,
         max_deviance=0.0,
         at_bounds=(),
@@ -151,7 +147,7 @@ def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
             branches.append(branch)
             regions += _beside(branch, region)
     for leg, direction in ((main.lower, -1), (main.upper, 1)):
-        branch = _across_the_gap(walk, leg, direction) or _from_outside(walk, leg, direction)
+        branch = _from_outside(walk, leg, direction)
         if branch is not None and not _is_known(walk, branches, branch.origin):
             branches.append(branch)
     for start in starts:
@@ -190,28 +186,6 @@ def _into(walk: Walk, main: Branch, region: Region) -> Array | None:
     return solved.evaluation.theta if solved.evaluation.is_finite else None
 
 
-def _across_the_gap(walk: Walk, leg: Leg, direction: int) -> Branch | None:
-    """The likely values beyond a cliff, None where there are none near."""
-    side = leg.side
-    end = side.end
-    if not side.is_cliff or end is None:
-        return None
-    last = min(leg.points, key=lambda x: abs(x.value - end))
-    blocked = end + direction * side.error
-    for width in GAP_WIDTHS:
-        value = end + direction * width * abs(end - leg.points[0].value)
-        point = _glance(walk, value, last.evaluation.theta)
-        if point is not None:
-            if walk.delta(point) >= walk.threshold:
-                return None
-            inward = march(walk, point, -direction, blocked)
-            outward = march(walk, point, direction)
-            lower, upper = (inward, outward) if direction > 0 else (outward, inward)
-            return Branch(lower=lower, upper=upper)
-        blocked = value
-    return None
-
-
 def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
     """The branch met by going on beyond a closed end and coming back; None if it is the same one.
 
@@ -219,7 +193,7 @@ def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
     the end too although no fit without a constraint stays there.
     """
     end = leg.side.end
-    if end is None or leg.side.is_cliff:
+    if end is None:
         return None
     last = min(leg.points, key=lambda x: abs(x.value - end))
     value = end + direction * OUTSIDE * abs(end - leg.points[0].value)

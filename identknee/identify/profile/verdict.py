@@ -1,6 +1,7 @@
 """What the walked branches of a profile say together."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -44,11 +45,7 @@ def assembled(
         The optimum, where it is not the one given, and how often the profile was started over.
     """
     origin = branches[0].origin
-    intervals = _union([x.limits for x in branches])
-    sides = (
-        min(branches, key=lambda x: x.limits[0]).lower.side,
-        max(branches, key=lambda x: x.limits[1]).upper.side,
-    )
+    intervals, sides = _union(branches)
     curve = _envelope(walk, branches)
     return Profile(
         name=walk.quantity.name,
@@ -74,17 +71,53 @@ def assembled(
     )
 
 
-def _union(limits: Sequence[tuple[float, float]]) -> tuple[Interval, ...]:
-    merged: list[tuple[float, float]] = []
-    for low, high in sorted(limits):
-        if merged and low <= merged[-1][1]:
-            merged[-1] = (merged[-1][0], max(merged[-1][1], high))
+def _union(branches: Sequence[Branch]) -> tuple[tuple[Interval, ...], tuple[Side, Side]]:
+    """The separate intervals of all branches together, and the outermost sides.
+
+    Two are separate where the data exclude what lies between. Where only the model ends between
+    them, nothing does, and they are one.
+    """
+    reaches = [_Reach.of(x) for x in branches]
+    merged: list[_Reach] = []
+    for reach in sorted(reaches, key=lambda x: (x.low, x.high)):
+        if merged and merged[-1].goes_on_to(reach):
+            merged[-1] = merged[-1].joined(reach)
         else:
-            merged.append((low, high))
-    return tuple(
-        (low if np.isfinite(low) else None, high if np.isfinite(high) else None)
-        for low, high in merged
-    )
+            merged.append(reach)
+    intervals = tuple((x.lower.end, x.upper.end) for x in merged)
+    return intervals, (merged[0].lower, merged[-1].upper)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Reach:
+    """From where to where a branch is likely, infinite where open, and how it ends there."""
+
+    low: float
+    high: float
+    lower: Side
+    upper: Side
+
+    @classmethod
+    def of(cls, branch: Branch) -> "_Reach":
+        lower, upper = branch.lower.side, branch.upper.side
+        return cls(low=_reach(lower, -np.inf), high=_reach(upper, np.inf), lower=lower, upper=upper)
+
+    def goes_on_to(self, other: "_Reach") -> bool:
+        """Whether no value between this and one that begins higher is excluded by the data."""
+        at_boundary = SideStatus.OPEN_AT_FEASIBILITY
+        is_gap = at_boundary in {self.upper.status, other.lower.status}
+        return other.low <= self.high or is_gap
+
+    def joined(self, other: "_Reach") -> "_Reach":
+        highest = max(self, other, key=lambda x: x.high)
+        return replace(self, high=highest.high, upper=highest.upper)
+
+
+def _reach(side: Side, beyond: float) -> float:
+    """Where a side ends; the feasibility boundary where the model does, else `beyond` if open."""
+    if side.status is SideStatus.OPEN_AT_FEASIBILITY:
+        return side.reached
+    return beyond if side.end is None else side.end
 
 
 def _envelope(walk: Walk, branches: Sequence[Branch]) -> list[tuple[Point, int]]:

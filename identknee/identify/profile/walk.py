@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.identify.constrained import MAX_STEPS, TOLERANCE, Constrained, solve_constrained
+from identknee.identify.detours import fit_around, promised_reduction
 from identknee.identify.evaluation import Evaluation, Evaluator
 from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.outcome import Outcome
 
 # Of the threshold: a lower deviance than the optimum's by more than this starts a profile over.
 BETTER = 1e-4
@@ -39,6 +41,8 @@ class Point:
         Derivative of theta by the value, shape ``(n,)``.
     is_held
         Parameters on a bound, shape ``(n,)``.
+    is_settled
+        Whether no way further down was cut off by the feasibility boundary of the model.
     """
 
     value: float
@@ -46,6 +50,7 @@ class Point:
     slope: float
     tangent: Array
     is_held: BoolArray
+    is_settled: bool
 
     @property
     def curvature(self) -> float:
@@ -113,6 +118,34 @@ class Walk:
         self.note(solved.evaluation)
         return solved
 
+    def solve_around(
+        self, value: float, at: Evaluation, *, tolerance: float = TOLERANCE
+    ) -> Constrained | None:
+        """The constrained fit at a value from points around `at`, where there is one.
+
+        Raises
+        ------
+        BetterFound
+            If it is clearly better than the optimum.
+        """
+        solved = fit_around(
+            self.evaluator,
+            at,
+            quantity=self.quantity,
+            target=value,
+            rise=self.threshold,
+            tolerance=tolerance,
+        )
+        if solved is not None:
+            self.note(solved.evaluation)
+        return solved
+
+    def promised_delta(self, point: Point) -> float:
+        """How far a fit would be above the lowest if the model ended nowhere, by its slopes."""
+        _, gradient = self.quantity.evaluate(point.evaluation.theta)
+        promise = promised_reduction(self.evaluator, point.evaluation, gradient)
+        return self.delta(point) - promise
+
     def note(self, evaluation: Evaluation) -> None:
         """Compare a fit with the optimum.
 
@@ -145,6 +178,7 @@ def as_point(solved: Constrained) -> Point:
         slope=solved.multiplier,
         tangent=solved.tangent,
         is_held=solved.is_held,
+        is_settled=solved.outcome is not Outcome.CLIFF,
     )
 
 

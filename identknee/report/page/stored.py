@@ -140,7 +140,6 @@ def _side(entry: Mapping[str, Any], side: str) -> Side:
         status=SideStatus(entry[f"{side}_status"]),
         end=entry[side],
         error=float("nan") if error is None else float(error),
-        is_cliff=bool(said["is_cliff"]),
         reached=float(said["reached"]),
         max_deviance=float(said["max_deviance"]),
         at_bounds=tuple(said["at_bounds"]),

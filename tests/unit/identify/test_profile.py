@@ -219,14 +219,65 @@ def test_a_jump_to_another_path_is_repaired(height: float, pull: float) -> None:
         assert delta == pytest.approx(lowest - found.deviance, abs=5e-3)
 
 
-def test_the_set_ends_where_the_model_has_no_prediction() -> None:
+def test_where_the_model_ends_before_the_data_exclude_anything_the_set_is_open() -> None:
     wall = Cliff(problem=_single(lambda x: x, lambda _: 1.0), beyond=lambda x: x[0] - 1.0)
     found = profile(wall, np.zeros(1), _first(wall))
+    assert found.upper_status is SideStatus.OPEN_AT_FEASIBILITY
+    assert found.upper is None
+    assert found.upper_side.reached == pytest.approx(1.0, abs=1e-3)
+    assert found.upper_side.max_deviance == pytest.approx(1.0, abs=2e-3)
+    assert found.verdict is Verdict.ONE_SIDED
+
+
+def test_a_path_that_runs_into_a_gap_goes_around_it() -> None:
+    """A hole in the feasible set lies on the path; a way around costs less than the threshold."""
+
+    def hole(x: Array) -> float:
+        return float(0.3 - np.hypot(x[0] - 1.0, x[1]))
+
+    problem = _two_directions()
+    found = profile(Cliff(problem=problem, beyond=hole), np.zeros(2), _first(problem))
+    free = profile(problem, np.zeros(2), _first(problem))
     assert found.upper_status is SideStatus.CLOSED
-    assert found.upper_side.is_cliff
-    assert found.upper_side.sentence.startswith("The model has no prediction beyond")
-    assert found.upper == pytest.approx(1.0, abs=found.upper_side.error)
-    assert found.upper_side.error < 1e-3
+    assert found.verdict is Verdict.IDENTIFIABLE
+    assert found.upper == pytest.approx(free.upper, rel=1e-3)
+    assert len(found.intervals) == 1
+    assert not any(hole(x) > 0 for x in found.thetas)
+
+
+def test_values_without_prediction_do_not_part_a_set() -> None:
+    """No value of the first parameter within 0.9 and 1.1 has a prediction, whatever the second."""
+    problem = _two_directions()
+    cut = Cliff(problem=problem, beyond=lambda x: float(0.1 - abs(x[0] - 1.0)))
+    found = profile(cut, np.zeros(2), _first(problem))
+    assert len(found.intervals) == 1
+    assert found.upper_status is SideStatus.CLOSED
+    assert found.verdict is Verdict.IDENTIFIABLE
+
+
+def test_an_end_that_only_the_boundary_raises_is_no_limit() -> None:
+    """The second parameter would follow the first, but has no prediction above 0.2."""
+    problem = _two_directions(coupling=0.9)
+    cut = Cliff(problem=problem, beyond=lambda x: float(x[1]) - 0.2)
+    found = profile(cut, np.zeros(2), _first(problem))
+    assert found.lower_status is SideStatus.CLOSED
+    assert found.upper_status is SideStatus.OPEN_AT_FEASIBILITY
+    assert found.verdict is Verdict.ONE_SIDED
+
+
+def _two_directions(coupling: float = 0.0) -> ClosedForm:
+    """Two parameters measured with unit noise, and, with a coupling, their difference well."""
+    rows = np.array([[1.0, 0.0], [0.0, 1.0]]) / (1.0 + 3.0 * coupling)
+    rows = np.vstack([rows, coupling * 5.0 * np.array([1.0, -1.0])])
+    return ClosedForm(
+        name="two directions",
+        parameters=plain_parameters(2, -6.0, 6.0),
+        start=np.zeros(2),
+        minimum=np.zeros(2),
+        lowest=0.0,
+        residuals_at=lambda x: rows @ x,
+        jacobian_at=lambda _: rows,
+    )
 
 
 def test_the_budget_leaves_a_side_open_and_claims_nothing() -> None:
