@@ -17,7 +17,7 @@ from identknee.runs.outcome import Outcome
 
 # Points tried until one has a prediction, and fits made from those that have one.
 N_TRIED = 48
-N_FITS = 3
+N_FITS = 2
 MOST_STEPS = 24
 # Seed of the directions in which points are tried: the same ones every time.
 SEED = 20
@@ -39,7 +39,7 @@ def fit_around(
 
     The points lie where the linear model expects the deviance to rise by no more than `rise` above
     its lowest on the plane of the target, nearest first. The first fit that ends at a minimum is
-    taken; one that stops at the feasibility boundary is tried again from up to two other points.
+    taken; one that stops at the feasibility boundary is tried again from one other point.
 
     Parameters
     ----------
@@ -131,4 +131,5 @@ def _points_around(
     draws /= np.maximum(np.linalg.norm(draws, axis=1, keepdims=True), 1e-300)
     radii = np.sqrt(rise * np.arange(N_TRIED) / N_TRIED)
     steps = center + radii[:, None] * (draws @ spread.T)
-    return np.clip(at.theta + scales * steps, parameters.lower, parameters.upper)
+    points: Array = np.clip(at.theta + scales * steps, parameters.lower, parameters.upper)
+    return points

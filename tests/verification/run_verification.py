@@ -21,6 +21,7 @@ MODULES = {
     "conformance": "verify_conformance",
     "profile_ends": "verify_profile_ends",
     "coverage": "verify_coverage",
+    "edge_coverage": "verify_edge_coverage",
     "sbc": "verify_sbc",
     "nested": "verify_nested",
     "equivalents": "verify_equivalents",

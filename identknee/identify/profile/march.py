@@ -7,7 +7,7 @@ import numpy as np
 from identknee.identify.constrained import Constrained
 from identknee.identify.profile.hermite import crossings
 from identknee.identify.profile.result import Side, SideStatus
-from identknee.identify.profile.walk import Point, Walk, as_point, step_to
+from identknee.identify.profile.walk import Point, Walk, step_to
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
@@ -36,9 +36,7 @@ MOST_RETRIES = 4
 # How far to leap over values without prediction, in steps; and how often a side looks for other
 # points with the same value.
 LEAPS = (2.0, 4.0, 8.0)
-MOST_DETOURS = 12
-# Of the threshold: what the way cut off by the feasibility boundary may promise unheeded.
-CUT_OFF = 5e-2
+MOST_DETOURS = 6
 # Of the threshold: what a fit stopped at the boundary must promise to leave if its value is to
 # count as excluded.
 ENOUGH = 0.9
@@ -132,7 +130,7 @@ class _March:
             return self._meet_gap(value, tolerance)
         if not solved.is_on_target:
             return self._missed(value, solved, tolerance)
-        self._take(as_point(solved), start)
+        self._take(self._walk.point(solved), start)
         return None
 
     def _solved(self, value: float, start: Array, tolerance: float) -> Constrained:
@@ -153,15 +151,9 @@ class _March:
 
     def _is_cut_off(self, solved: Constrained) -> bool:
         """Whether the feasibility boundary kept a fit from being made or from going lower."""
-        if solved.outcome is Outcome.START_FAILED:
+        if solved.outcome in {Outcome.START_FAILED, Outcome.CLIFF} and not solved.is_on_target:
             return True
-        if solved.outcome is not Outcome.CLIFF:
-            return False
-        if not solved.is_on_target:
-            return True
-        point = as_point(solved)
-        promise = self._walk.delta(point) - self._walk.promised_delta(point)
-        return promise > CUT_OFF * self._walk.threshold
+        return solved.is_on_target and not self._walk.is_settled(self._walk.point(solved))
 
     def _meet_gap(self, value: float, tolerance: float) -> Side | None:
         """Go on beyond values without prediction where there are others; else come nearer."""
@@ -184,7 +176,7 @@ class _March:
             if solved.outcome is Outcome.BUDGET:
                 return self._open(SideStatus.OPEN_BUDGET)
             if solved.is_on_target and np.isfinite(solved.evaluation.deviance):
-                point = as_point(solved)
+                point = self._walk.point(solved)
                 self._accept(point)
                 if self._inside is point:
                     self._blocked, self._is_gap = None, False
@@ -215,6 +207,9 @@ class _March:
         goal = self._root if root + 1.4 * spacing > self._root else root + spacing
         slope = self._direction * at.slope
         step = step_to(goal**2 - self._walk.delta(at), slope, at.curvature)
+        if not self._walk.is_settled(at):
+            # The slope is that of the boundary.
+            step = max(step, self._unit)
         value = at.value + self._direction * self._limited(step)
         if self._blocked is not None and self._direction * (value - self._blocked) >= 0:
             return 0.5 * (at.value + self._blocked)
@@ -247,7 +242,7 @@ class _March:
     def _missed(self, value: float, solved: Constrained, tolerance: float) -> Side | None:
         """Take a fit that is not on target: the end of the range, a gap or a failure."""
         if solved.outcome is Outcome.MINIMUM:
-            point = as_point(solved)
+            point = self._walk.point(solved)
             self._bound = point.value
             if self._direction * (point.value - self._inside.value) > 0:
                 self._accept(point)
@@ -261,7 +256,7 @@ class _March:
 
     def _take(self, point: Point, start: Array) -> None:
         # Beside the feasibility boundary slopes say nothing of the next fit.
-        is_smooth = point.is_settled and self._inside.is_settled
+        is_smooth = self._walk.is_settled(point) and self._walk.is_settled(self._inside)
         mismatch = self._mismatch(point, start) if is_smooth else 0.0
         limit = MISMATCH * self._walk.threshold
         if mismatch > limit and self._n_retries < MOST_RETRIES and self._outside is None:
@@ -306,7 +301,7 @@ class _March:
             gain = old.evaluation.deviance - solved.evaluation.deviance
             if not solved.is_on_target or gain < ON_CURVE * self._walk.threshold:
                 break
-            self._points[k] = as_point(solved)
+            self._points[k] = self._walk.point(solved)
             last, other = self._points[k], last
 
     # How it ended.
@@ -335,8 +330,9 @@ class _March:
 
     def _is_raised_by_boundary(self, point: Point) -> bool:
         """Whether a fit is excluded only because the way to a better one has no prediction."""
-        promised = ENOUGH * self._walk.threshold
-        return not point.is_settled and self._walk.promised_delta(point) < promised
+        promised = self._walk.delta(point) - point.promise
+        is_excluded = promised >= ENOUGH * self._walk.threshold
+        return not is_excluded and not self._walk.is_settled(point)
 
     def _at_bound(self) -> Side:
         flat = self._is_flat()

@@ -16,7 +16,7 @@ from identknee.identify.profile.march import march
 from identknee.identify.profile.profile import OPTIMUM_TOLERANCE
 from identknee.identify.profile.result import SideStatus
 from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
-from identknee.identify.profile.walk import BetterFound, Walk, as_point
+from identknee.identify.profile.walk import BetterFound, Walk
 from identknee.identify.quantity import ParameterQuantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
@@ -298,10 +298,10 @@ def _ray(
     evaluator = Evaluator(along, budget=BUDGET)
     start = np.r_[0.0, theta[along.others]]
     radius = ParameterQuantity(parameters=along.parameters, name=RADIUS)
-    walk = Walk(evaluator, radius, threshold, evaluator(start).deviance)
+    walk = Walk(evaluator, radius, threshold, evaluator(start))
     walk.is_final = is_last
     try:
-        origin = as_point(walk.solve(0.0, start, tolerance=np.inf))
+        origin = walk.point(walk.solve(0.0, start, tolerance=np.inf))
         leg = march(walk, origin, 1)
     except BetterFound as found:
         better = along.whole(found.theta)

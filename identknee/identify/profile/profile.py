@@ -18,7 +18,7 @@ from identknee.identify.profile.search import (
 )
 from identknee.identify.profile.thresholds import chi2_threshold
 from identknee.identify.profile.verdict import assembled
-from identknee.identify.profile.walk import BetterFound, Walk, as_point
+from identknee.identify.profile.walk import BetterFound, Walk
 from identknee.identify.quantity import Quantity
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -107,7 +107,7 @@ class _Run:
         better: Array | None = None
         for n_restarts in range(MOST_RESTARTS + 1):
             optimum = self._optimum(theta)
-            walk = Walk(self.evaluator, self.quantity, self.threshold, optimum.evaluation.deviance)
+            walk = Walk(self.evaluator, self.quantity, self.threshold, optimum.evaluation)
             is_last = n_restarts == MOST_RESTARTS
             walk.is_final = is_last
             try:
@@ -147,7 +147,7 @@ class _Run:
     def _branches(self, walk: Walk, optimum: Constrained) -> list[Branch]:
         theta = optimum.evaluation.theta
         value, gradient = self.quantity.evaluate(theta)
-        origin = as_point(walk.solve(value, theta, tolerance=np.inf))
+        origin = walk.point(walk.solve(value, theta, tolerance=np.inf))
         if not gradient.any():
             return branches_of_a_constant(walk, origin)
         return find_branches(walk, walk_branch(walk, origin), self.starts)

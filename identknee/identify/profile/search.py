@@ -9,7 +9,7 @@ from identknee.calibrate.scales import typical_steps
 from identknee.identify.constrained import minimise
 from identknee.identify.profile.march import AT_END, JUMP, Leg, march
 from identknee.identify.profile.result import Side, SideStatus
-from identknee.identify.profile.walk import Point, Walk, as_point
+from identknee.identify.profile.walk import Point, Walk
 from identknee.identify.quantity import ParameterQuantity
 from identknee.runs.arrays import Array
 
@@ -98,7 +98,7 @@ def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
     for value, _, theta in sorted(found, key=lambda x: x[0])[:: max(len(found) - 1, 1)]:
         solved = walk.solve(value, theta, tolerance=GLANCE_TOLERANCE * walk.threshold)
         if solved.is_on_target and solved.evaluation.deviance - walk.lowest < walk.threshold:
-            branches.append(walk_branch(walk, as_point(solved)))
+            branches.append(walk_branch(walk, walk.point(solved)))
     return branches
 
 
@@ -227,7 +227,7 @@ def _glance(
         value, start, tolerance=GLANCE_TOLERANCE * walk.threshold, most_steps=most_steps
     )
     is_there = solved.evaluation.is_finite and solved.is_on_target
-    return as_point(solved) if is_there else None
+    return walk.point(solved) if is_there else None
 
 
 def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch | None:
@@ -257,7 +257,7 @@ def _point(walk: Walk, theta: Array) -> Point | None:
     if not np.isfinite(value):
         return None
     solved = walk.solve(value, theta, tolerance=np.inf)
-    return as_point(solved) if solved.evaluation.is_finite else None
+    return walk.point(solved) if solved.evaluation.is_finite else None
 
 
 def _is_known(walk: Walk, branches: Sequence[Branch], point: Point) -> bool:

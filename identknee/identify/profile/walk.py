@@ -9,10 +9,11 @@ from identknee.identify.detours import fit_around, promised_reduction
 from identknee.identify.evaluation import Evaluation, Evaluator
 from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.outcome import Outcome
 
 # Of the threshold: a lower deviance than the optimum's by more than this starts a profile over.
 BETTER = 1e-4
+# Of the threshold: what a fit that the feasibility boundary stopped may promise unheeded.
+CUT_OFF = 5e-2
 # How much farther than the last step the path may be extended by its curvature.
 FARTHEST = 2.5
 
@@ -41,8 +42,9 @@ class Point:
         Derivative of theta by the value, shape ``(n,)``.
     is_held
         Parameters on a bound, shape ``(n,)``.
-    is_settled
-        Whether no way further down was cut off by the feasibility boundary of the model.
+    promise
+        How much lower the fit could be by its slopes, had every parameter set a prediction; next to
+        nothing unless the feasibility boundary of the model stopped the fit.
     """
 
     value: float
@@ -50,7 +52,7 @@ class Point:
     slope: float
     tangent: Array
     is_held: BoolArray
-    is_settled: bool
+    promise: float
 
     @property
     def curvature(self) -> float:
@@ -70,18 +72,21 @@ class Walk:
         What is profiled.
     threshold
         Rise of the deviance that bounds the set.
-    lowest
-        Deviance at the optimum; a slightly lower one met later takes its place.
+    optimum
+        The best fit. A slightly lower deviance met later takes the place of its own.
     """
 
     def __init__(
-        self, evaluator: Evaluator, quantity: Quantity, threshold: float, lowest: float
+        self, evaluator: Evaluator, quantity: Quantity, threshold: float, optimum: Evaluation
     ) -> None:
         self.evaluator = evaluator
         self.quantity = quantity
         self.threshold = threshold
-        self.lowest = lowest
+        self.lowest = optimum.deviance
         self.is_final = False
+        # At the feasibility boundary a slightly better fit is always met.
+        is_settled = promised_reduction(evaluator, optimum, None) <= CUT_OFF * threshold
+        self._better = (BETTER if is_settled else CUT_OFF) * threshold
         parameters = evaluator.parameters
         self.limits = (-np.inf, np.inf)
         if isinstance(quantity, ParameterQuantity):
@@ -140,11 +145,21 @@ class Walk:
             self.note(solved.evaluation)
         return solved
 
-    def promised_delta(self, point: Point) -> float:
-        """How far a fit would be above the lowest if the model ended nowhere, by its slopes."""
-        _, gradient = self.quantity.evaluate(point.evaluation.theta)
-        promise = promised_reduction(self.evaluator, point.evaluation, gradient)
-        return self.delta(point) - promise
+    def point(self, solved: Constrained) -> Point:
+        """The point of a profile that a constrained fit is."""
+        _, gradient = self.quantity.evaluate(solved.evaluation.theta)
+        return Point(
+            value=solved.value,
+            evaluation=solved.evaluation,
+            slope=solved.multiplier,
+            tangent=solved.tangent,
+            is_held=solved.is_held,
+            promise=promised_reduction(self.evaluator, solved.evaluation, gradient),
+        )
+
+    def is_settled(self, point: Point) -> bool:
+        """Whether no better fit lies beyond the feasibility boundary of the model."""
+        return point.promise <= CUT_OFF * self.threshold
 
     def note(self, evaluation: Evaluation) -> None:
         """Compare a fit with the optimum.
@@ -154,7 +169,7 @@ class Walk:
         BetterFound
             If it is clearly better.
         """
-        if not self.is_final and evaluation.deviance < self.lowest - BETTER * self.threshold:
+        if not self.is_final and evaluation.deviance < self.lowest - self._better:
             raise BetterFound(evaluation.theta)
         self.lowest = min(self.lowest, evaluation.deviance)
 
@@ -168,18 +183,6 @@ class Walk:
             theta = theta + bend * (step / back) ** 2
         parameters = self.evaluator.parameters
         return np.asarray(np.clip(theta, parameters.lower, parameters.upper))
-
-
-def as_point(solved: Constrained) -> Point:
-    """The point of a profile that a constrained fit is."""
-    return Point(
-        value=solved.value,
-        evaluation=solved.evaluation,
-        slope=solved.multiplier,
-        tangent=solved.tangent,
-        is_held=solved.is_held,
-        is_settled=solved.outcome is not Outcome.CLIFF,
-    )
 
 
 def step_to(rise: float, slope: float, curvature: float) -> float:
