@@ -106,3 +106,30 @@ def test_a_file_that_is_no_truth_is_refused(tmp_path: Path) -> None:
     (tmp_path / "truth.json").write_text('{"sealed": "x"}', encoding="utf-8")
     with pytest.raises(InputError, match="no sealed truth"):
         read_truth(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("offset_mm", "angle_deg", "is_near"),
+    [(9.0, 0.0, True), (11.0, 0.0, False), (0.0, 14.0, True), (0.0, 16.0, False)],
+)
+def test_a_line_is_the_true_one_within_10_mm_and_15_deg(
+    offset_mm: float, angle_deg: float, is_near: bool
+) -> None:
+    """Ends of two structures of one side lie farther apart; 60 mm is the other side of the knee."""
+    truth = replace(UNLISTED, lines={"missing_line": TRUTH.lines["anterolateral"]})
+    middle = np.array([offset_mm, -20.0, 40.0])
+    way = np.array([np.sin(np.radians(angle_deg)), -np.cos(np.radians(angle_deg)), 0.0])
+    line = {"femur": middle - 20.0 * way, "tibia": middle + 20.0 * way}
+    found = score(truth, {**_diagnosis("NAMED", "deep_mcl"), "line": line})
+    assert found.correct is is_near
+    assert found.wrong is not is_near
+
+
+def test_two_names_are_wrong_even_where_one_line_is_right() -> None:
+    truth = replace(UNLISTED, lines={"missing_line": TRUTH.lines["anterolateral"]})
+    femur, tibia = TRUTH.lines["anterolateral"]
+    found = score(
+        truth,
+        {**_diagnosis("NAMED", "deep_mcl", "drift"), "line": {"femur": femur, "tibia": tibia}},
+    )
+    assert found.wrong
