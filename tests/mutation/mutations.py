@@ -1,5 +1,6 @@
 """All faults, in the order they are tried."""
 
 from blind_faults import FAULTS as BLIND
+from model_faults import FAULTS as MODEL
 
-MUTATIONS = (*BLIND,)
+MUTATIONS = (*BLIND, *MODEL)

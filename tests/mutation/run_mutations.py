@@ -16,9 +16,9 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
-from mutation import ROOT, Mutation
-from mutations import MUTATIONS
-from rows import commit
+from mutation import ROOT, Mutation  # noqa: E402
+from mutations import MUTATIONS  # noqa: E402
+from rows import commit  # noqa: E402
 
 VERDICT = Path(__file__).with_name("verdict.json")
 COPIED = ("identknee", "tests", "studies", "docs")
@@ -74,7 +74,7 @@ def _is_caught(folder: Path, mutation: Mutation) -> bool:
 
 
 def _tested(folder: Path, tests: Sequence[str]) -> int:
-    """What pytest returns in the copy, in the first place of whose path it looks for the package."""
+    """What pytest returns in the copy, whose package is the first on its path."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider"]
     environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     try:

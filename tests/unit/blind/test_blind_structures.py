@@ -149,6 +149,9 @@ def test_menisci_hold_the_condyles_across_the_plateau_alone() -> None:
     held, told = hidden.apply(experiment(), 30.0), numbers(hidden, 30.0)
     both = told["medial_N_per_mm"] + told["lateral_N_per_mm"]
     assert told["medial_N_per_mm"] == 30.0
+    medial, lateral = sorted(held.springs, key=lambda x: float(x[5]))  # by z of the tibial place
+    assert medial[6] == 30.0
+    assert lateral[6] == told["lateral_N_per_mm"]
     assert 15.0 <= told["lateral_N_per_mm"] <= 30.0
     R, t = START
     np.testing.assert_allclose(force_of(held, R, t), 0.0, atol=1e-9)

@@ -147,3 +147,13 @@ def test_cells_without_data_are_left_out() -> None:
             coordinates=COORDINATES[:4],
             is_measured=measured,
         )
+
+
+def test_the_p_value_of_a_cell_is_never_zero() -> None:
+    """One of 4,001 where no draw of 4,000 is as high: the data are one more draw."""
+    from identknee.diagnosis.localisation import N_DRAWS
+
+    where = (FLEXION == 60) & (LOADS[:, 0] > 0)
+    found = localise(data(where, 4, 40.0), FIT.projector, NOISE, LAYOUT, seed=1)
+    assert found.region[0].p_value == pytest.approx(1.0 / (N_DRAWS + 1))
+    assert min(x.p_value for x in found.cells) > 0.0

@@ -169,3 +169,31 @@ def test_an_unseen_effect_alone_raises_no_alarm(fit: LinearFit) -> None:
     found = dead.evaluate(fit.residuals(np.random.default_rng(1), 1)[0])
     assert found.max_score == 0.0
     assert found.p_value == 1.0
+
+
+def test_no_simulated_p_value_is_zero(fit: LinearFit) -> None:
+    """Draws that reach a score, the data themselves counted: 1 of n + 1 where none of n does.
+
+    B. Phipson and G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 9 (2010) 39,
+    doi:10.2202/1544-6115.1585.
+    """
+    test = score_test(fit.projector, library(3), seed=1, n_draws=99)
+    assert test.p_value(np.inf) == pytest.approx(0.01)
+    assert test.p_value(-np.inf) == 1.0
+    # Nine of 99 draws are as high as the ninth highest: with the data themselves ten of 100.
+    assert test.p_value(float(test.null[-9])) == pytest.approx(0.1)
+
+
+def test_an_effect_of_one_sign_scores_on_its_own_side(fit: LinearFit) -> None:
+    """A structure that pulls is no explanation of a push, whichever way its column points."""
+    columns = np.random.default_rng(5).standard_normal((fit.n_data, 1))
+    column = fit.projector.padded(columns[:, 0])
+    for sign in (1, -1):
+        one = signature(columns, "one", sign=sign, prior_sd=1e3)
+        test = score_test(fit.projector, [one], seed=1)
+        seen, unseen = (test.evaluate(factor * sign * column) for factor in (0.5, -0.5))
+        assert seen.max_score > 4.0
+        assert unseen.max_score == 0.0
+        (amplitude,) = seen.candidates[0].amplitude
+        assert amplitude == pytest.approx(0.5 * sign, rel=1e-3)
+        assert unseen.candidates[0].amplitude.tolist() == [0.0]

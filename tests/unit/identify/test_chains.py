@@ -106,3 +106,29 @@ def test_flattened_draws_would_hide_what_is_counted_here() -> None:
     values = autoregressive(0.95, (4, 16, 1000), seed=2)
     flattened = values.transpose(0, 2, 1).reshape(4, 1, -1)
     assert effective_draws(flattened) > 5 * effective_draws(values)
+
+
+def test_rhat_sees_a_shift_of_heavy_tails_because_it_counts_ranks() -> None:
+    """Of a Cauchy variable the variance is infinite, and plain R-hat sees no shift.
+
+    The case for ranks of Vehtari et al. (2021), section 3: one ensemble of four lies elsewhere.
+    """
+    arviz = pytest.importorskip("arviz")
+    generator = np.random.default_rng(3)
+    values = generator.standard_cauchy((4, 1, 2000))
+    assert split_rhat(values) < 1.005
+    values[0] += 1.5
+    within = values.var(axis=(1, 2), ddof=1).mean()
+    plain = np.sqrt(1.0 + np.var(values.mean(axis=(1, 2)), ddof=1) / within)
+    assert plain < 1.01
+    assert split_rhat(values) > 1.03
+    assert split_rhat(values) == pytest.approx(number(arviz.rhat(values[:, 0])), abs=1e-3)
+
+
+def test_rhat_sees_heavy_tails_that_are_wider_by_folded_ranks() -> None:
+    arviz = pytest.importorskip("arviz")
+    generator = np.random.default_rng(4)
+    values = generator.standard_cauchy((4, 1, 2000))
+    values[0] *= 3.0
+    assert split_rhat(values) > 1.05
+    assert split_rhat(values) == pytest.approx(number(arviz.rhat(values[:, 0])), abs=1e-3)

@@ -14,6 +14,7 @@ from identknee.identify.profile.thresholds import (
     bootstrap_statistics,
     chi2_threshold,
     f_threshold,
+    threshold_below,
 )
 from identknee.identify.quantity import ParameterQuantity
 
@@ -76,3 +77,17 @@ def test_too_few_data_sets_are_refused() -> None:
     few = BootstrapStatistics(names=("x",), statistics=np.zeros((10, 1)))
     with pytest.raises(ValueError, match=r"10 data sets do not determine a quantile at 0\.95"):
         few.thresholds(0.95)
+
+
+@pytest.mark.parametrize("degrees", [3, 10, 55])
+def test_two_quantities_at_once_have_twice_the_quantile_of_f(degrees: int) -> None:
+    """In closed form: of F with 2 and d degrees, P(F > x) = (1 + 2 x / d)^(-d / 2)."""
+    quantile = 0.5 * degrees * (0.05 ** (-2.0 / degrees) - 1.0)
+    assert f_threshold(0.95, degrees, 2) == pytest.approx(2.0 * quantile)
+    assert f_threshold(0.95, 10**8, 3) == pytest.approx(chi2_threshold(0.95, 3), rel=1e-6)
+
+
+def test_a_lower_level_keeps_the_proportion_of_the_law_of_as_many_quantities() -> None:
+    """Of two numbers the chi-squared quantile at p is -2 ln(1 - p)."""
+    proportion = np.log(1.0 - 0.68) / np.log(1.0 - 0.95)
+    assert threshold_below(7.0, 0.95, 0.68, 2) == pytest.approx(7.0 * proportion)

@@ -85,3 +85,57 @@ def test_an_offset_of_flexion_is_another_angle(reference: Knee) -> None:
     wanted = under(reference, flexion=PROTOCOL.flexion_deg + 3.0)
     found = coordinates(reference, "flexion_offset", [3.0])
     assert np.abs(found - wanted).max() <= SAME_POSE
+
+
+def acted(knee: Knee, **amplitudes: float) -> Array:
+    """Generalised loads on (varus, internal [N mm], x, y, z [N]) that acted in each trial."""
+    (name,) = {x.partition("__")[0] for x in amplitudes}
+    model = LaxityModel(knee=knee, protocol=PROTOCOL, effects=(effect_named(knee, name),))
+    theta = model.parameters.vector({k.replace("__", "."): v for k, v in amplitudes.items()})
+    return np.asarray(model.setting(theta).loads[model.paths.trial_node])
+
+
+def change(knee: Knee, **amplitudes: float) -> Array:
+    """What an effect adds to them."""
+    return acted(knee, **amplitudes) - acted(knee, **dict.fromkeys(amplitudes, 0.0))
+
+
+INTERNAL_NM, VARUS_NM = (
+    PROTOCOL.loads[:, LOADS.index(x)] for x in ("internal_moment_Nm", "varus_moment_Nm")
+)
+
+
+def test_a_misaligned_axis_turns_the_sine_of_a_moment_into_the_other(reference: Knee) -> None:
+    """An internal moment of 10 N·m at 5 deg is one of 0.87 N·m into varus as well, not away."""
+    one = change(reference, axis_misalignment__IE_to_VV_deg=5.0)
+    np.testing.assert_allclose(one[:, 0], 1000.0 * np.sin(np.radians(5.0)) * INTERNAL_NM)
+    np.testing.assert_allclose(one[:, 1:], 0.0, atol=1e-9)
+    other = change(reference, axis_misalignment__VV_to_IE_deg=5.0)
+    np.testing.assert_allclose(other[:, 1], 1000.0 * np.sin(np.radians(5.0)) * VARUS_NM)
+    np.testing.assert_allclose(np.delete(other, 1, 1), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("axis", "moment"), [("IE", INTERNAL_NM), ("VV", VARUS_NM)], ids=["IE", "VV"]
+)
+@pytest.mark.parametrize(("towards", "column"), [("x", 2), ("z", 4)])
+def test_shear_is_so_many_newtons_for_each_newton_metre(
+    axis: str, moment: Array, towards: str, column: int, reference: Knee
+) -> None:
+    """1 N/N·m at 10 N·m is 10 N, forwards or to the lateral side where the moment is positive."""
+    found = change(reference, **{f"parasitic_shear__{axis}_{towards}_N_per_Nm": 1.0})
+    np.testing.assert_allclose(found[:, column], moment, atol=1e-9)
+    np.testing.assert_allclose(np.delete(found, column, 1), 0.0, atol=1e-9)
+
+
+def test_weight_hangs_the_same_way_in_the_femur_at_all_angles(reference: Knee) -> None:
+    """In axes turned with flexion, which the loads are given in, the femur's turn back by it."""
+    flexion = np.radians(PROTOCOL.flexion_deg)
+    cos, sin, zero = np.cos(flexion), np.sin(flexion), 0.0 * flexion
+    # The femur's axes turned by minus flexion about z: a vector v there is Rz(flexion) v here.
+    backwards = np.column_stack([-cos, -sin, zero])
+    down = np.column_stack([sin, -cos, zero])
+    for part, way in (("posterior_N", backwards), ("distal_N", down)):
+        found = change(reference, **{f"shank_gravity__{part}": 20.0})
+        np.testing.assert_allclose(found[:, 2:], 20.0 * way, atol=1e-9)
+        np.testing.assert_allclose(found[:, :2], 0.0, atol=1e-9)

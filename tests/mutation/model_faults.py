@@ -1,0 +1,365 @@
+"""Faults of mechanics, laxity and effects: another knee than the one that was asked about."""
+
+from mutation import Mutation
+
+_SIZES = "tests/unit/model/effects/test_sizes.py"
+_LOADS = "tests/unit/model/effects/test_load_effects.py"
+_READINGS = "tests/unit/model/effects/test_reading_effects.py"
+_LAWS = "tests/unit/mechanics/test_lines_and_laws.py"
+_ENERGY = "tests/unit/mechanics/test_energy.py"
+_GROOD = "tests/unit/mechanics/test_grood_suntay.py"
+_NOISE = "tests/unit/laxity/test_noise.py"
+_PARAMETERS = "tests/unit/model/test_parameters.py"
+_RESIDUALS = "tests/unit/model/test_residuals.py"
+
+
+def _fault(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
+    return Mutation(file=f"identknee/{file}", old=old, new=new, why=why, tests=tests)
+
+
+def _effect(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
+    return _fault(f"model/effects/{file}", old, new, why, *tests)
+
+
+PRIORS = (
+    _effect(
+        "structures.py",
+        "SITE_SD = 4.0",
+        "SITE_SD = 12.0",
+        "a structure may lie anywhere on the bone and still be called by its name",
+        _SIZES,
+    ),
+    _effect(
+        "placed.py",
+        "CAPSULE_SITE_SD = 6.0",
+        "CAPSULE_SITE_SD = 2.0",
+        "the capsule is two threads instead of a sheet",
+        _SIZES,
+    ),
+    _effect(
+        "frames.py",
+        "FRAME_SD, FRAME_LIMIT = 2.0",
+        "FRAME_SD, FRAME_LIMIT = 8.0",
+        "axes eight degrees wrong are usual, so that every misfit is one",
+        _SIZES,
+    ),
+    _effect(
+        "frames.py",
+        '["flexion_deg"], [2.0]',
+        '["flexion_deg"], [8.0]',
+        "flexion eight degrees wrong is usual",
+        _SIZES,
+    ),
+    _effect(
+        "contact_law.py",
+        "CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.15",
+        "CARTILAGE_SD, NUMERICAL_SD = 0.1, 0.15",
+        "soft cartilage is impossible",
+        _SIZES,
+    ),
+    _effect(
+        "contact_law.py",
+        "CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.15",
+        "CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.6",
+        "what a computation gets wrong of contact hides soft cartilage",
+        _SIZES,
+    ),
+    _effect(
+        "contact_law.py",
+        "EXPONENT_SD = 0.3",
+        "EXPONENT_SD = 0.05",
+        "contact like that of a sphere is impossible",
+        _SIZES,
+    ),
+    _effect(
+        "placed.py",
+        '"anterolateral": 1.2',
+        '"anterolateral": 0.3',
+        "an anterolateral ligament of published stiffness is impossible",
+        _SIZES,
+    ),
+    _effect(
+        "placed.py",
+        '"posteromedial": 1.5',
+        '"posteromedial": 6.0',
+        "evidence punishes a posteromedial structure of published stiffness",
+        _SIZES,
+    ),
+    _effect(
+        "structures.py",
+        "[self.stiffness_sd, 4.0]",
+        "[self.stiffness_sd, 1.0]",
+        "a structure as taut as a cruciate is impossible",
+        _SIZES,
+    ),
+    _effect(
+        "facts.py",
+        'source="0.14 kN (50 N at 36 % strain, Zens 2015) to 1.4 kN (42 +- 26 N/mm, Helito 2016, at "\n'
+        '        "33 mm)",\n        relevant=0.2,',
+        'source="0.14 kN (50 N at 36 % strain, Zens 2015) to 1.4 kN (42 +- 26 N/mm, Helito 2016, at "\n'
+        '        "33 mm)",\n        relevant=2.0,',
+        "a structure of published stiffness is not worth knowing and its absence never shown",
+        _SIZES,
+    ),
+    _effect(
+        "facts.py",
+        "relevant=10.0,",
+        "relevant=100.0,",
+        "100 N of compression are not worth knowing",
+        _SIZES,
+    ),
+    _effect(
+        "insertion.py",
+        "SHIFT_SD, SHIFT_LIMIT = 2.0",
+        "SHIFT_SD, SHIFT_LIMIT = 6.0",
+        "insertions 6 mm off are usual",
+        _SIZES,
+    ),
+    _effect("bundles.py", "5.0", "15.0", "bundles of one ligament have little in common", _SIZES),
+    _effect(
+        "wrapping.py",
+        '["lift_mm"], [4.0]',
+        '["lift_mm"], [1.0]',
+        "a collateral pushed aside by 8 mm is impossible",
+        _SIZES,
+    ),
+    _effect(
+        "meniscus.py",
+        "names, [20.0, 20.0]",
+        "names, [2.0, 20.0]",
+        "a medial meniscus of ordinary stiffness is impossible",
+        _SIZES,
+    ),
+    _effect(
+        "loads.py",
+        '["force_N"], [60.0]',
+        '["force_N"], [600.0]',
+        "compression by body weight is usual in a rig",
+        _SIZES,
+    ),
+    _effect(
+        "loads.py", '["gain"], [0.1]', '["gain"], [0.5]', "moments half as large are usual", _SIZES
+    ),
+    _effect(
+        "history.py",
+        "[1.0, 1.0], lower",
+        "[5.0, 1.0], lower",
+        "loops five degrees wide are usual",
+        _SIZES,
+    ),
+    _effect(
+        "rig_compliance.py",
+        '["compliance_deg_per_Nm"], [0.1]',
+        '["compliance_deg_per_Nm"], [0.01]',
+        "a boot is as stiff as pins in bone",
+        _SIZES,
+    ),
+    _fault(
+        "model/parameters.py",
+        "np.full(n, 0.35), np.full(n, 2.0)",
+        "np.full(n, 0.7), np.full(n, 2.0)",
+        "the prior of the stiffness is twice as wide as README says",
+        _SIZES,
+    ),
+    _fault(
+        "model/parameters.py",
+        "np.full(n, 0.35), np.full(n, 2.0)",
+        "np.full(n, 0.35), np.full(n, 4.0)",
+        "the prior of the reference strain is twice as wide as README says",
+        _SIZES,
+    ),
+)
+EFFECTS = (
+    _effect(
+        "loads.py",
+        "acted[:, VARUS] += np.sin(internal_to_varus)",
+        "acted[:, VARUS] -= np.sin(internal_to_varus)",
+        "a misaligned axis is named with the wrong sign",
+        _LOADS,
+    ),
+    _effect(
+        "loads.py",
+        "np.radians(values)\n    acted",
+        "np.asarray(values)\n    acted",
+        "degrees of misalignment are radians",
+        _LOADS,
+    ),
+    _effect(
+        "loads.py",
+        "per = values.reshape(2, 2) / PER_NM",
+        "per = values.reshape(2, 2)",
+        "shear is a thousand times what its unit says",
+        _LOADS,
+    ),
+    _effect(
+        "loads.py",
+        "np.outer(loads[:, INTERNAL], per[0]) + np.outer(loads[:, VARUS], per[1])",
+        "np.outer(loads[:, INTERNAL], per[0]) - np.outer(loads[:, VARUS], per[1])",
+        "shear under varus is named with the wrong sign",
+        _LOADS,
+    ),
+    _effect(
+        "loads.py",
+        "acted[:, X] += -posterior * np.cos(flexion)",
+        "acted[:, X] += posterior * np.cos(flexion)",
+        "weight that pulls backwards is named as one that pulls forwards",
+        _LOADS,
+    ),
+    _effect(
+        "loads.py",
+        "acted[:, INTERNAL] += PER_NM * values[0]",
+        "acted[:, INTERNAL] -= PER_NM * values[0]",
+        "a zero error is named with the wrong sign",
+        _LOADS,
+    ),
+    _effect(
+        "loads.py",
+        "acted[:, VARUS] += PER_NM * values[1]",
+        "acted[:, VARUS] += values[1]",
+        "a zero error in N·m acts as one in N mm",
+        _LOADS,
+    ),
+    _effect(
+        "frames.py",
+        "femur.inv() * actual * tibia).as_euler",
+        "femur * actual * tibia).as_euler",
+        "a turned femoral frame is read as its inverse",
+        _READINGS,
+    ),
+    _effect(
+        "history.py",
+        "(phase == UNLOADING).astype(float) - (phase == LOADING)",
+        "(phase == LOADING).astype(float) - (phase == UNLOADING)",
+        "loops run the other way",
+        _READINGS,
+    ),
+    _effect(
+        "history.py",
+        "np.log(order - order.min() + 1.0)",
+        "(order - order.min() + 1.0)",
+        "creep grows with time, not with its logarithm",
+        _READINGS,
+    ),
+)
+MECHANICS = (
+    _fault(
+        "mechanics/elements.py",
+        "elements[6, i] = k2 * (exponent * gx * gx + d * hxx)",
+        "elements[6, i] = k2 * (gx * gx + d * hxx)",
+        "the stiffness of contact beside exponent 1 is wrong, and with it every sensitivity",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/elements.py",
+        "elements[11, i] = k2 * (exponent * gy * gz + d * hyz)",
+        "elements[11, i] = k2 * (gy * gz + d * hyz)",
+        "the same of one of its mixed terms",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/elements.py",
+        "REFERENCE_DEPTH = 0.3",
+        "REFERENCE_DEPTH = 0.6",
+        "a change of the exponent is a change of the modulus too",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/elements.py",
+        "shape[4] += a - a * x * x",
+        "shape[4] += a",
+        "the stiffness of a wrapped ligament is wrong",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/elements.py",
+        "shape[9] -= a * y * z",
+        "shape[9] += a * y * z",
+        "the same of one of its mixed terms",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/elements.py",
+        "energy += spring * d * d / (exponent + 1.0)",
+        "energy += spring * d * d / 2.0",
+        "the energy beside exponent 1 is not that of the force",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/ligament_law.py",
+        "if strain <= 2.0 * transition:",
+        "if strain <= 1.9 * transition:",
+        "the force of every ligament leaps at the end of its toe",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/ligament_wrench.py",
+        "toe = stretched < 2.0 * width",
+        "toe = stretched < 1.9 * width",
+        "tensions in tables leap at the end of the toe",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/ligament_law.py",
+        "transition * transition / 6.0",
+        "transition * transition / 3.0",
+        "the energy leaps at the end of the toe, and steps are refused there",
+        _LAWS,
+    ),
+    _fault(
+        "mechanics/energy.py",
+        "by_strain = properties[i, 0] * slope * shape[0] / properties[i, 2]",
+        "by_strain = properties[i, 0] * slope",
+        "sensitivities to reference strain are wrong by the strain",
+        _ENERGY,
+    ),
+    _fault(
+        "mechanics/energy.py",
+        "h[3] += sums[0] * axes[3, 1] - sums[1] * axes[3, 0]",
+        "h[3] -= sums[0] * axes[3, 1] - sums[1] * axes[3, 0]",
+        "what flexion does to the pose is wrong",
+        _ENERGY,
+    ),
+    _fault(
+        "mechanics/grood_suntay.py",
+        "z - y * np.tan(varus),\n",
+        "z + y * np.tan(varus),\n",
+        "lateral shift has the wrong sign of what varus adds",
+        _GROOD,
+    ),
+    _fault(
+        "mechanics/grood_suntay.py",
+        "            -y / np.cos(varus),\n",
+        "            -y,\n",
+        "distraction is along another axis than Grood and Suntay's",
+        _GROOD,
+    ),
+    _fault(
+        "mechanics/grood_suntay.py",
+        "jacobian[..., 2, 0] = -y * secant * tangent",
+        "jacobian[..., 2, 0] = y * secant * tangent",
+        "the derivative of distraction by varus has the wrong sign",
+        _GROOD,
+    ),
+    _fault(
+        "mechanics/rims.py",
+        "unique[count == 1]",
+        "unique[count == 2]",
+        "the rim of a sheet is its inside",
+        "tests/unit/mechanics/test_rims.py",
+    ),
+    _fault(
+        "laxity/noise.py",
+        "scale = np.sqrt((student_degrees - 2) / student_degrees)",
+        "scale = 1.0",
+        "heavy-tailed noise is larger than stated",
+        _NOISE,
+    ),
+    _fault(
+        "laxity/noise.py",
+        "sd[:, TRANSLATIONS], sd[:, ROTATIONS] = sd_mm, sd_deg",
+        "sd[:, TRANSLATIONS], sd[:, ROTATIONS] = sd_deg, sd_mm",
+        "translations have the noise of rotations",
+        _NOISE,
+    ),
+)
+FAULTS = (*PRIORS, *EFFECTS, *MECHANICS)
