@@ -7,7 +7,6 @@ _STRUCTURES = "tests/unit/blind/test_blind_structures.py"
 _TRUTHS = "tests/unit/blind/test_blind_truths.py"
 _CONDITIONS = "tests/unit/blind/test_blind_conditions.py"
 _SCORE = "tests/unit/blind/test_blind_score.py"
-_CASE = "tests/unit/blind/test_blind_case.py"
 
 
 def _fault(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:

@@ -9,8 +9,6 @@ _LAWS = "tests/unit/mechanics/test_lines_and_laws.py"
 _ENERGY = "tests/unit/mechanics/test_energy.py"
 _GROOD = "tests/unit/mechanics/test_grood_suntay.py"
 _NOISE = "tests/unit/laxity/test_noise.py"
-_PARAMETERS = "tests/unit/model/test_parameters.py"
-_RESIDUALS = "tests/unit/model/test_residuals.py"
 
 
 def _fault(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
@@ -94,9 +92,7 @@ PRIORS = (
     ),
     _effect(
         "facts.py",
-        'source="0.14 kN (50 N at 36 % strain, Zens 2015) to 1.4 kN (42 +- 26 N/mm, Helito 2016, at "\n'
         '        "33 mm)",\n        relevant=0.2,',
-        'source="0.14 kN (50 N at 36 % strain, Zens 2015) to 1.4 kN (42 +- 26 N/mm, Helito 2016, at "\n'
         '        "33 mm)",\n        relevant=2.0,',
         "a structure of published stiffness is not worth knowing and its absence never shown",
         _SIZES,

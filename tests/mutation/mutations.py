@@ -2,5 +2,6 @@
 
 from blind_faults import FAULTS as BLIND
 from model_faults import FAULTS as MODEL
+from statistics_faults import FAULTS as STATISTICS
 
-MUTATIONS = (*BLIND, *MODEL)
+MUTATIONS = (*BLIND, *MODEL, *STATISTICS)

@@ -1,0 +1,431 @@
+"""Faults of calibration, identification and diagnosis: numbers that look right and are not."""
+
+from mutation import Mutation
+
+_IDENTIFY = "tests/unit/identify/test_"
+_DIAGNOSIS = "tests/unit/diagnosis/test_"
+
+
+def _fault(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
+    return Mutation(file=f"identknee/{file}", old=old, new=new, why=why, tests=tests)
+
+
+def _identify(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
+    paths = [f"{_IDENTIFY}{x}.py" for x in tests]
+    return _fault(f"identify/{file}", old, new, why, *paths)
+
+
+def _diagnosis(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
+    paths = [f"{_DIAGNOSIS}{x}.py" for x in tests]
+    return _fault(f"diagnosis/{file}", old, new, why, *paths)
+
+
+SURVIVED = (
+    _identify(
+        "posterior/chains.py",
+        "max(_rhat(normal_scores(values)), _rhat(normal_scores(folded)))",
+        "max(_rhat(values), _rhat(folded))",
+        "ensembles at different places look alike where tails are heavy",
+        "chains",
+    ),
+    _identify(
+        "posterior/chains.py",
+        "max(_rhat(normal_scores(values)), _rhat(normal_scores(folded)))",
+        "_rhat(normal_scores(values))",
+        "ensembles of different spread look alike",
+        "chains",
+    ),
+    _identify(
+        "sweep/basins.py",
+        "TOLERANCE = 0.01",
+        "TOLERANCE = 0.1",
+        "two minima a fifth of a percent apart are one",
+        "basins",
+    ),
+    _identify(
+        "sweep/basins.py",
+        "TOLERANCE = 0.01",
+        "TOLERANCE = 0.001",
+        "one minimum found with rounding is two",
+        "basins",
+    ),
+    _identify(
+        "sweep/basins.py",
+        "BARRIER_SHARE, BARRIER_FLOOR = 1e-6, 1e-9",
+        "BARRIER_SHARE, BARRIER_FLOOR = 1e-2, 1e-9",
+        "a barrier of a thousandth of the objective is none",
+        "basins",
+    ),
+    _identify(
+        "sweep/basins.py",
+        "BARRIER_SHARE, BARRIER_FLOOR = 1e-6, 1e-9",
+        "BARRIER_SHARE, BARRIER_FLOOR = 1e-6, 1e-4",
+        "minima that data without noise tell apart are one",
+        "basins",
+    ),
+    _identify(
+        "profile/thresholds.py",
+        "return n_quantities * float(scipy.stats.f.ppf(level, n_quantities, degrees_of_freedom))",
+        "return float(scipy.stats.f.ppf(level, n_quantities, degrees_of_freedom))",
+        "regions of two parameters are half as large where the noise is estimated",
+        "thresholds",
+    ),
+    _identify(
+        "profile/thresholds.py",
+        "return n_quantities * float(scipy.stats.f.ppf(level, n_quantities, degrees_of_freedom))",
+        "return n_quantities * float(scipy.stats.f.ppf(level, 1, degrees_of_freedom))",
+        "regions of two parameters have the threshold of one, doubled",
+        "thresholds",
+    ),
+    _identify(
+        "profile/thresholds.py",
+        "law = scipy.stats.chi2(n_quantities)",
+        "law = scipy.stats.chi2(1)",
+        "regions of pairs at lower levels are too small",
+        "thresholds",
+    ),
+    _diagnosis(
+        "score.py",
+        "return (len(self.null) - below + 1) / (len(self.null) + 1)",
+        "return (len(self.null) - below) / len(self.null)",
+        "a simulated probability is zero",
+        "score",
+    ),
+    _diagnosis(
+        "localisation.py",
+        "(above + 1) / (N_DRAWS + 1)",
+        "above / N_DRAWS",
+        "a simulated probability is zero",
+        "localisation",
+    ),
+    _diagnosis(
+        "line_scan.py",
+        "return float((1 + np.count_nonzero(highest >= self.scores.max())) / (1 + N_DRAWS))",
+        "return float(np.count_nonzero(highest >= self.scores.max()) / N_DRAWS)",
+        "a simulated probability is zero",
+        "line_scan",
+    ),
+    _diagnosis(
+        "signature.py",
+        "wrong = (found * self.signature.sign[used] < 0).any(axis=1)",
+        "wrong = (found * self.signature.sign[used] > 0).any(axis=1)",
+        "structures that push explain what structures pull",
+        "score",
+    ),
+    _diagnosis(
+        "library_signatures.py",
+        "return np.asarray(positive.astype(np.int64) - negative.astype(np.int64))",
+        "return np.asarray(negative.astype(np.int64) - positive.astype(np.int64))",
+        "every structure is sought with a negative stiffness",
+        "library_signatures",
+    ),
+    _diagnosis(
+        "library_signatures.py",
+        "return np.asarray(positive.astype(np.int64) - negative.astype(np.int64))",
+        "return np.zeros(parameters.n, np.int64)",
+        "structures may push",
+        "library_signatures",
+    ),
+    _diagnosis(
+        "library_signatures.py",
+        "moved = -np.linalg.solve(prediction.hessians, gradients)",
+        "moved = np.linalg.solve(prediction.hessians, gradients)",
+        "structures are sought by the opposite of what they do",
+        "library_signatures",
+    ),
+    _diagnosis(
+        "held_out.py",
+        "MOST_STEPS = 12",
+        "MOST_STEPS = 1",
+        "the error on held-out trials is that of a fit that has hardly begun",
+        "held_out",
+    ),
+)
+IDENTIFICATION = (
+    _identify(
+        "profile/thresholds.py",
+        "return float(scipy.stats.chi2.ppf(level, n_quantities))",
+        "return float(scipy.stats.chi2.ppf(level, 1))",
+        "regions of two parameters are those of one",
+        "thresholds",
+    ),
+    _identify(
+        "profile/thresholds.py",
+        "places = (np.ceil(n * level) - 1, law.ppf(tail) - 1",
+        "places = (np.ceil(n * level) - 3, law.ppf(tail) - 1",
+        "simulated thresholds are the third lower statistic",
+        "thresholds",
+    ),
+    _identify(
+        "profile/hermite.py",
+        "+ u**2 * (u - 1) * width * slope_g",
+        "- u**2 * (u - 1) * width * slope_g",
+        "ends between points of a profile are in the wrong place",
+        "profile",
+        "profiles",
+    ),
+    _identify(
+        "posterior/moves.py",
+        "correction = mixture.log_density(state.coords[moving]) - mixture.log_density(proposed)",
+        "correction = mixture.log_density(proposed) - mixture.log_density(state.coords[moving])",
+        "the sample is of another density",
+        "moves",
+    ),
+    _identify(
+        "posterior/moves.py",
+        "- 0.5 * (degrees + n) * np.log1p(squares / degrees)",
+        "- 0.5 * degrees * np.log1p(squares / degrees)",
+        "the proposals' density is not the one they are drawn from",
+        "moves",
+    ),
+    _identify(
+        "posterior/moves.py",
+        "(sample.shape[1] - 1) * np.log(new_length / length)",
+        "sample.shape[1] * np.log(new_length / length)",
+        "snooker steps sample another density",
+        "moves",
+    ),
+    _identify(
+        "posterior/density.py",
+        "- np.sum(working[..., np.array(parameters.is_log)], axis=-1)",
+        "+ 0.0 * np.sum(working[..., np.array(parameters.is_log)], axis=-1)",
+        "the density of lognormal parameters lacks its Jacobian",
+        "posterior",
+    ),
+    _identify(
+        "posterior/density.py",
+        "center = working - np.linalg.solve(information, gradient)",
+        "center = working + np.linalg.solve(information, gradient)",
+        "proposals go away from the optimum",
+        "posterior",
+        "sample",
+    ),
+    _identify(
+        "posterior/chains.py",
+        "return np.asarray(norm.ppf((ranks - 0.375) / (values.size + 0.25)))",
+        "return np.asarray(norm.ppf((ranks - 0.5) / (values.size + 0.25)))",
+        "ranks are not those of Blom, and R-hat is not that of the literature",
+        "chains",
+    ),
+    _identify(
+        "posterior/chains.py",
+        "sums = 2.0 * np.cumsum(autocorrelation(values)) - 1.0",
+        "sums = np.cumsum(autocorrelation(values))",
+        "samples look twice as good as they are",
+        "chains",
+    ),
+    _identify(
+        "sensitivity/estimators.py",
+        '"S1": np.stack([share(b * (mixed[:, i] - a))',
+        '"S1": np.stack([share(a * (mixed[:, i] - a))',
+        "first-order Sobol indices are another quantity",
+        "sensitivity_estimators",
+    ),
+    _identify(
+        "sensitivity/estimators.py",
+        "share(0.5 * (a - mixed[:, i]) ** 2)",
+        "share((a - mixed[:, i]) ** 2)",
+        "total Sobol indices are twice as large",
+        "sensitivity_estimators",
+    ),
+    _identify(
+        "sensitivity/estimators.py",
+        "weight / np.maximum(weight - 1.0, 1.0)",
+        "1.0",
+        "the spread of elementary effects is biased",
+        "sensitivity_estimators",
+    ),
+    _identify(
+        "sensitivity/estimators.py",
+        "change = np.diff(outputs, axis=1) / sizes",
+        "change = np.diff(outputs, axis=1) / np.abs(sizes)",
+        "mean elementary effects lose their sign",
+        "sensitivity_estimators",
+    ),
+    _identify(
+        "design/criteria.py",
+        "return np.asarray(-np.log(eigenvalues).sum(axis=1))",
+        "return np.asarray(np.log(eigenvalues).sum(axis=1))",
+        "D-optimality chooses the worst trials",
+        "design",
+    ),
+    _identify(
+        "design/criteria.py",
+        "return np.asarray(1.0 / eigenvalues[:, 0])",
+        "return np.asarray(1.0 / eigenvalues[:, -1])",
+        "E-optimality looks after what is known best",
+        "design",
+    ),
+    _identify(
+        "design/criteria.py",
+        "found.append(path.ends(rise - saved))",
+        "found.append(path.ends(rise))",
+        "predicted widths are too small: other parameters give way for nothing",
+        "design",
+    ),
+    _identify(
+        "equivalents/region.py",
+        "return float(norm.sf(norm.isf(LEVEL) - np.sqrt(squared_distance)))",
+        "return float(norm.sf(norm.isf(LEVEL) - squared_distance))",
+        "the power to tell two parameter sets apart is that of another distance",
+        "equivalents",
+    ),
+    _identify(
+        "equivalents/region.py",
+        "/ np.sqrt(region.limit)",
+        "/ region.limit",
+        "the region of equivalent sets has another limit than asked for",
+        "equivalents",
+        "equivalents_extremum",
+    ),
+    _identify(
+        "information/geodesic.py",
+        "bending = -right.T @ (damped * (left.T @ second))",
+        "bending = right.T @ (damped * (left.T @ second))",
+        "geodesics bend the wrong way and end at other boundaries",
+        "geodesic",
+    ),
+    _identify(
+        "sensitivity/designs.py",
+        "reach[i] = STIFFNESS_SHARE * abs(center[i])",
+        "reach[i] = STIFFNESS_SHARE",
+        "the box of stiffnesses is a fraction of a kN wide",
+        "sensitivity",
+    ),
+    _fault(
+        "calibrate/complex.py",
+        "REFLECTION = 0.9",
+        "REFLECTION = 1.3",
+        "Complex is not the paper's",
+        "tests/unit/calibrate/test_complex.py",
+    ),
+    _fault(
+        "calibrate/complex.py",
+        "np.delete(self.population, self._worst, axis=0).mean(axis=0)",
+        "self.population.mean(axis=0)",
+        "the centroid counts the worst candidate",
+        "tests/unit/calibrate/test_complex.py",
+    ),
+    _fault(
+        "runs/store.py",
+        'return digest(f"{key} {text}"',
+        'return digest(f"{key}"',
+        "a damaged result of an interrupted run is taken for whole",
+        "tests/unit/runs/test_store.py",
+    ),
+    _fault(
+        "runs/resume.py",
+        "elif json.dumps(before) != json.dumps(now):",
+        "elif False and json.dumps(before) != json.dumps(now):",
+        "a run goes on with results of other settings",
+        "tests/unit/runs/test_resume.py",
+    ),
+    _fault(
+        "runs/resume.py",
+        "return [results[key] for key in keys]",
+        "return [results[key] for key in sorted(keys)]",
+        "results of more than ten items stand in another order",
+        "tests/unit/runs/test_resume.py",
+    ),
+    _fault(
+        "model/residuals.py",
+        "difference = self._relative(prediction.coordinates) - self.laxity.coordinates",
+        "difference = self.laxity.coordinates - self._relative(prediction.coordinates)",
+        "residuals have the other sign than their derivatives",
+        "tests/unit/model/test_residuals.py",
+    ),
+)
+DIAGNOSIS = (
+    _diagnosis(
+        "tails.py",
+        "degrees = squares**3 / cubes**2",
+        "degrees = mean**2 / squares",
+        "probabilities of weighted sums are those of two moments only",
+        "tails",
+    ),
+    _diagnosis(
+        "goodness.py",
+        "mean = float(np.mean(1 / np.tan(np.pi * used)))",
+        "mean = float(np.max(1 / np.tan(np.pi * used)))",
+        "several tests together alarm too often",
+        "goodness",
+    ),
+    _diagnosis(
+        "goodness.py",
+        "p_value = float(stats.f.sf(ratio, degrees, noise_degrees))",
+        "p_value = float(stats.chi2.sf(square, degrees))",
+        "an estimated noise counts as known",
+        "goodness",
+    ),
+    _diagnosis(
+        "noise_model.py",
+        "spread = nuisance * nuisance_sd\n",
+        "spread = nuisance * nuisance_sd**2\n",
+        "nuisances have the square of their spread",
+        "noise_model",
+    ),
+    _diagnosis(
+        "laplace.py",
+        "- np.log(np.diag(information[0])).sum()",
+        "+ np.log(np.diag(information[0])).sum()",
+        "evidence prefers flexible causes",
+        "laplace",
+    ),
+    _diagnosis(
+        "laplace.py",
+        "- prior_mass.sum()",
+        "+ prior_mass.sum()",
+        "half-normal priors count for half instead of double",
+        "laplace",
+    ),
+    _diagnosis(
+        "elpd.py",
+        "[y.log_density - x.log_density for x, y in pairs]",
+        "[x.log_density - y.log_density for x, y in pairs]",
+        "the worse model is called the better one",
+        "held_out",
+    ),
+    _diagnosis(
+        "elpd.py",
+        "np.sqrt(n * np.var(by_trial, ddof=1))",
+        "np.sqrt(np.var(by_trial, ddof=1))",
+        "a gain of prediction is called certain",
+        "held_out",
+    ),
+    _diagnosis(
+        "power.py",
+        "is_powerful = power >= HIGH_POWER",
+        "is_powerful = power <= HIGH_POWER",
+        "what lacked power is called excluded",
+        "power",
+    ),
+    _diagnosis(
+        "score.py",
+        "factors = LEVEL / np.exp(log_tail_of_deviate(quantiles))",
+        "factors = np.exp(log_tail_of_deviate(quantiles)) / LEVEL",
+        "many sites of one structure are as many chances to be named",
+        "score",
+    ),
+    _diagnosis(
+        "projection.py",
+        "LEAST_SINGULAR_VALUE = 1e-6",
+        "LEAST_SINGULAR_VALUE = 1e-1",
+        "sloppy directions of the fit pass for causes",
+        "projection",
+    ),
+    _diagnosis(
+        "localisation.py",
+        "expected = without.rank - projector.rank",
+        "expected = 0",
+        "noise counts as explained misfit",
+        "localisation",
+    ),
+    _diagnosis(
+        "held_out.py",
+        "left = -(at.residuals[held] - weights @ at.residuals[kept])",
+        "left = -at.residuals[held]",
+        "errors shared between trials tell nothing of held ones",
+        "held_out",
+    ),
+)
+FAULTS = (*SURVIVED, *IDENTIFICATION, *DIAGNOSIS)
