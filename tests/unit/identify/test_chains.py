@@ -9,6 +9,7 @@ from identknee.identify.posterior.chains import (
     bulk_draws,
     effective_draws,
     mean_error,
+    normal_scores,
     quantile_error,
     split_rhat,
     tail_draws,
@@ -132,3 +133,13 @@ def test_rhat_sees_heavy_tails_that_are_wider_by_folded_ranks() -> None:
     values[0] *= 3.0
     assert split_rhat(values) > 1.05
     assert split_rhat(values) == pytest.approx(number(arviz.rhat(values[:, 0])), abs=1e-3)
+
+
+def test_scores_of_ranks_are_those_of_blom() -> None:
+    """The expected order statistics of normal draws, to a hundredth: (i - 3/8) / (n + 1/4)."""
+    draws = np.random.default_rng(6).normal(size=(20_000, 12))
+    expected = np.sort(draws, axis=1).mean(axis=0)
+    values = np.array([7.0, 1.0, 3.0, 9.0, 0.5, 4.0, 6.0, 2.0, 8.0, 11.0, 10.0, 5.0])
+    found = normal_scores(values.reshape(1, 2, 6)).ravel()
+    np.testing.assert_allclose(np.sort(found), expected, atol=0.03)
+    np.testing.assert_array_equal(np.argsort(found), np.argsort(values))

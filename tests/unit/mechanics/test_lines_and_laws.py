@@ -10,7 +10,6 @@ from identknee.mechanics.elements import line_force, line_shape
 from identknee.mechanics.ligament_law import tension
 from identknee.mechanics.ligament_wrench import line_tensions
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 TOE = 0.03
@@ -70,16 +69,19 @@ def test_a_line_bent_aside_has_the_slopes_of_its_length(lift: float, place: floa
     np.testing.assert_allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], bend, atol=1e-9)
 
 
+def pressed(model: LaxityModel) -> tuple[float, Array]:
+    """The scanned pose with the tibia pushed 0.4 mm into the femur."""
+    return model.joint.start_flexion, model.joint.start + 0.4 * np.eye(5)[3]
+
+
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5])
 def test_the_stiffness_of_contact_is_the_slope_of_its_force(
-    exponent: float, reference_model: LaxityModel, reference_prediction: Prediction
+    exponent: float, reference_model: LaxityModel
 ) -> None:
     """With an exponent beside 1 the slope of a point's force is that many times its secant."""
-    flexion, pose = np.pi / 6, np.array(reference_prediction.poses[40])
+    flexion, pose = pressed(reference_model)
     evaluate = Evaluator(reference_model.joint)
-    contact = list(evaluate._contact)
-    contact[4] = np.array([exponent])
-    evaluate._contact = tuple(contact)
+    evaluate._contact = (*evaluate._contact[:4], np.array([exponent]))
     theta = reference_model.parameters.center * np.r_[np.zeros(4), np.ones(4)]
     ligaments = ligaments_of(reference_model, theta)
     found = evaluate(flexion, pose, ligaments)
@@ -97,18 +99,16 @@ def test_the_stiffness_of_contact_is_the_slope_of_its_force(
 
 
 def test_the_exponent_leaves_the_pressure_at_three_tenths_alone(
-    reference_model: LaxityModel, reference_prediction: Prediction
+    reference_model: LaxityModel,
 ) -> None:
     """force = modulus area depth (depth / 0.3 mm)^(exponent - 1), point by point."""
-    flexion, pose = np.pi / 6, np.array(reference_prediction.poses[40])
+    flexion, pose = pressed(reference_model)
     theta = reference_model.parameters.center * np.r_[np.zeros(4), np.ones(4)]
     ligaments = ligaments_of(reference_model, theta)
     forces, depths = {}, {}
     for exponent in (1.0, 1.4):
         evaluate = Evaluator(reference_model.joint)
-        contact = list(evaluate._contact)
-        contact[4] = np.array([exponent])
-        evaluate._contact = tuple(contact)
+        evaluate._contact = (*evaluate._contact[:4], np.array([exponent]))
         evaluate(flexion, pose, ligaments)
         elements, n = evaluate.work[0], evaluate.work[3][1]
         forces[exponent] = np.linalg.norm(elements[3:6, :n], axis=0)

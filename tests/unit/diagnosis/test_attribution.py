@@ -1,0 +1,360 @@
+"""Naming itself: which effects join the model, when it ends, and what stands beside the best."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnoses import FRAME, FRAME_DEG, SD, diagnosed, short_trials
+from scipy.stats import multivariate_normal
+
+from identknee.diagnosis import attribution as module
+from identknee.diagnosis.attribution import (
+    MOST_CAUSES,
+    Attribution,
+    _is_better,
+    _looked_back,
+    _with_flexible,
+    attribute,
+)
+from identknee.diagnosis.base_fit import fit_base
+from identknee.diagnosis.diagnose import _base_refit
+from identknee.diagnosis.look import MOST_AMPLITUDES, promising_refits
+from identknee.diagnosis.refit import Refit, expected_distance
+from identknee.identify.evaluation import Evaluation
+from identknee.laxity.noise import add_noise
+from identknee.model.effects.library import effect_named
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array
+from identknee.subject.reference import reference_knee
+
+SOFT, OFFSET, PRESSED = "rig_compliance_IE", "moment_offset", "compression"
+
+
+def base_of(**hidden: float) -> Refit:
+    """The base fit of 18 trials, with noise, that hide amplitudes of effects."""
+    knee, names = reference_knee(), dict.fromkeys(x.partition("__")[0] for x in hidden)
+    model = LaxityModel(
+        knee=knee, protocol=short_trials(), effects=tuple(effect_named(knee, x) for x in names)
+    )
+    theta = model.parameters.vector({k.replace("__", "."): v for k, v in hidden.items()})
+    laxity = add_noise(model.simulate(theta), sd_mm=SD, sd_deg=SD, seed=5)
+    found = fit_base(knee, laxity, starts=[], seed=0)
+    assert found is not None
+    return _base_refit(found)
+
+
+def attributed(base: Refit, *names: str, is_forced: bool = False) -> Attribution:
+    knee = base.fitted.model.knee
+    effects = [effect_named(knee, x) for x in names]
+    return attribute(base, effects, seed=0, is_forced=is_forced)
+
+
+# --- on data ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def one() -> Attribution:
+    """Data with a turned frame, explained by three effects of which one is there."""
+    return attributed(diagnosed(FRAME).base, FRAME, SOFT, PRESSED)
+
+
+def test_the_cause_that_is_there_is_the_best_explanation(one: Attribution) -> None:
+    assert one.best.names == (FRAME,)
+    amplitudes = one.best.amplitudes(FRAME)
+    sd = np.sqrt(np.diag(one.best.covariance()))[one.best.places(FRAME)]
+    # The data have 3 deg about x and none about y.
+    assert (np.abs(amplitudes - [FRAME_DEG, 0.0]) < 5.0 * sd).all()
+    assert sd.max() < 0.2 * FRAME_DEG
+    assert one.base.names == ()
+    assert one.base is one.steps[0].at
+    assert not one.is_left_unexplained
+
+
+def test_the_steps_end_at_the_best_explanation(one: Attribution) -> None:
+    first, last = one.steps
+    assert first.is_significant
+    assert (last.at, last.refits) == (one.best, ())
+    assert not last.is_significant
+    # What is in the model already is no candidate beside it.
+    assert FRAME not in {x.effect.name for x in last.variants}
+    evidence = [x.log_evidence for x in first.refits]
+    assert evidence == sorted(evidence, reverse=True)
+    assert first.refits[0] is one.best
+
+
+def test_rivals_are_the_other_explanations_each_once_by_their_evidence(one: Attribution) -> None:
+    names = [frozenset(x.refit.names) for x in one.rivals]
+    assert len(set(names)) == len(names)
+    assert frozenset(one.best.names) not in names
+    assert names
+    leads = [x.lead for x in one.rivals]
+    assert leads == sorted(leads)
+    for x in one.rivals:
+        assert x.lead == pytest.approx(one.best.log_evidence - x.refit.log_evidence)
+        assert x.distance == pytest.approx(expected_distance(one.best, x.refit))
+        assert x.lead > 0.0
+
+
+def test_noise_alone_has_no_cause() -> None:
+    found = attributed(base_of(), FRAME, SOFT, PRESSED)
+    assert found.best is found.base
+    assert len(found.steps) == 1
+    assert not found.steps[0].is_significant
+    assert found.steps[0].refits == ()
+    assert found.rivals == ()
+    assert not found.is_left_unexplained
+
+
+def test_forced_it_tries_a_cause_and_still_demands_that_one_is_better() -> None:
+    """Where another test than that of the scores alarmed, all are fitted, none is invented."""
+    found = attributed(base_of(), SOFT, PRESSED, is_forced=True)
+    assert found.best is found.base
+    tried = {x.names for x in found.steps[0].refits}
+    assert tried
+    assert tried <= {(SOFT,), (PRESSED,)}
+    assert {x.refit.names for x in found.rivals} == tried
+
+
+def test_two_causes_are_found_one_after_the_other() -> None:
+    base = base_of(femur_frame__x_deg=4.0, rig_compliance_IE__compliance_deg_per_Nm=0.4)
+    found = attributed(base, FRAME, SOFT, PRESSED)
+    assert set(found.best.names) == {FRAME, SOFT}
+    assert found.best.amplitudes(SOFT)[0] == pytest.approx(0.4, abs=0.15)
+    assert [len(x.at.causes) for x in found.steps] == [0, 1, 2]
+    # Either alone is beside the pair, and the data speak against it.
+    alone = [x for x in found.rivals if len(x.refit.causes) == 1]
+    assert alone
+    assert all(x.is_excluded for x in alone)
+
+
+def test_without_the_true_cause_something_is_left_unexplained() -> None:
+    """The right answer may be no name: pressing the bones together is no turned frame."""
+    base = base_of(femur_frame__x_deg=6.0)
+    found = attributed(base, PRESSED, is_forced=True)
+    assert FRAME not in found.best.names
+    assert found.best.misfit_p_value < 1e-3
+    whole = attributed(base, PRESSED, FRAME)
+    assert whole.best.names == (FRAME,)
+    assert whole.best.misfit_p_value > 1e-3
+
+
+# --- rules, on refits made by hand --------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """As much of a refit as the rules look at."""
+
+    names: tuple[str, ...] = ()
+    strain: float = 100.0
+    log_evidence: float = 0.0
+    n_amplitudes: int = 1
+
+    @property
+    def causes(self) -> tuple[Any, ...]:
+        parameters = SimpleNamespace(n=self.n_amplitudes)
+        return tuple(SimpleNamespace(name=x, parameters=parameters) for x in self.names)
+
+
+def better(new: Made, old: Made) -> bool:
+    return _is_better(new, old)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("fall", "gain", "is_better"), [
+    (9.1, 2.1, True),
+    (8.9, 50.0, False),  # chance alone lets the chi-square fall by so much
+    (50.0, 1.9, False),  # the prior makes it no more likely than no cause
+])  # fmt: skip
+def test_a_first_cause_must_lower_the_misfit_and_gain_evidence(
+    fall: float, gain: float, is_better: bool
+) -> None:
+    new = Made(names=("a",), strain=100.0 - fall, log_evidence=gain)
+    assert better(new, Made()) is is_better
+
+
+@pytest.mark.parametrize(("fall", "is_better"), [(16.1, True), (15.9, False)])
+def test_a_further_cause_must_lower_it_by_more(fall: float, is_better: bool) -> None:
+    new = Made(names=("a", "b"), strain=100.0 - fall, log_evidence=5.0)
+    assert better(new, Made(names=("a",))) is is_better
+
+
+def looked_back(
+    monkeypatch: pytest.MonkeyPatch, current: Made, made: dict[tuple[str, ...], Made], singles: Any
+) -> tuple[Made, tuple[Made, ...]]:
+    """The look back where leaving out and swapping give refits made by hand."""
+
+    def without(_base: Any, now: Made, name: str) -> Made:
+        return made[tuple(x for x in now.names if x != name)]
+
+    def swapped(_base: Any, now: Made, name: str, single: Made) -> Made:
+        return made[(*(x for x in now.names if x != name), *single.names)]
+
+    monkeypatch.setattr(module, "_without", without)
+    monkeypatch.setattr(module, "_swapped", swapped)
+    steps: Any = [SimpleNamespace(refits=singles)]
+    best, rest = _looked_back(Made(), current, (), steps)  # type: ignore[arg-type]
+    return best, rest  # type: ignore[return-value]
+
+
+def test_a_cause_that_another_made_superfluous_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first step's choice may be a stand-in for two that were found after it."""
+    current = Made(names=("stand-in", "true"), strain=50.0, log_evidence=20.0)
+    made: dict[tuple[str, ...], Made] = {
+        ("true",): Made(names=("true",), strain=60.0, log_evidence=19.0),
+        ("stand-in",): Made(names=("stand-in",), strain=90.0, log_evidence=5.0),
+    }
+    best, rest = looked_back(monkeypatch, current, made, [])
+    assert best.names == ("true",)
+    assert {x.names for x in rest} == {("stand-in", "true"), ("stand-in",)}
+
+
+def test_a_cause_that_is_needed_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    current = Made(names=("a", "b"), strain=50.0, log_evidence=20.0)
+    made: dict[tuple[str, ...], Made] = {
+        ("a",): Made(names=("a",), strain=67.0, log_evidence=15.0),
+        ("b",): Made(names=("b",), strain=90.0, log_evidence=5.0),
+    }
+    best, _ = looked_back(monkeypatch, current, made, [])
+    assert best is current
+
+
+def test_a_swap_that_explains_far_more_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    current = Made(names=("a", "b"), strain=80.0, log_evidence=20.0)
+    third = Made(names=("c",), strain=85.0, log_evidence=10.0)
+    made: dict[tuple[str, ...], Made] = {
+        ("a",): Made(names=("a",), strain=120.0, log_evidence=0.0),
+        ("b",): Made(names=("b",), strain=120.0, log_evidence=0.0),
+        ("b", "c"): Made(names=("b", "c"), strain=50.0, log_evidence=40.0),
+        ("a", "c"): Made(names=("a", "c"), strain=79.0, log_evidence=20.5),
+    }
+    best, rest = looked_back(monkeypatch, current, made, [third])
+    assert best.names == ("b", "c")
+    assert current in rest
+    # One that is hardly ahead is an alternative, no better explanation.
+    made[("b", "c")] = Made(names=("b", "c"), strain=79.0, log_evidence=20.9)
+    best, _ = looked_back(monkeypatch, current, made, [third])
+    assert best is current
+
+
+def test_flexible_effects_are_not_swapped_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    current = Made(names=("a", "b"), strain=50.0, log_evidence=20.0)
+    many = Made(names=("many",), strain=10.0, log_evidence=90.0, n_amplitudes=MOST_AMPLITUDES + 1)
+    made: dict[tuple[str, ...], Made] = {
+        ("a",): Made(names=("a",), strain=90.0, log_evidence=1.0),
+        ("b",): Made(names=("b",), strain=90.0, log_evidence=1.0),
+    }
+    best, _ = looked_back(monkeypatch, current, made, [many])
+    assert best is current
+
+
+def flexible(current: Made, rest: Sequence[Made], first: Sequence[Made]) -> tuple[Made, Any]:
+    step: Any = SimpleNamespace(refits=tuple(first), at=Made())
+    return _with_flexible(current, tuple(rest), step)  # type: ignore[arg-type, return-value]
+
+
+def test_an_effect_of_many_amplitudes_wins_by_evidence_alone() -> None:
+    simple = Made(names=("a",), strain=50.0, log_evidence=20.0)
+    many = Made(names=("many",), strain=10.0, log_evidence=30.0, n_amplitudes=MOST_AMPLITUDES + 1)
+    best, rest = flexible(simple, [simple, many], [simple, many])
+    assert best is many
+    assert simple in rest
+    less = replace(many, log_evidence=19.0)
+    best, rest = flexible(simple, [simple, less], [simple, less])
+    assert best is simple
+    assert less in rest
+
+
+def test_no_more_than_three_causes_are_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Were every further cause better, it would go on until nothing is left to try."""
+    looks = []
+
+    def look(at: Made, effects: Sequence[Any], _seed: int) -> Any:
+        looks.append(len(at.causes))
+        return Step(at=at, names=tuple(x.name for x in effects))
+
+    @dataclass(frozen=True)
+    class Step:
+        at: Made
+        names: tuple[str, ...]
+        refits: tuple[Made, ...] = ()
+        is_significant: bool = True
+        scores: Any = None
+
+    def refits(step: Any, _base: Any) -> tuple[Made, ...]:
+        name, now = step.names[0], step.at
+        return (
+            Made(
+                names=(*now.names, name),
+                strain=now.strain - 20.0,
+                log_evidence=now.log_evidence + 10.0,
+            ),
+        )
+
+    monkeypatch.setattr(module, "_look", look)
+    monkeypatch.setattr(module, "promising_refits", refits)
+    monkeypatch.setattr(
+        module, "_looked_back", lambda _base, current, rest, _steps: (current, rest)
+    )
+    monkeypatch.setattr(module, "rivals_of", lambda *_: ())
+    effects: Any = [SimpleNamespace(name=x) for x in "abcde"]
+    found = attribute(Made(), effects, seed=0)  # type: ignore[arg-type]
+    assert found.best.names == ("a", "b", "c")
+    assert looks == [0, 1, 2, 3]
+    assert MOST_CAUSES == 3
+
+
+def test_only_what_scores_is_refitted(one: Attribution) -> None:
+    """A score of one is what noise gives every other effect."""
+    step = one.steps[0]
+    scored = {x.name for x in step.scores.candidates if x.score > 1.0}
+    assert {x.names[0] for x in step.refits} <= scored
+    nothing = replace(
+        step, scores=replace(step.scores, candidates=step.scores.candidates[-1:]), refits=()
+    )
+    low = replace(nothing.scores.candidates[0], score=0.5)
+    quiet = replace(nothing, scores=replace(nothing.scores, candidates=(low,)))
+    assert promising_refits(quiet, one.base) == ()
+
+
+def evidence_of(columns: Array, data: Array, *, lower: float) -> float:
+    """`Refit.log_evidence` of a linear model with unit noise and priors of sd 2 around 0."""
+    n = columns.shape[1]
+    jacobian = np.vstack([columns, np.eye(n) / 2.0])
+    theta = np.linalg.solve(jacobian.T @ jacobian, columns.T @ data)
+    residuals = np.r_[columns @ theta - data, theta / 2.0]
+    evaluation = Evaluation(theta=theta, residuals=residuals, jacobian=jacobian)
+    parameters = Parameters(
+        names=tuple(f"x{i}.amplitude_mm" for i in range(n)),
+        center=np.zeros(n),
+        lower=np.full(n, lower),
+        upper=np.full(n, 50.0),
+        prior_sd=np.full(n, 2.0),
+        is_log=(False,) * n,
+    )
+    fitted: Any = SimpleNamespace(
+        evaluation=evaluation, model=SimpleNamespace(parameters=parameters)
+    )
+    return Refit(causes=(), fitted=fitted, smooth=np.zeros((0, 0)), noise_degrees=1e9).log_evidence
+
+
+def test_evidence_is_the_probability_of_the_data_up_to_a_constant() -> None:
+    """Of a linear model in closed form: a normal density with the spread of prior and noise."""
+    generator = np.random.default_rng(2)
+    columns = generator.normal(size=(30, 4))
+    data = columns @ [3.0, 4.0, 2.0, 3.0] + generator.normal(size=30)
+
+    def exact(n: int) -> float:
+        covariance = np.eye(30) + 4.0 * columns[:, :n] @ columns[:, :n].T
+        return float(multivariate_normal(cov=covariance).logpdf(data))
+
+    constant = evidence_of(columns[:, :1], data, lower=-50.0) - exact(1)
+    for n in (2, 3, 4):
+        found = evidence_of(columns[:, :n], data, lower=-50.0)
+        assert found - exact(n) == pytest.approx(constant)
+    # Amplitudes of one sign, all well inside: a half-normal prior has twice the density.
+    signed = evidence_of(columns, data, lower=0.0)
+    assert signed == pytest.approx(evidence_of(columns, data, lower=-50.0) + 4.0 * np.log(2.0))
