@@ -1,0 +1,33 @@
+"""The list of faults fits the code as it is, and its record says that every one was seen."""
+
+from collections import Counter
+
+import pytest
+from mutation import ROOT, Mutation
+from mutations import MUTATIONS
+
+FEWEST = 74
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda x: x.why)
+def test_every_fault_has_its_place_and_its_tests(mutation: Mutation) -> None:
+    text = (ROOT / mutation.file).read_text(encoding="utf-8")
+    assert mutation.applied(text) != text
+    assert mutation.tests
+    for test in mutation.tests:
+        file, _, name = test.partition("::")
+        source = (ROOT / file).read_text(encoding="utf-8")
+        assert not name or f"def {name}(" in source
+
+
+def test_faults_are_many_and_different() -> None:
+    assert len(MUTATIONS) >= FEWEST
+    assert Counter(x.name for x in MUTATIONS).most_common(1)[0][1] == 1
+
+
+def test_a_fault_needs_one_place() -> None:
+    fault = Mutation(file="x.py", old="a", new="b", why="", tests=())
+    assert fault.applied("cat") == "cbt"
+    for text in ("dog", "banana"):
+        with pytest.raises(ValueError, match="needs one place"):
+            fault.applied(text)
