@@ -1,5 +1,6 @@
 """Held-out prediction of linear models, where everything has a closed form."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from tolerances import CLOSED_FORM
 from identknee.diagnosis.elpd import elpd_difference
 from identknee.diagnosis.folds import DIRECTION, FAMILIES, FLEXION, Fold
 from identknee.diagnosis.held_out import FoldStatus, held_out
+from identknee.diagnosis.observations import Observations
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
@@ -232,14 +234,20 @@ def test_models_scored_on_different_folds_are_refused() -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BentLaxity(LinearLaxity):
+class BentLaxity:
     """The same with responses that bend, so that no one step ends a fit."""
 
+    straight: LinearLaxity
+
+    @property
+    def parameters(self) -> Parameters:
+        return self.straight.parameters
+
     def residuals(self, theta: Array) -> Array:
-        return np.asarray(self.columns @ (theta + 0.3 * theta**3) - self.measured)
+        return self.straight.residuals(theta + 0.3 * theta**3)
 
     def jacobian(self, theta: Array) -> Array:
-        return np.asarray(self.columns * (1.0 + 0.9 * theta**2))
+        return np.asarray(self.straight.columns * (1.0 + 0.9 * theta**2))
 
 
 def test_a_fold_is_fitted_to_the_end_and_not_by_one_step() -> None:
@@ -248,18 +256,25 @@ def test_a_fold_is_fitted_to_the_end_and_not_by_one_step() -> None:
     truth = np.array([-1.0, 0.5, 1.0, 1.5])
     errors = np.random.default_rng(2).standard_normal(N_VALUES)
     measured = columns @ (truth + 0.3 * truth**3) + observations.noise.factor @ errors
-    made = BentLaxity(columns=columns, measured=measured)
+    made = BentLaxity(straight=LinearLaxity(columns=columns, measured=measured))
     folds = [x for x in linear_folds() if x.family == FLEXION]
     found = held_out(made, observations, truth + np.array([1.0, -1.5, 1.0, 1.0]), folds)
     for fold, score in zip(folds, found.scores, strict=True):
-        kept = np.flatnonzero(~fold.held[observations.trial])
-        factor = np.linalg.cholesky(observations.noise.covariance[np.ix_(kept, kept)])
-
-        def rows(theta: Array, kept: Array = kept, factor: Array = factor) -> Array:
-            white = np.linalg.solve(factor, made.residuals(theta)[kept])
-            return np.r_[white, (theta - 0.5) / made.prior_sd]
-
-        best = least_squares(rows, truth, xtol=1e-12, ftol=1e-12)
+        best = least_squares(_rows_kept(made, observations, fold), truth, xtol=1e-12, ftol=1e-12)
         sd = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))
         # The refit may leave a hundredth of the deviance: a tenth of a standard deviation.
         assert np.abs((score.theta - best.x) / sd).max() < 0.15
+
+
+def _rows_kept(
+    made: BentLaxity, observations: Observations, fold: Fold
+) -> Callable[[Array], Array]:
+    """Whitened residuals of the values kept, then those of the priors, by theta."""
+    kept = np.flatnonzero(~fold.held[observations.trial])
+    factor = np.linalg.cholesky(observations.noise.covariance[np.ix_(kept, kept)])
+
+    def rows(theta: Array) -> Array:
+        white = np.linalg.solve(factor, made.residuals(theta)[kept])
+        return np.concatenate([white, (theta - 0.5) / made.straight.prior_sd])
+
+    return rows

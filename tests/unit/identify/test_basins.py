@@ -84,7 +84,8 @@ def test_ends_closer_than_a_fiftieth_of_a_percent_are_one_minimum(apart: float, 
     problem = Ripples(apart=apart)
     starts = np.array([[0.0, 1.0], [apart, -1.0], [0.0, 0.5]])
     swept = sweep(problem, starts)
-    np.testing.assert_allclose(swept.polished, [[0, 0], [apart, 0], [0, 0]], atol=1e-6)
+    wanted = np.array([[0.0, 0.0], [apart, 0.0], [0.0, 0.0]])
+    np.testing.assert_allclose(swept.polished, wanted, atol=1e-6)
     assert has_barrier(problem, swept.polished[0], swept.polished[1])
     found = find_basins(problem, swept)
     assert len(found.basins) == n
