@@ -102,6 +102,17 @@ def test_double_precision_survives(tmp_path: Path, ending: str) -> None:
     np.testing.assert_array_equal(back.faces, surface.faces)
 
 
+def test_a_ply_file_is_as_small_as_its_numbers_allow(tmp_path: Path) -> None:
+    generator = np.random.default_rng(0)
+    short = generator.normal(size=(30, 3)).astype(np.float32)
+    for vertices, n_bytes in ((short, 4), (short.astype(float) + 1e-12, 8)):
+        surface = Surface(vertices=np.array(vertices, float), faces=np.arange(30).reshape(10, 3))
+        path = write_surface(surface, tmp_path / "a.ply")
+        _, _, body = path.read_bytes().partition(b"end_header\n")
+        assert len(body) == 30 * 3 * n_bytes + 10 * 13
+        np.testing.assert_array_equal(read_surface(path).vertices, surface.vertices)
+
+
 def test_binary_stl_keeps_single_precision(tmp_path: Path) -> None:
     surface = SQUARE.moved(np.eye(3), [0.1, 0.2, 0.3])
     back = read_surface(write_surface(surface, tmp_path / "a.STL"))
