@@ -77,9 +77,7 @@ def _say_signal(truth: "ik.Truth", wanted: float, *, is_secret: bool) -> None:
         )
     elif truth.effects and truth.signal < REACHED * wanted:
         names = " and ".join(truth.effects)
-        why = (
-            "the largest plausible size gives no more" if truth.is_largest else "it stays below"
-        )
+        why = "the largest plausible size gives no more" if truth.is_largest else "it stays below"
         typer.echo(
             f"The signal of {names} is {truth.signal:.2g}, not {wanted:g}: {why}. Ask for less, or "
             "choose another --effect or --seed.",

@@ -29,6 +29,9 @@ UNITS = {
 PLAIN, TOTAL = "1", "total"
 
 
+Interval = tuple[float | None, float | None]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Estimate:
     """A number found by a fit.
@@ -42,13 +45,14 @@ class Estimate:
     unit
         ``"1"`` for a plain number.
     ci95
-        Ends of its 95 % interval.
+        Ends of its 95 % interval; None where the data give no limit: at a bound, or where the fit
+        that it is the interval of was stopped.
     """
 
     name: str
     value: float
     unit: str
-    ci95: tuple[float, float]
+    ci95: Interval
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,12 +168,15 @@ def _total(
     scatter = covariance - covariance @ np.diag(prior_sd**-2.0) @ covariance
     middle = max(square - float(np.trace(scatter)), 0.0)
     reach = TWO_SIDED * np.sqrt(along)
-    ends = (max(np.sqrt(middle) - reach, 0.0), np.sqrt(square) + reach)
+    low, high = max(np.sqrt(middle) - reach, 0.0), np.sqrt(square) + reach
+    # A component without a limit leaves the length without one.
+    is_open = any(None in x.ci95 for x in components)
+    is_unknown = any(x.ci95 == (None, None) for x in components)
     return Estimate(
         name=TOTAL,
         value=float(np.sqrt(middle)),
         unit=components[0].unit,
-        ci95=(float(ends[0]), float(ends[1])),
+        ci95=(None if is_unknown else float(low), None if is_open else float(high)),
     )
 
 
@@ -178,5 +185,5 @@ def _estimate(name: str, i: int, posterior: Laplace) -> Estimate:
         name=name.rpartition(".")[2],
         value=float(posterior.theta[i]),
         unit=unit_of(name),
-        ci95=(float(posterior.lower[i]), float(posterior.upper[i])),
+        ci95=posterior.interval(i),
     )

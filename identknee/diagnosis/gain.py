@@ -60,18 +60,19 @@ class ParameterChange:
     before, after
         Its values, in its own unit.
     interval_before, interval_after
-        95 % intervals.
+        95 % intervals; an end is None where the data give none, as in `Estimate`.
     shift
         How far it moved, in standard errors of before.
     interval_ratio
-        Length of the interval after over before: the honest price of one more cause.
+        Length of the interval after over before: the honest price of one more cause; NaN where one
+        of them is open.
     """
 
     name: str
     before: float
     after: float
-    interval_before: tuple[float, float]
-    interval_after: tuple[float, float]
+    interval_before: tuple[float | None, float | None]
+    interval_after: tuple[float | None, float | None]
     shift: float
     interval_ratio: float
 
@@ -235,14 +236,18 @@ def _parameter_changes(
     changes = []
     for i, name in enumerate(before.model.parameters.names):
         j = after.model.parameters.index(name)
-        was, now = (x.upper[k] - x.lower[k] for x, k in ((old, i), (new, j)))
+        intervals = old.interval(i), new.interval(j)
+        was, now = (
+            float("nan") if None in x else float(np.ptp(np.array(x, dtype=np.float64)))
+            for x in intervals
+        )
         changes.append(
             ParameterChange(
                 name=name,
                 before=float(old.theta[i]),
                 after=float(new.theta[j]),
-                interval_before=(float(old.lower[i]), float(old.upper[i])),
-                interval_after=(float(new.lower[j]), float(new.upper[j])),
+                interval_before=intervals[0],
+                interval_after=intervals[1],
                 shift=float((new.theta[j] - old.theta[i]) / old.sd[i]),
                 interval_ratio=float(now / was) if was > 0 else float("nan"),
             )

@@ -4,19 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import log_ndtr, logsumexp, ndtri, ndtri_exp
-from scipy.stats import qmc
 
+from identknee.diagnosis.normal_in_box import box_intervals, log_box_probability, log_interval_mass
 from identknee.identify.evaluation import Evaluation
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array, BoolArray, frozen
 
-# Bounds that cut off less of a parameter's posterior than this are none.
-LEAST_CUT = 1e-6
-# Points at which the share of a Gaussian within bounds is averaged, and the seed of their order.
-N_POINTS, POINTS_SEED = 1024, 0
-# What a 95 % interval leaves out to either side; all of it on one side where a bound is the other.
-TAIL = 0.025
+# Of a standard deviation.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,6 +28,9 @@ class Laplace:
         Posterior standard deviation of each parameter in its own unit, shape ``(p,)``.
     lower, upper
         Ends of their 95 % intervals, within the bounds, shape ``(p,)``.
+    is_lower_open, is_upper_open
+        Whether an end is no limit that the data give, shape ``(p,)``: a bound, or the estimate
+        itself where the straight model puts the interval beside it.
     log_evidence
         Logarithm of the integral of likelihood times prior within the bounds.
     """
@@ -41,11 +39,20 @@ class Laplace:
     sd: Array
     lower: Array
     upper: Array
+    is_lower_open: BoolArray
+    is_upper_open: BoolArray
     log_evidence: float
 
     def __post_init__(self) -> None:
         for name in ("theta", "sd", "lower", "upper"):
             object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
+
+    def interval(self, i: int) -> tuple[float | None, float | None]:
+        """Ends of the interval of one parameter; None where the data give none."""
+        return (
+            None if self.is_lower_open[i] else float(self.lower[i]),
+            None if self.is_upper_open[i] else float(self.upper[i]),
+        )
 
 
 def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Laplace:
@@ -90,83 +97,23 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
         + log_box_probability(middle, covariance, lower, upper)
     )
     sd = np.sqrt(np.diag(covariance))
-    ends = _interval(middle, sd, lower, upper)
-    low, high = (np.where(is_log, np.exp(np.where(is_log, x, 0.0)), x) for x in ends)
+    found = box_intervals(middle, covariance, lower, upper)
+    # A fit stopped before its minimum is not where the straight model puts the parameters, and
+    # neither end of such an interval is known.
+    slack = ROUNDING * sd
+    is_beside = (found.lower > point + slack) | (found.upper < point - slack)
+    low, high = (
+        np.where(is_log, np.exp(np.where(is_log, x, 0.0)), x) for x in (found.lower, found.upper)
+    )
     return Laplace(
         theta=at.theta,
         sd=scale * sd,
         lower=np.minimum(low, at.theta),
         upper=np.maximum(high, at.theta),
+        is_lower_open=found.is_lower_bound | is_beside,
+        is_upper_open=found.is_upper_bound | is_beside,
         log_evidence=float(log_evidence),
     )
-
-
-def _interval(mean: Array, sd: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Ends of 95 % intervals of normal variables within bounds.
-
-    A bound that cuts off a tail of more than 2.5 % is the end of the interval.
-    """
-    low, high = (lower - mean) / sd, (upper - mean) / sd
-    from_low, to_high = low > ndtri(TAIL), high < ndtri(1.0 - TAIL)
-    start = _within(low, high, np.where(to_high, 2.0, 1.0) * TAIL)
-    end = _within(low, high, 1.0 - np.where(from_low, 2.0, 1.0) * TAIL)
-    return (
-        np.where(from_low, lower, mean + sd * start),
-        np.where(to_high, upper, mean + sd * end),
-    )
-
-
-def log_box_probability(mean: Array, covariance: Array, lower: Array, upper: Array) -> float:
-    """Log probability that a Gaussian vector lies between `lower` and `upper`.
-
-    Averaged over points of a Sobol sequence; exact where one component is cut off at most.
-
-    Parameters
-    ----------
-    mean, covariance
-        Of the vector, shapes ``(p,)`` and ``(p, p)``.
-    lower, upper
-        Bounds, perhaps infinite, shape ``(p,)``.
-
-    References
-    ----------
-    A. Genz, Numerical computation of multivariate normal probabilities, J. Comput. Graph. Stat. 1
-    (1992) 141-149, doi:10.1080/10618600.1992.10477010.
-    """
-    sd = np.sqrt(np.diag(covariance))
-    inside = log_interval_mass((lower - mean) / sd, (upper - mean) / sd)
-    # The components cut off most come first: what follows then varies least.
-    cut = np.argsort(inside)[: np.count_nonzero(inside < -LEAST_CUT)]
-    if cut.size <= 1:
-        return float(inside[cut].sum())
-    factor = np.linalg.cholesky(covariance[np.ix_(cut, cut)])
-    points = qmc.Sobol(cut.size, seed=POINTS_SEED).random(N_POINTS)
-    drawn, weights = np.zeros((N_POINTS, cut.size)), np.zeros(N_POINTS)
-    for i in range(cut.size):
-        known = mean[cut[i]] + drawn[:, :i] @ factor[i, :i]
-        low, high = ((x[cut[i]] - known) / factor[i, i] for x in (lower, upper))
-        weights += log_interval_mass(low, high)
-        drawn[:, i] = _within(low, high, points[:, i])
-    return float(logsumexp(weights) - np.log(N_POINTS))
-
-
-def log_interval_mass(low: Array, high: Array) -> Array:
-    """Log probability that a standard normal variable lies between `low` and `high`."""
-    # Mirrored to the lower tail, where small probabilities keep their digits.
-    mirrored = low > -high
-    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
-    top = log_ndtr(high)
-    return np.asarray(top + np.log1p(-np.exp(log_ndtr(low) - top)))
-
-
-def _within(low: Array, high: Array, share: Array) -> Array:
-    """Where a `share` of a standard normal variable between two ends lies to the left."""
-    mirrored = low > -high
-    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
-    share = np.where(mirrored, 1.0 - share, share)
-    top = log_ndtr(high)
-    found = ndtri_exp(top + np.log(share + (1.0 - share) * np.exp(log_ndtr(low) - top)))
-    return np.asarray(np.where(mirrored, -found, found))
 
 
 def _logs(values: Array, is_log: Array) -> Array:

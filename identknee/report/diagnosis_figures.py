@@ -333,7 +333,8 @@ def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> No
 
 
 def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
-    ends = np.array(estimate.ci95)[:, None]
+    low, high = estimate.ci95
+    ends = np.array([estimate.value if x is None else x for x in (low, high)])[:, None]
     axes.errorbar(
         [k],
         [estimate.value],
@@ -343,6 +344,10 @@ def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
         capsize=4,
         label=label,
     )
+    for end, arrow in ((low, "$\\downarrow$"), (high, "$\\uparrow$")):
+        if end is None:
+            # An open end has no bar but an arrow.
+            axes.plot([k], [estimate.value], marker=arrow, color=COLOURS[k], markersize=14)
 
 
 def _scores(step: Step, names: Sequence[str]) -> list[float]:

@@ -250,7 +250,7 @@ def _values(tree: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, f
     return {owner: {k: x.value for k, x in own.items()} for owner, own in tree.items()}
 
 
-def _intervals(tree: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, list[float]]]:
+def _intervals(tree: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, Any]]:
     return {owner: {k: list(x.ci95) for k, x in own.items()} for owner, own in tree.items()}
 
 

@@ -103,7 +103,14 @@ def _cause(cause: Cause) -> list[str]:
 
 def _shown(estimate: Estimate) -> str:
     low, high = estimate.ci95
-    return f"{amount(estimate.value, estimate.unit)}, 95 % {low:.3g} to {high:.3g}"
+    value = amount(estimate.value, estimate.unit)
+    if low is None and high is None:
+        return f"{value}, 95 % open to both sides"
+    if low is None:
+        return f"{value}, 95 % open below, up to {high:.3g}"
+    if high is None:
+        return f"{value}, 95 % from {low:.3g}, open above"
+    return f"{value}, 95 % {low:.3g} to {high:.3g}"
 
 
 def _rivals(attribution: Attribution) -> list[str]:
@@ -147,7 +154,8 @@ def _whichever(found: Diagnosis) -> list[str]:
     for name, best in _flat(explanation_of(found)).items():
         values = [best.value, *(x[name].value for x in trees)]
         low, high = best.ci95
-        is_free = low <= min(values) and max(values) <= high
+        # Beyond an open end nothing is said.
+        is_free = (low is None or low <= min(values)) and (high is None or max(values) <= high)
         lines.append(
             f"{name}: {min(values):.2f} to {max(values):.2f}"
             + ("" if is_free else ", which depends on the cause")
@@ -198,4 +206,5 @@ def _flat(refit: Refit) -> dict[str, Estimate]:
 
 
 def _interval(x: Estimate) -> str:
-    return f"{x.value:.2f} ({x.ci95[0]:.2f} to {x.ci95[1]:.2f})"
+    low, high = ("open" if end is None else f"{end:.2f}" for end in x.ci95)
+    return f"{x.value:.2f} ({low} to {high})"

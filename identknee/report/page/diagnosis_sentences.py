@@ -102,15 +102,23 @@ def _verdict_sentence(verdict: Verdict, summary: Mapping[str, Any]) -> str:
 
 def untested_reasons(summary: Mapping[str, Any]) -> list[str]:
     """Why causes could not be tested that may be the explanation."""
-    return [str(x["reason"]) for x in summary["rivals"] if x.get("reason") and x["could_matter"]]
+    return [
+        str(x["reason"])
+        for x in summary["rivals"]
+        if x.get("reason") and x.get("could_matter", True)
+    ]
 
 
 def _size(cause: Mapping[str, Any]) -> str:
     low, high = cause["ci95"]
-    return (
-        f"{amount(cause['amplitude'], cause['unit'])} "
-        f"(95 % from {amount(low, '')} to {amount(high, cause['unit'])})"
-    )
+    value = amount(cause["amplitude"], cause["unit"])
+    if low is None and high is None:
+        return f"{value} (95 % open to both sides)"
+    if low is None:
+        return f"{value} (95 % open below, up to {amount(high, cause['unit'])})"
+    if high is None:
+        return f"{value} (95 % from {amount(low, cause['unit'])}, open above)"
+    return f"{value} (95 % from {amount(low, '')} to {amount(high, cause['unit'])})"
 
 
 def _verdict_tables(summary: Mapping[str, Any]) -> tuple[Table, ...]:
@@ -121,7 +129,7 @@ def _verdict_tables(summary: Mapping[str, Any]) -> tuple[Table, ...]:
 
 def _sizes(causes: Sequence[Mapping[str, Any]]) -> Table:
     rows = tuple(
-        (f"{cause['name']}, {label(name)}", x["value"], *x["ci95"])
+        (f"{cause['name']}, {label(name)}", x["value"], *map(_end, x["ci95"]))
         for cause in causes
         for name, x in cause["parameters"].items()
     )
@@ -140,7 +148,7 @@ def _compared(rivals: Sequence[Mapping[str, Any]]) -> Table:
             listed(x["causes"]) or "no cause",
             x["log_evidence_below"],
             x["distance"],
-            str(x.get("state") or ("excluded" if x["is_excluded"] else "open")),
+            str(x.get("state") or ("excluded" if x.get("is_excluded") else "open")),
         )
         for x in rivals
     )
@@ -228,9 +236,9 @@ def _change(summary: Mapping[str, Any]) -> Finding:
     for owner, own in before.items():
         for name, value in own.items():
             whole, new = f"{owner}.{name}", after[owner][name]
-            low, high = spans[0][owner][name]
-            moves[whole] = abs(new - value) / max(high - low, 1e-12)
-            rows.append((label(whole), value, low, high, new, *spans[1][owner][name]))
+            old, own_after = spans[0][owner][name], spans[1][owner][name]
+            moves[whole] = abs(new - value) / _width(old)
+            rows.append((label(whole), value, *map(_end, old), new, *map(_end, own_after)))
     most = sorted(moves, key=lambda x: -moves[x])[:MOST_PARAMETERS]
     columns = tuple(
         Column(name=x, decimals=2)
@@ -247,6 +255,16 @@ def _change(summary: Mapping[str, Any]) -> Finding:
             Table(title="Parameters without and with the cause", columns=columns, rows=tuple(rows)),
         ),
     )
+
+
+def _width(ends: Sequence[float | None]) -> float:
+    """Of an interval, for ranking; endless where it is open."""
+    low, high = ends
+    return float("inf") if low is None or high is None else max(high - low, 1e-12)
+
+
+def _end(end: float | None) -> float | str:
+    return "open" if end is None else end
 
 
 def _tried(effects: Mapping[str, Mapping[str, Any]]) -> Finding:

@@ -4,13 +4,13 @@ from typing import Annotated, Self
 
 from pydantic import model_validator
 
+from identknee.diagnosis.rivals import RivalState
 from identknee.diagnosis.verdict import Verdict
 from identknee.report.page.summary_parts import (
     AGAIN,
     Count,
     Ends,
     Kept,
-    Known,
     Number,
     Open,
     Point,
@@ -56,6 +56,9 @@ class Rival(Kept):
     causes: list[str]
     log_evidence_below: Open
     distance: Open
+    state: Annotated[str, word_of(RivalState)] | None = None
+    reason: str | None = None
+    could_matter: bool = True
 
 
 class Cell(Kept):
@@ -123,7 +126,7 @@ class Tested(Reach):
     score: Open
 
 
-class Diagnosis(Summary):
+class Diagnosis(Sentence, Summary):
     """Of `diagnose` with data."""
 
     verdict: Annotated[str, word_of(Verdict)]
@@ -138,8 +141,8 @@ class Diagnosis(Summary):
     noise: Sentence | None = None
     parameters_before: Values | None = None
     parameters_after: Values | None = None
-    parameters_before_ci95: dict[str, dict[str, Known]] | None = None
-    parameters_after_ci95: dict[str, dict[str, Known]] | None = None
+    parameters_before_ci95: dict[str, dict[str, Ends]] | None = None
+    parameters_after_ci95: dict[str, dict[str, Ends]] | None = None
     effects: dict[str, Tested]
     advised_trials: list[Trial]
     advice: Sentence | None = None

@@ -88,7 +88,7 @@ def stored_estimates(result: Result, when: str) -> dict[str, dict[str, Estimate]
                 name=name,
                 value=float(value),
                 unit="%" if name.endswith("_pct") else "kN",
-                ci95=(float(intervals[ligament][name][0]), float(intervals[ligament][name][1])),
+                ci95=(intervals[ligament][name][0], intervals[ligament][name][1]),
             )
             for name, value in own.items()
         }

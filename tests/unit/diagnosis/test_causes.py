@@ -2,10 +2,20 @@
 
 import math
 
+import numpy as np
+import pytest
 from diagnoses import FRAME, FRAME_DEG, diagnosed
 
-from identknee.diagnosis.causes import causes_of, explanation_of, ligament_estimates, unit_of
+from identknee.diagnosis import causes
+from identknee.diagnosis.causes import (
+    Estimate,
+    causes_of,
+    explanation_of,
+    ligament_estimates,
+    unit_of,
+)
 from identknee.model.effects.library import library
+from identknee.report import diagnosis_text
 from identknee.subject.knee import Knee
 
 UNITS = {"kN", "%", "mm", "deg", "N", "N·m", "N/mm", "N/N·m", "deg/N·m", "1"}
@@ -27,6 +37,8 @@ def test_a_vector_is_as_large_as_its_components_together() -> None:
     # Errors of the components only add to the length found.
     assert 0.98 * math.hypot(*values) < cause.amplitude.value < math.hypot(*values)
     low, high = cause.amplitude.ci95
+    assert low is not None
+    assert high is not None
     assert low < FRAME_DEG < high
 
 
@@ -41,4 +53,36 @@ def test_every_ligament_has_both_parameters_within_their_intervals(reference: Kn
     assert list(tree) == [x.name for x in reference.ligaments]
     for own in tree.values():
         assert {x.unit for x in own.values()} == {"kN", "%"}
-        assert all(x.ci95[0] < x.value < x.ci95[1] for x in own.values())
+        for x in own.values():
+            low, high = x.ci95
+            assert low is not None
+            assert high is not None
+            assert low < x.value < high
+
+
+@pytest.mark.parametrize(
+    ("ends", "said"),
+    [
+        ((1.0, 3.0), "2 mm, 95 % 1 to 3"),
+        ((None, 3.0), "2 mm, 95 % open below, up to 3"),
+        ((1.0, None), "2 mm, 95 % from 1, open above"),
+        ((None, None), "2 mm, 95 % open to both sides"),
+    ],
+)
+def test_an_open_end_is_said_and_not_printed_as_a_limit(
+    ends: tuple[float | None, float | None], said: str
+) -> None:
+    estimate = Estimate(name="shift_mm", value=2.0, unit="mm", ci95=ends)
+    assert diagnosis_text._shown(estimate) == said
+
+
+def test_a_length_has_no_limit_where_a_component_has_none() -> None:
+    known = Estimate(name="x_mm", value=3.0, unit="mm", ci95=(2.0, 4.0))
+    held = Estimate(name="y_mm", value=4.0, unit="mm", ci95=(3.0, None))
+    stopped = Estimate(name="y_mm", value=4.0, unit="mm", ci95=(None, None))
+    spread = 0.01 * np.eye(2), np.full(2, 10.0)
+    assert None not in causes._total((known, known), *spread).ci95
+    low, high = causes._total((known, held), *spread).ci95
+    assert low is not None
+    assert high is None
+    assert causes._total((known, stopped), *spread).ci95 == (None, None)

@@ -108,15 +108,20 @@ def test_parameters_are_told_before_and_after() -> None:
     center = truth.parameters.center
     errors = np.array([[x.before, x.after] for x in gain.parameters]) - center[:, None]
     assert np.median(np.abs(errors[:, 1])) < 0.5 * np.median(np.abs(errors[:, 0]))
-    inside = [
-        x.interval_after[0] <= value <= x.interval_after[1]
-        for x, value in zip(gain.parameters, center, strict=True)
-    ]
+    inside = []
+    for x, value in zip(gain.parameters, center, strict=True):
+        low, high = x.interval_after
+        inside.append((low is None or low <= value) and (high is None or value <= high))
     assert np.count_nonzero(inside) >= len(inside) - 1
+    # The posteriors of the planted cause are closed on nearly all sides.
+    ends = [end for x in gain.parameters for end in x.interval_after]
+    assert ends.count(None) <= 2
     assert [x.name for x in gain.parameters] == list(truth.parameters.names)
     for x in gain.parameters:
-        assert x.interval_before[0] <= x.before <= x.interval_before[1]
-        assert x.interval_ratio > 0
+        low, high = x.interval_before
+        assert low is None or low < x.before
+        assert high is None or x.before < high
+        assert x.interval_ratio > 0 or None in (*x.interval_before, *x.interval_after)
 
 
 def test_forces_are_compared_under_the_largest_loads() -> None:

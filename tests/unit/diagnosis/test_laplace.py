@@ -8,9 +8,9 @@ from scipy import integrate, stats
 from tolerances import CLOSED_FORM
 
 from identknee.calibrate.problem import WithPriors
-from identknee.diagnosis.laplace import (
-    Laplace,
-    laplace,
+from identknee.diagnosis.laplace import Laplace, laplace
+from identknee.diagnosis.normal_in_box import (
+    box_intervals,
     log_box_probability,
     log_interval_mass,
 )
@@ -178,3 +178,49 @@ def test_a_bound_is_the_end_of_an_interval() -> None:
         low, high = (0.0, 0.95) if is_bounded else (0.025, 0.975)
         assert found.lower[0] == pytest.approx(exact.ppf(low), rel=1e-8)
         assert found.upper[0] == pytest.approx(exact.ppf(high), rel=1e-8)
+        # A bound is no limit that the data give.
+        assert (found.is_lower_open[0], found.is_upper_open[0]) == (is_bounded, False)
+
+
+@pytest.mark.parametrize("mean", [[-1.0, 0.5], [-3.0, 1.0], [0.5, 0.2], [-6.0, 4.0]])
+def test_a_bound_moves_the_intervals_of_the_others(mean: list[float]) -> None:
+    # The second component is free and follows the first, which cannot go below 0.
+    correlation = 0.9
+    covariance = np.array([[1.0, correlation], [correlation, 1.0]])
+    found = box_intervals(np.array(mean), covariance, np.array([0.0, -np.inf]), np.full(2, np.inf))
+    x, y = np.linspace(0.0, 12.0, 6001), np.linspace(-12.0, 16.0, 2801)
+    first = stats.truncnorm(-mean[0], np.inf, loc=mean[0]).pdf(x)
+    slope, sd = correlation, np.sqrt(1.0 - correlation**2)
+    below = stats.norm.cdf((y[:, None] - mean[1] - slope * (x - mean[0])) / sd)
+    share = integrate.simpson(below * first, x=x, axis=1)
+    exact = np.interp([0.025, 0.975], share, y)
+    assert [found.lower[1], found.upper[1]] == pytest.approx(exact, abs=0.02)
+    assert not found.is_lower_bound[1]
+    assert found.is_lower_bound[0] == (stats.norm.cdf(-mean[0]) > 0.025)
+
+
+def test_a_fit_stopped_short_has_no_end_at_its_estimate() -> None:
+    made = line([2.0, -0.5])
+    made = replace(made, columns=4 * made.columns, measured=4 * made.measured)
+    problem = Evaluator(WithPriors(problem=made))
+    whole = posterior(made)
+    stopped = np.array(whole.theta)
+    stopped[0] -= 3.0 * whole.sd[0]
+    found = laplace(problem(stopped), made.parameters, SD * np.eye(N_DATA))
+    # The straight model puts the interval above the estimate, which is then its lower end.
+    assert found.lower[0] == found.theta[0]
+    assert found.is_lower_open[0]
+    assert found.is_upper_open[0]
+    assert not np.any(whole.is_lower_open | whole.is_upper_open)
+
+
+def test_a_parameter_held_at_its_bound_leaves_others_their_estimate_inside() -> None:
+    # Untouched by the first's bound, the middle of the second would lie far from its estimate.
+    made = line([-3.0, 1.0], lower=[0.0, -np.inf], seed=3)
+    strong = np.column_stack([made.columns[:, 0], made.columns[:, 0] + 0.3 * made.columns[:, 1]])
+    made = replace(made, columns=4 * strong, measured=4 * strong @ [-3.0, 1.0])
+    found = posterior(made)
+    assert found.theta[0] == 0.0
+    assert found.lower[1] < found.theta[1] < found.upper[1]
+    assert not found.is_lower_open[1]
+    assert not found.is_upper_open[1]
