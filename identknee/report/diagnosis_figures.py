@@ -333,18 +333,11 @@ def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> No
 
 
 def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
-    low, high = estimate.ci95
-    ends = np.array([estimate.value if x is None else x for x in (low, high)])[:, None]
-    axes.errorbar(
-        [k],
-        [estimate.value],
-        yerr=np.abs(ends - estimate.value),
-        fmt=MARKERS[k],
-        color=COLOURS[k],
-        capsize=4,
-        label=label,
-    )
-    for end, arrow in ((low, "$\\downarrow$"), (high, "$\\uparrow$")):
+    ends = np.array([estimate.value if x is None else x for x in estimate.ci95])[:, None]
+    bars = np.abs(ends - estimate.value)
+    style = {"fmt": MARKERS[k], "color": COLOURS[k], "capsize": 4, "label": label}
+    axes.errorbar([k], [estimate.value], yerr=bars, **style)
+    for end, arrow in zip(estimate.ci95, ("$\\downarrow$", "$\\uparrow$"), strict=True):
         if end is None:
             # An open end has no bar but an arrow.
             axes.plot([k], [estimate.value], marker=arrow, color=COLOURS[k], markersize=14)
