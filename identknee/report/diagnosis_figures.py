@@ -334,13 +334,13 @@ def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> No
 
 def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
     ends = np.array([estimate.value if x is None else x for x in estimate.ci95])[:, None]
-    bars = np.abs(ends - estimate.value)
-    style = {"fmt": MARKERS[k], "color": COLOURS[k], "capsize": 4, "label": label}
-    axes.errorbar([k], [estimate.value], yerr=bars, **style)
+    value, colour = estimate.value, COLOURS[k]
+    bars = np.abs(ends - value)
+    axes.errorbar([k], [value], yerr=bars, fmt=MARKERS[k], color=colour, capsize=4, label=label)
     for end, arrow in zip(estimate.ci95, ("$\\downarrow$", "$\\uparrow$"), strict=True):
         if end is None:
             # An open end has no bar but an arrow.
-            axes.plot([k], [estimate.value], marker=arrow, color=COLOURS[k], markersize=14)
+            axes.plot([k], [value], marker=arrow, color=colour, markersize=14)
 
 
 def _scores(step: Step, names: Sequence[str]) -> list[float]:
