@@ -23,6 +23,7 @@ from identknee.cli.identification import Noise, file_digests, measured
 from identknee.cli.isolability import say_isolability, shown
 from identknee.laxity.named_tables import laxity_file
 from identknee.runs.files import digest, prepare_folder, write_atomically
+from identknee.runs.findings import finding_lines, findings_summary
 from identknee.runs.record import Recording, record
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ def _say(
     found: "Diagnosis", seconds: float, out: Path, recording: Recording, *, as_json: bool
 ) -> None:
     from identknee.diagnosis.exclusions import exclusions
+    from identknee.diagnosis.own_findings import own_findings
     from identknee.report.diagnosis_figures import diagnosis_figures
     from identknee.report.diagnosis_groups import diagnosis_groups
     from identknee.report.diagnosis_summary import diagnosis_summary
@@ -107,17 +109,19 @@ def _say(
     from identknee.report.picture import png
     from identknee.report.result_files import write_result
 
-    gain, tested = _gain(found), exclusions(found)
+    gain, tested, findings = _gain(found), exclusions(found), own_findings(found)
     # All of it is made before any of it is written, so that no half of it is left.
     pictures = {name: png(figure) for name, figure in diagnosis_figures(found).items()}
-    summary = {**diagnosis_summary(found, tested, gain), "seconds": seconds}
+    said = {"findings": findings_summary(findings), "seconds": seconds}
+    summary = {**diagnosis_summary(found, tested, gain), **said}
     groups = diagnosis_groups(found, tested)
     lines = shown(diagnosis_lines(found, tested, gain))
     for name, picture in pictures.items():
         write_atomically(out / f"{name}.png", picture)
     _write_extension(found, out)
     summary = write_result(out, summary, groups, recording.finish())
-    show(summary, [*lines, f"{seconds:.1f} s. Results: {out}"], as_json=as_json)
+    lines = [*lines, *finding_lines(findings), f"{seconds:.1f} s. Results: {out}"]
+    show(summary, lines, as_json=as_json)
 
 
 def _starts(knee: "ik.Knee", laxity: "ik.Laxity", start: str) -> list[Any]:

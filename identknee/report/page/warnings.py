@@ -6,21 +6,22 @@ from identknee.report.page.finding import Finding, Question
 from identknee.report.page.results import Result
 from identknee.runs.findings import Severity
 
-# Where a finding stands, by what it is about; what is not listed is about the search.
+# Where a finding stands, by what it is about; what is not listed is about the search, or in a
+# diagnosis about causes.
 PLACES = {
     "data": Question.WRONG,
     "subject": Question.WRONG,
-    "causes": Question.WRONG,
     "parameters": Question.KNOWN,
 }
 
 
 def warnings(result: Result) -> Iterator[Finding]:
     """The findings that a verb stored with its result; all but infos lead the page."""
+    otherwise = Question.WRONG if result.verb == "diagnose" else Question.SEARCH
     for x in result.summary.get("findings") or ():
         severity = Severity(x["severity"])
         yield Finding(
-            question=PLACES.get(str(x["where"]), Question.SEARCH),
+            question=PLACES.get(str(x["where"]), otherwise),
             sentence=f"{severity.prefix}{x['sentence']}",
             is_answer=severity is not Severity.INFO,
         )

@@ -13,6 +13,7 @@ from identknee.diagnosis import look
 from identknee.diagnosis.attribution import Attribution, attribute
 from identknee.diagnosis.exclusions import exclusions
 from identknee.diagnosis.look import Step, promising_refits
+from identknee.diagnosis.own_findings import own_findings
 from identknee.diagnosis.refit import Refit, refit
 from identknee.diagnosis.rivals import RivalState, rivals_of
 from identknee.diagnosis.verdict import SEVERAL, UNTESTED, Conclusion, Verdict, conclude
@@ -22,6 +23,7 @@ from identknee.model.effects.library import effect_named
 from identknee.report.diagnosis_summary import diagnosis_summary
 from identknee.report.diagnosis_text import diagnosis_lines
 from identknee.runs.arrays import Array
+from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
 
 OTHERS = ("shank_gravity", "compression")
@@ -205,3 +207,24 @@ def test_what_fails_from_everywhere_is_said_everywhere(monkeypatch: pytest.Monke
     lines = diagnosis_lines(whole, exclusions(whole), None)
     said = " ".join(next(iter(lines.values())))
     assert f"{FRAME} could not be tested" in said
+
+
+def test_the_diagnosis_says_what_its_fits_lack(others: tuple[Refit, ...]) -> None:
+    strong, weak = strong_and_weak(others)
+    found = diagnosed(FRAME)
+    attribution, conclusion = concluded([failed(strong), failed(weak)])
+    whole = replace(found, attribution=attribution, conclusion=conclusion)
+    said = {x.where: x.severity for x in own_findings(whole)}
+    assert said[strong.names[0]] is Severity.WARNING
+    assert said[weak.names[0]] is Severity.INFO
+    assert "starts" not in said
+    # A base fit that was stopped on its way down.
+    base = found.base.fitted
+    n = base.model.n_ligament_parameters
+    away = base.theta.copy()
+    away[:n] *= 1.3
+    begun = refit(found.base, [], [away], most_steps=1)
+    assert begun.fitted.outcome is not Outcome.MINIMUM
+    (warning,) = [x for x in own_findings(replace(found, base=begun)) if x.where == "starts"]
+    assert warning.severity is Severity.WARNING
+    assert "The fit without causes did not reach its minimum" in warning.sentence
