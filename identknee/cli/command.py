@@ -23,6 +23,8 @@ from identknee.subject.examples import named_subject
 
 Result = TypeVar("Result")
 
+# Of a path or a value that is absurdly long.
+LONGEST_SENTENCE = 2000
 NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 STOPPED = "stopped; the same command does it again from the start"
 STOPPED_WORK = "stopped; what was finished is kept in --out, and the same command resumes"
@@ -132,7 +134,8 @@ class Verbs(typer.core.TyperGroup):
             sentence, code = _foreseen(error) or (_unforeseen(error, ctx.meta), NOT_COMPUTED)
         _remove_if_empty(ctx.meta)
         # A file that is no text may bring anything into the sentence about it.
-        line = "".join(x if x.isprintable() else "?" for x in sentence)
+        plain = sentence.replace("\n", " ")
+        line = "".join(x if x.isprintable() else "?" for x in plain[:LONGEST_SENTENCE])
         typer.echo(f"identknee: {line}", err=True)
         raise typer.Exit(code)
 

@@ -108,7 +108,8 @@ def build_noise_model(
     Raises
     ------
     ValueError
-        If a standard deviation is not positive or the correlation is out of range.
+        If a standard deviation is not positive or too small for the digits of the computer, or the
+        correlation is out of range.
     """
     if not -0.25 < correlation < 1.0:
         raise ValueError(f"correlation must lie between -0.25 and 1, got {correlation:g}")
@@ -122,9 +123,16 @@ def build_noise_model(
     if nuisance is not None and nuisance_sd is not None:
         spread = nuisance * nuisance_sd
         covariance += spread @ spread.T
+    try:
+        factor = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            f"the noise, {measured_sd.min():g} to {measured_sd.max():g}, cannot be told from zero "
+            "beside what the model does not know; state the noise of the measurement"
+        ) from None
     return NoiseModel(
         covariance=frozen(covariance, None, None, name="covariance"),
-        factor=frozen(np.linalg.cholesky(covariance), None, None, name="factor"),
+        factor=frozen(factor, None, None, name="factor"),
     )
 
 

@@ -9,9 +9,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+sys.path.append(str(Path(__file__).parents[1]))
+
+from diagnoses import FRAME, short_data
 from typer.testing import CliRunner
 
 from identknee.cli.app import app
+from identknee.laxity.table import write_laxity
+from identknee.subject.reference import reference_knee
 
 RESULTS = Path(__file__).parent / "results"
 PROTOCOL = """
@@ -46,8 +51,12 @@ VERBS = {
     "sample": ["sample", "reference", "DATA", *FEW, "--ensembles", "2", "--budget", "1000"],
     "information": ["information", "reference", "DATA", *FEW],
     "equivalents": ["equivalents", "reference", "DATA", *FEW, "--n-sets", "2"],
-    "morris": ["sensitivity", "reference", "--protocol", "PROTOCOL", "--samples", "2"],
-    "diagnose": ["diagnose", "reference", "DATA"],
+    "sobol": ["sensitivity", "reference", "--protocol", "PROTOCOL", "--samples", "2"],
+    "morris": [
+        *("sensitivity", "reference", "--protocol", "PROTOCOL", "--method", "morris"),
+        *("--samples", "4"),
+    ],
+    "diagnose": ["diagnose", "reference", "FRAMED"],
     "planned": [
         *("diagnose", "reference", "--protocol", "PROTOCOL", "--noise", "0.3mm,0.3deg"),
     ],
@@ -65,9 +74,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         protocol, data = Path(folder) / "tiny.toml", Path(folder) / "simulate" / "laxity.csv"
         protocol.write_text(PROTOCOL, encoding="utf-8")
+        # With a cause to name.
+        framed = write_laxity(short_data(reference_knee(), FRAME), Path(folder) / "framed.csv")
         for verb in dict.fromkeys(["simulate", *chosen]):
             out = Path(folder) / verb
-            names = {"PROTOCOL": str(protocol), "DATA": str(data)}
+            names = {"PROTOCOL": str(protocol), "DATA": str(data), "FRAMED": str(framed)}
             words = [names.get(x, x) for x in VERBS[verb]]
             result = CliRunner().invoke(app, [*words, "--out", str(out)])
             print(verb, result.exit_code, result.output.splitlines()[-1:])

@@ -26,6 +26,8 @@ MODULES = {
     "nested": "verify_nested",
     "equivalents": "verify_equivalents",
     "kill": "verify_kill",
+    "orphans": "verify_orphans",
+    "fuzz": "verify_fuzz",
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
 }

@@ -24,7 +24,7 @@ def disagreement(summary: Mapping[str, Any], groups: Groups) -> tuple[str, str] 
     groups
         The arrays, as theirs wants them.
     """
-    checks = (_profiles, _targets, _kinds, _parameters)
+    checks = (_profiles, _targets, _kinds, _parameters, _draws)
     return next((found for check in checks for found in check(summary, groups)), None)
 
 
@@ -65,6 +65,21 @@ def _kinds(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
         kinds = groups["optimization"]["kind"].values
         if kinds.min() < 0 or kinds.max() >= len(OUTCOMES):
             yield "group optimization, variable kind", "a code stands for no outcome"
+
+
+def _draws(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
+    """One variable for all parameters, or one for each."""
+    for name in ("prior", "posterior"):
+        if name not in groups:
+            continue
+        data = groups[name]
+        if "theta" in data and ("parameter" not in data or "parameter" not in data["theta"].dims):
+            yield f"group {name}, variable theta", "it does not say of which parameters it is"
+        if not data.data_vars or not all(
+            x.dtype.kind == "f" and x.size and np.isfinite(x.values).all()
+            for x in data.data_vars.values()
+        ):
+            yield f"group {name}", "some of its draws are missing"
 
 
 def _parameters(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:

@@ -212,6 +212,8 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
     for name in dict.fromkeys(x[0] for x in groups if len(x) > 1):
         rows = [i for i, x in enumerate(groups) if x[0] == name and len(x) > 1]
         tables[label(name)] = ([groups[i][1] for i in rows], data[index].values[rows])
+    if not tables:
+        return
     yield Drawing(
         name="influence",
         figure=map_figure(tables, parameters, INDICES[index]),

@@ -1,7 +1,10 @@
 """The results in a folder, as the verbs left them."""
 
+import gc
+import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -173,12 +176,25 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
     if sha is not None and digest(path) != sha:
         why = "it is not the file that was written with result.json"
         raise InputError(path, "", why, AGAIN)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+    with warnings.catch_warnings(), _files_closed_in_silence():
+        warnings.simplefilter("ignore")
+        try:
             with xarray.open_datatree(path, engine="h5netcdf") as tree:
                 return {name: node.to_dataset().load() for name, node in tree.children.items()}
-    except Exception as error:
         # The libraries below raise errors of many types at a damaged file.
-        why = f"the arrays cannot be read ({type(error).__name__}: {shown(str(error))})"
-        raise InputError(path, "", why, AGAIN) from error
+        except Exception as error:  # noqa: BLE001
+            why = f"the arrays cannot be read ({type(error).__name__}: {shown(str(error))})"
+    raise InputError(path, "", why, AGAIN)
+
+
+@contextmanager
+def _files_closed_in_silence() -> Iterator[None]:
+    """Keep off the terminal what the library prints when it closes a file it could not open."""
+    shown_before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+        # What failed may wait for its end in a circle.
+        gc.collect()
+    finally:
+        sys.unraisablehook = shown_before

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from killed import is_running
 
 from identknee.runs.executors import process_pool, serial, spawn_seeds, threads
 
@@ -119,15 +120,3 @@ def worker_of_a_killed_parent(text: str, tmp_path: Path) -> int:
     while is_running(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
     return worker
-
-
-def is_running(process: int) -> bool:
-    """Whether it runs; a zombie whose new parent has not collected it does not."""
-    status = Path(f"/proc/{process}/stat")
-    if status.exists():
-        return status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    return not Path("/proc").exists()
