@@ -181,7 +181,11 @@ def _forces(its: Identification, forces: str, trials: str | None) -> list[Any]:
 
     if forces == "none":
         return []
-    protocol = its.laxity.protocol if trials is None else ik.load_protocol(trials)
+    if trials is None:
+        # A blank trial may have no equilibrium, and then no forces.
+        protocol = its.laxity.protocol.select(its.laxity.is_measured.any(axis=1))
+    else:
+        protocol = ik.load_protocol(trials)
     if forces == "largest":
         protocol = protocol.select(largest_loads(protocol))
     return [

@@ -101,7 +101,7 @@ class Identification:
     def findings_at(
         self, theta: Any, deviance: float, fits: "Sequence[ik.Fit]" = ()
     ) -> tuple[Finding, ...]:
-        """What speaks against the best fit: its misfit, its bounds, and where others ended.
+        """What speaks against the best fit: its misfit, its bounds, other fits, and the model.
 
         Parameters
         ----------
@@ -118,8 +118,15 @@ class Identification:
             start_findings,
             unstated_misfit_findings,
         )
+        from identknee.identify.feasibility import feasibility_findings
+        from identknee.model.soundness import rim_findings, stability_findings
 
         parameters = self.problem.parameters
+        model = (
+            *stability_findings(self.model),
+            *feasibility_findings(self.problem, np.asarray(theta)),
+            *rim_findings(self.model.protocol.trials, self.model.predict_once(self.whole(theta))),
+        )
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
             misfit = misfit_findings(deviance, n, parameters.n)
@@ -129,10 +136,10 @@ class Identification:
             misfit = tuple(x for x in left if x.severity is not Severity.INFO)
         bounds = bound_findings(np.asarray(theta), parameters)
         if not fits:
-            return (*misfit, *bounds)
+            return (*misfit, *bounds, *model)
         thetas = np.array([x.theta for x in fits])
         deviances = 2.0 * np.array([x.objective for x in fits])
-        return (*misfit, *bounds, *start_findings(thetas, deviances, parameters))
+        return (*misfit, *bounds, *start_findings(thetas, deviances, parameters), *model)
 
     def free_index(self, name: str, option: str) -> int:
         """Where the parameter called `name` stands among those that vary.

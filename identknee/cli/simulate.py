@@ -2,10 +2,10 @@
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import typer
 
 import identknee as ik
@@ -26,6 +26,7 @@ from identknee.cli.command import (
 from identknee.cli.identification import file_digests
 from identknee.cli.values import named_values, noise_sizes
 from identknee.runs.files import prepare_folder
+from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import record
 
 LAXITY_FILE = "laxity.csv"
@@ -116,8 +117,12 @@ def simulate(
     from identknee.report.result_files import write_result
 
     groups = simulation_groups(simulation, None if noisy is None else laxity)
-    summary = write_result(out, _summary(simulation, seconds), groups, recording.finish())
-    show(summary, _lines(simulation, out), as_json=as_json)
+    from identknee.model.soundness import rim_findings
+
+    findings = rim_findings(trials.trials, simulation.prediction)
+    said = {**_summary(simulation, seconds), "findings": findings_summary(findings)}
+    summary = write_result(out, said, groups, recording.finish())
+    show(summary, _lines(simulation, findings, out), as_json=as_json)
     if not summary["n_converged"]:
         raise NotComputed(f"none of the {trials.n} trials has an equilibrium; see {out}")
 
@@ -152,7 +157,7 @@ def _summary(simulation: "ik.Simulation", seconds: float) -> dict[str, Any]:
     }
 
 
-def _lines(simulation: "ik.Simulation", out: Path) -> list[str]:
+def _lines(simulation: "ik.Simulation", findings: Sequence[Finding], out: Path) -> list[str]:
     prediction = simulation.prediction
     n, converged = simulation.model.protocol.n, int(prediction.is_converged.sum())
     lines = [f"{converged} of {n} trials converged: {out / LAXITY_FILE}"]
@@ -160,14 +165,7 @@ def _lines(simulation: "ik.Simulation", out: Path) -> list[str]:
     # The mesh law has no second derivatives and no margins.
     if margins.size and math.isfinite(margin := margins.min()):
         lines.append(f"Lowest stability margin {margin:.3g} N/mm.")
-    near = prediction.is_near_rim
-    if near.any():
-        worst = int(np.argmax(np.where(near, prediction.rim_share, 0.0)))
-        lines.append(
-            f"In {near.sum()} trials contact acts within 3 mm of a rim, where the surface ends "
-            f"(most in {simulation.model.protocol.trials[worst]}, "
-            f"{prediction.rim_share[worst]:.0%} of the force): cartilage beyond it is missing."
-        )
+    lines += finding_lines(findings)
     if converged < n:
         failed = Counter(x for x in prediction.outcomes if x is not ik.Outcome.CONVERGED)
         lines += [f"{count} x {end.value}: {end.sentence}" for end, count in failed.items()]

@@ -13,6 +13,7 @@ from identknee.laxity.rmse import LaxityError
 from identknee.laxity.table import Laxity
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.simulate import Simulation
+from identknee.model.soundness import rim_findings, stability_findings
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 
@@ -98,10 +99,14 @@ def fit_findings(
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
     bounds = bound_findings(found.theta, found.parameters, found.fixed)
+    about_the_knee = (
+        *stability_findings(fitted.model),
+        *rim_findings(laxity.protocol.trials, fitted.prediction),
+    )
     findings = (*misfit, *bounds)
     if all(x.severity is Severity.INFO for x in findings):
-        return findings
-    return (*findings, second_search(problem, found).finding)
+        return (*findings, *about_the_knee)
+    return (*findings, second_search(problem, found).finding, *about_the_knee)
 
 
 def _states_noise(laxity: Laxity) -> bool:

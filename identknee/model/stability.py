@@ -1,7 +1,7 @@
 """How well posed a subject is: its margin over a protocol, over a box of parameters, by contact."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -272,6 +272,11 @@ def _points_finding(report: StabilityReport, protocol: str) -> Finding:
             else ""
         ),
     )
+
+
+def counted_outcomes(outcomes: Sequence[Outcome]) -> str:
+    """How many trials ended in each way but the good one, in words."""
+    return _counted(Counter(x for x in outcomes if x is not Outcome.CONVERGED))
 
 
 def _counted(outcomes: Mapping[Outcome, int]) -> str:
