@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,6 +23,7 @@ from identknee.cli.command import (
     warm_up,
 )
 from identknee.cli.subject_list import list_subjects
+from identknee.cli.subject_settle import ProtocolName, Within, settle
 from identknee.runs.executors import threads
 from identknee.runs.files import digest, prepare_folder, write_atomically
 from identknee.runs.record import Recording, record
@@ -36,9 +38,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-ProtocolName = Annotated[
-    str, typer.Option(help="seed63, table2, drawer, or the path of a TOML file.")
-]
 Samples = Annotated[
     int, typer.Option(min=0, help="Parameter vectors to draw from the box; 0 for none.")
 ]
@@ -55,6 +54,9 @@ Bundles = Annotated[
 ]
 
 app.command("list", epilog="Example: identknee subject list --json")(list_subjects)
+app.command(
+    cls=Verb, epilog="Example: identknee subject settle lenhart2015 --within 5 --out my-knee"
+)(settle)
 
 
 @app.command(cls=Verb, epilog="Example: identknee subject check my-knee")
@@ -63,6 +65,7 @@ def check(
     subject: Subject,
     protocol: ProtocolName = "seed63",
     samples: Samples = 200,
+    within: Within = 3.0,
     out: Out = Path("identknee-check"),
     seed: Seed = 0,
     workers: Workers = 1,
@@ -72,7 +75,8 @@ def check(
 
     Surfaces, frames and ligaments are checked, then the stability of the model over a protocol.
     Stability is taken at the subject's own parameters and over a box around them: stiffness
-    +-50 %, reference strain +-3 %. Exit code 2 if there is an error.
+    +-50 %, reference strain +-3 %. Where trials are lost it says which insertions, moved within
+    their uncertainty, restore them. Exit code 2 if there is an error.
     """
     prepare_folder(out)
     trials, knee = ik.load_protocol(protocol), ik.read_subject(subject)
@@ -83,7 +87,9 @@ def check(
         warm_up(knee, trials)
         model = ik.LaxityModel(knee=knee, protocol=trials)
         with threads(workers) as executor:
-            stability = ik.check_stability(model, n_samples=samples, seed=seed, executor=executor)
+            stability = ik.check_stability(
+                model, n_samples=samples, within_mm=within, seed=seed, executor=executor
+            )
         findings += stability.findings
     from identknee.report.groups import stability_groups, subject_groups
 
@@ -222,6 +228,7 @@ def _check_summary(
             "box_converged_share": stability.converged_share,
             "box_outcomes": {end.value: n for end, n in stability.box_outcomes.items()},
             "contact_points_change": {"mm": stability.change_mm, "deg": stability.change_deg},
+            "moves": [asdict(x) for x in stability.moves],
         }
     return summary
 

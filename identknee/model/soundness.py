@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from identknee.model.insertion_moves import ENOUGH_MARGIN
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.model.stability import ENOUGH_MARGIN, counted_outcomes
+from identknee.model.stability import counted_outcomes
 from identknee.runs.findings import Finding, Severity
 
 

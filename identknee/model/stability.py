@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS
+from identknee.model.insertion_moves import ENOUGH_MARGIN, WITHIN, InsertionMove, rank_moves
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
@@ -19,8 +20,8 @@ from identknee.subject.check import Finding
 
 STIFFNESS_SHARE = 0.5
 STRAIN_PCT = 3.0
-# Below this margin a warm and a cold start may differ by more than 1e-9.
-ENOUGH_MARGIN = 0.5
+# Trials and moves that a sentence lists.
+MOST_LISTED = 4
 ENOUGH_CONVERGED = 0.99
 ENOUGH_MM, ENOUGH_DEG = 0.07, 0.25
 
@@ -50,6 +51,9 @@ class StabilityReport:
         Largest change between the chosen contact points and all vertices, over trials that
         converge with both, in the order and units of `COORDINATES` [mm, deg], shape ``(5,)``;
         NaN where there is no such trial.
+    moves
+        Insertions moved within their uncertainty, the moves that restore most trials first; none
+        where all converge.
     findings
         The same in sentences, each with its remedy.
     """
@@ -61,6 +65,7 @@ class StabilityReport:
     box_outcomes: Mapping[Outcome, int]
     box_margins: Array
     change: Array
+    moves: tuple[InsertionMove, ...] = ()
     findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
@@ -102,7 +107,12 @@ class StabilityReport:
 
 
 def check_stability(
-    model: LaxityModel, *, n_samples: int = 200, seed: int = 0, executor: Executor = serial
+    model: LaxityModel,
+    *,
+    n_samples: int = 200,
+    within_mm: float = WITHIN,
+    seed: int = 0,
+    executor: Executor = serial,
 ) -> StabilityReport:
     """How well posed the model is over its protocol, with a sentence for each finding.
 
@@ -112,6 +122,9 @@ def check_stability(
         A knee under a protocol.
     n_samples
         How many parameter vectors to draw from the box.
+    within_mm
+        How far insertions may be from where they are given [mm]: where trials are lost, each is
+        moved so far to see what that restores.
     seed
         Of the draws.
     executor
@@ -120,7 +133,8 @@ def check_stability(
     Raises
     ------
     ValueError
-        If `n_samples` is negative. Trials without equilibrium are no error: they are findings.
+        If `n_samples` is negative or the distance is not between 0 and 8 mm. Trials without
+        equilibrium are no error: they are findings.
     """
     if n_samples < 0:
         raise ValueError(f"the number of samples must be 0 or more, got {n_samples}")
@@ -135,6 +149,9 @@ def check_stability(
     for prediction in progress(drawn, total=n_samples, description="simulating the parameter box"):
         counts.update(prediction.outcomes)
         lowest.append(_lowest(prediction.margins) if prediction.all_converged else np.nan)
+    moves: tuple[InsertionMove, ...] = ()
+    if not own.all_converged:
+        moves = rank_moves(model, within_mm=within_mm, executor=executor)
     report = StabilityReport(
         trials=model.protocol.trials,
         outcomes=own.outcomes,
@@ -143,6 +160,7 @@ def check_stability(
         box_outcomes=dict(counts),
         box_margins=np.array(lowest),
         change=_largest_change(own, whole),
+        moves=moves,
     )
     return replace(report, findings=_findings(report, model))
 
@@ -190,19 +208,17 @@ def _findings(report: StabilityReport, model: LaxityModel) -> tuple[Finding, ...
 def _own_finding(report: StabilityReport, protocol: str) -> Finding:
     n = len(report.trials)
     if report.n_converged < n:
-        ended: Counter[Outcome] = Counter(x for x in report.outcomes if x is not Outcome.CONVERGED)
-        first = next(i for i, x in enumerate(report.outcomes) if x is not Outcome.CONVERGED)
         return Finding(
             severity="error",
             subject="stability",
             sentence=(
                 f"{n - report.n_converged} of the {n} trials of {protocol} do not converge at the "
-                f"subject's own parameters ({_counted(ended)}; the first is "
-                f"{report.trials[first]}). {report.outcomes[first].sentence}"
+                f"subject's own parameters. {' '.join(_lost(report))}"
             ),
             remedy=(
-                "Move the insertions, correct the ligament parameters or lower the loads before "
-                "calibrating: a model that folds has cliffs in its objective."
+                f"{_worth_moving(report.moves)} Otherwise correct the ligament parameters or lower "
+                "the loads before calibrating: a model that loses trials has cliffs in its "
+                "objective."
             ),
         )
     converged = [i for i, x in enumerate(report.outcomes) if x is Outcome.CONVERGED]
@@ -222,6 +238,32 @@ def _own_finding(report: StabilityReport, protocol: str) -> Finding:
             else ""
         ),
     )
+
+
+def _lost(report: StabilityReport) -> list[str]:
+    """Of each way in which trials ended how many did, which, and what it means."""
+    by_outcome: dict[Outcome, list[str]] = {}
+    for trial, outcome in zip(report.trials, report.outcomes, strict=True):
+        if outcome is not Outcome.CONVERGED:
+            by_outcome.setdefault(outcome, []).append(trial)
+    sentences = []
+    for outcome, trials in by_outcome.items():
+        named = ", ".join(trials[:MOST_LISTED])
+        more = f" and {len(trials) - MOST_LISTED} more" if len(trials) > MOST_LISTED else ""
+        sentences.append(f"{outcome.value} {len(trials)} ({named}{more}): {outcome.sentence}")
+    return sentences
+
+
+def _worth_moving(moves: tuple[InsertionMove, ...]) -> str:
+    """Which insertions to move, where to and what that gains."""
+    best = [x for x in moves if x.n_restored > 0][:MOST_LISTED]
+    if not best:
+        return (
+            f"No single insertion moved by {moves[0].distance_mm:g} mm restores a trial; several "
+            "together may: identknee subject settle."
+        )
+    gains = ", ".join(f"{x.words} (restores {x.n_restored})" for x in best)
+    return f"Move one insertion: {gains}; or several together: identknee subject settle."
 
 
 def _box_finding(report: StabilityReport, protocol: str) -> Finding:

@@ -40,7 +40,7 @@ def test_a_knee_that_cannot_be_held_ends_with_2_and_a_remedy(tmp_path: Path) -> 
     result = run("subject", "check", tmp_path / "slack", *words)
     assert result.exit_code == 2
     assert "error   stability: 10 of the 10 trials of short do not converge" in result.stdout
-    assert "Move the insertions" in result.stdout
+    assert "No single insertion moved by 3 mm restores a trial" in result.stdout
     assert summary_of(tmp_path / "out")["n_errors"] == 1
 
 
@@ -110,3 +110,49 @@ def test_without_a_verb_the_help_is_shown() -> None:
     result = run("subject")
     assert result.exit_code == 2
     assert "import-osim" in result.output
+
+
+INTERNAL = """
+format = 1
+name = "internal"
+[[ramps]]
+flexion_deg = [0, 30]
+load = "internal_moment_Nm"
+values = [0, 2, 4, 6, 8, 10]
+"""
+
+
+def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
+    protocol = tmp_path / "internal.toml"
+    protocol.write_text(INTERNAL, encoding="utf-8")
+    words = ["lenhart2015", "--protocol", protocol]
+    checked = run("subject", "check", *words, "--samples", "0", "--out", tmp_path / "check")
+    assert checked.exit_code == 2
+    assert "(flexion0_internal4Nm, flexion0_internal6Nm" in checked.stdout
+    assert "The branch of equilibria ended" in checked.stdout
+    assert "identknee subject settle" in checked.stdout
+    assert len(summary_of(tmp_path / "check")["stability"]["moves"]) == 48
+    out = tmp_path / "settled"
+    settled = run("subject", "settle", *words, "--within", "5", "--out", out)
+    assert settled.exit_code == 0, settled.output
+    summary = summary_of(out)
+    assert summary["n_converged_after"] == summary["n_trials"] > summary["n_converged_before"]
+    knee, moved = ik.read_subject("lenhart2015"), ik.read_subject(out)
+    distances = {(x["ligament"], x["bone"]): x["distance_mm"] for x in summary["moved"]}
+    for old, new in zip(knee.ligaments, moved.ligaments, strict=True):
+        for bone in ("femur", "tibia"):
+            distance = float(np.linalg.norm(getattr(new, bone) - getattr(old, bone)))
+            assert distance == pytest.approx(distances.get((old.name, bone), 0.0), abs=1e-5)
+            assert distance < 5.001
+    again = run("subject", "check", out, "--protocol", protocol, "--samples", "0")
+    assert "trials of internal converge" in again.stdout
+
+
+def test_a_knee_that_does_not_settle_ends_with_1(tmp_path: Path) -> None:
+    words = ["lenhart2015", "--within", "0.1", "--out", tmp_path]
+    result = run("subject", "settle", *words)
+    assert result.exit_code == 1
+    assert "trials still do not converge; allow more with --within" in result.stderr
+    assert "at most 8 mm, got 9 mm" in refused(
+        "subject", "settle", "lenhart2015", "--within", "9", "--out", tmp_path
+    )

@@ -1,0 +1,287 @@
+"""Insertions moved within their uncertainty: what restores trials, and a knee that settles."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identknee.model.effects.insertion import SHIFT_LIMIT, insertion
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
+from identknee.runs.arrays import Array, frozen
+from identknee.runs.executors import Executor, serial
+from identknee.subject.knee import Knee
+from identknee.subject.ligament import Ligament
+
+BONES = ("femur", "tibia")
+# Of each axis of a bone's frame, its negative and its positive direction.
+DIRECTIONS = (("posteriorly", "anteriorly"), ("distally", "proximally"), ("medially", "laterally"))
+# mm; how far segmentation may place an insertion from where it is.
+WITHIN = 3.0
+# Of the distance allowed: steps of the search for a knee that settles; the others only where none
+# of the first gains.
+STEPS = (1.0 / 3.0, 2.0 / 3.0, 1.0 / 6.0)
+MOST_ROUNDS = 40
+# N/mm; below it a small change may end a branch, and a warm and a cold start may differ by more
+# than 1e-9.
+ENOUGH_MARGIN = 0.5
+
+Score = tuple[int, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InsertionMove:
+    """One insertion moved along an axis of its bone's frame, and what that gains.
+
+    Attributes
+    ----------
+    ligament, bone
+        Which insertion: the ligament and ``"femur"`` or ``"tibia"``.
+    direction
+        Such as ``"anteriorly"``.
+    distance_mm
+        How far [mm].
+    n_restored
+        Trials that converge then, less those that converge without; negative where it loses some.
+    """
+
+    ligament: str
+    bone: str
+    direction: str
+    distance_mm: float
+    n_restored: int
+
+    @property
+    def words(self) -> str:
+        """Where to, as in a sentence."""
+        return f"{self.ligament} on the {self.bone} {self.distance_mm:g} mm {self.direction}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SettledKnee:
+    """A knee with insertions moved until its trials converge, or as far as moves helped.
+
+    Attributes
+    ----------
+    knee
+        The subject with the insertions moved.
+    shifts
+        Of every ligament's femoral and tibial insertion along x, y and z of the bone's frame [mm],
+        shape ``(n_ligaments, 2, 3)``.
+    n_trials, n_before, n_after
+        Trials of the protocol; how many converge before and after.
+    lowest_margin
+        Of the trials that converge after [N/mm].
+    """
+
+    knee: Knee
+    shifts: Array
+    n_trials: int
+    n_before: int
+    n_after: int
+    lowest_margin: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shifts", frozen(self.shifts, None, 2, 3, name="shifts"))
+
+    @property
+    def distances(self) -> dict[tuple[str, str], float]:
+        """How far each insertion that moved did [mm], by ligament and bone."""
+        sizes = np.linalg.norm(self.shifts, axis=2)
+        return {
+            (ligament.name, bone): float(sizes[i, k])
+            for i, ligament in enumerate(self.knee.ligaments)
+            for k, bone in enumerate(BONES)
+            if sizes[i, k] > 0.0
+        }
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """How each insertion moved, as in ``ACL on the femur moved 5 mm (5 mm anteriorly)``."""
+        sentences = []
+        for (ligament, bone), distance in self.distances.items():
+            i = [x.name for x in self.knee.ligaments].index(ligament)
+            parts = [
+                f"{abs(x):.1f} mm {names[int(x > 0.0)]}"
+                for x, names in zip(self.shifts[i, BONES.index(bone)], DIRECTIONS, strict=True)
+                if x != 0.0
+            ]
+            moved = f"{ligament} on the {bone} moved {distance:.1f} mm"
+            sentences.append(f"{moved} ({', '.join(parts)})")
+        return tuple(sentences)
+
+
+def rank_moves(
+    model: LaxityModel, *, within_mm: float = WITHIN, executor: Executor = serial
+) -> tuple[InsertionMove, ...]:
+    """Every insertion moved so far in each direction, the one that restores most trials first.
+
+    Moves that restore as many are ranked by how much of their load the lost trials reach.
+
+    Parameters
+    ----------
+    model
+        A knee under a protocol, at the subject's own parameters.
+    within_mm
+        How far insertions may be from where they are given [mm].
+    executor
+        Anything with an ordered ``map`` that shares this process's memory.
+
+    Raises
+    ------
+    ValueError
+        If the distance is not between 0 and 8 mm.
+    """
+    search = _Search(model, within_mm, executor)
+    none = search.nowhere()
+    before = search.scores([none])[0]
+    steps = list(search.steps(within_mm))
+    scores = search.scores([none + x for x in steps])
+    ranked = sorted(zip(scores, steps, strict=True), key=lambda x: x[0], reverse=True)
+    return tuple(search.move(step, score[0] - before[0]) for score, step in ranked)
+
+
+def settle(
+    model: LaxityModel, *, within_mm: float = WITHIN, executor: Executor = serial
+) -> SettledKnee:
+    """The knee with insertions moved, step by step, until all trials converge with a margin.
+
+    Each step is the one that restores most; insertions without which it works as well go back.
+    Where the steps end short of that, it is the best knee met.
+
+    Parameters
+    ----------
+    model, within_mm, executor
+        As in `rank_moves`.
+
+    Raises
+    ------
+    ValueError
+        If the distance is not between 0 and 8 mm.
+    """
+    search = _Search(model, within_mm, executor)
+    shifts = search.nowhere()
+    score = before = search.scores([shifts])[0]
+    for _ in range(MOST_ROUNDS):
+        found = None if search.is_enough(score) else search.better(shifts, score)
+        if found is None:
+            break
+        shifts, score = found
+    shifts, score = search.fewest(shifts, score)
+    return SettledKnee(
+        knee=_moved(model.knee, shifts),
+        shifts=shifts,
+        n_trials=model.protocol.n,
+        n_before=before[0],
+        n_after=score[0],
+        lowest_margin=search.lowest_margin(shifts),
+    )
+
+
+class _Search:
+    """Predictions of one model at shifted insertions."""
+
+    def __init__(self, model: LaxityModel, within_mm: float, executor: Executor) -> None:
+        if not 0.0 < within_mm <= SHIFT_LIMIT:
+            raise ValueError(
+                f"insertions may be moved by more than 0 and at most {SHIFT_LIMIT:g} mm, got "
+                f"{within_mm:g} mm"
+            )
+        self._within, self._executor = within_mm, executor
+        effect = insertion(model.knee)
+        kept = [x for x in model.effects if x.name != effect.name]
+        self._model = model.with_effects([*kept, effect])
+        self._start = np.array(self._model.parameters.start)
+        self._ligaments = model.knee.ligaments
+
+    def nowhere(self) -> Array:
+        return np.zeros((len(self._ligaments), 2, 3))
+
+    def steps(self, size: float) -> Iterable[Array]:
+        for i in range(len(self._ligaments)):
+            for bone in range(2):
+                for axis in range(3):
+                    for sign in (-1.0, 1.0):
+                        step = self.nowhere()
+                        step[i, bone, axis] = sign * size
+                        yield step
+
+    def move(self, step: Array, n_restored: int) -> InsertionMove:
+        i, bone, axis = (int(x[0]) for x in np.nonzero(step))
+        value = float(step[i, bone, axis])
+        return InsertionMove(
+            ligament=self._ligaments[i].name,
+            bone=BONES[bone],
+            direction=DIRECTIONS[axis][int(value > 0.0)],
+            distance_mm=abs(value),
+            n_restored=n_restored,
+        )
+
+    def is_within(self, shifts: Array) -> bool:
+        return bool(np.all(np.linalg.norm(shifts, axis=2) <= self._within * (1.0 + 1e-9)))
+
+    def better(self, shifts: Array, score: Score) -> tuple[Array, Score] | None:
+        """The shifts after the step that gains most; None where none gains."""
+        for size in STEPS:
+            steps = self.steps(size * self._within)
+            tried = [x for x in (shifts + step for step in steps) if self.is_within(x)]
+            found = self.scores(tried)
+            best = max(range(len(tried)), key=lambda k: found[k])
+            if found[best] > score:
+                return tried[best], found[best]
+        return None
+
+    def is_enough(self, score: Score) -> bool:
+        return score[0] == self._model.protocol.n and score[2] >= ENOUGH_MARGIN
+
+    def scores(self, shifts: Sequence[Array]) -> list[Score]:
+        """Trials that converge, the load that the others reach, the lowest margin."""
+        predict: Callable[[Array], Prediction] = self._predict
+        return [_score(x) for x in self._executor.map(predict, shifts)]
+
+    def lowest_margin(self, shifts: Array) -> float:
+        found = self._predict(shifts)
+        margins = found.margins[found.is_converged]
+        return float(margins.min()) if margins.size else float("nan")
+
+    def fewest(self, shifts: Array, score: Score) -> tuple[Array, Score]:
+        """The shifts without those insertions that might as well stay."""
+        for place in sorted(np.ndindex(shifts.shape[:2]), key=lambda x: np.linalg.norm(shifts[x])):
+            if not shifts[place].any():
+                continue
+            without = np.array(shifts)
+            without[place] = 0.0
+            found = self.scores([without])[0]
+            if self.is_enough(found) or found >= score:
+                shifts, score = without, found
+        return shifts, score
+
+    def _predict(self, shifts: Array) -> Prediction:
+        theta = np.array(self._start)
+        theta[-shifts.size :] += shifts.ravel()
+        return self._model.predict(theta, derivatives=False)
+
+
+def _score(found: Prediction) -> Score:
+    converged = found.is_converged
+    margins = found.margins[converged]
+    # The margin counts up to what is enough and only where no trial is lost.
+    margin = min(float(margins.min()), ENOUGH_MARGIN) if converged.all() else 0.0
+    return int(converged.sum()), float(found.reached[~converged].sum()), margin
+
+
+def _moved(knee: Knee, shifts: Array) -> Knee:
+    frames = knee.femur_frame, knee.tibia_frame
+
+    def moved(ligament: Ligament, own: Array) -> Ligament:
+        femur, tibia = (
+            frame.to_common(frame.to_local(point) + shift)
+            for frame, point, shift in zip(
+                frames, (ligament.femur, ligament.tibia), own, strict=True
+            )
+        )
+        return replace(ligament, femur=femur, tibia=tibia)
+
+    return knee.with_ligaments(
+        [moved(ligament, own) for ligament, own in zip(knee.ligaments, shifts, strict=True)]
+    )

@@ -1,0 +1,94 @@
+"""Insertions moved within their uncertainty, against knees built with them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identknee.laxity.protocol import load_protocol
+from identknee.model.insertion_moves import DIRECTIONS, InsertionMove, rank_moves, settle
+from identknee.model.laxity_model import LaxityModel
+from identknee.subject.folder import example
+from identknee.subject.knee import Knee
+
+FOLDING = "lenhart2015"
+
+
+@pytest.fixture(scope="module")
+def model() -> LaxityModel:
+    """A real knee that folds, under the moments about the tibia's axis."""
+    protocol = load_protocol("seed63")
+    turned = np.flatnonzero((protocol.loads[:, 0] > 0) & (protocol.flexion_deg < 60))
+    return LaxityModel(knee=example(FOLDING), protocol=protocol.select(turned))
+
+
+def converged(knee: Knee, model: LaxityModel) -> int:
+    built = LaxityModel(knee=knee, protocol=model.protocol)
+    return int(built.predict(built.parameters.start, derivatives=False).is_converged.sum())
+
+
+def built(knee: Knee, move: InsertionMove) -> Knee:
+    """The knee with one insertion moved as the words say, by plain geometry."""
+    axis, sign = next(
+        (i, 2 * names.index(move.direction) - 1)
+        for i, names in enumerate(DIRECTIONS)
+        if move.direction in names
+    )
+    frame = knee.femur_frame if move.bone == "femur" else knee.tibia_frame
+    ligaments = []
+    for x in knee.ligaments:
+        if x.name == move.ligament:
+            shift = sign * move.distance_mm * frame.axes[:, axis]
+            x = replace(x, **{move.bone: getattr(x, move.bone) + shift})
+        ligaments.append(x)
+    return knee.with_ligaments(ligaments)
+
+
+def test_a_move_restores_what_it_says(model: LaxityModel) -> None:
+    before = converged(model.knee, model)
+    assert before < model.protocol.n
+    moves = rank_moves(model, within_mm=3.0)
+    assert len(moves) == 4 * 2 * 3 * 2
+    gains = [x.n_restored for x in moves]
+    assert gains == sorted(gains, reverse=True)
+    # The best, the worst, and one that changes nothing.
+    assert gains[0] > 0 > gains[-1]
+    idle = next(x for x in moves if x.n_restored == 0)
+    for move in (moves[0], moves[-1], idle):
+        assert converged(built(model.knee, move), model) - before == move.n_restored
+    assert moves[0].words == "ACL on the femur 3 mm laterally"
+
+
+def test_a_knee_settles_within_its_uncertainty(model: LaxityModel) -> None:
+    found = settle(model, within_mm=5.0)
+    assert found.n_before == converged(model.knee, model)
+    assert found.n_after == model.protocol.n == converged(found.knee, model)
+    assert found.lowest_margin >= 0.5
+    sizes = np.linalg.norm(found.shifts, axis=2)
+    assert sizes.max() <= 5.0 * (1 + 1e-9)
+    assert set(found.distances.values()) == set(sizes[sizes > 0].tolist())
+    assert len(found.words) == len(found.distances)
+    # No insertion is moved that may stay.
+    for i, k in zip(*np.nonzero(sizes), strict=True):
+        bone = ("femur", "tibia")[k]
+        given = getattr(model.knee.ligaments[i], bone)
+        back = replace(found.knee.ligaments[i], **{bone: given})
+        others = [back if x.name == back.name else x for x in found.knee.ligaments]
+        rebuilt = LaxityModel(knee=model.knee.with_ligaments(others), protocol=model.protocol)
+        prediction = rebuilt.predict(rebuilt.parameters.start, derivatives=False)
+        margin = prediction.margins[prediction.is_converged].min()
+        assert not prediction.all_converged or margin < 0.5
+
+
+def test_a_knee_that_is_stable_stays_as_it_is(model: LaxityModel) -> None:
+    stable = LaxityModel(knee=example("lenhart2015_stable"), protocol=model.protocol)
+    found = settle(stable)
+    assert not found.shifts.any()
+    assert found.n_before == found.n_after == model.protocol.n
+    assert found.words == ()
+
+
+@pytest.mark.parametrize("within", [0.0, -1.0, 8.5, np.nan])
+def test_a_distance_beyond_the_range_is_refused(model: LaxityModel, within: float) -> None:
+    with pytest.raises(ValueError, match="at most 8 mm"):
+        rank_moves(model, within_mm=within)
