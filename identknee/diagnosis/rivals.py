@@ -79,15 +79,15 @@ class Rival:
             return ""
         names = " and ".join(self.refit.names)
         if not self.refit.fitted.evaluation.is_finite:
-            why = "from no start did the model with it have a prediction in every measured trial"
+            why = "from no start had the model a prediction in every measured trial"
         elif self.refit.fitted.outcome is Outcome.CLIFF:
-            why = "the way to its best fit is cut where a trial leaves its branch"
+            why = "the way to the best fit is cut where a trial leaves its branch"
         else:
-            why = "its fit did not reach a minimum"
+            why = "the fit did not reach a minimum"
         sentence = f"{names} could not be tested: {why}"
         if self.could_matter:
             return f"{sentence}."
-        return f"{sentence}; before any fit it scored too low to be the explanation."
+        return f"{sentence}; the score before any fit is too low for the explanation."
 
     def _is_behind(self, lead: float) -> bool:
         if lead > FAR_EVIDENCE:

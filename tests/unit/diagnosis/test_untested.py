@@ -99,8 +99,8 @@ def test_a_failed_refit_is_not_excluded_and_blocks_the_name(others: tuple[Refit,
         "could not be tested."
     )
     assert (
-        f"{strong.names[0]} could not be tested: from no start did the model with it have a "
-        "prediction in every measured trial."
+        f"{strong.names[0]} could not be tested: from no start had the model a prediction in "
+        "every measured trial."
     ) in doubted.reasons
 
 
@@ -110,7 +110,7 @@ def test_a_cause_with_a_low_score_blocks_nothing(others: tuple[Refit, ...]) -> N
     (rival,) = attribution.rivals
     assert rival.state is RivalState.NOT_TESTED
     assert not rival.could_matter
-    assert "scored too low to be the explanation" in rival.reason
+    assert "is too low for the explanation" in rival.reason
     assert conclusion.verdict is Verdict.NAMED
 
 
