@@ -7,7 +7,6 @@ from typing import Annotated, Any
 import typer
 
 import identknee as ik
-from identknee.blind.truth import TRUTH_FILE
 from identknee.cli.command import Json, show
 from identknee.runs.errors import InputError
 
@@ -32,6 +31,9 @@ def reveal(blind_dir: BlindFolder, diagnosis_dir: DiagnosisFolder, as_json: Json
 
 
 def _check_order(blind_dir: Path, diagnosis_dir: Path) -> None:
+    # It loads more than the help of all verbs together.
+    from identknee.blind.truth import TRUTH_FILE
+
     for folder, file, verb in (
         (blind_dir, TRUTH_FILE, "blind"),
         (diagnosis_dir, RESULT_FILE, "diagnose"),

@@ -71,6 +71,9 @@ def noise_sizes(text: str) -> tuple[float, float]:
     >>> noise_sizes("0.3mm,0.5deg")
     (0.3, 0.5)
     """
+    # Tables of laxity load more than most commands need.
+    from identknee.laxity.table import noise_fault
+
     sizes: dict[str, float] = {}
     for part in text.split(","):
         found = _NOISE.fullmatch(part)
@@ -81,6 +84,8 @@ def noise_sizes(text: str) -> tuple[float, float]:
             raise ValueError(
                 f"--noise {text}: both must be more than 0, for example --noise 0.3mm,0.3deg"
             )
+        if fault := noise_fault(size):
+            raise ValueError(f"--noise {text}: {'. '.join(fault)}")
     if len(sizes) != 2:
         raise ValueError(_noise_remedy(text))
     return sizes["mm"], sizes["deg"]

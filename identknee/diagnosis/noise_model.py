@@ -19,6 +19,8 @@ LEAST_DEGREES = 8.0
 WINDOW = 5
 # Share of normal errors within one standard deviation, and the efficiency of that quantile.
 WITHIN_ONE_SD, QUANTILE_EFFICIENCY = 0.6827, 0.54
+# Standard deviations that a measurement in mm or deg may have; squares of these keep their digits.
+SMALLEST, LARGEST = 1e-9, 1e6
 # A covariance beyond these is singular or nearly so, whatever the estimate says.
 LEAST_CORRELATION, MOST_CORRELATION = -0.2, 0.95
 
@@ -116,6 +118,11 @@ def build_noise_model(
     measured_sd = sd[is_measured]
     if not np.all((measured_sd > 0) & np.isfinite(measured_sd)):
         raise ValueError("every measured value needs a standard deviation greater than 0")
+    if measured_sd.size and (measured_sd.min() < SMALLEST or measured_sd.max() > LARGEST):
+        raise ValueError(
+            f"the noise is {measured_sd.min():g} to {measured_sd.max():g}, which no measurement in "
+            "mm or deg has; state that of the measurement"
+        )
     trial = np.nonzero(is_measured)[0]
     shared = np.where(trial[:, None] == trial, correlation, 0.0)
     np.fill_diagonal(shared, 1.0)

@@ -29,6 +29,8 @@ PHASES = ("loading", "unloading")
 # Five errors can share a correlation above -1/4 only: their covariance must stay positive.
 CORRELATION_LIMITS = (-0.25, 1.0)
 LARGEST_ORDER = 10**9
+# Smaller or larger than any measurement in mm or deg; squares of these keep their digits.
+NOISE_LIMITS = (1e-9, 1e6)
 # Beyond these a table is in other units or of other axes.
 ANGLE_LIMIT_DEG, LENGTH_LIMIT_MM = 180.0, 200.0
 
@@ -227,6 +229,15 @@ def correlation_fault(value: float) -> tuple[str, str] | None:
         return None
     why = f"the within-trial correlation is {value:g}"
     return why, f"It must lie above {low:g} and below {high:g}"
+
+
+def noise_fault(sd: float) -> tuple[str, str] | None:
+    """Why no measurement has this standard deviation > 0, and the remedy; None if one may."""
+    low, high = NOISE_LIMITS
+    if low <= sd <= high:
+        return None
+    why = f"a standard deviation of {sd:g} is beyond {low:g} to {high:g}"
+    return why, "Give that of the measurement, in mm or deg"
 
 
 def _checked_sd(sd: Array | None, coordinates: Array) -> Array | None:

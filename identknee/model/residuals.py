@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.table import COORDINATES, Laxity, noise_fault
 from identknee.laxity.unloaded import from_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
@@ -127,6 +127,9 @@ def _whitening(laxity: Laxity, weighting: Weighting) -> Array:
             "weighting by noise needs a standard deviation for every measured coordinate; "
             "add the columns sd_<coordinate> or use unit weighting"
         )
+    for value in (laxity.sd[measured].min(initial=1.0), laxity.sd[measured].max(initial=1.0)):
+        if fault := noise_fault(float(value)):
+            raise ValueError(". ".join(fault))
     shared = np.full((n, n), laxity.within_trial_correlation)
     np.fill_diagonal(shared, 1.0)
     for trial in range(laxity.n):

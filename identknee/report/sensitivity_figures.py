@@ -31,7 +31,7 @@ def effects_figure(
     for axes, (name, (size, half_width, spread)) in zip(grid, panels.items(), strict=False):
         # One trajectory has no spread and no interval.
         far = np.concatenate([size + np.nan_to_num(half_width), spread])
-        top = 1.12 * max(float(np.nanmax(far)), 1e-12)
+        top = 1.12 * float(far[np.isfinite(far)].max(initial=1e-12))
         axes.plot([0, top], [0, top], color=GREY, linewidth=0.8, linestyle=":")
         for i, parameter in enumerate(parameters):
             axes.errorbar(

@@ -40,7 +40,9 @@ class InputError(ValueError):
         """The whole message."""
         place = f"{self.path}, {self.where}" if self.where else self.path
         sentence = f"{place}: {self.why.rstrip('.')}."
-        return f"{sentence} {self.remedy}" if self.remedy else sentence
+        whole = f"{sentence} {self.remedy}" if self.remedy else sentence
+        # Names and values from a file may hold anything, line breaks too.
+        return "".join(x if x.isprintable() else "?" for x in whole)
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

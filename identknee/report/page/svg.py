@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
 from identknee.report.figures import COLOURS
+from identknee.report.picture import names_as_they_are
 
 # Above something drawn in fixed colours black must stay black; this is not taken for it.
 FIXED_BLACK = "#010101"
@@ -41,7 +42,10 @@ def inline_svg(figure: Figure, identity: str, description: str) -> str:
     """
     _fix_colours(figure)
     buffer = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": identity}):
+    with (
+        names_as_they_are(figure),
+        mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": identity}),
+    ):
         figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]

@@ -103,3 +103,13 @@ def test_a_missing_package_leaves_a_sentence() -> None:
     assert process.returncode == 1
     assert process.stderr.startswith("identknee: import of typer halted")
     assert process.stderr.endswith("Install identknee again: pip install .\n")
+
+
+def test_the_help_of_all_verbs_loads_no_schemas_and_no_arrays_of_results() -> None:
+    code = (
+        "import sys, identknee.cli.app; print({'pydantic', 'xarray', 'scipy'} & set(sys.modules))"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    )
+    assert answer.stdout == "set()\n"

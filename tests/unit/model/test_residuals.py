@@ -183,3 +183,12 @@ def test_noise_without_an_inverse_is_told(model: LaxityModel, laxity: Laxity) ->
     stated = replace(laxity, sd=sd, within_trial_correlation=float(np.nextafter(1.0, 0.0)))
     with pytest.raises(ValueError, match=r"of trial .* has no inverse: .*; give a correlation"):
         LaxityResiduals(model=model, laxity=stated, weighting="noise")
+
+
+@pytest.mark.parametrize("sd", [1e-300, 1e300])
+def test_noise_that_no_measurement_has_is_refused(
+    model: LaxityModel, laxity: Laxity, sd: float
+) -> None:
+    stated = replace(laxity, sd=np.full(laxity.coordinates.shape, sd))
+    with pytest.raises(ValueError, match=r"standard deviation of 1e[-+]300 is beyond 1e-09 to"):
+        LaxityResiduals(model=model, laxity=stated, weighting="noise")

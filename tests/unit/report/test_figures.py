@@ -13,7 +13,7 @@ from identknee.report.figures import (
     parameters_figure,
     profile_figure,
 )
-from identknee.report.picture import png
+from identknee.report.picture import png, vector
 
 TRUTH = np.array([10.0, 18.0, 8.0, -4.0])
 STARTS = ("IG1", "IG4")
@@ -80,3 +80,21 @@ def test_measured_row_keeps_its_place() -> None:
     row = replace(TABLE2[0], mean=1.0)
     figure = evaluation_figure([row], {})
     assert figure.axes[0].get_yticklabels()[0].get_text() == "anterior force 134 N, 30 deg"
+
+
+@pytest.mark.filterwarnings("error")
+def test_names_are_written_letter_by_letter() -> None:
+    figure = Figure()
+    axes = figure.subplots()
+    axes.set_xscale("log")
+    axes.plot([1.0, 1000.0], [0.0, 1.0], label="$x^$")
+    axes.set_title("knee $ \u9aa8")
+    axes.legend()
+    for _ in range(2):
+        text = vector(figure, "svg").decode()
+        assert ">$x^$<" in text
+        assert ">knee $ \u9aa8<" in text
+        # The labels of the logarithmic axis are formulas still.
+        assert "mathdefault" in text
+        assert ">$\\mathdefault" not in text
+    assert png(figure).startswith(b"\x89PNG")
