@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.profile.hermite import cubic
 from identknee.identify.profile.pairs import PairProfile
-from identknee.identify.profile.result import Interval, Profile
+from identknee.identify.profile.result import Interval, Profile, SideStatus
 from identknee.model.parameters import Parameters
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
 from identknee.report.profile_groups import PAIR_LEVELS, nested
@@ -88,7 +88,7 @@ def intervals_figure(profiles: Sequence[Profile]) -> Figure:
     """Nested sets of likely values as bars, one row a quantity, thinner for higher levels.
 
     Each row is scaled to its own 95 % (or other) set, the optimum in the middle of the panel; an
-    open end is an arrow to the place reached.
+    open end is an arrow to the place reached, or a cross where only the model ends.
 
     Parameters
     ----------
@@ -228,7 +228,8 @@ def _arrows(axes: Axes, profile: Profile, row: int, unit: float) -> None:
     for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
         if side.end is None:
             place = (side.reached - profile.optimum_value) / unit
-            axes.plot(place, row, marker, color=COLOURS[1], markersize=6)
+            is_model = side.status is SideStatus.OPEN_AT_FEASIBILITY
+            axes.plot(place, row, "X" if is_model else marker, color=COLOURS[1], markersize=6)
 
 
 def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:

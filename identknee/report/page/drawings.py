@@ -59,7 +59,8 @@ def _profiles(result: Result) -> Iterator[Drawing]:
         name="intervals",
         figure=intervals_figure(profiles),
         caption="Values that the data do not exclude, a row each: the thicker the bar, the more "
-        "likely; an arrow is an end that the data leave open.",
+        "likely; an arrow is an end that the data leave open, a cross one where only the "
+        "model ends.",
         description=f"Nested intervals of {names}. At {profiles[0].level:.0%} confidence: {ends}.",
     )
     yield Drawing(

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from identknee.identify.profile.result import Verdict
+from identknee.identify.profile.result import SideStatus, Verdict
 from identknee.report.page.finding import Finding, Question
 from identknee.report.page.results import Result
 from identknee.report.page.words import amount, capital, label, listed, parameter_words
@@ -76,12 +76,23 @@ def _clause(entry: Mapping[str, Any]) -> str:
         half = amount(0.5 * (high - low), unit, 2)
         return f"is known to within ±{half} ({amount(low, '')} to {amount(high, unit)})"
     if low is not None:
-        return f"is not known upwards (at least {amount(low, unit)})"
+        return f"is not known upwards (at least {amount(low, unit)}{_model_ends(entry)})"
     if high is not None:
-        return f"is not known downwards (at most {amount(high, unit)})"
+        return f"is not known downwards (at most {amount(high, unit)}{_model_ends(entry)})"
     if verdict is Verdict.STRUCTURALLY_SUSPECT:
         return "is not known, and more data of this kind may not help"
-    return "is not known: these data bound it on neither side"
+    return f"is not known: these data bound it on neither side{_model_ends(entry)}"
+
+
+def _model_ends(entry: Mapping[str, Any]) -> str:
+    """Where the model and not the data ends a set, to follow what the data say; mostly empty."""
+    at_boundary = SideStatus.OPEN_AT_FEASIBILITY.value
+    places = [
+        amount(entry[f"{side}_side"]["reached"], str(entry["unit"]))
+        for side in ("lower", "upper")
+        if entry.get(f"{side}_status") == at_boundary
+    ]
+    return f"; the model ends at {listed(places)}" if places else ""
 
 
 def _width(entry: Mapping[str, Any]) -> float:
@@ -207,15 +218,24 @@ def _profile_table(entries: Entries, title: str) -> Table:
         rows=tuple(
             (
                 label(name),
-                x["lower"] if x["lower"] is not None else "open",
+                _shown_end(x, "lower"),
                 x["value"],
-                x["upper"] if x["upper"] is not None else "open",
+                _shown_end(x, "upper"),
                 str(x["verdict"]).replace("_", " "),
                 int(x["n_simulations"]),
             )
             for name, x in entries.items()
         ),
     )
+
+
+def _shown_end(entry: Mapping[str, Any], side: str) -> float | str:
+    """An end of a set as a table shows it."""
+    if entry[side] is not None:
+        return float(entry[side])
+    if entry.get(f"{side}_status") == SideStatus.OPEN_AT_FEASIBILITY.value:
+        return f"open, the model ends at {entry[f'{side}_side']['reached']:.4g}"
+    return "open"
 
 
 def _range_table(entries: Entries, title: str) -> Table:

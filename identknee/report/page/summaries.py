@@ -33,7 +33,6 @@ class Side(Kept):
     """How one side of a profile ended."""
 
     error: Open
-    is_cliff: bool
     reached: Number
     max_deviance: Number
     at_bounds: list[str]

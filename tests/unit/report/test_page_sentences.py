@@ -56,6 +56,18 @@ def test_known_and_unknown_stand_in_one_sentence(tmp_path: Path) -> None:
     )
 
 
+def test_an_end_that_only_the_model_makes_is_said_to_be_open(tmp_path: Path) -> None:
+    cut = entry(14.9, None, Verdict.ONE_SIDED)
+    cut |= {"lower_status": "closed", "upper_status": "open_at_feasibility"}
+    cut["upper_side"] = {"reached": 25.438}
+    summary = {"parameters": {"PCL.stiffness_kN": cut}, "quantities": {}}
+    (found,) = profile_findings(result(tmp_path, "profile", summary))
+    assert "not known upwards (at least 14.9 kN; the model ends at 25.4 kN)" in found.sentence
+    assert "bound none of the 1" in found.sentence
+    (table,) = found.tables
+    assert table.rows[0][3] == "open, the model ends at 25.44"
+
+
 def test_of_many_the_best_and_all_open_ones_are_named(tmp_path: Path) -> None:
     parameters = {
         f"line{i}.stiffness_kN": entry(9.0 - i, 11.0, Verdict.IDENTIFIABLE) for i in range(7)
