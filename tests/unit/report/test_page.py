@@ -251,6 +251,7 @@ def test_a_result_that_could_not_be_had_is_still_reported(tmp_path: Path) -> Non
         "parameters_before": None,
         "effects": {},
         "verdict": "NOT_TESTABLE",
+        "sentence": "The data cannot say whether the model gets anything wrong.",
         "reasons": ["The data state no noise."],
     }
     write_verb(tmp_path, "diagnose", summary, {})
