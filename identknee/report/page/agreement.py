@@ -83,7 +83,7 @@ def _draws(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
 
 
 def _effects(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
-    """Sizes, which are not below zero."""
+    """Sizes, which are neither below zero nor infinite; those not known are NaN."""
     if "sensitivity" not in groups or "mu_star" not in groups["sensitivity"]:
         return
     for name in ("mu_star", "mu_star_half_width", "sigma"):
@@ -91,6 +91,8 @@ def _effects(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
             yield "group sensitivity", f"there is no variable {name}"
         elif (groups["sensitivity"][name].values < 0.0).any():
             yield f"group sensitivity, variable {name}", "a size is below zero"
+        elif np.isinf(groups["sensitivity"][name].values).any():
+            yield f"group sensitivity, variable {name}", "a size is infinite"
 
 
 def _parameters(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:

@@ -163,6 +163,7 @@ def test_damaged_arrays(
         ("design", "design", lambda x: x.assign(chosen=x["chosen"] + 99), "of no candidate"),
         ("sweep", "optimization", lambda x: x.assign(kind=x["kind"] + 99), "no outcome"),
         ("morris", "sensitivity", lambda x: x.assign(sigma=-x["sigma"]), "a size is below zero"),
+        ("morris", "sensitivity", lambda x: x.assign(sigma=x["sigma"] + np.inf), "is infinite"),
         ("morris", "sensitivity", lambda x: x.drop_vars("sigma"), "there is no variable sigma"),
         ("sample", "posterior", lambda x: x.drop_vars("parameter"), "of which parameters it is"),
         ("sample", "posterior", lambda x: x.drop_vars("theta"), "some of its draws are missing"),

@@ -10,6 +10,7 @@ import pytest
 from killed import is_running
 
 from identknee.runs.executors import process_pool, serial, spawn_seeds, threads
+from identknee.runs.unforeseen import are_warnings_logged, warnings_logged
 
 
 def draw(seed: np.random.SeedSequence) -> tuple[float, ...]:
@@ -30,6 +31,17 @@ def test_every_executor_gives_the_same_bits_in_the_same_order() -> None:
         assert list(executor.map(draw, seeds)) == expected
         with pytest.raises(ValueError, match="item 1"):
             list(executor.map(fail, [1]))
+
+
+def has_log(_: int) -> bool:
+    return are_warnings_logged()
+
+
+def test_warnings_of_workers_go_where_those_of_the_parent_go() -> None:
+    with process_pool(2) as executor:
+        assert list(executor.map(has_log, [0])) == [False]
+    with warnings_logged(), process_pool(2) as executor:
+        assert list(executor.map(has_log, [0])) == [True]
 
 
 def test_one_worker_needs_no_pool() -> None:
