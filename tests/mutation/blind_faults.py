@@ -7,6 +7,7 @@ _STRUCTURES = "tests/unit/blind/test_blind_structures.py"
 _TRUTHS = "tests/unit/blind/test_blind_truths.py"
 _CONDITIONS = "tests/unit/blind/test_blind_conditions.py"
 _SCORE = "tests/unit/blind/test_blind_score.py"
+_SITES = "tests/unit/blind/test_blind_sites.py"
 
 
 def _fault(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
@@ -245,5 +246,47 @@ FAULTS = (
         "np.repeat([self.remount_mm, self.remount_deg], [2, 3])",
         "the third translation has the error of a rotation",
         _CONDITIONS,
+    ),
+    _fault(
+        "sites.py",
+        "lateral + s * np.array([-4.0, 4.0, 0.0])",
+        "lateral + s * np.array([4.0, 4.0, 0.0])",
+        "the anterolateral ligament starts in front of the collateral",
+        _SITES,
+    ),
+    _fault(
+        "sites.py",
+        "places.fibula + s * np.array([-4.0, 6.0, -5.0])",
+        "places.fibula + s * np.array([4.0, -6.0, -5.0])",
+        "the popliteofibular ligament ends on the shaft of the fibula",
+        _SITES,
+    ),
+    _fault(
+        "sites.py",
+        "medial + s * np.array([-8.0, 0.0, 3.0])",
+        "medial + s * np.array([8.0, 0.0, 3.0])",
+        "the posteromedial structure is an anteromedial one",
+        _SITES,
+    ),
+    _fault(
+        "sites.py",
+        "forward = tibial[:, 0] - femoral[:, 0]",
+        "forward = femoral[:, 0] - tibial[:, 0]",
+        "the cruciates are taken for one another",
+        _SITES,
+    ),
+    _fault(
+        "fitting.py",
+        "np.linalg.norm(white - columns @ share)",
+        "np.linalg.norm(white)",
+        "signals count what ligament parameters absorb",
+        _SITES,
+    ),
+    _fault(
+        "fitting.py",
+        "is_largest = signal < wanted and amplitude >= largest",
+        "is_largest = False",
+        "cases of too small a signal are not told",
+        _SITES,
     ),
 )
