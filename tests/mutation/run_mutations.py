@@ -1,6 +1,7 @@
 """Break the package by hand, fault by fault: ``python tests/mutation/run_mutations.py [WORD ...]``.
 
-With words, only faults whose file or text holds one of them are tried, and nothing is recorded.
+With words, only faults whose file or text holds one of them are tried. The fate of each is recorded
+as soon as it is known, with the date and the commit; faults not tried keep what they had.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
@@ -32,24 +34,29 @@ def main() -> int:
     """1 if a fault was not seen, or tests are red without one."""
     parser = argparse.ArgumentParser(description="Break the package and see tests go red.")
     parser.add_argument("words", nargs="*", help="only faults that hold one of these")
-    words = parser.parse_args().words
-    chosen = [x for x in MUTATIONS if not words or any(w in x.name for w in words)]
+    parser.add_argument("--new", action="store_true", help="only faults not recorded as caught")
+    options = parser.parse_args()
+    known = {x["name"] for x in _recorded() if x["caught"]} if options.new else set()
+    chosen = [x for x in MUTATIONS if _is_meant(x, options.words) and x.name not in known]
     folder = Path(tempfile.gettempdir()) / "identknee_mutation" / ROOT.name
     _copy(folder)
-    caught: list[bool] = []
-    green: set[tuple[str, ...]] = set()
+    tests = list(dict.fromkeys(x for mutation in chosen for x in mutation.tests))
+    if tests and _tested(folder, tests) != GREEN:
+        print("tests are red without a fault", flush=True)
+        return 1
+    n_caught = 0
     for number, mutation in enumerate(chosen):
-        if mutation.tests not in green and _tested(folder, mutation.tests) != GREEN:
-            print(f"red without a fault: {' '.join(mutation.tests)}", flush=True)
-            return 1
-        green.add(mutation.tests)
-        caught.append(_is_caught(folder, mutation))
-        word = "caught" if caught[-1] else "SURVIVED"
+        is_caught = _is_caught(folder, mutation)
+        _record(mutation, is_caught=is_caught)
+        n_caught += is_caught
+        word = "caught" if is_caught else "SURVIVED"
         print(f"{number + 1}/{len(chosen)} {word}: {mutation.name}", flush=True)
-    print(f"{sum(caught)} of {len(caught)} caught")
-    if not words:
-        _record(chosen, caught)
-    return 0 if all(caught) else 1
+    print(f"{n_caught} of {len(chosen)} caught")
+    return 0 if n_caught == len(chosen) else 1
+
+
+def _is_meant(mutation: Mutation, words: Sequence[str]) -> bool:
+    return not words or any(x in mutation.name for x in words)
 
 
 def _copy(folder: Path) -> None:
@@ -94,20 +101,32 @@ def _tested(folder: Path, tests: Sequence[str]) -> int:
     return done.returncode
 
 
-def _record(chosen: Sequence[Mutation], caught: Sequence[bool]) -> None:
-    verdict = {
+def _recorded() -> list[dict[str, Any]]:
+    if not VERDICT.exists():
+        return []
+    found: list[dict[str, Any]] = json.loads(VERDICT.read_text(encoding="utf-8"))["mutations"]
+    return found
+
+
+def _record(mutation: Mutation, *, is_caught: bool) -> None:
+    """Write the record anew with the fate of one fault."""
+    entries = {x["name"]: x for x in _recorded()}
+    entries[mutation.name] = {
+        "name": mutation.name,
+        "why": mutation.why,
+        "tests": list(mutation.tests),
+        "caught": is_caught,
         "date": datetime.now(UTC).date().isoformat(),
         "commit": commit(),
-        "count": len(chosen),
-        "caught": sum(caught),
-        "command": "python tests/mutation/run_mutations.py",
-        "mutations": [
-            {"name": x.name, "why": x.why, "tests": list(x.tests), "caught": y}
-            for x, y in zip(chosen, caught, strict=True)
-        ],
     }
-    text = json.dumps(verdict, indent=1, ensure_ascii=False) + "\n"
-    VERDICT.write_text(text, encoding="utf-8")
+    kept = [entries[x.name] for x in MUTATIONS if x.name in entries]
+    verdict = {
+        "count": len(kept),
+        "caught": sum(x["caught"] for x in kept),
+        "command": "python tests/mutation/run_mutations.py",
+        "mutations": kept,
+    }
+    VERDICT.write_text(json.dumps(verdict, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
