@@ -8,19 +8,32 @@ import argparse
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import traceback
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parent))
 
-from mutation import ROOT, Mutation  # noqa: E402
-from mutations import MUTATIONS  # noqa: E402
-from rows import commit  # noqa: E402
+# Loaded once for all processes to come; the package itself is not, since it is what changes.
+import emcee  # noqa: F401
+import numba  # noqa: F401
+import pytest
+import scipy.interpolate
+import scipy.ndimage
+import scipy.optimize
+import scipy.spatial.transform
+import scipy.stats  # noqa: F401
+import trimesh  # noqa: F401
+from mutation import ROOT, Mutation
+from mutations import MUTATIONS
 
 VERDICT = Path(__file__).with_name("verdict.json")
 COPIED = ("identknee", "tests", "studies", "docs")
@@ -41,7 +54,7 @@ def main() -> int:
     folder = Path(tempfile.gettempdir()) / "identknee_mutation" / ROOT.name
     _copy(folder)
     tests = list(dict.fromkeys(x for mutation in chosen for x in mutation.tests))
-    if tests and _tested(folder, tests) != GREEN:
+    if tests and _tested(folder, tests, [GREEN]) != GREEN:
         print("tests are red without a fault", flush=True)
         return 1
     n_caught = 0
@@ -60,7 +73,7 @@ def _is_meant(mutation: Mutation, words: Sequence[str]) -> bool:
 
 
 def _copy(folder: Path) -> None:
-    """Bring a copy of the package and its tests up to date, so that compiled code stays valid."""
+    """Make a copy of the package and its tests anew, where compiled code of the last may be."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in COPIED:
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -74,31 +87,54 @@ def _is_caught(folder: Path, mutation: Mutation) -> bool:
     text, stamp = path.read_text(encoding="utf-8"), path.stat()
     try:
         path.write_text(mutation.applied(text), encoding="utf-8")
-        return _tested(folder, mutation.tests) == RED
+        return _tested(folder, mutation.tests, [GREEN, RED]) == RED
     finally:
         path.write_text(text, encoding="utf-8")
         os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
 
 
-def _tested(folder: Path, tests: Sequence[str]) -> int:
-    """What pytest returns in the copy, whose package is the first on its path."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider"]
-    environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+def _tested(folder: Path, tests: Sequence[str], expected: Sequence[int]) -> int:
+    """What pytest returns in the copy, in a process of its own that has the libraries already."""
+    with tempfile.TemporaryFile("w+") as output:
+        child = os.fork()
+        if child == 0:
+            _run_tests(folder, tests, output.fileno())
+        _, status = os.waitpid(child, 0)
+        code = os.waitstatus_to_exitcode(status)
+        if code < 0:  # Ended by the alarm: a fault may make a search go on for ever.
+            return RED
+        if code not in expected:
+            output.seek(0)
+            print(output.read()[-3000:], flush=True)
+    return code
+
+
+def _run_tests(folder: Path, tests: Sequence[str], output: int) -> NoReturn:
+    code = 3
     try:
-        done = subprocess.run(
-            [*command, *tests],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=MOST_S,
-        )
-    except subprocess.TimeoutExpired:
-        return RED
-    if done.returncode not in (RED, GREEN):
-        print(done.stdout[-2000:], done.stderr[-2000:], flush=True)
-    return done.returncode
+        signal.alarm(MOST_S)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        os.chdir(folder)
+        sys.path[:0] = [str(folder), str(folder / "tests")]
+        code = int(pytest.main(["-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]))
+    except BaseException:  # noqa: BLE001 - nothing may go on in the copy of the process
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _commit() -> str:
+    """The commit checked out, "dirty" if code differs from it; the record does not count."""
+    head = ["git", "rev-parse", "--short", "HEAD"]
+    changes = ["git", "status", "--porcelain", "--", "identknee", "tests/*.py"]
+    found, changed = (
+        subprocess.run(x, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        for x in (head, changes)
+    )
+    return found.strip() + (" dirty" if changed.strip() else "")
 
 
 def _recorded() -> list[dict[str, Any]]:
@@ -117,7 +153,7 @@ def _record(mutation: Mutation, *, is_caught: bool) -> None:
         "tests": list(mutation.tests),
         "caught": is_caught,
         "date": datetime.now(UTC).date().isoformat(),
-        "commit": commit(),
+        "commit": _commit(),
     }
     kept = [entries[x.name] for x in MUTATIONS if x.name in entries]
     verdict = {
