@@ -25,6 +25,8 @@ Result = TypeVar("Result")
 
 # Of a path or a value that is absurdly long.
 LONGEST_SENTENCE = 2000
+# What files can hold, and what no computer can do.
+LARGEST_SEED, LARGEST_COUNT = 2**63 - 1, 10**8
 NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 STOPPED = "stopped; the same command does it again from the start"
 STOPPED_WORK = "stopped; what was finished is kept in --out, and the same command resumes"
@@ -112,6 +114,11 @@ class Verb(typer.core.TyperCommand):
         out = ctx.params.get("out")
         ctx.meta[SETTINGS] = ctx.params
         ctx.meta[IS_NEW] = out is not None and not Path(out).exists()
+        for name, value in ctx.params.items():
+            most = LARGEST_SEED if name == "seed" else LARGEST_COUNT
+            if isinstance(value, int) and value > most:
+                option = f"--{name.replace('_', '-')}"
+                raise ValueError(f"{option} is too large; give at most {most}")
         return super().invoke(ctx)
 
 
