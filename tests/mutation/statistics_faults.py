@@ -167,8 +167,7 @@ IDENTIFICATION = (
         "+ u**2 * (u - 1) * width * slope_g",
         "- u**2 * (u - 1) * width * slope_g",
         "ends between points of a profile are in the wrong place",
-        "profile::test_a_parabola_closes_at_1_96_standard_deviations",
-        "profile::test_the_curve_is_smooth_and_cheap",
+        "hermite::test_a_cubic_is_its_own_curve",
     ),
     _identify(
         "posterior/moves.py",
@@ -275,7 +274,7 @@ IDENTIFICATION = (
         "return float(norm.sf(norm.isf(LEVEL) - np.sqrt(squared_distance)))",
         "return float(norm.sf(norm.isf(LEVEL) - squared_distance))",
         "the power to tell two parameter sets apart is that of another distance",
-        "equivalents::test_power_of_the_best_test",
+        "equivalents::test_power_grows_with_the_distance_and_not_with_its_square",
     ),
     _identify(
         "equivalents/region.py",

@@ -221,3 +221,11 @@ def test_power_of_the_best_test() -> None:
     assert power_of_best_test(0.0) == pytest.approx(0.05)
     assert power_of_best_test(1.0) == pytest.approx(0.2595, abs=1e-4)
     assert power_of_best_test(3.84) > 0.6
+
+
+@pytest.mark.parametrize(("squared", "power"), [(0.0, 0.05), (4.0, 0.6388), (9.0, 0.9123)])
+def test_power_grows_with_the_distance_and_not_with_its_square(
+    squared: float, power: float
+) -> None:
+    """Of a one-sided test at 5 %: P(Z > 1.645 - D), by tables of the normal distribution."""
+    assert power_of_best_test(squared) == pytest.approx(power, abs=1e-4)
