@@ -354,7 +354,7 @@ DIAGNOSIS = (
         "mean = float(np.mean(1 / np.tan(np.pi * used)))",
         "mean = float(np.max(1 / np.tan(np.pi * used)))",
         "several tests together alarm too often",
-        "goodness::test_combined_probabilities_hold_under_dependence",
+        "goodness::test_a_small_probability_among_several_counts_as_often_as_was_looked",
     ),
     _diagnosis(
         "goodness.py",

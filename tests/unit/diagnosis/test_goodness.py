@@ -106,3 +106,12 @@ def test_combined_probabilities_hold_under_dependence() -> None:
     nulls = FIT.residuals(np.random.default_rng(9), N_NULLS)
     combined = [cauchy_combination([check(r).p_value for check in CHECKS.values()]) for r in nulls]
     assert np.mean(np.array(combined) < LEVEL) == pytest.approx(LEVEL, abs=BOUND)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_a_small_probability_among_several_counts_as_often_as_was_looked(n: int) -> None:
+    """Beside tests that say nothing (1/2, whose cotangent is zero) it is n times as probable."""
+    assert cauchy_combination([1e-4, *(n - 1) * [0.5]]) == pytest.approx(n * 1e-4, rel=1e-3)
+    assert cauchy_combination(n * [0.03]) == pytest.approx(0.03)
+    exact = np.mean(1.0 / np.tan(np.pi * np.array([0.01, 0.9])))
+    assert cauchy_combination([0.01, 0.9]) == pytest.approx(0.5 - np.arctan(exact) / np.pi)
