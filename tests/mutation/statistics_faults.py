@@ -468,7 +468,7 @@ NAMING = (
         "return last.at is self.best and last.is_significant",
         "return last.is_significant",
         "what the best explanation explains counts as unexplained",
-        "attribution",
+        "attribution::test_what_the_best_explanation_explains_is_not_left_unexplained",
     ),
     _diagnosis(
         "attribution.py",
@@ -489,8 +489,7 @@ NAMING = (
         "(FURTHER_LEVEL if self.at.causes else LEVEL)",
         "(LEVEL if self.at.causes else FURTHER_LEVEL)",
         "first causes are missed and further ones invented",
-        "attribution",
-        "score",
+        "attribution::test_a_further_cause_needs_a_rarer_score_than_the_first",
     ),
     _diagnosis(
         "look.py",

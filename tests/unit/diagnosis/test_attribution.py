@@ -86,6 +86,30 @@ def test_the_steps_end_at_the_best_explanation(one: Attribution) -> None:
     assert first.refits[0] is one.best
 
 
+def test_what_the_best_explanation_explains_is_not_left_unexplained(one: Attribution) -> None:
+    """Where all effects have joined, the last look is at an earlier fit, and tells of no rest."""
+    before = replace(one, steps=one.steps[:1])
+    assert before.steps[-1].is_significant
+    assert not before.is_left_unexplained
+    assert replace(before, best=one.base).is_left_unexplained
+
+
+@pytest.mark.parametrize(("p_value", "first", "further"), [
+    (0.06, False, False),
+    (0.03, True, False),
+    (0.005, True, True),
+])  # fmt: skip
+def test_a_further_cause_needs_a_rarer_score_than_the_first(
+    p_value: float, first: bool, further: bool, one: Attribution
+) -> None:
+    """5 % beside the base model; 1 % beside a cause, whose own model is only nearly right."""
+    step = one.steps[0]
+    highest = replace(step.scores.candidates[0], p_value=p_value)
+    scored = replace(step, scores=replace(step.scores, candidates=(highest,)))
+    assert replace(scored, at=one.base).is_significant is first
+    assert replace(scored, at=one.best).is_significant is further
+
+
 def test_rivals_are_the_other_explanations_each_once_by_their_evidence(one: Attribution) -> None:
     names = [frozenset(x.refit.names) for x in one.rivals]
     assert len(set(names)) == len(names)
