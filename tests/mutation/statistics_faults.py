@@ -517,8 +517,7 @@ NAMING = (
         "if set(x.names) != set(best.names):",
         "if x is not best:",
         "the best explanation is its own rival, and nothing is named",
-        "attribution",
-        "untested",
+        "attribution::test_another_fit_of_the_same_causes_is_no_rival",
     ),
     _diagnosis(
         "refit.py",

@@ -23,6 +23,7 @@ from identknee.diagnosis.base_fit import fit_base
 from identknee.diagnosis.diagnose import _base_refit
 from identknee.diagnosis.look import MOST_AMPLITUDES, promising_refits
 from identknee.diagnosis.refit import Refit, expected_distance
+from identknee.diagnosis.rivals import rivals_of
 from identknee.identify.evaluation import Evaluation
 from identknee.laxity.noise import add_noise
 from identknee.model.effects.library import effect_named
@@ -121,6 +122,16 @@ def test_rivals_are_the_other_explanations_each_once_by_their_evidence(one: Attr
         assert x.lead == pytest.approx(one.best.log_evidence - x.refit.log_evidence)
         assert x.distance == pytest.approx(expected_distance(one.best, x.refit))
         assert x.lead > 0.0
+
+
+def test_another_fit_of_the_same_causes_is_no_rival(one: Attribution) -> None:
+    """It would leave nothing to be named: an explanation never stands against itself."""
+    looks = [(x.at, x.scores) for x in one.steps]
+    again = replace(one.best)
+    assert again is not one.best
+    other = one.rivals[0].refit
+    found = rivals_of(one.best, [again, other, replace(other)], looks)
+    assert [x.refit.names for x in found] == [other.names]
 
 
 def test_noise_alone_has_no_cause() -> None:
