@@ -1,10 +1,12 @@
 """The list of faults fits the code as it is, and its record says that every one was seen."""
 
+import json
 from collections import Counter
 
 import pytest
 from mutation import ROOT, Mutation
 from mutations import MUTATIONS
+from run_mutations import VERDICT
 
 FEWEST = 74
 
@@ -23,6 +25,14 @@ def test_every_fault_has_its_place_and_its_tests(mutation: Mutation) -> None:
 def test_faults_are_many_and_different() -> None:
     assert len(MUTATIONS) >= FEWEST
     assert Counter(x.name for x in MUTATIONS).most_common(1)[0][1] == 1
+
+
+def test_the_record_has_seen_all_of_them() -> None:
+    """Run ``python tests/mutation/run_mutations.py`` where this fails."""
+    record = json.loads(VERDICT.read_text(encoding="utf-8"))
+    assert record["caught"] == record["count"] == len(record["mutations"])
+    assert {x["name"] for x in record["mutations"]} == {x.name for x in MUTATIONS}
+    assert all(x["caught"] for x in record["mutations"])
 
 
 def test_a_fault_needs_one_place() -> None:
