@@ -71,8 +71,9 @@ class CandidateLaxity:
         """What the chosen trials would measure at `theta`, and its derivatives by theta.
 
         In units of the errors, with their correlation taken out: shapes ``(k, m)`` and ``(k, m,
-        n)`` for m measured coordinates; NaN in all of a trial that did not converge, or whose
-        unloaded pose did not where coordinates are counted from it. A trial may come twice.
+        n)`` for m measured coordinates; NaN in all of a trial that did not converge or in which
+        contact acts within 3 mm of a rim, or whose unloaded pose is such a one where coordinates
+        are counted from it. A trial may come twice.
         """
         once, back = np.unique(np.asarray(chosen, int), return_inverse=True)
         some = replace(self, protocol=self.protocol.select(once))
@@ -81,8 +82,11 @@ class CandidateLaxity:
         found = self.model.with_protocol(some.trials).predict(whole)
         if found.jacobian is None:  # pragma: no cover - predict was asked for it
             raise AssertionError
-        values = some.rows(found.coordinates[:, :, None])[:, :, 0]
-        return values[back], some.rows(found.jacobian[:, :, list(self.free)])[back]
+        # A trial that presses near a rim is not worth making: there are others to choose from.
+        lost = (found.rim_share > 0.0)[:, None, None]
+        coordinates = np.where(lost, np.nan, found.coordinates[:, :, None])
+        slopes = np.where(lost, np.nan, found.jacobian[:, :, list(self.free)])
+        return some.rows(coordinates)[back, :, 0], some.rows(slopes)[back]
 
     @property
     def trials(self) -> Protocol:

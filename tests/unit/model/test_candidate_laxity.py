@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from narrow_knee import narrow_knee
 from small_knee import small_knee, small_protocol
 
 from identknee.laxity.noise import add_noise
-from identknee.laxity.protocol import Protocol, concatenate
+from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.model import joint
 from identknee.model.candidate_laxity import CandidateLaxity, typical_errors, with_unloaded
@@ -147,3 +148,17 @@ def test_bad_input_is_refused(small: LaxityModel) -> None:
         _candidates(small, laxity, sd=np.full(5, np.nan))
     with pytest.raises(ValueError, match="must be greater than 0, got 0"):
         _candidates(small, laxity, sd=np.array([0.0, 1, 1, 1, 1]))
+
+
+def test_a_trial_that_presses_near_a_rim_is_not_offered() -> None:
+    model = LaxityModel(knee=narrow_knee(0.8), protocol=load_protocol("seed63"))
+    theta = model.parameters.center
+    found = model.predict(theta)
+    near = found.rim_share > 0.0
+    laxity = _data(model)
+    offered = _candidates(model, laxity, protocol=model.protocol, at=theta)
+    values, slopes = offered.predict(theta, range(model.protocol.n))
+    assert near.any()
+    assert found.all_converged
+    np.testing.assert_array_equal(np.isnan(values).all(axis=1), near)
+    np.testing.assert_array_equal(np.isnan(slopes).all(axis=(1, 2)), near)
