@@ -147,14 +147,18 @@ class Walk:
 
     def point(self, solved: Constrained) -> Point:
         """The point of a profile that a constrained fit is."""
-        _, gradient = self.quantity.evaluate(solved.evaluation.theta)
+        at = solved.evaluation
+        promise = np.inf
+        # A budget used up before the first simulation leaves nothing to judge by.
+        if at.is_finite:
+            promise = promised_reduction(self.evaluator, at, self.quantity.evaluate(at.theta)[1])
         return Point(
             value=solved.value,
-            evaluation=solved.evaluation,
+            evaluation=at,
             slope=solved.multiplier,
             tangent=solved.tangent,
             is_held=solved.is_held,
-            promise=promised_reduction(self.evaluator, solved.evaluation, gradient),
+            promise=promise,
         )
 
     def is_settled(self, point: Point) -> bool:

@@ -12,6 +12,7 @@ from identknee.identify.constrained import minimise
 from identknee.identify.evaluation import Evaluator
 from identknee.identify.profile.profile import profile
 from identknee.identify.profile.result import Profile, SideStatus, Verdict
+from identknee.identify.profile.walk import Walk
 from identknee.identify.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.arrays import Array
 
@@ -286,6 +287,16 @@ def test_the_budget_leaves_a_side_open_and_claims_nothing() -> None:
     assert found.n_simulations <= 9
     assert found.upper_status is SideStatus.OPEN_BUDGET
     assert found.verdict is Verdict.UNDETERMINED
+
+
+def test_a_fit_that_the_budget_did_not_allow_is_a_point_without_a_promise() -> None:
+    """A better optimum met with the last simulation starts a profile over without any left."""
+    problem = linear()
+    evaluator = Evaluator(problem, budget=1)
+    walk = Walk(evaluator, _first(problem), 3.84, evaluator(problem.minimum))
+    point = walk.point(walk.solve(1.0, problem.minimum + 1.0))
+    assert point.evaluation.deviance == np.inf
+    assert not walk.is_settled(point)
 
 
 def test_lower_levels_are_read_off_the_curve() -> None:
