@@ -64,7 +64,9 @@ def main() -> int:
     parser.add_argument("--study", help="the folder of one study; all of them without")
     options = parser.parse_args()
     began = time.perf_counter()
-    n, problems, known = 0, [], []
+    n = 0
+    problems: list[str] = []
+    known: list[str] = []
     for study in [options.study] if options.study else studies():
         for path in sorted((STUDIES / study / "records").glob("*.json")):
             record = json.loads(path.read_text(encoding="utf-8"))
