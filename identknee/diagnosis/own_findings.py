@@ -1,9 +1,10 @@
-"""What speaks against a diagnosis itself: fits not finished, bounds, causes not tested."""
+"""What speaks against a diagnosis itself: fits, bounds, causes not tested, an unstable knee."""
 
 from identknee.calibrate.doubts import bound_findings
 from identknee.diagnosis.causes import explanation_of
 from identknee.diagnosis.diagnose import Diagnosis
 from identknee.diagnosis.refit import Refit
+from identknee.model.soundness import stability_findings
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 
@@ -28,7 +29,7 @@ def own_findings(found: Diagnosis) -> tuple[Finding, ...]:
         for x in found.attribution.rivals
         if x.reason
     ]
-    return tuple(findings)
+    return (*findings, *stability_findings(found.base.fitted.model))
 
 
 def _unfinished(refit: Refit, which: str) -> list[Finding]:

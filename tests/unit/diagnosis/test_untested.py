@@ -18,6 +18,7 @@ from identknee.diagnosis.refit import Refit, refit
 from identknee.diagnosis.rivals import RivalState, rivals_of
 from identknee.diagnosis.verdict import SEVERAL, UNTESTED, Conclusion, Verdict, conclude
 from identknee.identify.evaluation import Evaluation
+from identknee.model import soundness
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import effect_named
 from identknee.report.diagnosis_summary import diagnosis_summary
@@ -228,3 +229,13 @@ def test_the_diagnosis_says_what_its_fits_lack(others: tuple[Refit, ...]) -> Non
     (warning,) = [x for x in own_findings(replace(found, base=begun)) if x.where == "starts"]
     assert warning.severity is Severity.WARNING
     assert "The fit without causes did not reach its minimum" in warning.sentence
+
+
+def test_a_diagnosis_carries_the_failed_stability_check_of_its_subject(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = diagnosed(FRAME)
+    assert [x for x in own_findings(found) if x.where == "subject"] == []
+    monkeypatch.setattr(soundness, "ENOUGH_MARGIN", np.inf)
+    (finding,) = [x for x in own_findings(found) if x.where == "subject"]
+    assert "hardly stable" in finding.sentence
