@@ -119,7 +119,8 @@ class Profile:
         The curve from low to high values, shape ``(k,)``: the quantity, the parameters of the best
         fit with that value, shape ``(k, n)``, and the rise of the deviance above the best fit.
     slopes
-        Exact derivative of `deltas` by `values`, shape ``(k,)``.
+        Exact derivative of `deltas` by `values`, shape ``(k,)``; of the chords where a fit stopped
+        at the feasibility boundary.
     branches
         To which local optimum's path each point belongs, shape ``(k,)``; 0 is the best fit's.
     intervals

@@ -58,7 +58,7 @@ def assembled(
         values=np.array([x.value for x, _ in curve]),
         thetas=np.array([x.evaluation.theta for x, _ in curve]),
         deltas=np.array([walk.delta(x) for x, _ in curve]),
-        slopes=np.array([x.slope for x, _ in curve]),
+        slopes=curve_slopes(walk, [x for x, _ in curve]),
         branches=np.array([k for _, k in curve]),
         intervals=intervals,
         lower_side=sides[0],
@@ -132,6 +132,18 @@ def _envelope(walk: Walk, branches: Sequence[Branch]) -> list[tuple[Point, int]]
     kept.sort(key=lambda x: x[0].value)
     places = [x[0].value for x in kept]
     return [x for i, x in enumerate(kept) if i == 0 or places[i] > places[i - 1]]
+
+
+def curve_slopes(walk: Walk, points: Sequence[Point]) -> Array:
+    """Slopes of the curve, shape ``(k,)``; of its chords where a fit stopped at the boundary.
+
+    What such a fit's derivatives give is the slope of the model beyond the boundary.
+    """
+    exact = np.array([x.slope for x in points])
+    if len(points) < 2:
+        return exact
+    chords = np.gradient([walk.delta(x) for x in points], [x.value for x in points])
+    return np.where([walk.is_settled(x) for x in points], exact, chords)
 
 
 def _height(walk: Walk, branch: Branch, value: float) -> float:

@@ -1,6 +1,7 @@
 """Profiles whose ends are known in closed form, and what they say of themselves."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from identknee.identify.constrained import minimise
 from identknee.identify.evaluation import Evaluator
 from identknee.identify.profile.profile import profile
 from identknee.identify.profile.result import Profile, SideStatus, Verdict
+from identknee.identify.profile.verdict import curve_slopes
 from identknee.identify.profile.walk import Walk
 from identknee.identify.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.arrays import Array
@@ -264,6 +266,21 @@ def test_an_end_that_only_the_boundary_raises_is_no_limit() -> None:
     assert found.lower_status is SideStatus.CLOSED
     assert found.upper_status is SideStatus.OPEN_AT_FEASIBILITY
     assert found.verdict is Verdict.ONE_SIDED
+
+
+def test_a_fit_stopped_at_the_boundary_lends_the_curve_no_slope() -> None:
+    problem = linear()
+    evaluator = Evaluator(problem)
+    walk = Walk(evaluator, _first(problem), 3.84, evaluator(problem.minimum))
+    sd, best = _first_sd(problem), float(problem.minimum[0])
+    points = [walk.point(walk.solve(best + x * sd, problem.minimum)) for x in (0.0, 0.5, 1.5)]
+    stopped = replace(points[1], slope=-99.0, promise=walk.threshold)
+    exact = curve_slopes(walk, points)
+    found = curve_slopes(walk, [points[0], stopped, points[2]])
+    np.testing.assert_array_equal(exact, [x.slope for x in points])
+    np.testing.assert_array_equal(found[[0, 2]], exact[[0, 2]])
+    # Chords of a parabola through three points give its slope.
+    assert found[1] == pytest.approx(exact[1], rel=1e-6)
 
 
 def _two_directions(coupling: float = 0.0) -> ClosedForm:
