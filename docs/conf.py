@@ -31,7 +31,7 @@ exclude_patterns = ["_build", "_parts", "paper", "tutorials", TIMES, f"**/{TIMES
 
 nitpicky = True
 # Other projects' names, which a build without a network cannot look up, and type variables.
-nitpick_ignore_regex = [("py:.*", r"(?!identknee).*|identknee\.runs\.\w+\.(Item|Result)")]
+nitpick_ignore_regex = [("py:.*", r"(?!identknee).*|identknee\.runs\.\w+\.(Item|Result|Made)")]
 # Sources at the head of a module are cited by its private functions too, which have no page.
 suppress_warnings = ["config.cache", "ref.citation"]
 

@@ -17,6 +17,8 @@ AGAIN = "Run the command that made it again."
 class Kept(BaseModel):
     """A part of a summary: what the page reads of it; it may hold more."""
 
+    # Said again because tools that reload modules, as sphinx does, lose it.
+    __pydantic_extra__: dict[str, Any] = Field(init=False)
     model_config = ConfigDict(strict=True, extra="allow", frozen=True)
 
 
