@@ -32,9 +32,16 @@ RELATIVE = 1e-5
 ABSOLUTE = 1e-6
 NOT_COMPARED = {"seconds"}
 # Records older than a change of what they record: trials whose contact comes near a rim are kept
-# (04, 09, 12), and causes that were not refitted to their end are refitted again (11). Differences
-# are shown and fail nothing until the study is computed again. Nothing else belongs here.
-SUPERSEDED = {"04_profiles", "09_optimizers", "11_reality_gap", "12_geometry_uncertainty"}
+# (04, 09, 12), and causes that were not refitted to their end are refitted again (10, 11).
+# Differences are shown and fail nothing until the study is computed again. Nothing else belongs
+# here.
+SUPERSEDED = {
+    "04_profiles",
+    "09_optimizers",
+    "10_diagnosis",
+    "11_reality_gap",
+    "12_geometry_uncertainty",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
