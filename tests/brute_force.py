@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from identknee.calibrate.problem import Problem, Restricted
+from identknee.calibrate.problem import Problem, restricted
 from identknee.runs.arrays import Array
 
 
@@ -20,14 +20,13 @@ class Lowest:
 def lowest(problem: Problem, index: int, value: float, starts: Array) -> Lowest:
     """Least deviance with one parameter held, over fits from all `starts`, shape ``(k, n)``."""
     parameters = problem.parameters
-    free = tuple(i for i in range(parameters.n) if i != index)
     best = Lowest(deviance=np.inf, theta=np.array(starts[0]))
     for start in starts:
         at = np.clip(start, parameters.lower, parameters.upper)
         at[index] = value
-        if free:
-            part = Restricted(problem=problem, free=free, at=at)
-            at = part.whole(_fitted(part, at[list(free)]))
+        if parameters.n > 1:
+            part = restricted(problem, [parameters.names[index]], at)
+            at = part.free.expand(_fitted(part, part.free.restrict(at)))
         found = deviance(problem, at)
         if found < best.deviance:
             best = Lowest(deviance=found, theta=at)

@@ -241,7 +241,7 @@ def _fit(
     objective = Objective(part, budget=allowed, on_simulation=on_simulation)
     began = time.perf_counter()
     try:
-        outcome = minimise(objective, start[list(part.free)], generator)
+        outcome = minimise(objective, part.free.restrict(start), generator)
     except Ended as end:
         outcome = end.outcome
     if objective.best_theta is None:
@@ -252,7 +252,7 @@ def _fit(
         fixed=tuple(fixed),
         priors=priors,
         start=start,
-        theta=start if objective.best_theta is None else part.whole(objective.best_theta),
+        theta=start if objective.best_theta is None else part.free.expand(objective.best_theta),
         objective=objective.best_value,
         outcome=outcome,
         message=_message(outcome, objective),

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from identknee.model.parameters import Parameters
+from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
 
 
@@ -36,34 +36,24 @@ class Restricted:
     problem
         The problem in all parameters.
     free
-        Where the parameters that move stand in its theta.
-    at
-        Values of all its parameters, shape ``(n,)``; those not free keep theirs.
+        Its parameters that move, and the values of the others.
     """
 
     problem: Problem
-    free: tuple[int, ...]
-    at: Array
+    free: FreeParameters
 
     @property
     def parameters(self) -> Parameters:
         """Those that move."""
-        everything = self.problem.parameters
-        return everything.select([everything.names[i] for i in self.free])
+        return self.free.parameters
 
     def residuals(self, theta: Array) -> Array:
-        """Residuals of the whole problem, shape ``(m,)``."""
-        return self.problem.residuals(self.whole(theta))
+        """Residuals of the problem, shape ``(m,)``."""
+        return self.problem.residuals(self.free.expand(theta))
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives by the parameters that move, shape ``(m, n_free)``."""
-        return self.problem.jacobian(self.whole(theta))[:, list(self.free)]
-
-    def whole(self, theta: Array) -> Array:
-        """Theta of the whole problem, shape ``(n,)``."""
-        everything = np.array(self.at)
-        everything[list(self.free)] = theta
-        return everything
+        return self.free.restrict(self.problem.jacobian(self.free.expand(theta)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,17 +94,15 @@ class WithPriors:
         return np.vstack([self.problem.jacobian(theta), np.diag(slope / parameters.prior_sd)])
 
 
-def restricted(problem: Problem, fixed: Sequence[str], at: Array) -> Restricted:
-    """The problem with the parameters named `fixed` held at their values in `at`.
+def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> Restricted:
+    """The problem with the parameters named `fixed` held at their `values`, shape ``(n,)``.
 
     Raises
     ------
     ValueError
         If a name is not a parameter's or none is left free.
     """
-    parameters = problem.parameters
-    held = {parameters.index(name) for name in fixed}
-    free = tuple(i for i in range(parameters.n) if i not in held)
-    if not free:
+    free = problem.parameters.with_fixed(fixed, values)
+    if not free.free_indices:
         raise ValueError("all parameters are fixed; leave at least one free")
-    return Restricted(problem=problem, free=free, at=at)
+    return Restricted(problem=problem, free=free)

@@ -91,21 +91,19 @@ def second_search(problem: Problem, first: Fit) -> SecondSearch:
 
 def _other_start(first: Fit) -> tuple[str, Array]:
     """A start by name with a free parameter elsewhere; the middle of the bounds failing that."""
-    held = [first.parameters.index(x) for x in first.fixed]
+    parameters = first.parameters
+    free = parameters.with_fixed(first.fixed, first.start)
     for name in start_names():
         try:
-            start = np.array(named_start(name, first.parameters))
+            guess = named_start(name, parameters)
         except ValueError:
             # The guesses of the paper speak of four ligaments that a knee need not have.
             continue
-        start[held] = first.start[held]
-        start = np.clip(start, first.parameters.lower, first.parameters.upper)
-        start[held] = first.start[held]
+        start = free.expand(free.restrict(np.clip(guess, parameters.lower, parameters.upper)))
         if not np.allclose(start, first.start):
             return name, start
-    middle = 0.5 * (first.parameters.lower + first.parameters.upper)
-    middle[held] = first.start[held]
-    return "the middle of the bounds", middle
+    middle = 0.5 * (parameters.lower + parameters.upper)
+    return "the middle of the bounds", free.expand(free.restrict(middle))
 
 
 def _about(severity: Severity, sentence: str) -> Finding:

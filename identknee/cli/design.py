@@ -150,7 +150,6 @@ def _candidates(its: Identification, name: str | None) -> "ik.CandidateLaxity":
         protocol=protocol,
         sd=typical_errors(_with_errors(its)),
         free=its.free,
-        at=its.start,
     )
 
 
@@ -175,7 +174,7 @@ def _target(its: Identification, name: str) -> "ik.Quantity":
         its.free_index(name, "--target")
         return ik.ParameterQuantity(parameters=its.problem.parameters, name=name)
     quantity = quantity_named(its.model, name)
-    return RestrictedQuantity(quantity=quantity, free=its.free, at=its.start)
+    return RestrictedQuantity(quantity=quantity, free=its.free)
 
 
 def _advised(its: Identification, found: "ik.Design", offered: "ik.CandidateLaxity") -> "ik.Laxity":

@@ -117,7 +117,7 @@ def equivalents(
         "inputs": inputs,
         **{name: value for name, value in context.params.items() if name in DECIDING},
     }
-    fitted = ik.fit(its.problem, its.start[list(its.free)])
+    fitted = ik.fit(its.problem, its.start)
     if fitted.outcome is ik.Outcome.START_FAILED:
         raise no_prediction(its)
     region = _region(its, criterion, fitted.theta, limit, bounds=bounds, fixed=fixed)
@@ -141,7 +141,7 @@ def equivalents(
     summary = write_result(
         out,
         _summary(its, found, criterion) | said,
-        equivalents_groups(found, its.model, its.whole(found.sets)),
+        equivalents_groups(found, its.model, its.free.expand(found.sets)),
         recording.finish(),
     )
     finish_work(out / WORK)
@@ -167,7 +167,7 @@ def _region(
     plain = ik.LaxityResiduals(model=its.model, laxity=its.laxity)
     bounded = ik.with_bounds(plain, named_bounds(bounds or [], "--bounds"))
     return Region(
-        problem=restricted(bounded, fixed or (), its.start),
+        problem=restricted(bounded, fixed or (), its.free.fixed_values),
         center=theta,
         blocks=rms_blocks(plain),
         limit=limit,
@@ -189,7 +189,7 @@ def _forces(its: Identification, forces: str, trials: str | None) -> list[Any]:
     if forces == "largest":
         protocol = protocol.select(largest_loads(protocol))
     return [
-        RestrictedQuantity(quantity=force, free=its.free, at=its.start)
+        RestrictedQuantity(quantity=force, free=its.free)
         for force in ligament_forces(its.model, protocol)
     ]
 
@@ -204,7 +204,7 @@ def _summary(its: Identification, found: Any, criterion: str) -> dict[str, Any]:
         "criterion": criterion,
         "power_of_best_test": power,
         **equivalents_summary(found),
-        "fit": nested(dict(zip(names, its.whole(found.fit), strict=True))),
+        "fit": nested(dict(zip(names, its.free.expand(found.fit), strict=True))),
     }
 
 

@@ -18,6 +18,7 @@ from identknee.runs.findings import Finding, Severity
 
 if TYPE_CHECKING:
     from identknee.identify.noise import EstimatedNoise
+    from identknee.model.parameters import FreeParameters
 
 # Of lengths and of angles [mm, deg].
 Sizes = tuple[float | None, float | None]
@@ -66,10 +67,10 @@ class Identification:
         The subject, the data and the model under the protocol of the data.
     problem
         Residuals in units of their noise, over the parameters not fixed.
-    start
-        Theta of all parameters of the model, fixed ones at the value they keep, shape ``(p,)``.
     free
-        Where the parameters of the problem stand among those of the model.
+        The parameters of the problem, and the values of those of the model that are fixed.
+    start
+        Where fits begin, shape ``(n,)``.
     degrees_of_freedom
         Of a noise estimated from the fit; None where the noise is stated.
     estimated_noise
@@ -85,18 +86,12 @@ class Identification:
     laxity: "ik.Laxity"
     model: "ik.LaxityModel"
     problem: "ik.Problem"
+    free: "FreeParameters"
     start: Any
-    free: tuple[int, ...]
     degrees_of_freedom: int | None
     estimated_noise: Sizes
     assumptions: tuple[str, ...]
     inputs: dict[str, str]
-
-    def whole(self, theta: Any) -> Any:
-        """Theta of the model from that of the problem, shape ``(p,)`` or ``(..., p)``."""
-        values = np.array(np.broadcast_to(self.start, (*np.shape(theta)[:-1], self.start.size)))
-        values[..., list(self.free)] = theta
-        return values
 
     def findings_at(
         self, theta: Any, deviance: float, fits: "Sequence[ik.Fit]" = ()
@@ -125,7 +120,9 @@ class Identification:
         model = (
             *stability_findings(self.model),
             *feasibility_findings(self.problem, np.asarray(theta)),
-            *rim_findings(self.model.protocol.trials, self.model.predict_once(self.whole(theta))),
+            *rim_findings(
+                self.model.protocol.trials, self.model.predict_once(self.free.expand(theta))
+            ),
         )
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
@@ -150,9 +147,9 @@ class Identification:
             If there is no such parameter, or `--fix` holds it.
         """
         index = self.model.parameters.index(name)
-        if index not in self.free:
+        if index not in self.free.free_indices:
             raise ValueError(f"{option} {name}: --fix holds this parameter; leave out one of both")
-        return self.free.index(index)
+        return self.free.free_indices.index(index)
 
 
 def identification(
@@ -196,8 +193,8 @@ def identification(
         laxity=laxity,
         model=model,
         problem=problem,
-        start=theta,
         free=part.free,
+        start=part.free.restrict(theta),
         degrees_of_freedom=degrees,
         estimated_noise=sizes,
         assumptions=tuple(assumptions),
@@ -235,10 +232,9 @@ def best_fits(its: Identification, *, seed: int, executor: Executor) -> "tuple[i
     """
     from identknee.identify.optimum import best_fits as find
 
-    start = its.start[list(its.free)]
     check_start(its)
     try:
-        return find(its.problem, start=start, seed=seed, executor=executor)
+        return find(its.problem, start=its.start, seed=seed, executor=executor)
     except ValueError as error:
         raise no_prediction(its) from error
 
@@ -253,12 +249,12 @@ def check_start(its: Identification) -> None:
     """
     from identknee.identify.optimum import check_inside
 
-    check_inside(its.start[list(its.free)], its.problem.parameters)
+    check_inside(its.start, its.problem.parameters)
 
 
 def no_prediction(its: Identification) -> NotComputed:
     """The error that no parameters near the start predict all measured trials; it names them."""
-    return _no_prediction(its.model, its.laxity, its.start)
+    return _no_prediction(its.model, its.laxity, its.free.fixed_values)
 
 
 def _no_prediction(model: "ik.LaxityModel", laxity: "ik.Laxity", start: Any) -> NotComputed:
@@ -324,7 +320,7 @@ def _with_estimated_noise(
         raise _no_prediction(residuals.model, residuals.laxity, theta)
     # Where only lengths or only angles were measured there is one group.
     units, groups = np.unique(residuals.units, return_inverse=True)
-    found = with_estimated_noise(part, groups, theta[list(part.free)])
+    found = with_estimated_noise(part, groups, part.free.restrict(theta))
     sizes = dict(zip(units.tolist(), found.sds.tolist(), strict=True))
     return found, (sizes.get(0), sizes.get(1))
 

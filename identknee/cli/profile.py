@@ -164,8 +164,7 @@ def _predictions(
     ligaments = [x.name for x in its.knee.ligaments]
     texts = [*(names or []), *(f"{x}.tension_N@{t}" for t in forces or [] for x in ligaments)]
     return [
-        RestrictedQuantity(quantity=quantity_named(model, text), free=its.free, at=its.start)
-        for text in texts
+        RestrictedQuantity(quantity=quantity_named(model, text), free=its.free) for text in texts
     ]
 
 

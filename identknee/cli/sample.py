@@ -217,7 +217,7 @@ def _written(
     groups = sample_groups(found)
     sensitivity = None
     if found.gates:
-        groups |= predictive_groups(found, its.model, its.laxity, whole=its.whole)
+        groups |= predictive_groups(found, its.model, its.laxity, whole=its.free.expand)
         sensitivity = ik.prior_sensitivity(found)
     summary = {**sample_summary(found, sensitivity), **said}
     return write_result(out, summary, groups, recording.finish())

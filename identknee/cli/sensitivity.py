@@ -109,7 +109,7 @@ def sensitivity(
         "verb": "sensitivity",
         "inputs": inputs,
         "parameters": outputs.parameters.names,
-        "middle": outputs.at,
+        "middle": outputs.free.fixed_values,
         "seed": seed,
     }
     with open_work(out / WORK, about) as store, process_pool(workers) as executor:
@@ -145,9 +145,8 @@ def _outputs(
     trials = ik.load_protocol(protocol) if laxity is None else laxity.protocol
     knee = ik.read_subject(subject)
     model = ik.LaxityModel(knee=knee, protocol=trials)
-    held = {model.parameters.index(name) for name in fixed or ()}
-    free = tuple(i for i in range(model.parameters.n) if i not in held)
-    if len(free) < 2:
+    free = model.parameters.with_fixed(fixed or (), ik.load_start(start, model.parameters))
+    if free.parameters.n < 2:
         raise ValueError(
             "a sensitivity analysis needs at least two parameters that vary; fix fewer"
         )
@@ -155,7 +154,6 @@ def _outputs(
         model=model,
         groups=laxity_groups(trials),
         free=free,
-        at=ik.load_start(start, model.parameters),
         zero="absolute" if laxity is None else laxity.zero,
     )
     protocol_digest = digest(trials.loads.tobytes() + trials.flexion_deg.tobytes())
@@ -171,7 +169,8 @@ def _where(
     from identknee.report.sensitivity_groups import posterior_draws
 
     if posterior is None:
-        return box_around(outputs.parameters, outputs.at[list(outputs.free)]), inputs
+        middle = outputs.free.restrict(outputs.free.fixed_values)
+        return box_around(outputs.parameters, middle), inputs
     draws = posterior_draws(posterior, outputs.parameters.names, samples or DEFAULT_DRAWS)
     return draws, {**inputs, "posterior": digest(np.ascontiguousarray(draws).tobytes())}
 

@@ -133,7 +133,7 @@ def _starts(its: Identification, design: str, distances: str, n_starts: int, see
         raise ValueError(
             f"--distances {distances}: these are not numbers. Write for example 0.5,1,2"
         ) from None
-    center = its.start[list(its.free)]
+    center = its.start
     return ik.shell_starts(parameters, n_starts, center=center, distances=shells, seed=seed)
 
 
@@ -184,7 +184,7 @@ def _findings(its: Identification, found: "ik.Survey") -> tuple[Finding, ...]:
 def _lost(its: Identification, theta: Any) -> list[str]:
     from identknee.report.sweep_groups import trials_lost
 
-    return trials_lost(its.model, its.whole(theta))
+    return trials_lost(its.model, its.free.expand(theta))
 
 
 def _written(

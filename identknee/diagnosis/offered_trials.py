@@ -113,6 +113,5 @@ class OfferedTrials:
             laxity=self.laxity,
             protocol=self.candidates,
             sd=typical_errors(self.laxity),
-            free=tuple(range(theta.size)),
-            at=theta,
+            free=model.parameters.with_fixed((), theta),
         )

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from identknee.model.parameters import Parameters
+from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
 
 # The cube root of the rounding error: the best step of central differences.
@@ -128,14 +128,11 @@ class RestrictedQuantity:
     quantity
         Over all parameters.
     free
-        Where the parameters that move stand in its theta.
-    at
-        Values of all its parameters, shape ``(p,)``; those not free keep theirs.
+        The parameters that move, and the values of the others.
     """
 
     quantity: Quantity
-    free: tuple[int, ...]
-    at: Array
+    free: FreeParameters
 
     @property
     def name(self) -> str:
@@ -149,7 +146,5 @@ class RestrictedQuantity:
 
     def evaluate(self, theta: Array) -> tuple[float, Array]:
         """Value and gradient by the parameters that move, shape ``(n_free,)``."""
-        everything = np.array(self.at)
-        everything[list(self.free)] = theta
-        value, gradient = self.quantity.evaluate(everything)
-        return value, gradient[list(self.free)]
+        value, gradient = self.quantity.evaluate(self.free.expand(theta))
+        return value, self.free.restrict(gradient)

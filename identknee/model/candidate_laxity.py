@@ -9,6 +9,7 @@ from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.unloaded import SAME_ANGLE_DEG, from_unloaded
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import FreeParameters
 from identknee.runs.arrays import Array, frozen
 
 
@@ -31,9 +32,7 @@ class CandidateLaxity:
         Standard deviation of each coordinate of an added trial [mm, deg], shape ``(5,)``; NaN for
         those that would not be measured. See `typical_errors`.
     free
-        Where the parameters that vary stand in the model's theta.
-    at
-        Values of all its parameters, shape ``(p,)``; those not free keep theirs.
+        The parameters of the model that vary, and the values of the others.
 
     Raises
     ------
@@ -45,13 +44,11 @@ class CandidateLaxity:
     laxity: Laxity
     protocol: Protocol
     sd: Array
-    free: tuple[int, ...]
-    at: Array
+    free: FreeParameters
     _whitening: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sd", frozen(self.sd, len(COORDINATES), name="sd"))
-        object.__setattr__(self, "at", frozen(self.at, self.model.parameters.n, name="at"))
         sd = self.sd[~np.isnan(self.sd)]
         if not sd.size:
             raise ValueError("an added trial must measure at least one coordinate")
@@ -77,15 +74,13 @@ class CandidateLaxity:
         """
         once, back = np.unique(np.asarray(chosen, int), return_inverse=True)
         some = replace(self, protocol=self.protocol.select(once))
-        whole = np.array(self.at)
-        whole[list(self.free)] = theta
-        found = self.model.with_protocol(some.trials).predict(whole)
+        found = self.model.with_protocol(some.trials).predict(self.free.expand(theta))
         if found.jacobian is None:  # pragma: no cover - predict was asked for it
             raise AssertionError
         # A trial that presses near a rim is not worth making: there are others to choose from.
         lost = (found.rim_share > 0.0)[:, None, None]
         coordinates = np.where(lost, np.nan, found.coordinates[:, :, None])
-        slopes = np.where(lost, np.nan, found.jacobian[:, :, list(self.free)])
+        slopes = np.where(lost, np.nan, self.free.restrict(found.jacobian))
         return some.rows(coordinates)[back, :, 0], some.rows(slopes)[back]
 
     @property

@@ -8,8 +8,8 @@ import numpy as np
 from identknee.laxity.table import COORDINATES
 from identknee.laxity.unloaded import from_unloaded, unloaded_trials
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.model.parameters import FreeParameters, Parameters
+from identknee.runs.arrays import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,9 +23,7 @@ class LaxityOutputs:
     groups
         Name of the group of every coordinate of every trial, trial after trial, ``5 n`` in all.
     free
-        Where the parameters that vary stand in the model's theta.
-    at
-        Values of all its parameters, shape ``(p,)``; those not free keep theirs.
+        The parameters of the model that vary, and the values of the others.
     zero
         Whether coordinates are absolute, or changes from the unloaded pose of the flexion angle.
 
@@ -37,12 +35,10 @@ class LaxityOutputs:
 
     model: LaxityModel
     groups: tuple[str, ...]
-    free: tuple[int, ...]
-    at: Array
+    free: FreeParameters
     zero: Literal["absolute", "unloaded"] = "absolute"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "at", frozen(self.at, self.model.parameters.n, name="at"))
         wanted = len(COORDINATES) * self.model.protocol.n
         if len(self.groups) != wanted:
             raise ValueError(
@@ -54,14 +50,12 @@ class LaxityOutputs:
     @property
     def parameters(self) -> Parameters:
         """Those that vary."""
-        everything = self.model.parameters
-        return everything.select([everything.names[i] for i in self.free])
+        return self.free.parameters
 
     def evaluate(self, theta: Array) -> Array:
         """Coordinates of all trials [mm, deg], shape ``(5 n,)``; NaN where one did not converge."""
-        whole = np.array(self.at)
-        whole[list(self.free)] = theta
-        coordinates = self.model.predict(whole, derivatives=False).coordinates
+        everything = self.free.expand(theta)
+        coordinates = self.model.predict(everything, derivatives=False).coordinates
         if self.zero == "unloaded":
             coordinates = from_unloaded(coordinates, self.model.protocol)
         return np.asarray(coordinates.ravel())

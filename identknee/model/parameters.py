@@ -1,9 +1,10 @@
-"""The calibrated parameters: names, bounds, priors, and which are free."""
+"""The calibrated parameters: names, bounds, priors, and which of them are free or fixed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.errors import suggestion
@@ -93,6 +94,28 @@ class Parameters:
             own=None if self.own is None else self.own[chosen],
         )
 
+    def with_fixed(self, names: Sequence[str], values: ArrayLike) -> "FreeParameters":
+        """The parameters but those called `names` left free, these fixed at their `values`.
+
+        Parameters
+        ----------
+        names
+            Names of the parameters to fix.
+        values
+            Values of all parameters, shape ``(n,)``.
+
+        Raises
+        ------
+        ValueError
+            If a name is not a parameter's.
+        """
+        fixed = {self.index(name) for name in names}
+        return FreeParameters(
+            everything=self,
+            free_indices=tuple(i for i in range(self.n) if i not in fixed),
+            fixed_values=np.asarray(values),
+        )
+
     def with_bounds(self, bounds: Mapping[str, tuple[float, float]]) -> "Parameters":
         """A copy with other bounds for the parameters named."""
         lower, upper = np.array(self.lower), np.array(self.upper)
@@ -103,6 +126,52 @@ class Parameters:
     def with_own(self, values: Mapping[str, float]) -> "Parameters":
         """A copy in which the parameters named have other values of the subject's own."""
         return replace(self, own=self.vector(values)) if values else self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FreeParameters:
+    """Which of a model's parameters are free, and what the others are fixed at.
+
+    Attributes
+    ----------
+    everything
+        All p parameters of the model, in the order of its theta.
+    free_indices
+        Places of the n free ones in that theta.
+    fixed_values
+        Values of all p parameters, of which the fixed ones keep theirs, shape ``(p,)``.
+
+    Examples
+    --------
+    >>> everything = ligament_parameters(["ACL"], [10.0], [8.0])
+    >>> free = everything.with_fixed(["ACL.stiffness_kN"], everything.start)
+    >>> free.parameters.names, free.expand(np.array([7.0])).tolist()
+    (('ACL.reference_strain_pct',), [10.0, 7.0])
+    """
+
+    everything: Parameters
+    free_indices: tuple[int, ...]
+    fixed_values: Array
+
+    def __post_init__(self) -> None:
+        values = frozen(self.fixed_values, self.everything.n, name="fixed_values")
+        object.__setattr__(self, "fixed_values", values)
+
+    @property
+    def parameters(self) -> Parameters:
+        """The free parameters."""
+        return self.everything.select([self.everything.names[i] for i in self.free_indices])
+
+    def expand(self, theta: ArrayLike) -> Array:
+        """Theta of all parameters from that of the free ones, shape ``(..., p)``."""
+        free = np.asarray(theta)
+        values = np.array(np.broadcast_to(self.fixed_values, (*free.shape[:-1], self.everything.n)))
+        values[..., list(self.free_indices)] = free
+        return values
+
+    def restrict(self, values: Array) -> Array:
+        """The part of the free parameters of values by parameter, ``(..., n)`` of ``(..., p)``."""
+        return np.asarray(values[..., list(self.free_indices)])
 
 
 def ligament_parameters(

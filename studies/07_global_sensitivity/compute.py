@@ -98,7 +98,7 @@ def parsed_options() -> argparse.Namespace:
 def analysed(knee: Knee, numbers: dict[str, int], folder: Path, executor: Executor) -> Any:
     """Parts of the record of one knee, as they are done."""
     outputs = outputs_of(knee)
-    model, truth = outputs.model, outputs.at
+    model, truth = outputs.model, outputs.free.fixed_values
     box = box_around(model.parameters, truth)
     yield {
         "parameters": list(model.parameters.names),
@@ -125,8 +125,7 @@ def outputs_of(knee: Knee) -> LaxityOutputs:
     return LaxityOutputs(
         model=model,
         groups=laxity_groups(model.protocol),
-        free=tuple(range(model.parameters.n)),
-        at=named_start(TRUTH, model.parameters),
+        free=model.parameters.with_fixed((), named_start(TRUTH, model.parameters)),
     )
 
 

@@ -28,5 +28,5 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
 def analysed(knee: Knee, method: Method, n: int) -> Row:
     """One analysis of `n` draws of the posterior, as the record keeps it."""
     outputs = outputs_of(knee)
-    draws = posterior_draws(outputs.model, outputs.at, n)
+    draws = posterior_draws(outputs.model, outputs.free.fixed_values, n)
     return row_of(sensitivity(outputs, draws, method=method, seed=SEED), 0.0)

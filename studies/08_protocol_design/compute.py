@@ -152,8 +152,7 @@ def candidates_of(case: Case) -> CandidateLaxity:
         laxity=problem.laxity,
         protocol=candidate_trials(problem.laxity.protocol),
         sd=typical_errors(problem.laxity),
-        free=tuple(range(problem.parameters.n)),
-        at=problem.parameters.center,
+        free=problem.parameters.with_fixed((), problem.parameters.center),
     )
 
 

@@ -18,7 +18,7 @@ from identknee.identify.profile.result import SideStatus
 from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
 from identknee.identify.profile.walk import BetterFound, Walk
 from identknee.identify.quantity import ParameterQuantity
-from identknee.model.parameters import Parameters
+from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial
 from identknee.runs.resume import resumable_map
@@ -222,7 +222,7 @@ class AlongRay:
     def parameters(self) -> Parameters:
         """The distance from the origin, then the parameters other than the pair."""
         everything = self.problem.parameters
-        others = everything.select([everything.names[i] for i in self.others])
+        others = self.others.parameters
         farthest = _room(everything, self.origin, self.pair, self.direction)
         return Parameters(
             names=(RADIUS, *others.names),
@@ -234,24 +234,24 @@ class AlongRay:
         )
 
     @property
-    def others(self) -> list[int]:
-        """Where the parameters other than the pair stand in theta."""
-        return [i for i in range(self.problem.parameters.n) if i not in self.pair]
+    def others(self) -> FreeParameters:
+        """The parameters other than the pair."""
+        everything = self.problem.parameters
+        return everything.with_fixed([everything.names[i] for i in self.pair], self.origin)
 
     def residuals(self, theta: Array) -> Array:
         """Residuals of the problem, shape ``(m,)``."""
-        return self.problem.residuals(self.whole(theta))
+        return self.problem.residuals(self.expand(theta))
 
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives by the distance and the other parameters, shape ``(m, n - 1)``."""
-        jacobian = self.problem.jacobian(self.whole(theta))
+        jacobian = self.problem.jacobian(self.expand(theta))
         along = jacobian[:, list(self.pair)] @ self.direction
-        return np.column_stack([along, jacobian[:, self.others]])
+        return np.column_stack([along, self.others.restrict(jacobian)])
 
-    def whole(self, theta: Array) -> Array:
+    def expand(self, theta: Array) -> Array:
         """Theta of the problem, shape ``(n,)``."""
-        everything = np.array(self.origin)
-        everything[self.others] = theta[1:]
+        everything = self.others.expand(theta[1:])
         everything[list(self.pair)] += theta[0] * self.direction
         parameters = self.problem.parameters
         return np.asarray(np.clip(everything, parameters.lower, parameters.upper))
@@ -296,7 +296,7 @@ def _ray(
     direction = shape @ np.array([np.cos(angle), np.sin(angle)])
     along = AlongRay(problem=problem, origin=theta, pair=pair, direction=direction)
     evaluator = Evaluator(along, budget=BUDGET)
-    start = np.r_[0.0, theta[along.others]]
+    start = np.r_[0.0, along.others.restrict(theta)]
     radius = ParameterQuantity(parameters=along.parameters, name=RADIUS)
     walk = Walk(evaluator, radius, threshold, evaluator(start))
     walk.is_final = is_last
@@ -304,7 +304,7 @@ def _ray(
         origin = walk.point(walk.solve(0.0, start, tolerance=np.inf))
         leg = march(walk, origin, 1)
     except BetterFound as found:
-        better = along.whole(found.theta)
+        better = along.expand(found.theta)
         return {
             "better": better,
             "deviance": evaluator(found.theta).deviance,

@@ -8,9 +8,9 @@ import numpy as np
 
 from identknee.mechanics.equilibria import Lines
 from identknee.model.effects.effect import Effect, MechanicalEffect, ObservationEffect, Tests
-from identknee.model.parameters import Parameters
+from identknee.model.parameters import FreeParameters, Parameters
 from identknee.model.setting import Setting
-from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.arrays import Array, BoolArray
 
 Changed = Callable[[Setting, Array], Setting]
 Read = Callable[[Array, Array, Tests], Array]
@@ -74,37 +74,27 @@ def remeasured(setting: Setting, lines: Lines, changed: BoolArray) -> Setting:
 
 def held(effect: Effect, fixed: Mapping[str, float]) -> Effect:
     """The effect with some of its amplitudes, by their whole names, held at given values."""
-    parameters = effect.parameters
-    names = [x for x in parameters.names if x not in fixed]
-    whole, free = parameters.vector(fixed), np.array([parameters.index(x) for x in names], int)
-    rest = parameters.select(names)
+    free = effect.parameters.with_fixed([*fixed], effect.parameters.vector(fixed))
     if isinstance(effect, MechanicalEffect):
-        changed = partial(_change_held, effect, whole, free)
-        return SettingChange(name=effect.name, parameters=rest, changed=changed)
+        changed = partial(_change_held, effect, free)
+        return SettingChange(name=effect.name, parameters=free.parameters, changed=changed)
     if isinstance(effect, ObservationEffect):
-        read = partial(_read_held, effect, whole, free)
-        return ReadingError(name=effect.name, parameters=rest, read=read)
+        read = partial(_read_held, effect, free)
+        return ReadingError(name=effect.name, parameters=free.parameters, read=read)
     raise TypeError(f"{effect.name} changes neither the setting nor what is read")
 
 
 def _change_held(
-    effect: MechanicalEffect, whole: Array, free: IntArray, setting: Setting, values: Array
+    effect: MechanicalEffect, free: FreeParameters, setting: Setting, values: Array
 ) -> Setting:
-    return effect.change(setting, _filled(whole, free, values))
+    return effect.change(setting, free.expand(values))
 
 
 def _read_held(
     effect: ObservationEffect,
-    whole: Array,
-    free: IntArray,
+    free: FreeParameters,
     coordinates: Array,
     values: Array,
     tests: Tests,
 ) -> Array:
-    return effect.observe(coordinates, _filled(whole, free, values), tests)
-
-
-def _filled(whole: Array, free: IntArray, values: Array) -> Array:
-    filled = np.array(whole)
-    filled[free] = values
-    return filled
+    return effect.observe(coordinates, free.expand(values), tests)

@@ -59,9 +59,9 @@ def test_fixed_parameters_keep_their_value(measured: Laxity, tmp_path: Path) -> 
     names = setup.model.parameters.names
     assert setup.problem.parameters.names == tuple(n for n in names if n != "PCL.stiffness_kN")
     several = np.arange(14.0).reshape(2, 7)
-    whole = setup.whole(several)
+    whole = setup.free.expand(several)
     kept = setup.model.parameters.index("PCL.stiffness_kN")
-    np.testing.assert_array_equal(whole[:, kept], setup.start[kept])
+    np.testing.assert_array_equal(whole[:, kept], setup.free.fixed_values[kept])
     np.testing.assert_array_equal(np.delete(whole, kept, axis=1), several)
 
 

@@ -111,7 +111,8 @@ def test_other_optima_are_found_once_each_and_count_unless_declined() -> None:
 
 def test_a_restricted_quantity_sees_the_parameters_that_move() -> None:
     total = UserQuantity(name="total", unit="%", function=lambda x: float(x @ [1.0, 2.0, 4.0]))
-    part = RestrictedQuantity(quantity=total, free=(0, 2), at=np.array([9.0, 5.0, 9.0]))
+    free = plain_parameters(3).with_fixed(["x1.value_pct"], [9.0, 5.0, 9.0])
+    part = RestrictedQuantity(quantity=total, free=free)
     value, gradient = part.evaluate(np.array([1.0, 1.0]))
     assert value == pytest.approx(15.0)
     np.testing.assert_allclose(gradient, [1.0, 4.0], rtol=1e-9)

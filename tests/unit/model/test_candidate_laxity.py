@@ -18,7 +18,6 @@ from identknee.runs.arrays import Array
 
 # The same numbers along two ways of multiplying them.
 ROUNDING = 1e-10
-EVERYTHING = tuple(range(8))
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +46,7 @@ def _candidates(model: LaxityModel, laxity: Laxity, **changes: object) -> Candid
     settings: dict[str, object] = {
         "protocol": _new(),
         "sd": typical_errors(laxity),
-        "free": EVERYTHING,
-        "at": model.parameters.center,
+        "free": model.parameters.with_fixed((), model.parameters.center),
     }
     return CandidateLaxity(model=model, laxity=laxity, **(settings | changes))  # type: ignore[arg-type]
 
@@ -113,7 +111,8 @@ def test_only_what_the_data_measure_and_only_what_varies(small: LaxityModel) -> 
     part = replace(laxity, coordinates=coordinates, sd=sd)
     at = np.array(small.parameters.center)
     at[3] *= 1.1
-    found = _candidates(small, part, free=(0, 5), at=at)
+    fixed = [x for i, x in enumerate(small.parameters.names) if i not in (0, 5)]
+    found = _candidates(small, part, free=small.parameters.with_fixed(fixed, at))
     theta = small.parameters.center[[0, 5]] * 1.02
     values, jacobians = found.predict(theta, [0])
     assert values.shape == (1, 4)
@@ -156,7 +155,7 @@ def test_a_trial_that_presses_near_a_rim_is_not_offered() -> None:
     found = model.predict(theta)
     near = found.rim_share > 0.0
     laxity = _data(model)
-    offered = _candidates(model, laxity, protocol=model.protocol, at=theta)
+    offered = _candidates(model, laxity, protocol=model.protocol)
     values, slopes = offered.predict(theta, range(model.protocol.n))
     assert near.any()
     assert found.all_converged

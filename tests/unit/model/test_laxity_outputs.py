@@ -1,5 +1,7 @@
 """Outputs of a laxity model in groups, some parameters held."""
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
@@ -9,6 +11,7 @@ from identknee.laxity.table import COORDINATES
 from identknee.laxity.unloaded import from_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.laxity_outputs import LaxityOutputs
+from identknee.model.parameters import FreeParameters
 
 
 @pytest.fixture(scope="module")
@@ -20,9 +23,16 @@ def names(n: int) -> tuple[str, ...]:
     return tuple(COORDINATES) * n
 
 
+def free(model: LaxityModel, indices: Iterable[int]) -> FreeParameters:
+    everything = model.parameters
+    return FreeParameters(
+        everything=everything, free_indices=tuple(indices), fixed_values=everything.center
+    )
+
+
 def test_outputs_are_the_coordinates_trial_after_trial(model: LaxityModel) -> None:
     theta = np.array(model.parameters.center)
-    outputs = LaxityOutputs(model=model, groups=names(6), free=(1, 6), at=theta)
+    outputs = LaxityOutputs(model=model, groups=names(6), free=free(model, (1, 6)))
     assert outputs.parameters.names == ("back.stiffness_kN", "outer.reference_strain_pct")
     theta[[1, 6]] = 3.1, 5.5
     expected = model.predict(theta, derivatives=False).coordinates
@@ -33,14 +43,12 @@ def test_outputs_may_be_changes_from_the_unloaded_pose(model: LaxityModel) -> No
     protocol = small_protocol().select([0, 1])
     near = model.with_protocol(protocol)
     theta = np.array(near.parameters.center)
-    outputs = LaxityOutputs(
-        model=near, groups=names(2), free=tuple(range(8)), at=theta, zero="unloaded"
-    )
+    outputs = LaxityOutputs(model=near, groups=names(2), free=free(near, range(8)), zero="unloaded")
     expected = from_unloaded(near.predict(theta).coordinates, protocol)
     assert np.array_equal(outputs.evaluate(theta), expected.ravel())
     assert np.all(outputs.evaluate(theta)[:5] == 0.0)
     with pytest.raises(ValueError, match="is unloaded at 8 deg"):
-        LaxityOutputs(model=model, groups=names(6), free=(0,), at=theta, zero="unloaded")
+        LaxityOutputs(model=model, groups=names(6), free=free(model, (0,)), zero="unloaded")
 
 
 def test_a_trial_without_equilibrium_is_nan(model: LaxityModel) -> None:
@@ -53,8 +61,7 @@ def test_a_trial_without_equilibrium_is_nan(model: LaxityModel) -> None:
     outputs = LaxityOutputs(
         model=model.with_protocol(strong),
         groups=names(2),
-        free=(0,),
-        at=np.array(model.parameters.center),
+        free=free(model, (0,)),
     )
     values = outputs.evaluate(np.array([2.0]))
     assert np.isfinite(values[:5]).all()
@@ -63,6 +70,4 @@ def test_a_trial_without_equilibrium_is_nan(model: LaxityModel) -> None:
 
 def test_every_output_needs_a_group(model: LaxityModel) -> None:
     with pytest.raises(ValueError, match="30 outputs need as many names of groups, got 2"):
-        LaxityOutputs(
-            model=model, groups=("a", "b"), free=(0,), at=np.array(model.parameters.center)
-        )
+        LaxityOutputs(model=model, groups=("a", "b"), free=free(model, (0,)))
