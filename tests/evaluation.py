@@ -11,6 +11,7 @@ from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.energy import evaluate
 from identknee.mechanics.equilibria import PRESSURE_MODULUS
 from identknee.mechanics.kernel import workspace
+from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, LigamentArrays
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
@@ -19,7 +20,6 @@ from identknee.runs.arrays import Array
 # Millimetres and newtons beside radians and newton millimetres.
 SCALE = np.array([40.0, 40.0, 1.0, 1.0, 1.0])
 NO_LOAD = np.zeros(5)
-Ligaments = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,32 +43,32 @@ class Evaluator:
 
     def __init__(self, joint: Joint) -> None:
         self._contact, self._field = joint.contact.arrays(), joint.field.arrays()
-        self.work = workspace(len(joint.contact.points), len(joint.lines.femoral))
+        self.work = workspace(len(joint.contact.points), len(joint.lines.femoral)).evaluation
 
     def __call__(
-        self, flexion: float, pose: Array, ligaments: Ligaments, load: Array = NO_LOAD
+        self, flexion: float, pose: Array, ligaments: LigamentArrays, load: Array = NO_LOAD
     ) -> Evaluation:
         g, H, h = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
         energy = evaluate(
             flexion, pose, load, self._contact, self._field, ligaments, self.work, g, H, h
         )
-        elements, n = self.work[0], self.work[3][1]
+        elements, n = self.work.elements, self.work.counts[N_TOUCHING]
         carries = np.abs(elements[3:6, :n]).sum(axis=0) > 0.0
         return Evaluation(
             energy=float(energy),
             gradient=g,
             hessian=H,
             flexion_slope=h,
-            touching=frozenset(self.work[12][:n][carries].tolist()),
+            touching=frozenset(self.work.touching[:n][carries].tolist()),
         )
 
     @property
     def n_listings(self) -> int:
         """How often the list of candidates was made."""
-        return int(self.work[3][3])
+        return int(self.work.counts[N_LISTINGS])
 
 
-def ligaments_of(model: LaxityModel, theta: Array) -> Ligaments:
+def ligaments_of(model: LaxityModel, theta: Array) -> LigamentArrays:
     """The ligaments at theta as the kernel takes them."""
     return model.joint.lines.arrays(*model._unpacked(theta))
 
@@ -116,13 +116,13 @@ def oracle_of(joint: Joint) -> OracleKnee:
     )
 
 
-def state_of(flexion: complex, load: Array, ligaments: Ligaments) -> State:
+def state_of(flexion: complex, load: Array, ligaments: LigamentArrays) -> State:
     """Trial and ligaments for the oracle; flexion may carry a complex step."""
     return State(
         flexion=flexion,  # type: ignore[arg-type]
         load=load.tolist(),
-        stiffness=ligaments[2][:, 0].tolist(),
-        strain=ligaments[2][:, 1].tolist(),
+        stiffness=ligaments.properties[:, 0].tolist(),
+        strain=ligaments.properties[:, 1].tolist(),
     )
 
 

@@ -11,6 +11,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics import kernel
 from identknee.mechanics.energy import evaluate
+from identknee.mechanics.memory import N_TOUCHING
 from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
@@ -78,7 +79,7 @@ class PoseEnergy:
             joint.lines.arrays(self.theta[:m] * 1000.0, self.theta[m:] * 0.01),
         )
         object.__setattr__(self, "_arrays", arrays)
-        object.__setattr__(self, "_work", kernel.workspace(len(joint.contact.points), m))
+        object.__setattr__(self, "_work", kernel.workspace(len(joint.contact.points), m).evaluation)
 
     def at(self, place: Array) -> tuple[float, Array, Array]:
         """Energy [N mm], gradient [N] and Hessian [N/mm] at a pose in mm."""
@@ -94,7 +95,7 @@ class PoseEnergy:
     @property
     def n_touching(self) -> int:
         """Contact points that may touch the femur at the pose evaluated last."""
-        return int(self._work[3][1])
+        return int(self._work.counts[N_TOUCHING])
 
     def loaded(self, flexion: float, load: Array) -> Callable[[Array], tuple[float, Array, Array]]:
         """`at` under another flexion and load, sharing this one's memory."""

@@ -5,9 +5,12 @@ position, turned by rotation vectors; coordinates come from cross products of th
 a power law on a finer surface; ligaments stretch by a smooth law.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from identknee.blind.compiling import compiled
+from identknee.runs.arrays import Array
 
 # A rotation counts as much as this displacement [mm/rad].
 LEVER = 40.0
@@ -19,6 +22,33 @@ TOE_WIDTH = 0.05
 SAFE_GAP = 0.4
 # Points closer than this may touch within a difference of poses [mm].
 NEARLY = 1e-3
+
+
+class TibialSurface(NamedTuple):
+    """What may touch the femur: points (n, 3) [mm], areas (n,) [mm2], modulus and exponent (2,)."""
+
+    points: Array
+    areas: Array
+    law: Array
+
+
+class FemurGrid(NamedTuple):
+    """Distances to the femur [mm] at the nodes of a grid, its first node and its spacing [mm]."""
+
+    values: Array
+    origin: Array
+    spacing: float
+
+
+class VirtualKnee(NamedTuple):
+    """The knee as compiled functions take it; the rows of its arrays are those of `Experiment`."""
+
+    surface: TibialSurface
+    field: FemurGrid
+    lines: Array
+    weights: Array
+    springs: Array
+    torsion: Array
 
 
 @compiled
@@ -166,7 +196,7 @@ def _distance(field, x, y, z, memory, gradient):
 @compiled
 def candidates(R, t, surface, field, reach):
     """Numbers of the tibial points that may come within `reach` [mm] of the femur."""
-    points = surface[0]
+    points = surface.points
     chosen = np.empty(len(points), np.int64)
     n = 0
     for i in range(len(points)):
@@ -277,8 +307,7 @@ def energy_of(R, t, load, knee, listed, gradient, touching):
 
     `gradient` by the tangent step, [N] throughout, shape ``(5,)``, is filled.
 
-    `load` is varus and internal moment [N mm], anterior, distraction and lateral force [N]; `knee`
-    is surface, field, lines, weights, springs and torsion.
+    `load` is varus and internal moment [N mm], anterior, distraction and lateral force [N].
     """
     surface, field, lines, weights, springs, torsion = knee
     wrench = np.zeros(6)

@@ -66,11 +66,12 @@ def _trust_step(H, gradient, radius):
 def minimum(R, t, flexion, load, knee):
     """Whether a minimum was found from a pose, the pose, and the Hessian [N/mm] there."""
     gradient, trial = np.empty(5), np.empty(5)
-    touching, others = np.empty(len(knee[0][0]), np.int64), np.empty(len(knee[0][0]), np.int64)
+    n_points = len(knee.surface.points)
+    touching, others = np.empty(n_points, np.int64), np.empty(n_points, np.int64)
     H, radius = np.zeros((5, 5)), 0.5 * LARGEST_RADIUS
     R, t = moved(R, t, np.zeros(5), flexion)
     # The points listed at a pose are enough until one of them may have moved by `left`.
-    listed, left = candidates(R, t, knee[0], knee[1], LISTED), LISTED
+    listed, left = candidates(R, t, knee.surface, knee.field, LISTED), LISTED
     energy, n = energy_of(R, t, load, knee, listed, gradient, touching)
     for _ in range(ITERATIONS):
         H = stiffness_of(R, t, flexion, load, knee, touching[:n], gradient)
@@ -81,7 +82,7 @@ def minimum(R, t, flexion, load, knee):
         length = REACH * np.sqrt(np.dot(step, step))
         if length > left:
             left = max(LISTED, 1.5 * length)
-            listed = candidates(R, t, knee[0], knee[1], left)
+            listed = candidates(R, t, knee.surface, knee.field, left)
         new_R, new_t = moved(R, t, step, flexion)
         new, n_new = energy_of(new_R, new_t, load, knee, listed, trial, others)
         expected = -(np.dot(gradient, step) + 0.5 * np.dot(step, H @ step))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from identknee.blind import energy, equilibrium
+from identknee.blind.energy import FemurGrid, TibialSurface, VirtualKnee
 from identknee.blind.femur import DistanceGrid, distance_grid
 from identknee.laxity.protocol import Protocol
 from identknee.runs.arrays import Array, IntArray
@@ -110,11 +111,17 @@ class Experiment:
         lines[:m, REFERENCE_STRAIN] = theta[m:] * 0.01
         return replace(self, lines=lines)
 
-    def arrays(self) -> tuple[Any, ...]:
+    def arrays(self) -> VirtualKnee:
         """The knee as compiled functions take it."""
-        surface = (self.points, self.areas, np.array([self.modulus, self.exponent]))
-        field = (self.grid.values, self.grid.origin, self.grid.spacing)
-        return surface, field, self.lines, self.weights, self.springs, np.array(self.torsion)
+        law = np.array([self.modulus, self.exponent])
+        return VirtualKnee(
+            surface=TibialSurface(points=self.points, areas=self.areas, law=law),
+            field=FemurGrid(self.grid.values, self.grid.origin, self.grid.spacing),
+            lines=self.lines,
+            weights=self.weights,
+            springs=self.springs,
+            torsion=np.array(self.torsion),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -263,7 +270,7 @@ def _from_poses(experiment: Experiment, near: Run) -> Run:
 
 
 def _from_pose(
-    pose: tuple[Array, Array], flexion: float, load: Array, knee: tuple[Any, ...]
+    pose: tuple[Array, Array], flexion: float, load: Array, knee: VirtualKnee
 ) -> tuple[Any, ...]:
     """State of the equilibrium next to a pose."""
     is_found, R, t, H = equilibrium.minimum(*pose, flexion, load, knee)
@@ -286,7 +293,10 @@ def _along_paths(experiment: Experiment) -> Run:
 
 
 def _followed(
-    state: tuple[Any, ...], flexions: tuple[float, float], loads: tuple[Array, Array], knee: Any
+    state: tuple[Any, ...],
+    flexions: tuple[float, float],
+    loads: tuple[Array, Array],
+    knee: VirtualKnee,
 ) -> tuple[Any, ...]:
     """The state at the end of a path; one that failed earlier stays as it is."""
     if state[0] != equilibrium.FOUND:

@@ -58,7 +58,7 @@ def _rim(surface: Surface) -> Array:
 
 def _is_inside(experiment: Experiment, R: Array, t: Array, rims: Rims) -> bool:
     knee = experiment.arrays()
-    listed = energy.candidates(R, t, knee[0], knee[1], REACH)
+    listed = energy.candidates(R, t, knee.surface, knee.field, REACH)
     touching = np.empty(len(experiment.points), np.int64)
     _, n = energy.energy_of(R, t, np.zeros(5), knee, listed, np.zeros(5), touching)
     points = experiment.points[touching[:n]]

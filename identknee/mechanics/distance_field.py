@@ -4,13 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
 from identknee.mechanics.elements import IS_NEAR, NEAR_CELLS
-from identknee.runs.arrays import Array, IntArray
-
-ReachArray = NDArray[np.uint16]
+from identknee.mechanics.memory import FieldArrays
+from identknee.runs.arrays import Array, ReachArray
 
 SPACING = 0.75  # mm
 PADDING = 5  # cells around the surface: room for the candidate list and the spline's support
@@ -47,14 +45,14 @@ class DistanceField:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
-    def arrays(self) -> tuple[Array, ReachArray, Array, Array, IntArray]:
+    def arrays(self) -> FieldArrays:
         """The field as the kernel takes it."""
-        return (
-            self.coefficients.reshape(-1),
-            self.reach.reshape(-1),
-            self.origin,
-            np.array([self.spacing]),
-            np.array(self.coefficients.shape, np.int64),
+        return FieldArrays(
+            coefficients=self.coefficients.reshape(-1),
+            reach=self.reach.reshape(-1),
+            origin=self.origin,
+            spacing=np.array([self.spacing]),
+            shape=np.array(self.coefficients.shape, np.int64),
         )
 
 

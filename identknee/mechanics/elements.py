@@ -10,6 +10,7 @@ import math
 
 from identknee.mechanics.compiled import compiled
 from identknee.mechanics.ligament_law import tension
+from identknee.mechanics.memory import N_LISTED, N_LISTINGS, N_TOUCHING
 from identknee.mechanics.spline_lanes import spline_at
 
 # Bits 0-7 of the `reach` of a cell of the distance field: each eighth that may hold contact. Bit 8:
@@ -23,7 +24,7 @@ REFERENCE_DEPTH = 0.3
 @compiled
 def place_points(n, points, R, t, field, moved):
     """Turn n points (columns) by R; write them (rows 0-2) and their places in the grid (3-5)."""
-    origin, inverse = field[2], 1.0 / field[3][0]
+    origin, inverse = field.origin, 1.0 / field.spacing[0]
     o0, o1, o2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8]
     for j in range(n):
@@ -40,11 +41,10 @@ def place_points(n, points, R, t, field, moved):
 @compiled
 def list_candidates(R, t, contact, field, work):
     """Copy the points that may touch the femur at this pose or within a cell's width of it."""
-    points, stiffness = contact[0], contact[2]
-    reach, shape = field[1], field[4]
-    listed, which, counts, listed_pose = work[2], work[13], work[3], work[4]
-    moved, cells = work[14], work[5]
-    nx, ny, nz = shape[0], shape[1], shape[2]
+    points, stiffness, reach = contact.points, contact.stiffness, field.reach
+    listed, which, listed_pose = work.listed, work.which, work.listed_pose
+    moved, cells = work.moved, work.cells
+    nx, ny, nz = field.shape[0], field.shape[1], field.shape[2]
     place_points(points.shape[1], points, R, t, field, moved)
     last_x, last_y, last_z = nx - 1.0, ny - 1.0, nz - 1.0
     # Cells at the grid's faces are not near, so that points beyond them may be looked up there.
@@ -62,8 +62,8 @@ def list_candidates(R, t, contact, field, work):
         i = which[j]
         listed[0, j], listed[1, j], listed[2, j] = points[0, i], points[1, i], points[2, i]
         listed[3, j] = stiffness[i]
-    counts[0] = n
-    counts[3] += 1
+    work.counts[N_LISTED] = n
+    work.counts[N_LISTINGS] += 1
     for j in range(9):
         listed_pose[j] = R[j]
     for j in range(3):
@@ -73,8 +73,8 @@ def list_candidates(R, t, contact, field, work):
 @compiled
 def list_is_valid(R, t, radius, spacing, work):
     """Whether no point has moved farther than the list of candidates allows for."""
-    counts, listed_pose = work[3], work[4]
-    if counts[0] < 0:
+    listed_pose = work.listed_pose
+    if work.counts[N_LISTED] < 0:
         return False
     turn = 0.0
     for j in range(9):
@@ -88,14 +88,14 @@ def list_is_valid(R, t, radius, spacing, work):
 @compiled
 def contact_elements(R, t, exponent, field, work):
     """Write an element for every point that may touch the femur; return their number and energy."""
-    coefficients, reach, shape = field[0], field[1], field[4]
-    elements, fractions, listed, counts, cells = work[0], work[1], work[2], work[3], work[5]
-    touching, which, moved = work[12], work[13], work[14]
-    ny, nz = shape[1], shape[2]
+    reach, listed, moved, which = field.reach, work.listed, work.moved, work.which
+    elements, fractions, cells, touching = work.elements, work.fractions, work.cells, work.touching
+    ny, nz = field.shape[1], field.shape[2]
     stride_x, stride_y = ny * nz, nz
-    place_points(counts[0], listed, R, t, field, moved)
+    n_listed = work.counts[N_LISTED]
+    place_points(n_listed, listed, R, t, field, moved)
     n = 0
-    for j in range(counts[0]):
+    for j in range(n_listed):
         # Listed points stay inside the grid: cells near its faces hold no contact and are not near.
         ix, iy, iz = int(moved[3, j]), int(moved[4, j]), int(moved[5, j])
         cell = ix * stride_x + iy * stride_y + iz
@@ -107,8 +107,9 @@ def contact_elements(R, t, exponent, field, work):
         elements[0, n], elements[1, n], elements[2, n] = moved[0, j], moved[1, j], moved[2, j]
         touching[n] = which[j]
         n += (reach[cell] >> eighth) & 1
-    inverse = 1.0 / field[3][0]
-    return n, spline_elements(n, coefficients, stride_x, stride_y, inverse, exponent, work)
+    inverse = 1.0 / field.spacing[0]
+    energy = spline_elements(n, field.coefficients, stride_x, stride_y, inverse, exponent, work)
+    return n, energy
 
 
 @compiled
@@ -133,7 +134,7 @@ def spline_elements(n, coefficients, stride_x, stride_y, inverse, exponent, work
 
     The force of a point is its stiffness times ``depth (depth / REFERENCE_DEPTH)^(exponent - 1)``.
     """
-    elements, fractions, cells, weights = work[0], work[1], work[5], work[15]
+    elements, fractions, cells, weights = work.elements, work.fractions, work.cells, work.weights
     for i in range(n):
         spline_weights(fractions[0, i], weights, i, 0)
         spline_weights(fractions[1, i], weights, i, 12)
@@ -161,13 +162,13 @@ def spline_elements(n, coefficients, stride_x, stride_y, inverse, exponent, work
 
 
 @compiled
-def line_shape(e0, e1, e2, lift, place, shape):
+def line_shape(e0, e1, e2, wrap_offset, place, shape):
     """Write length (1), gradient (3) and Hessian (xx yy zz xy xz yz) of a line into `shape`.
 
     The line runs to (e0, e1, e2) from the origin; at the share `place` of the way back it is pushed
-    aside by `lift` along z.
+    aside by `wrap_offset` along z.
     """
-    if lift == 0.0:
+    if wrap_offset == 0.0:
         length = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
         g0, g1, g2 = e0 / length, e1 / length, e2 / length
         shape[0], shape[1], shape[2], shape[3] = length, g0, g1, g2
@@ -178,7 +179,7 @@ def line_shape(e0, e1, e2, lift, place, shape):
     for k in range(10):
         shape[k] = 0.0
     for part in range(2):
-        share, aside = (place, -lift) if part == 0 else (1.0 - place, lift)
+        share, aside = (place, -wrap_offset) if part == 0 else (1.0 - place, wrap_offset)
         x, y, z = share * e0, share * e1, share * e2 + aside
         length = math.sqrt(x * x + y * y + z * z)
         x, y, z = x / length, y / length, z / length
@@ -308,12 +309,12 @@ def contact_centres(contact, work, centres):
 
     The contact elements are those of the pose evaluated last.
     """
-    points, compartment = contact[0], contact[3]
-    elements, counts, t, touching = work[0], work[3], work[7], work[12]
+    points, compartment = contact.points, contact.compartment
+    elements, t, touching = work.elements, work.translation, work.touching
     for c in range(centres.shape[0]):
         for k in range(7):
             centres[c, k] = 0.0
-    for n in range(counts[1]):
+    for n in range(work.counts[N_TOUCHING]):
         i = touching[n]
         c = compartment[i]
         force = math.sqrt(elements[3, n] ** 2 + elements[4, n] ** 2 + elements[5, n] ** 2)

@@ -4,14 +4,8 @@ Poses are q = (varus, internal [rad], x, y, z [mm]) of the tibia in the femur, t
 axes that turn with flexion: ``x_femur = R x_tibia + Rz(-flexion) (x, y, z)`` with
 ``R = Rz(-flexion) Rx(varus) Ry(internal)``. Forces are in N, moments in N mm, energies in N mm.
 
-Groups of arrays travel as tuples, laid out in `identknee.mechanics.equilibria`:
-
-* ``contact``: points (3, n), their distance from the tibial origin at most (1,), stiffness (n,),
-  the compartment each belongs to (n,), exponent of the contact law (1,);
-* ``field``: coefficients (flat), reach (flat), origin (3,), spacing (1,), shape (3,);
-* ``ligaments``: femoral (m, 3) and tibial (m, 3) insertions, properties (m, 6): stiffness [N],
-  reference strain, reference length [mm], transition strain (negative for a spring that pushes
-  too), how far the line is pushed aside [mm] and at which share of the way from the tibia.
+``contact``, ``field``, ``ligaments`` and ``work`` are the named groups of arrays of
+`identknee.mechanics.memory`.
 """
 
 import math
@@ -27,6 +21,7 @@ from identknee.mechanics.elements import (
     list_is_valid,
     sum_elements,
 )
+from identknee.mechanics.memory import N_EVALUATIONS, N_TOUCHING
 
 
 @compiled
@@ -113,15 +108,21 @@ def generalised(sums, axes, g, H, h):
 @compiled
 def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
     """Energy of a pose; its gradient, Hessian and d gradient / d flexion are written to g, H, h."""
-    elements, R, t, sums, axes = work[0], work[6], work[7], work[8], work[9]
+    elements, R, t, sums, axes = (
+        work.elements,
+        work.rotation,
+        work.translation,
+        work.sums,
+        work.axes,
+    )
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
-    if not list_is_valid(R, t, contact[1][0], field[3][0], work):
+    if not list_is_valid(R, t, contact.radius[0], field.spacing[0], work):
         list_candidates(R, t, contact, field, work)
-    n_contact, energy = contact_elements(R, t, contact[4][0], field, work)
-    work[3][1] = n_contact
-    work[3][2] += 1
-    n, pulled = ligament_elements(R, t, ligaments, n_contact, elements, work[16])
+    n_contact, energy = contact_elements(R, t, contact.exponent[0], field, work)
+    work.counts[N_TOUCHING] = n_contact
+    work.counts[N_EVALUATIONS] += 1
+    n, pulled = ligament_elements(R, t, ligaments, n_contact, elements, work.line)
     energy += pulled
     sum_elements(n, elements, sums)
     generalised(sums, axes, g, H, h)

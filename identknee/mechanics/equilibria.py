@@ -8,6 +8,13 @@ import numpy as np
 from identknee.mechanics import kernel
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.load_paths import LoadPaths
+from identknee.mechanics.memory import (
+    ContactArrays,
+    Equilibria,
+    FieldArrays,
+    LigamentArrays,
+    NodeArrays,
+)
 from identknee.mechanics.small_matrices import scale_of
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 
@@ -24,7 +31,7 @@ class ContactLaw:
     modulus
         [N/mm3], > 0.
     exponent
-        Of the depth, > 0; the paper's law has 1.
+        Exponent of the depth, > 0; the paper's law has 1.
     """
 
     modulus: float = PRESSURE_MODULUS
@@ -63,16 +70,16 @@ class ContactPoints:
         """How many tibial surfaces there are."""
         return int(self.compartment.max()) + 1
 
-    def arrays(self) -> tuple[Array, Array, Array, IntArray, Array]:
+    def arrays(self) -> ContactArrays:
         """The points as the kernel takes them."""
         law = self.law or ContactLaw()
         radius = np.array([np.linalg.norm(self.points, axis=1).max()])
-        return (
-            np.ascontiguousarray(self.points.T),
-            radius,
-            law.modulus * self.areas,
-            self.compartment,
-            np.array([law.exponent]),
+        return ContactArrays(
+            points=np.ascontiguousarray(self.points.T),
+            radius=radius,
+            stiffness=law.modulus * self.areas,
+            compartment=self.compartment,
+            exponent=np.array([law.exponent]),
         )
 
 
@@ -89,9 +96,9 @@ class Lines:
     transition
         Strain at which the force-strain curve has half its final slope, shape ``(m,)``; negative
         for a spring, linear in tension and compression.
-    lift
+    wrap_offset
         How far something pushes each line aside, towards femoral z [mm], shape ``(m,)``.
-    lift_place
+    wrap_place
         Where it does, as a share of the way from the tibia to the femur, shape ``(m,)``.
     """
 
@@ -99,59 +106,24 @@ class Lines:
     tibial: Array
     reference_length: Array
     transition: Array | float = TRANSITION_STRAIN
-    lift: Array | float = 0.0
-    lift_place: Array | float = 0.5
+    wrap_offset: Array | float = 0.0
+    wrap_place: Array | float = 0.5
 
     def __post_init__(self) -> None:
         m = len(self.femoral)
         for name in ("femoral", "tibial"):
             object.__setattr__(self, name, frozen(getattr(self, name), m, 3, name=name))
-        for name in ("reference_length", "transition", "lift", "lift_place"):
+        for name in ("reference_length", "transition", "wrap_offset", "wrap_place"):
             values = getattr(self, name)
             values = np.full(m, values) if np.ndim(values) == 0 else values
             object.__setattr__(self, name, frozen(values, m, name=name))
 
-    def arrays(self, stiffness: Array, reference_strain: Array) -> tuple[Array, Array, Array]:
+    def arrays(self, stiffness: Array, reference_strain: Array) -> LigamentArrays:
         """The ligaments with stiffness [N] and reference strain, as the kernel takes them."""
-        course = (self.reference_length, self.transition, self.lift, self.lift_place)
+        course = (self.reference_length, self.transition, self.wrap_offset, self.wrap_place)
         columns = [np.asarray(x, float) for x in (stiffness, reference_strain, *course)]
-        return self.femoral, self.tibial, np.stack(columns, axis=1)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Equilibria:
-    """What the kernel found at every node of the load paths.
-
-    Attributes
-    ----------
-    poses
-        Last stable pose on the way to each node: varus, internal [rad], x, y, z [mm], ``(n, 5)``.
-    hessians
-        Second derivatives of the energy there, ``(n, 5, 5)``.
-    sensitivities
-        d pose / d (stiffness [N], reference strain), ``(n, 5, 2m)``; under a stated contact law
-        also d pose / d (logarithm of the modulus, exponent), ``(n, 5, 2m + 2)``. Zero where not
-        converged.
-    flexed
-        d gradient of the energy / d flexion, shape ``(n, 5)``.
-    codes
-        Outcome codes of the kernel, ``(n,)``.
-    reached
-        Share of the step from the parent that was reached, ``(n,)``.
-    centres
-        Contact force [N], its centre in tibial and femoral axes [mm], ``(n, compartments, 7)``.
-    solves
-        Equilibrium searches made for each node, ``(n,)``.
-    """
-
-    poses: Array
-    hessians: Array
-    sensitivities: Array
-    flexed: Array
-    codes: IntArray
-    reached: Array
-    centres: Array
-    solves: IntArray
+        properties = np.stack(columns, axis=1)
+        return LigamentArrays(femoral=self.femoral, tibial=self.tibial, properties=properties)
 
 
 def solve(
@@ -159,7 +131,7 @@ def solve(
     start: Array,
     contact: ContactPoints,
     field: DistanceField,
-    ligaments: tuple[Array, Array, Array],
+    ligaments: LigamentArrays,
     *,
     derivatives: bool = True,
     guesses: Array | None = None,
@@ -172,53 +144,43 @@ def solve(
         Poses to try first, shape ``(n_nodes, 5)``. A guess is kept only if the equilibrium found
         from it agrees with its neighbour's tangents, as one found without must.
     """
-    n, m = len(paths.flexion), len(ligaments[0])
-    codes, solves = np.full(n, kernel.NO_EQUILIBRIUM), np.zeros(n, np.int64)
-    poses, hessians, slopes = (
-        np.zeros((n, 5)),
-        np.zeros((n, 5, 5)),
-        np.zeros((n, 5, 2 * m + 2 * (contact.law is not None))),
+    n, m = len(paths.flexion), len(ligaments.femoral)
+    found = Equilibria(
+        poses=np.zeros((n, 5)),
+        hessians=np.zeros((n, 5, 5)),
+        sensitivities=np.zeros((n, 5, 2 * m + 2 * (contact.law is not None))),
+        gradient_by_flexion=np.zeros((n, 5)),
+        codes=np.full(n, kernel.NO_EQUILIBRIUM),
+        residuals=np.zeros(n),
+        reached=np.zeros(n),
+        centres=np.zeros((n, contact.n_compartments, 7)),
+        solves=np.zeros(n, np.int64),
     )
-    residuals, reached, flexed = np.zeros(n), np.zeros(n), np.zeros((n, 5))
-    centres = np.zeros((n, contact.n_compartments, 7))
+    nodes = (paths.flexion, paths.loads, paths.parent)
     kernel.simulate_path(
-        _read_only(paths.flexion, paths.loads, paths.parent),
+        NodeArrays(*map(_read_only, nodes)),
         np.array(start, float),
         np.zeros((n, 5)) if guesses is None else np.array(guesses),
         guesses is not None,
-        _read_only(*contact.arrays()),
-        _read_only(*field.arrays()),
-        _read_only(*ligaments),
+        ContactArrays(*map(_read_only, contact.arrays())),
+        FieldArrays(*map(_read_only, field.arrays())),
+        LigamentArrays(*map(_read_only, ligaments)),
         derivatives,
-        (poses, hessians, slopes, codes, residuals, reached, flexed, solves, centres),
+        found,
     )
-    return Equilibria(
-        poses=poses,
-        hessians=hessians,
-        sensitivities=slopes,
-        flexed=flexed,
-        codes=codes,
-        reached=reached,
-        centres=centres,
-        solves=solves,
-    )
+    return found
 
 
-def _read_only(*values: Any) -> tuple[Any, ...]:
-    """The same values, arrays as views that cannot be written to.
+def _read_only(array: Any) -> Any:
+    """The same array as a view that cannot be written to.
 
     The compiler takes arrays that can be written to for another type, and pickling makes read-only
     arrays writable: without this a model sent to another process would be compiled once more, and
     might differ in the last bit.
     """
-    views = []
-    for value in values:
-        view = value
-        if isinstance(value, np.ndarray):
-            view = value.view()
-            view.flags.writeable = False
-        views.append(view)
-    return tuple(views)
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def stability_margins(hessians: Array) -> Array:

@@ -13,6 +13,16 @@ from identknee.mechanics.energy import (
     parameter_columns,
     place_tibia,
 )
+from identknee.mechanics.memory import (
+    N_LISTED,
+    N_TOUCHING,
+    EvaluationMemory,
+    PathMemory,
+    Segment,
+    SolverMemory,
+    State,
+    Workspace,
+)
 from identknee.mechanics.small_matrices import (
     factorise,
     residual_norm,
@@ -39,16 +49,19 @@ CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = 0, 1, 2, 3
 
 
 @compiled
-def find_minimum(flexion, q, load, farthest, contact, field, ligaments, work, g, H, h):
-    """Move q to a minimum of the energy; return (outcome, residual).
+def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work, g):
+    """Move the pose of a state to a minimum of the energy; return (outcome, residual).
 
-    A Newton step inside a trust region on the energy. `farthest` [mm] ends the search when q moves
-    farther than that from where it began.
+    A Newton step inside a trust region on the energy. `farthest` [mm] ends the search when the
+    pose moves farther than that from where it began. Its derivatives are those of the last pose
+    evaluated; `g` becomes the gradient there.
     """
-    L, minus_g, step, trial, g_new, H_new, h_new, start = work[10]
+    q, H, h, _ = state
+    evaluation = work.evaluation
+    L, right, step, trial, g_new, H_new, h_new, start = work.solver
     for i in range(5):
         start[i] = q[i]
-    energy = evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h)
+    energy = evaluate(flexion, q, load, contact, field, ligaments, evaluation, g, H, h)
     residual = residual_norm(g)
     radius = 3.0
     for _ in range(MOST_ITERATIONS):
@@ -56,7 +69,7 @@ def find_minimum(flexion, q, load, farthest, contact, field, ligaments, work, g,
             break
         if residual < SLACK_RESIDUAL and not factorise(H, -FLOOR_MARGIN, L):
             break
-        trust_region_step(g, H, radius, L, minus_g, step)
+        trust_region_step(g, H, radius, L, right, step)
         length = scaled_norm(step)
         predicted = 0.0
         for i in range(5):
@@ -66,7 +79,7 @@ def find_minimum(flexion, q, load, farthest, contact, field, ligaments, work, g,
                 s += H[i, j] * step[j]
             predicted -= step[i] * (g[i] + 0.5 * s)
         energy_new = evaluate(
-            flexion, trial, load, contact, field, ligaments, work, g_new, H_new, h_new
+            flexion, trial, load, contact, field, ligaments, evaluation, g_new, H_new, h_new
         )
         residual_new = residual_norm(g_new)
         rounding = 1e-13 * (abs(energy) + 1e4)
@@ -105,27 +118,27 @@ def find_minimum(flexion, q, load, farthest, contact, field, ligaments, work, g,
 
 
 @compiled
-def tangent(H, h, load_change, flexion_change, L, right, step):
-    """Write how the equilibrium moves when load and flexion change: -H^-1 d(gradient)."""
+def tangent(state, load_change, flexion_change, L, right):
+    """Write how an equilibrium moves when load and flexion change: -H^-1 d(gradient)."""
     for i in range(5):
-        right[i] = load_change[i] - h[i] * flexion_change
-    if factorise(H, 0.0, L):
-        substitute(L, right, step)
+        right[i] = load_change[i] - state.gradient_by_flexion[i] * flexion_change
+    if factorise(state.hessian, 0.0, L):
+        substitute(L, right, state.tangent)
     else:
         for i in range(5):
-            step[i] = 0.0
+            state.tangent[i] = 0.0
 
 
 @compiled
-def off_branch(before, after, tangent_before, tangent_after, share, tolerance):
+def off_branch(before, after, share, tolerance):
     """Whether a step disagrees with the tangents at its ends more than a smooth branch would.
 
     The disagreement is weighed against the way the tangents explain, of which a jump is no part.
     """
     off, length, explained = 0.0, 0.0, 0.0
     for i in range(5):
-        change = after[i] - before[i]
-        mean = 0.5 * share * (tangent_before[i] + tangent_after[i])
+        change = after.pose[i] - before.pose[i]
+        mean = 0.5 * share * (before.tangent[i] + after.tangent[i])
         off += ((change - mean) * scale_of(i)) ** 2
         length += (change * scale_of(i)) ** 2
         explained += (mean * scale_of(i)) ** 2
@@ -134,64 +147,64 @@ def off_branch(before, after, tangent_before, tangent_after, share, tolerance):
 
 
 @compiled
-def copy_state(q, H, h, slope, q_to, H_to, h_to, slope_to):
-    """Copy an equilibrium: pose, Hessian, d gradient / d flexion and tangent."""
+def copy_state(state, to):
+    """Copy an equilibrium."""
     for i in range(5):
-        q_to[i], h_to[i], slope_to[i] = q[i], h[i], slope[i]
+        to.pose[i], to.tangent[i] = state.pose[i], state.tangent[i]
+        to.gradient_by_flexion[i] = state.gradient_by_flexion[i]
         for j in range(5):
-            H_to[i, j] = H[i, j]
+            to.hessian[i, j] = state.hessian[i, j]
 
 
 @compiled
-def follow(path, q, H, h, guess, guessed, contact, field, ligaments, work, g):
-    """Follow the branch of equilibria from one end of a straight load path to the other.
+def follow(segment, guess, guessed, contact, field, ligaments, work, g):
+    """Follow the branch of equilibria from one end of a segment to the other.
 
-    `path` holds flexion (2), load before (5), load after (5). q, H and h are those of the state
-    before and become those of the state after, or of the last stable state reached. A step is
-    accepted when it agrees with the tangents at both of its ends, else it is halved: on a smooth
-    branch the disagreement vanishes with the step, across a jump it stays. A state found too far
-    away for one step is kept and looked at again from closer by. `guess` is a pose to try first at
-    the path's end, if `guessed`.
+    ``work.path.here`` is the state before and becomes the state after, or the last stable one
+    reached. A step is accepted when it agrees with the tangents at both of its ends, else it is
+    halved: on a smooth branch the disagreement vanishes with the step, across a jump it stays. A
+    state found too far away for one step is kept and looked at again from closer by. `guess` is a
+    pose to try first at the segment's end, if `guessed`.
 
-    Returns (outcome, share of the path reached, residual, number of solves).
+    Returns (outcome, share of the segment reached, residual, number of solves).
     """
-    L, minus_g = work[10][0], work[10][1]
-    q_new, H_new, h_new, after, q_far, H_far, h_far, after_far, load, change, before = work[11]
-    flexion_change = path[1] - path[0]
+    L, right = work.solver.factor, work.solver.right
+    here, there, far_state, load, change = work.path
+    flexion_change = segment.flexion_after - segment.flexion_before
     for i in range(5):
-        change[i] = path[7 + i] - path[2 + i]
+        change[i] = segment.load_after[i] - segment.load_before[i]
     reached, share, far, residual, solves = 0.0, 1.0, -1.0, 0.0, 0
-    tangent(H, h, change, flexion_change, L, minus_g, before)
+    tangent(here, change, flexion_change, L, right)
     while reached < 1.0:
         share = min(share, 1.0 - reached)
         goal = reached + share
         outcome = CONVERGED
         if goal == far:
-            copy_state(q_far, H_far, h_far, after_far, q_new, H_new, h_new, after)
+            copy_state(far_state, there)
         else:
             for i in range(5):
-                q_new[i] = guess[i] if guessed else q[i] + share * before[i]
-                load[i] = path[2 + i] + goal * change[i]
-            angle = path[0] + goal * flexion_change
+                there.pose[i] = guess[i] if guessed else here.pose[i] + share * here.tangent[i]
+                load[i] = segment.load_before[i] + goal * change[i]
+            angle = segment.flexion_before + goal * flexion_change
             outcome, residual = find_minimum(
-                angle, q_new, load, LARGEST_MOVE, contact, field, ligaments, work, g, H_new, h_new
+                angle, there, load, LARGEST_MOVE, contact, field, ligaments, work, g
             )
             solves += 1
-            tangent(H_new, h_new, change, flexion_change, L, minus_g, after)
+            tangent(there, change, flexion_change, L, right)
         tolerance = GUESS_TOLERANCE if guessed else 1.0
-        if outcome == CONVERGED and not off_branch(q, q_new, before, after, share, tolerance):
-            copy_state(q_new, H_new, h_new, after, q, H, h, before)
+        if outcome == CONVERGED and not off_branch(here, there, share, tolerance):
+            copy_state(there, here)
             reached = goal
             share *= 2.0
         elif guessed:
             guessed = False
         else:
             if outcome == CONVERGED and goal != far:
-                copy_state(q_new, H_new, h_new, after, q_far, H_far, h_far, after_far)
+                copy_state(there, far_state)
                 far = goal
             share *= 0.5
             if share < SMALLEST_STEP:
-                free = not factorise(H, -10.0 * FLOOR_MARGIN, L)
+                free = not factorise(here.hessian, -10.0 * FLOOR_MARGIN, L)
                 return UNCONSTRAINED if free else FOLD, reached, residual, solves
     return CONVERGED, 1.0, residual, solves
 
@@ -203,15 +216,17 @@ def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns,
     The parameters are stiffness and reference strain of m ligaments, then the logarithm of the
     contact modulus and the exponent of the contact law.
     """
-    R, t, axes, m = work[6], work[7], work[9], ligaments[0].shape[0]
-    L, right, step = work[10][0], work[10][1], work[10][2]
+    evaluation, solver, m = work.evaluation, work.solver, ligaments.femoral.shape[0]
+    R, t, axes = evaluation.rotation, evaluation.translation, evaluation.axes
+    L, right, step = solver.factor, solver.right, solver.step
     if S.shape[1] > 2 * m:
-        g, h, H_again = work[10][3], work[10][4], work[10][5]
-        evaluate(flexion, q, load, contact, field, ligaments, work, g, H_again, h)
-        contact_columns(work[3][1], work[0], axes, columns, 2 * m)
+        g, h, H_again = solver.trial, solver.trial_gradient_by_flexion, solver.trial_hessian
+        evaluate(flexion, q, load, contact, field, ligaments, evaluation, g, H_again, h)
+        n_touching = evaluation.counts[N_TOUCHING]
+        contact_columns(n_touching, evaluation.elements, axes, columns, 2 * m)
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
-    parameter_columns(R, t, ligaments, axes, work[16], columns)
+    parameter_columns(R, t, ligaments, axes, evaluation.line, columns)
     factorise(H, 0.0, L)
     for j in range(S.shape[1]):
         for i in range(5):
@@ -222,53 +237,72 @@ def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns,
 
 
 @compiled
+def empty_state():
+    """A state to be written to."""
+    return State(np.zeros(5), np.zeros((5, 5)), np.zeros(5), np.zeros(5))
+
+
+@compiled
 def workspace(n_points, n_ligaments):
     """Memory for one thread's work, allocated once a simulation."""
     n = n_points + n_ligaments + 1
     counts = np.zeros(4, np.int64)
-    counts[0] = -1
-    solver = (
-        np.zeros((5, 5)),
-        np.zeros(5),
-        np.zeros(5),
-        np.zeros(5),
-        np.zeros(5),
-        np.zeros((5, 5)),
-        np.zeros(5),
-        np.zeros(5),
+    counts[N_LISTED] = -1
+    solver = SolverMemory(
+        factor=np.zeros((5, 5)),
+        right=np.zeros(5),
+        step=np.zeros(5),
+        trial=np.zeros(5),
+        trial_gradient=np.zeros(5),
+        trial_hessian=np.zeros((5, 5)),
+        trial_gradient_by_flexion=np.zeros(5),
+        start=np.zeros(5),
     )
-    path = (
-        np.zeros(5),
-        np.zeros((5, 5)),
-        np.zeros(5),
-        np.zeros(5),
-        np.zeros(5),
-        np.zeros((5, 5)),
-        np.zeros(5),
-        np.zeros(5),
-        np.zeros(5),
-        np.zeros(5),
-        np.zeros(5),
+    path = PathMemory(
+        here=empty_state(),
+        there=empty_state(),
+        far=empty_state(),
+        load=np.zeros(5),
+        change=np.zeros(5),
     )
-    return (
-        np.zeros((13, n)),  # 0 elements
-        np.zeros((4, n)),  # 1 place in the cell, stiffness
-        np.zeros((4, n)),  # 2 listed points, stiffness
-        counts,  # 3 listed points, contact elements, evaluations, listings
-        np.zeros(12),  # 4 pose of the list
-        np.zeros(n, np.int64),  # 5 first coefficient of the cell
-        np.zeros(9),  # 6 rotation
-        np.zeros(3),  # 7 translation
-        np.zeros(39),  # 8 sums over elements
-        np.zeros((9, 3)),  # 9 axes
-        solver,  # 10
-        path,  # 11
-        np.zeros(n, np.int64),  # 12 point of each contact element
-        np.zeros(n, np.int64),  # 13 point of each listed one
-        np.zeros((6, n)),  # 14 listed points, turned; their place in the grid
-        np.zeros((n, 36)),  # 15 spline weights
-        np.zeros(10),  # 16 length, gradient and Hessian of a line
+    evaluation = EvaluationMemory(
+        elements=np.zeros((13, n)),
+        fractions=np.zeros((4, n)),
+        listed=np.zeros((4, n)),
+        counts=counts,
+        listed_pose=np.zeros(12),
+        cells=np.zeros(n, np.int64),
+        rotation=np.zeros(9),
+        translation=np.zeros(3),
+        sums=np.zeros(39),
+        axes=np.zeros((9, 3)),
+        touching=np.zeros(n, np.int64),
+        which=np.zeros(n, np.int64),
+        moved=np.zeros((6, n)),
+        weights=np.zeros((n, 36)),
+        line=np.zeros(10),
     )
+    return Workspace(evaluation=evaluation, solver=solver, path=path)
+
+
+@compiled
+def read_state(results, n, state):
+    """Make the state that of node n, but for its tangent."""
+    for i in range(5):
+        state.pose[i] = results.poses[n, i]
+        state.gradient_by_flexion[i] = results.gradient_by_flexion[n, i]
+        for j in range(5):
+            state.hessian[i, j] = results.hessians[n, i, j]
+
+
+@compiled
+def write_state(state, results, n):
+    """Keep the state as that of node n."""
+    for i in range(5):
+        results.poses[n, i] = state.pose[i]
+        results.gradient_by_flexion[n, i] = state.gradient_by_flexion[i]
+        for j in range(5):
+            results.hessians[n, i, j] = state.hessian[i, j]
 
 
 @compiled_apart
@@ -277,50 +311,49 @@ def simulate_path(
 ):
     """Solve every node of a tree of load paths, each from its parent's state.
 
-    `nodes`: flexion (n), load (n, 5), parent (n); a parent of -1 starts the search at `start`.
-    `results`: poses (n, 5), Hessians (n, 5, 5), sensitivities (n, 5, 2m or 2m + 2), outcomes (n),
-    residuals (n), share of the path from the parent that was reached (n), d gradient / d flexion
-    (n, 5), solves (n), contact force and centres (n, compartments, 7).
+    A node without parent starts the search at the pose `start`. `results` are the arrays of
+    `identknee.mechanics.memory.Equilibria`, to be written to.
     """
-    flexion, loads, parent = nodes
-    poses, hessians, slopes, outcomes, residuals, reached, flexed, solves, centres = results
-    work = workspace(contact[0].shape[1], ligaments[0].shape[0])
-    g, q, H, h = np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-    path = np.zeros(12)
-    columns = np.zeros((5, slopes.shape[2]))
-    for n in range(flexion.shape[0]):
-        before = parent[n]
+    work = workspace(contact.points.shape[1], ligaments.femoral.shape[0])
+    g, here = np.zeros(5), work.path.here
+    columns = np.zeros((5, results.sensitivities.shape[2]))
+    for n in range(nodes.flexion.shape[0]):
+        before = nodes.parent[n]
         if before < 0:
             for i in range(5):
-                q[i] = start[i]
-            outcome, residuals[n] = find_minimum(
-                flexion[n], q, loads[n], 1e9, contact, field, ligaments, work, g, H, h
+                here.pose[i] = start[i]
+            outcome, results.residuals[n] = find_minimum(
+                nodes.flexion[n], here, nodes.loads[n], 1e9, contact, field, ligaments, work, g
             )
-            reached[n] = 1.0
-            solves[n] = 1
+            results.reached[n] = 1.0
+            results.solves[n] = 1
         else:
-            for i in range(5):
-                q[i] = poses[before, i]
-                h[i] = flexed[before, i]
-                path[2 + i] = loads[before, i]
-                path[7 + i] = loads[n, i]
-                for j in range(5):
-                    H[i, j] = hessians[before, i, j]
-            path[0], path[1] = flexion[before], flexion[n]
-            outcome = outcomes[before]
-            reached[n] = 0.0
+            read_state(results, before, here)
+            segment = Segment(
+                flexion_before=nodes.flexion[before],
+                flexion_after=nodes.flexion[n],
+                load_before=nodes.loads[before],
+                load_after=nodes.loads[n],
+            )
+            outcome = results.codes[before]
+            results.reached[n] = 0.0
             if outcome == CONVERGED:
-                outcome, reached[n], residuals[n], solves[n] = follow(
-                    path, q, H, h, guesses[n], has_guess, contact, field, ligaments, work, g
+                outcome, results.reached[n], results.residuals[n], results.solves[n] = follow(
+                    segment, guesses[n], has_guess, contact, field, ligaments, work, g
                 )
-        outcomes[n] = outcome
-        for i in range(5):
-            poses[n, i] = q[i]
-            flexed[n, i] = h[i]
-            for j in range(5):
-                hessians[n, i, j] = H[i, j]
-        contact_centres(contact, work, centres[n])
+        results.codes[n] = outcome
+        write_state(here, results, n)
+        contact_centres(contact, work.evaluation, results.centres[n])
         if derivatives and outcome == CONVERGED:
             sensitivities(
-                flexion[n], q, loads[n], H, contact, field, ligaments, work, columns, slopes[n]
+                nodes.flexion[n],
+                here.pose,
+                nodes.loads[n],
+                here.hessian,
+                contact,
+                field,
+                ligaments,
+                work,
+                columns,
+                results.sensitivities[n],
             )

@@ -100,8 +100,8 @@ def line_lengths(lines: Lines, flexion: float, pose: Array) -> Array:
 def _course(lines: Lines, offset: Array) -> tuple[Array, Array]:
     """Length of each line and its gradient by `offset` (n, m, 3), pushed aside where it is."""
     length, direction = np.zeros(offset.shape[:2]), np.zeros(offset.shape)
-    place, lift = np.asarray(lines.lift_place), np.asarray(lines.lift)
-    for share, aside in ((place, -lift), (1.0 - place, lift)):
+    place, offset_z = np.asarray(lines.wrap_place), np.asarray(lines.wrap_offset)
+    for share, aside in ((place, -offset_z), (1.0 - place, offset_z)):
         part = share[:, None] * offset
         part[:, :, 2] += aside
         size = np.linalg.norm(part, axis=2)

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from identknee.mechanics.equilibria import Equilibria
 from identknee.mechanics.kernel import CONVERGED
+from identknee.mechanics.memory import Equilibria
 from identknee.model.effects.effect import (
     Effect,
     MechanicalEffect,

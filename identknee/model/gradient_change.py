@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identknee.mechanics.equilibria import Equilibria, Lines
+from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.mechanics.memory import Equilibria
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array, IntArray
 
@@ -31,7 +32,9 @@ def gradient_changes(
     changes = _line_changes(pairs, flexion, found.poses[nodes])
     for k, (low, high) in enumerate(pairs):
         changes[:, :, k] += low.loads[nodes] - high.loads[nodes]
-        changes[:, :, k] += found.flexed[nodes] * (high.flexion - low.flexion)[nodes][:, None]
+        changes[:, :, k] += (
+            found.gradient_by_flexion[nodes] * (high.flexion - low.flexion)[nodes][:, None]
+        )
         law = np.array(
             [np.log(high.law.modulus / low.law.modulus), high.law.exponent - low.law.exponent]
         )
@@ -61,8 +64,8 @@ def _line_changes(pairs: Sequence[Pair], flexion: Array, poses: Array) -> Array:
         tibial=table[:, 3:6],
         reference_length=table[:, 6],
         transition=table[:, 7],
-        lift=table[:, 8],
-        lift_place=table[:, 9],
+        wrap_offset=table[:, 8],
+        wrap_place=table[:, 9],
     )
     found = ligament_tensions(lines, flexion, poses, table[:, 10], table[:, 11])
     gradients = found.tensions[:, :, None] * found.lengthening
@@ -72,6 +75,6 @@ def _line_changes(pairs: Sequence[Pair], flexion: Array, poses: Array) -> Array:
 def _table(setting: Setting) -> Array:
     """All that the gradient of each line depends on, shape ``(m, 12)``."""
     x = setting.lines
-    courses = (x.reference_length, x.transition, x.lift, x.lift_place)
+    courses = (x.reference_length, x.transition, x.wrap_offset, x.wrap_place)
     laws = (setting.stiffness, setting.reference_strain)
     return np.column_stack([x.femoral, x.tibial, *courses, *laws])

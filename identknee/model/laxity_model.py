@@ -11,10 +11,11 @@ import numpy as np
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_points import DEFAULT_NUMBER
-from identknee.mechanics.equilibria import ContactLaw, Equilibria, solve
+from identknee.mechanics.equilibria import ContactLaw, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths
+from identknee.mechanics.memory import Equilibria
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model.effects.effect import Effect, Tests

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+ReachArray = NDArray[np.uint16]
 BoolArray = NDArray[np.bool_]
 # A kilometre: squares and cubes of anything larger may overflow.
 FARTHEST_MM = 1e6

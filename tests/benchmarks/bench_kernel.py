@@ -10,6 +10,7 @@ from knees import DEFAULT, model
 from rows import Measure, Row, median_of
 
 from identknee.mechanics import kernel
+from identknee.mechanics.memory import N_EVALUATIONS, N_LISTINGS
 from identknee.model.laxity_model import LaxityModel
 
 RUNS = 100
@@ -77,12 +78,12 @@ def work_in(subject: LaxityModel) -> tuple[int, int, int]:
 
     def solved(*arguments: Any) -> None:
         plain(*arguments)
-        seen.append(int(arguments[-1][7].sum()))
+        seen.append(int(arguments[-1].solves.sum()))
 
     with (
         mock.patch.object(kernel, "workspace", remembered),
         mock.patch.object(kernel, "simulate_path", solved),
     ):
         subject.predict(subject.parameters.center)
-    counts = made[-1][3]
-    return seen[-1], int(counts[2]), int(counts[3])
+    counts = made[-1].evaluation.counts
+    return seen[-1], int(counts[N_EVALUATIONS]), int(counts[N_LISTINGS])

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactPoints, Equilibria, Lines, solve
+from identknee.mechanics.equilibria import ContactPoints, Lines, solve
 from identknee.mechanics.kernel import CONVERGED
 from identknee.mechanics.load_paths import load_paths
+from identknee.mechanics.memory import Equilibria, LigamentArrays
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -31,18 +32,15 @@ def _solved(
     paths = load_paths(
         model.paths.flexion[nodes], model.paths.loads[nodes] * moment, joint.start_flexion
     )
-    properties = ligaments_of(model, model.parameters.center)[2] * [
-        force,
-        1.0,
-        length,
-        1.0,
-        length,
-        1.0,
-    ]
-    lines = (joint.lines.femoral, joint.lines.tibial, properties)
+    lines = LigamentArrays(
+        femoral=joint.lines.femoral,
+        tibial=joint.lines.tibial,
+        properties=ligaments_of(model, model.parameters.center).properties
+        * [force, 1.0, length, 1.0, length, 1.0],
+    )
     found = solve(paths, joint.start, joint.contact, joint.field, lines, derivatives=False)
     assert (found.codes[paths.trial_node] == CONVERGED).all()
-    return replace(found, poses=found.poses[paths.trial_node])
+    return found._replace(poses=found.poses[paths.trial_node])
 
 
 def _reference(model: LaxityModel, trials: list[int]) -> Array:

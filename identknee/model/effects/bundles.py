@@ -64,8 +64,8 @@ def _split(setting: Setting, values: Array) -> Setting:
         tibial=lines.tibial[line] + aside[:, 1],
         reference_length=lines.reference_length[line],
         transition=np.asarray(lines.transition)[line],
-        lift=np.asarray(lines.lift)[line],
-        lift_place=np.asarray(lines.lift_place)[line],
+        wrap_offset=np.asarray(lines.wrap_offset)[line],
+        wrap_place=np.asarray(lines.wrap_place)[line],
     )
     split = replace(
         setting,

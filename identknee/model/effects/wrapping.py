@@ -46,7 +46,7 @@ def _lifted(index: int, place: float, setting: Setting, values: Array) -> Settin
     course = replace(
         lines,
         # Medial is against femoral z.
-        lift=np.where(is_lifted, -values[0], lines.lift),
-        lift_place=np.where(is_lifted, place, lines.lift_place),
+        wrap_offset=np.where(is_lifted, -values[0], lines.wrap_offset),
+        wrap_place=np.where(is_lifted, place, lines.wrap_place),
     )
     return remeasured(setting, course, is_lifted)

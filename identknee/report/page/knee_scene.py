@@ -228,5 +228,5 @@ def _line_names(model: LaxityModel, theta: Array) -> list[str]:
 
 
 def _selected_lines(lines: Lines, index: IntArray) -> Lines:
-    columns = ("femoral", "tibial", "reference_length", "transition", "lift", "lift_place")
+    columns = ("femoral", "tibial", "reference_length", "transition", "wrap_offset", "wrap_place")
     return Lines(**{x: np.asarray(getattr(lines, x))[index] for x in columns})

@@ -55,8 +55,8 @@ def _data(scene: KneeScene) -> dict[str, Any]:
                 "name": name,
                 "femoral": _rounded(lines.femoral[i] * mirror, 3),
                 "tibial": _rounded(lines.tibial[i] * mirror, 3),
-                "lift": _rounded(np.asarray(lines.lift)[i] * mirror[2], 3),
-                "place": _rounded(np.asarray(lines.lift_place)[i], 4),
+                "lift": _rounded(np.asarray(lines.wrap_offset)[i] * mirror[2], 3),
+                "place": _rounded(np.asarray(lines.wrap_place)[i], 4),
             }
             for i, name in enumerate(scene.names)
         ],

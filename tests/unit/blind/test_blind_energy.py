@@ -77,7 +77,7 @@ def test_the_smooth_law_stays_within_two_percent_of_the_printed_one() -> None:
     assert (np.diff(smooth[:, 0]) > 0.0).all()
 
 
-def _knee() -> tuple[object, ...]:
+def _knee() -> energy.VirtualKnee:
     """A ball on a plane of points, with every kind of element."""
     axis = np.arange(-14.0, 15.0)
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
@@ -85,8 +85,8 @@ def _knee() -> tuple[object, ...]:
     side = np.arange(-5.0, 5.1, 0.5)
     x, z = (part.ravel() for part in np.meshgrid(side, side))
     points = np.c_[x, np.full_like(x, -9.6), z]
-    surface = (points, np.full(len(points), 0.25), np.array([10.0, 1.3]))
-    field = (values, np.full(3, -14.0), 1.0)
+    surface = energy.TibialSurface(points, np.full(len(points), 0.25), np.array([10.0, 1.3]))
+    field = energy.FemurGrid(values, np.full(3, -14.0), 1.0)
     lines = np.zeros((2, 12))
     lines[:, :3] = [[2.0, 9.0, 12.0], [-3.0, 8.0, -12.0]]
     lines[:, 3:6] = [[-1.0, -18.0, 10.0], [1.0, -19.0, -11.0]]
@@ -94,7 +94,7 @@ def _knee() -> tuple[object, ...]:
     lines[1, 10:] = -4.0, 0.4
     weights = np.array([[3.0, -9.0, 2.0, 1.0, -180.0, 2.0]])
     springs = np.array([[0.0, 2.0, 5.0, 1.0, 2.0, 4.0, 20.0]])
-    return surface, field, lines, weights, springs, np.array([3000.0, 0.1])
+    return energy.VirtualKnee(surface, field, lines, weights, springs, np.array([3000.0, 0.1]))
 
 
 def test_the_gradient_is_the_slope_of_the_energy() -> None:
@@ -120,7 +120,7 @@ def test_no_point_that_touches_is_left_out() -> None:
     R, t = _matrix(0.4, 0.05, -0.1), np.array([0.3, 0.2, -0.1])
     load, gradient = np.zeros(5), np.empty((2, 5))
     every, scratch = np.arange(21 * 21), np.empty(21 * 21, np.int64)
-    listed = energy.candidates(R, t, knee[0], knee[1], 0.0)
+    listed = energy.candidates(R, t, knee.surface, knee.field, 0.0)
     assert len(listed) < len(every)
     full = energy.energy_of(R, t, load, knee, every, gradient[0], scratch)
     few = energy.energy_of(R, t, load, knee, listed, gradient[1], scratch)

@@ -1,7 +1,6 @@
 """Equilibria of the generator where they are formulas: springs, a flat plateau, and a ball."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,18 +16,20 @@ FOUND_MM = 1e-6
 SPRING_N_PER_MM, TORSION_NMM = 40.0, 20_000.0
 
 
-def flat_joint() -> tuple[Any, ...]:
+def flat_joint() -> energy.VirtualKnee:
     """A femur that fills all above y = 0, on nine tibial points of 4 mm2 held by springs."""
     height = np.arange(20.0) - 10.0
     values = np.broadcast_to(-height[None, :, None], (20, 20, 20)).copy()
     side = np.array([-4.0, 0.0, 4.0])
     x, z = (part.ravel() for part in np.meshgrid(side, side))
     points = np.c_[x, np.zeros(9), z]
-    surface = (points, np.full(9, 4.0), np.array([MODULUS, EXPONENT]))
+    law = np.array([MODULUS, EXPONENT])
+    surface = energy.TibialSurface(points, np.full(9, 4.0), law)
     springs = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, SPRING_N_PER_MM]])
-    field = (values, np.full(3, -10.0), 1.0)
+    field = energy.FemurGrid(values, np.full(3, -10.0), 1.0)
     torsion = np.array([TORSION_NMM, 0.0])
-    return surface, field, np.zeros((0, 12)), np.zeros((0, 6)), springs, torsion
+    lines, weights = np.zeros((0, 12)), np.zeros((0, 6))
+    return energy.VirtualKnee(surface, field, lines, weights, springs, torsion)
 
 
 def at_rest(load: Array) -> Array:

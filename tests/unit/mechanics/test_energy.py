@@ -17,12 +17,13 @@ from oracle import OracleKnee
 from tolerances import CLOSED_FORM, DERIVATIVE
 
 from identknee.mechanics.energy import motion_axes, parameter_columns, place_tibia
+from identknee.mechanics.memory import LigamentArrays
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
-Case = tuple[float, Array, Array, tuple[Array, Array, Array]]
+Case = tuple[float, Array, Array, LigamentArrays]
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +103,8 @@ def test_without_ligaments_and_load_it_is_the_springs_at_the_points(
     reference_model: LaxityModel, reference_prediction: Prediction, seed: int
 ) -> None:
     flexion, pose, _, ligaments = _case(reference_model, reference_prediction, seed)
-    slack = ligaments[2] * [0.0, 1.0, 1.0, 1.0, 1.0, 1.0]
-    found = Evaluator(reference_model.joint)(flexion, pose, (ligaments[0], ligaments[1], slack))
+    slack = ligaments.properties * [0.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    found = Evaluator(reference_model.joint)(flexion, pose, ligaments._replace(properties=slack))
     expected = contact_energy(reference_model.joint, depths(reference_model.joint, flexion, pose))
     assert found.energy == pytest.approx(expected, rel=DERIVATIVE)
 

@@ -2,24 +2,24 @@
 
 import numpy as np
 import pytest
-from evaluation import SCALE, Evaluator, Ligaments, random_parameters
+from evaluation import SCALE, Evaluator, random_parameters
 from tolerances import CLOSED_FORM, DIFFERENCE, RESIDUAL_N
 
 from identknee.mechanics.equilibria import (
     PRESSURE_MODULUS,
     TRANSITION_STRAIN,
     ContactPoints,
-    Equilibria,
     Lines,
     solve,
     stability_margins,
 )
 from identknee.mechanics.kernel import CONVERGED
+from identknee.mechanics.memory import Equilibria, LigamentArrays
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 
 
-def _solve(model: LaxityModel, ligaments: Ligaments) -> Equilibria:
+def _solve(model: LaxityModel, ligaments: LigamentArrays) -> Equilibria:
     return solve(model.paths, model.joint.start, model.joint.contact, model.joint.field, ligaments)
 
 

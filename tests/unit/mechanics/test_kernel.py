@@ -18,12 +18,27 @@ from identknee.mechanics.kernel import (
     tangent,
     workspace,
 )
+from identknee.mechanics.memory import Segment, State
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 # The independent minimiser stops at 1e-6 N or at rounding; a margin of 3 N/mm makes that this far.
 INDEPENDENT_MM = 1e-5
+
+
+def _state(pose: Array, slope: Array) -> State:
+    """An equilibrium that moves along `slope`, without stiffness."""
+    return State(
+        pose=pose,
+        hessian=np.zeros((5, 5)),
+        gradient_by_flexion=np.zeros(5),
+        tangent=np.array(slope),
+    )
+
+
+SLOPE = np.array([0.02, 0.05, 1.0, -0.5, 0.3])
+BEFORE = _state(np.zeros(5), SLOPE)
 
 
 class Search:
@@ -36,22 +51,14 @@ class Search:
         self.ligaments = ligaments_of(model, theta)
         self.arrays = (model.joint.contact.arrays(), model.joint.field.arrays(), self.ligaments)
         self.work = workspace(len(model.joint.contact.points), len(self.ligaments[0]))
-        self.g, self.H, self.h = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
+        self.state, self.g = self.work.path.here, np.zeros(5)
 
     def minimum(self, start: Array, farthest: float = 1e9) -> tuple[int, float, Array]:
-        pose = np.array(start)
+        self.state.pose[:] = start
         outcome, residual = find_minimum(
-            self.flexion,
-            pose,
-            self.load,
-            farthest,
-            *self.arrays,
-            self.work,
-            self.g,
-            self.H,
-            self.h,
+            self.flexion, self.state, self.load, farthest, *self.arrays, self.work, self.g
         )
-        return outcome, residual, pose
+        return outcome, residual, np.array(self.state.pose)
 
     def residual(self, pose: Array) -> float:
         evaluate = Evaluator(self.model.joint)
@@ -61,12 +68,16 @@ class Search:
         """From equilibrium at `start` without load to the load; outcome, share reached, pose."""
         self.load = np.zeros(5)
         _, _, pose = self.minimum(start)
-        path = np.r_[self.flexion, self.flexion, np.zeros(5), load]
-        H, h = np.array(self.H), np.array(self.h)
-        outcome, reached, _, _ = kernel.follow(
-            path, pose, H, h, pose, False, *self.arrays, self.work, self.g
+        segment = Segment(
+            flexion_before=self.flexion,
+            flexion_after=self.flexion,
+            load_before=np.zeros(5),
+            load_after=load,
         )
-        return outcome, reached, pose
+        outcome, reached, _, _ = kernel.follow(
+            segment, pose, False, *self.arrays, self.work, self.g
+        )
+        return outcome, reached, np.array(self.state.pose)
 
 
 @pytest.mark.parametrize("seed", range(15))
@@ -200,8 +211,8 @@ def test_tangents_are_slopes_of_the_branch(
     search = Search(reference_model, reference_model.parameters.center, 40)
     _, _, pose = search.minimum(reference_prediction.poses[40])
     load_change, flexion_change = np.array([500.0, -200.0, 1.0, 2.0, -1.0]), 0.01
-    L, right, step = np.zeros((5, 5)), np.zeros(5), np.zeros(5)
-    tangent(search.H, search.h, load_change, flexion_change, L, right, step)
+    tangent(search.state, load_change, flexion_change, np.zeros((5, 5)), np.zeros(5))
+    step = np.array(search.state.tangent)
     share, ends = 1e-4, []
     load, flexion = np.array(search.load), search.flexion
     for sign in (1.0, -1.0):
@@ -213,31 +224,28 @@ def test_tangents_are_slopes_of_the_branch(
 
 
 def test_a_tangent_where_there_is_none_is_zero() -> None:
-    step = np.ones(5)
-    tangent(np.zeros((5, 5)), np.zeros(5), np.ones(5), 0.0, np.zeros((5, 5)), np.zeros(5), step)
-    assert not step.any()
+    state = _state(np.zeros(5), np.ones(5))
+    tangent(state, np.ones(5), 0.0, np.zeros((5, 5)), np.zeros(5))
+    assert not state.tangent.any()
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.05])
 def test_a_step_along_its_tangents_is_on_the_branch(bend: float) -> None:
-    before, slope = np.zeros(5), np.array([0.02, 0.05, 1.0, -0.5, 0.3])
-    after = slope * (1.0 + bend)
-    assert not off_branch(before, after, slope, slope * (1.0 + 2 * bend), 1.0, 1.0)
+    after = _state(SLOPE * (1.0 + bend), SLOPE * (1.0 + 2 * bend))
+    assert not off_branch(BEFORE, after, 1.0, 1.0)
 
 
 def test_a_jump_is_off_the_branch() -> None:
-    before, slope = np.zeros(5), np.array([0.02, 0.05, 1.0, -0.5, 0.3])
-    jump = slope + np.array([0.0, 0.2, 0.0, 0.0, 0.0])
-    assert off_branch(before, jump, slope, slope, 1.0, 1.0)
+    jump = np.array([0.0, 0.2, 0.0, 0.0, 0.0])
+    assert off_branch(BEFORE, _state(SLOPE + jump, SLOPE), 1.0, 1.0)
     # However small the step, the jump stays.
-    assert off_branch(before, 0.001 * slope + jump - slope, slope, slope, 0.001, 1.0)
+    assert off_branch(BEFORE, _state(0.001 * SLOPE + jump, SLOPE), 0.001, 1.0)
 
 
 def test_a_guess_must_agree_better_than_a_step_of_the_search() -> None:
-    before, slope = np.zeros(5), np.array([0.02, 0.05, 1.0, -0.5, 0.3])
-    beside = slope + np.array([0.0, 0.01, 0.0, 0.0, 0.0])
-    assert not off_branch(before, beside, slope, slope, 1.0, 1.0)
-    assert off_branch(before, beside, slope, slope, 1.0, kernel.GUESS_TOLERANCE)
+    beside = _state(SLOPE + np.array([0.0, 0.01, 0.0, 0.0, 0.0]), SLOPE)
+    assert not off_branch(BEFORE, beside, 1.0, 1.0)
+    assert off_branch(BEFORE, beside, 1.0, kernel.GUESS_TOLERANCE)
 
 
 def test_children_of_a_lost_state_are_lost_with_it(reference_model: LaxityModel) -> None:

@@ -9,6 +9,7 @@ from tolerances import CLOSED_FORM, DIFFERENCE
 from identknee.mechanics.elements import line_force, line_shape
 from identknee.mechanics.ligament_law import tension
 from identknee.mechanics.ligament_wrench import line_tensions
+from identknee.mechanics.memory import N_TOUCHING
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 
@@ -44,18 +45,18 @@ def test_a_spring_pushes_as_it_pulls() -> None:
     assert line_force(0.1, 500.0, -1.0) == pytest.approx((50.0, 500.0, 2.5))
 
 
-@pytest.mark.parametrize(("lift", "place"), [(0.0, 0.0), (-6.0, 0.3), (4.0, 0.7)])
-def test_a_line_bent_aside_has_the_slopes_of_its_length(lift: float, place: float) -> None:
+@pytest.mark.parametrize(("offset", "place"), [(0.0, 0.0), (-6.0, 0.3), (4.0, 0.7)])
+def test_a_line_bent_aside_has_the_slopes_of_its_length(offset: float, place: float) -> None:
     """Length in closed form: two straight parts by way of the corner."""
     ends = np.array([3.0, -38.0, 9.0])
 
     def shape_at(e: Array) -> Array:
         shape = np.zeros(10)
-        line_shape(*e, lift, place, shape)
+        line_shape(*e, offset, place, shape)
         return shape
 
     found = shape_at(ends)
-    corner = (1.0 - place) * ends + [0.0, 0.0, lift]
+    corner = (1.0 - place) * ends + [0.0, 0.0, offset]
     way = np.linalg.norm(corner) + np.linalg.norm(ends - corner)
     assert found[0] == pytest.approx(way, rel=CLOSED_FORM)
     size = 1e-5
@@ -81,7 +82,7 @@ def test_the_stiffness_of_contact_is_the_slope_of_its_force(
     """With an exponent beside 1 the slope of a point's force is that many times its secant."""
     flexion, pose = pressed(reference_model)
     evaluate = Evaluator(reference_model.joint)
-    evaluate._contact = (*evaluate._contact[:4], np.array([exponent]))
+    evaluate._contact = evaluate._contact._replace(exponent=np.array([exponent]))
     theta = reference_model.parameters.center * np.r_[np.zeros(4), np.ones(4)]
     ligaments = ligaments_of(reference_model, theta)
     found = evaluate(flexion, pose, ligaments)
@@ -108,9 +109,9 @@ def test_the_exponent_leaves_the_pressure_at_three_tenths_alone(
     forces, depths = {}, {}
     for exponent in (1.0, 1.4):
         evaluate = Evaluator(reference_model.joint)
-        evaluate._contact = (*evaluate._contact[:4], np.array([exponent]))
+        evaluate._contact = evaluate._contact._replace(exponent=np.array([exponent]))
         evaluate(flexion, pose, ligaments)
-        elements, n = evaluate.work[0], evaluate.work[3][1]
+        elements, n = evaluate.work.elements, evaluate.work.counts[N_TOUCHING]
         forces[exponent] = np.linalg.norm(elements[3:6, :n], axis=0)
         depths[exponent] = np.array(elements[12, :n])
     depth = depths[1.0]

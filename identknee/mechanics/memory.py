@@ -1,0 +1,284 @@
+"""What the compiled code reads and writes, by name: arrays in groups, and one thread's memory.
+
+Compiled code takes named tuples as it takes others. Single numbers travel as arrays of one, which
+leaves the machine code, and so the last bits of every sum, as it is.
+"""
+
+from typing import NamedTuple
+
+from identknee.runs.arrays import Array, IntArray, ReachArray
+
+# Places in the counters of an evaluation.
+N_LISTED, N_TOUCHING, N_EVALUATIONS, N_LISTINGS = range(4)
+
+
+class ContactArrays(NamedTuple):
+    """The contact points, in tibial axes.
+
+    Attributes
+    ----------
+    points
+        [mm], shape ``(3, n)``.
+    radius
+        Distance of the farthest from the tibial origin [mm], shape ``(1,)``.
+    stiffness
+        Contact modulus times tributary area [N/mm], shape ``(n,)``.
+    compartment
+        Which tibial surface each belongs to, shape ``(n,)``.
+    exponent
+        Exponent of the contact law, shape ``(1,)``.
+    """
+
+    points: Array
+    radius: Array
+    stiffness: Array
+    compartment: IntArray
+    exponent: Array
+
+
+class FieldArrays(NamedTuple):
+    """The distance field; see `identknee.mechanics.distance_field.DistanceField`.
+
+    Attributes
+    ----------
+    coefficients, reach
+        Those of all nodes, flat.
+    origin
+        [mm], shape ``(3,)``.
+    spacing
+        [mm], shape ``(1,)``.
+    shape
+        Numbers of nodes, shape ``(3,)``.
+    """
+
+    coefficients: Array
+    reach: ReachArray
+    origin: Array
+    spacing: Array
+    shape: IntArray
+
+
+class LigamentArrays(NamedTuple):
+    """The line ligaments.
+
+    Attributes
+    ----------
+    femoral, tibial
+        Insertions [mm], shape ``(m, 3)``.
+    properties
+        Stiffness [N], reference strain, reference length [mm], transition strain (negative for a
+        spring that pushes too), how far the line is pushed aside [mm] and at which share of the way
+        from the tibia, shape ``(m, 6)``.
+    """
+
+    femoral: Array
+    tibial: Array
+    properties: Array
+
+
+class NodeArrays(NamedTuple):
+    """A tree of load paths; see `identknee.mechanics.load_paths.LoadPaths`.
+
+    Attributes
+    ----------
+    flexion
+        [rad], shape ``(n,)``.
+    loads
+        Generalised loads, shape ``(n, 5)``.
+    parent
+        The node each is reached from; the search begins anew at -1; shape ``(n,)``.
+    """
+
+    flexion: Array
+    loads: Array
+    parent: IntArray
+
+
+class Segment(NamedTuple):
+    """The straight way from one node of a load path to the next.
+
+    Attributes
+    ----------
+    flexion_before, flexion_after
+        [rad].
+    load_before, load_after
+        Generalised loads, shape ``(5,)``.
+    """
+
+    flexion_before: float
+    flexion_after: float
+    load_before: Array
+    load_after: Array
+
+
+class State(NamedTuple):
+    """An equilibrium, and where it goes.
+
+    Attributes
+    ----------
+    pose
+        Shape ``(5,)``.
+    hessian
+        Second derivatives of the energy, shape ``(5, 5)``.
+    gradient_by_flexion
+        d gradient / d flexion, shape ``(5,)``.
+    tangent
+        How the pose moves along the present segment, shape ``(5,)``.
+    """
+
+    pose: Array
+    hessian: Array
+    gradient_by_flexion: Array
+    tangent: Array
+
+
+class SolverMemory(NamedTuple):
+    """What the search for one minimum needs.
+
+    Attributes
+    ----------
+    factor
+        Cholesky factor of the Hessian, shape ``(5, 5)``.
+    right
+        Right-hand side of a linear system, shape ``(5,)``.
+    step
+        Its solution, shape ``(5,)``.
+    trial, trial_gradient, trial_hessian, trial_gradient_by_flexion
+        The pose tried, shape ``(5,)``, and the energy's derivatives there.
+    start
+        The pose the search began at, shape ``(5,)``.
+    """
+
+    factor: Array
+    right: Array
+    step: Array
+    trial: Array
+    trial_gradient: Array
+    trial_hessian: Array
+    trial_gradient_by_flexion: Array
+    start: Array
+
+
+class PathMemory(NamedTuple):
+    """What following a branch along one segment needs.
+
+    Attributes
+    ----------
+    here
+        The last equilibrium accepted.
+    there
+        The one found next.
+    far
+        One found too far away for one step, kept until it is near enough.
+    load
+        The load at `there`, shape ``(5,)``.
+    change
+        The whole segment's change of load, shape ``(5,)``.
+    """
+
+    here: State
+    there: State
+    far: State
+    load: Array
+    change: Array
+
+
+class EvaluationMemory(NamedTuple):
+    """What evaluating one pose needs; n is the number of points and ligaments, and one more.
+
+    Attributes
+    ----------
+    elements
+        What pulls or pushes, as laid out in `identknee.mechanics.elements`, shape ``(13, n)``.
+    fractions
+        Place in its cell of each point that may touch (3), and its stiffness, shape ``(4, n)``.
+    listed
+        Points near enough to touch soon (3), and their stiffness, shape ``(4, n)``.
+    counts
+        How many points are listed (-1: no list yet) and how many may touch, how many evaluations
+        and listings were made, at the places `N_LISTED` to `N_LISTINGS`, shape ``(4,)``.
+    listed_pose
+        Rotation (9) and translation (3) for which the points were listed.
+    cells
+        First spline coefficient of each point's cell, shape ``(n,)``.
+    rotation, translation
+        Placement of the tibia, shapes ``(9,)`` and ``(3,)``.
+    sums
+        Sums over the elements, as `identknee.mechanics.elements.sum_elements` writes them, shape
+        ``(39,)``.
+    axes
+        How the coordinates move the tibia, as `identknee.mechanics.energy.motion_axes` writes it,
+        shape ``(9, 3)``.
+    touching
+        Contact point of each contact element, shape ``(n,)``.
+    which
+        Contact point of each listed one, shape ``(n,)``.
+    moved
+        Listed points turned to the present pose (3), and their place in the grid (3), ``(6, n)``.
+    weights
+        Spline weights of each point that may touch, shape ``(n, 36)``.
+    line
+        Length, gradient (3) and Hessian (6) of a line, shape ``(10,)``.
+    """
+
+    elements: Array
+    fractions: Array
+    listed: Array
+    counts: IntArray
+    listed_pose: Array
+    cells: IntArray
+    rotation: Array
+    translation: Array
+    sums: Array
+    axes: Array
+    touching: IntArray
+    which: IntArray
+    moved: Array
+    weights: Array
+    line: Array
+
+
+class Workspace(NamedTuple):
+    """Memory of one thread for one simulation, of its three nested loops."""
+
+    evaluation: EvaluationMemory
+    solver: SolverMemory
+    path: PathMemory
+
+
+class Equilibria(NamedTuple):
+    """What the kernel finds at every node of the load paths.
+
+    Attributes
+    ----------
+    poses
+        Last stable pose on the way to each node: varus, internal [rad], x, y, z [mm], ``(n, 5)``.
+    hessians
+        Second derivatives of the energy there, ``(n, 5, 5)``.
+    sensitivities
+        d pose / d (stiffness [N], reference strain), ``(n, 5, 2m)``; under a stated contact law
+        also d pose / d (logarithm of the modulus, exponent), ``(n, 5, 2m + 2)``. Zero where not
+        converged.
+    gradient_by_flexion
+        d gradient of the energy / d flexion, shape ``(n, 5)``.
+    codes
+        Outcome codes of the kernel, ``(n,)``.
+    residuals
+        Size of the gradient before the last, unmeasured step [N], ``(n,)``.
+    reached
+        Share of the step from the parent that was reached, ``(n,)``.
+    centres
+        Contact force [N], its centre in tibial and femoral axes [mm], ``(n, compartments, 7)``.
+    solves
+        Equilibrium searches made for each node, ``(n,)``.
+    """
+
+    poses: Array
+    hessians: Array
+    sensitivities: Array
+    gradient_by_flexion: Array
+    codes: IntArray
+    residuals: Array
+    reached: Array
+    centres: Array
+    solves: IntArray
