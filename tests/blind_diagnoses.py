@@ -11,10 +11,8 @@ from knees import knee
 from identknee.blind.case import BlindCase, blind_case
 from identknee.blind.score import score
 from identknee.calibrate.starts import named_start
-from identknee.diagnosis.causes import explanation_of
 from identknee.diagnosis.diagnose import Diagnosis, diagnose
-from identknee.diagnosis.gain import measure_gain
-from identknee.diagnosis.verdict import Verdict
+from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
@@ -76,7 +74,7 @@ def outcome_of(task: BlindTask) -> dict[str, Any]:
 
 
 def _judged(case: BlindCase, found: Diagnosis, *, with_gain: bool) -> dict[str, Any]:
-    summary = diagnosis_summary(found, (), None)
+    summary = diagnosis_summary(found)
     judged = score(case.truth, summary)
     best = found.attribution.best
     return {
@@ -110,12 +108,8 @@ def _nearest(found: Diagnosis, hidden: tuple[str, ...]) -> float | None:
 def _held_out(found: Diagnosis) -> dict[str, float] | None:
     if found.conclusion.verdict is not Verdict.NAMED:
         return None
-    gain = measure_gain(
-        found.base.fitted,
-        explanation_of(found).fitted,
-        found.noise.sd,
-        noise_degrees=found.noise.degrees_of_freedom,
-    )
+    gain = found.gain
+    assert gain is not None
     return {
         "flexion_before": gain.before.held_out.rmse("flexion").noise,
         "flexion_after": gain.after.held_out.rmse("flexion").noise,

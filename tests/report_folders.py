@@ -9,7 +9,6 @@ from problems import linear
 
 from identknee.calibrate.bounded import with_bounds
 from identknee.calibrate.fit import fit
-from identknee.diagnosis.exclusions import exclusions
 from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.noise import add_noise
@@ -91,6 +90,5 @@ def fit_folder(folder: Path, knee: Knee, **named: str) -> Path:
 def diagnosis_folder(folder: Path, **named: str) -> Path:
     """What `identknee diagnose` leaves of data with an effect in them."""
     found = diagnosed(FRAME)
-    tested = exclusions(found)
-    summary = diagnosis_summary(found, tested, None)
-    return write_verb(folder, "diagnose", summary, diagnosis_groups(found, tested), **named)
+    summary = diagnosis_summary(found)
+    return write_verb(folder, "diagnose", summary, diagnosis_groups(found), **named)

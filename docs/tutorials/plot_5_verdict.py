@@ -7,7 +7,7 @@ mechanics with it. A diagnosis sees the data alone. Then the truth is opened.
 """
 
 import identknee as ik
-from identknee.diagnosis.causes import causes_of, explanation_of
+from identknee.diagnosis.explanations.causes import causes_of
 from identknee.report.diagnosis_figures import (
     added_variable_figure,
     misfit_figure,
@@ -45,7 +45,7 @@ figure = scores_figure(diagnosis)
 # **How much**: the amplitude with its interval. If the cause is right, the points of this figure
 # lie along the line.
 
-explanation = explanation_of(diagnosis)
+explanation = diagnosis.explanation
 for cause in causes_of(explanation):
     size, (low, high) = cause.amplitude, cause.amplitude.ci95
     print(f"{cause.name}: {size.value:.2f} {size.unit}, 95 % {low:.2f} to {high:.2f}")

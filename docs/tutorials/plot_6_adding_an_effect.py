@@ -9,7 +9,6 @@ part of the library: a goniometer that is mounted askew reads a share of varus a
 import numpy as np
 
 import identknee as ik
-from identknee.diagnosis.causes import causes_of, explanation_of
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.effect import amplitudes
 from identknee.report.diagnosis_figures import scores_figure
@@ -59,7 +58,7 @@ print(f"{profile.optimum_value:.3f}, {profile.lower:.3f} to {profile.upper:.3f}"
 others = ["moment_gain_IE", "moment_offset", "axis_misalignment", "rig_compliance_IE"]
 candidates = [Crosstalk(), *(ik.effect_named(knee, name) for name in others)]
 diagnosis = ik.diagnose(knee, laxity, effects=candidates)
-print(diagnosis.conclusion.verdict.value, [x.name for x in causes_of(explanation_of(diagnosis))])
+print(diagnosis.conclusion.verdict.value, [x.name for x in diagnosis.causes])
 
 # %%
 # The scores of all candidates, before and after the cause is in the model:

@@ -1,9 +1,8 @@
 """`identknee diagnose`: what the model gets wrong, and why."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
-import numpy as np
 import typer
 
 import identknee as ik
@@ -22,13 +21,9 @@ from identknee.cli.command import (
 from identknee.cli.identification import Noise, file_digests, measured
 from identknee.cli.isolability import say_isolability, shown
 from identknee.laxity.named_tables import laxity_file
-from identknee.runs.files import digest, prepare_folder, write_atomically
-from identknee.runs.findings import finding_lines, findings_summary
-from identknee.runs.record import Recording, record
-
-if TYPE_CHECKING:
-    from identknee.diagnosis.diagnose import Diagnosis
-    from identknee.diagnosis.gain import Gain
+from identknee.runs.files import digest, prepare_folder
+from identknee.runs.findings import finding_lines
+from identknee.runs.record import record
 
 Planned = Annotated[
     str | None,
@@ -46,7 +41,6 @@ Start = Annotated[
         "file ending in .toml; subject for none."
     ),
 ]
-EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
 
 
 def diagnose(
@@ -79,7 +73,12 @@ def diagnose(
             raise ValueError("--protocol needs --noise; add for example --noise 0.3mm,0.3deg")
         say_isolability(context, subject, str(protocol), noise, out=out, seed=seed, as_json=as_json)
         return
-    from identknee.diagnosis.diagnose import diagnose as find
+    from identknee.diagnosis.diagnose import why_untestable
+    from identknee.report.diagnosis_files import write_diagnosis_files
+    from identknee.report.diagnosis_groups import diagnosis_groups
+    from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
+    from identknee.report.diagnosis_text import diagnosis_lines
+    from identknee.report.result_files import write_result
 
     knee, laxity = measured(subject, data, noise)
     inputs = {
@@ -88,106 +87,19 @@ def diagnose(
         **file_digests(start=start),
     }
     recording = record("diagnose", context.params, inputs, seed)
-    starts = _starts(knee, laxity, start)
+    starts = [] if start == "subject" else [start]
     warm_up(knee, laxity.protocol)
-    found, seconds = timed(lambda: find(knee, laxity, starts=starts, seed=seed))
-    if found is None:
-        _say_untestable(out, knee, laxity, recording, as_json=as_json)
+    diagnosis, seconds = timed(lambda: ik.diagnose(knee, laxity, starts=starts, seed=seed))
+    if diagnosis is None:
+        summary = untestable_summary(why_untestable(knee, laxity))
+        summary = write_result(out, summary, {}, recording.finish())
+        lines = [summary["verdict"].value, summary["sentence"], *summary["reasons"]]
+        show(summary, lines, as_json=as_json)
         return
-    _say(found, seconds, out, recording, as_json=as_json)
-
-
-def _say(
-    found: "Diagnosis", seconds: float, out: Path, recording: Recording, *, as_json: bool
-) -> None:
-    from identknee.diagnosis.exclusions import exclusions
-    from identknee.diagnosis.own_findings import own_findings
-    from identknee.report.diagnosis_figures import diagnosis_figures
-    from identknee.report.diagnosis_groups import diagnosis_groups
-    from identknee.report.diagnosis_summary import diagnosis_summary
-    from identknee.report.diagnosis_text import diagnosis_lines
-    from identknee.report.picture import png
-    from identknee.report.result_files import write_result
-
-    gain, tested, findings = _gain(found), exclusions(found), own_findings(found)
     # All of it is made before any of it is written, so that no half of it is left.
-    pictures = {name: png(figure) for name, figure in diagnosis_figures(found).items()}
-    said = {"findings": findings_summary(findings), "seconds": seconds}
-    summary = {**diagnosis_summary(found, tested, gain), **said}
-    groups = diagnosis_groups(found, tested)
-    lines = shown(diagnosis_lines(found, tested, gain))
-    for name, picture in pictures.items():
-        write_atomically(out / f"{name}.png", picture)
-    _write_extension(found, out)
-    summary = write_result(out, summary, groups, recording.finish())
-    lines = [*lines, *finding_lines(findings), f"{seconds:.1f} s. Results: {out}"]
+    summary, groups = diagnosis_summary(diagnosis), diagnosis_groups(diagnosis)
+    write_diagnosis_files(diagnosis, out)
+    summary = write_result(out, {**summary, "seconds": seconds}, groups, recording.finish())
+    findings = finding_lines(diagnosis.findings)
+    lines = [*shown(diagnosis_lines(diagnosis)), *findings, f"{seconds:.1f} s. Results: {out}"]
     show(summary, lines, as_json=as_json)
-
-
-def _starts(knee: "ik.Knee", laxity: "ik.Laxity", start: str) -> list[Any]:
-    """The parameters of the ligaments to begin one more fit at; none where the subject's own."""
-    model = ik.LaxityModel(knee=knee, protocol=laxity.protocol, effects=())
-    theta = ik.load_start(start, model.parameters)
-    return [] if start == "subject" else [theta]
-
-
-def _say_untestable(
-    out: Path, knee: "ik.Knee", laxity: "ik.Laxity", recording: Recording, *, as_json: bool
-) -> None:
-    from identknee.diagnosis.data_noise import noise_of
-    from identknee.report.diagnosis_summary import untestable_summary
-    from identknee.report.result_files import write_result
-
-    if noise_of(laxity, laxity.coordinates) is None:
-        reason = (
-            "The data state no noise and their load curves are too short to show it: state it with "
-            "--noise, for example --noise 0.3mm,0.3deg."
-        )
-    else:
-        reason = (
-            "No parameters near the subject's have a prediction in every measured trial. See: "
-            f"identknee subject check; or leave the cells of such trials of {knee.name} blank."
-        )
-    summary = write_result(out, untestable_summary(reason), {}, recording.finish())
-    show(summary, [summary["verdict"].value, summary["sentence"], reason], as_json=as_json)
-
-
-def _gain(found: "Diagnosis") -> "Gain | None":
-    from identknee.diagnosis.causes import explanation_of
-    from identknee.diagnosis.gain import measure_gain
-
-    best = explanation_of(found)
-    if not best.causes:
-        return None
-    return measure_gain(
-        found.base.fitted,
-        best.fitted,
-        found.noise.sd,
-        noise_degrees=found.noise.degrees_of_freedom,
-    )
-
-
-def _write_extension(found: "Diagnosis", out: Path) -> None:
-    """The extended subject, where its fit lies, and the trials to add."""
-    from identknee.diagnosis.causes import explanation_of
-    from identknee.diagnosis.extended import extended_knee, fitted_values
-    from identknee.subject.folder import write_subject
-
-    best = explanation_of(found)
-    folder = write_subject(extended_knee(best), out / EXTENDED)
-    lines = ["# Where the fit of the extended model lies: --start of other verbs."]
-    for owner, values in fitted_values(best).items():
-        lines += ["", f"[{owner}]", *(f"{name} = {value!r}" for name, value in values.items())]
-    write_atomically(folder / FITTED, "\n".join(lines) + "\n")
-    if found.advice is not None:
-        ik.write_laxity(_blank(found.laxity, found.advice.trials), out / ADVICE)
-
-
-def _blank(laxity: "ik.Laxity", trials: "ik.Protocol") -> "ik.Laxity":
-    """Trials to measure, their coordinates to be filled in."""
-    return ik.Laxity(
-        protocol=trials,
-        coordinates=np.full((trials.n, laxity.coordinates.shape[1]), np.nan),
-        zero=laxity.zero,
-        comments=("Trials advised by identknee diagnose: measure, fill in, append to the data.",),
-    )

@@ -14,7 +14,7 @@ from identknee.runs.files import write_atomically
 from identknee.runs.record import record
 
 if TYPE_CHECKING:
-    from identknee.diagnosis.protocol_isolability import ProtocolIsolability
+    from identknee.diagnosis.advice.protocol import ProtocolIsolability
 
 PICTURE = "isolability.png"
 
@@ -38,7 +38,7 @@ def say_isolability(
     NotComputed
         If the subject has no prediction in any trial.
     """
-    from identknee.diagnosis.protocol_isolability import protocol_isolability
+    from identknee.diagnosis.advice.protocol import protocol_isolability
     from identknee.report.diagnosis_figures import isolability_figure
     from identknee.report.isolability_groups import isolability_groups, isolability_summary
     from identknee.report.picture import png

@@ -1,21 +1,37 @@
 """What measured laxity says against a model: the misfit, its cause, the extended model."""
 
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
-from identknee.diagnosis.advice import Advice, advise
-from identknee.diagnosis.attribution import Attribution, attribute
-from identknee.diagnosis.base_fit import BaseFit, fit_base, fit_from
-from identknee.diagnosis.data_noise import DataNoise
-from identknee.diagnosis.goodness import smooth_patterns
-from identknee.diagnosis.localisation import Localisation, TrialLayout, localise
-from identknee.diagnosis.missing_line import LineFinding, find_line
-from identknee.diagnosis.refit import Refit
-from identknee.diagnosis.verdict import LEVEL, Conclusion, Verdict, alarm_p_value, conclude
+from identknee.calibrate.doubts import bound_findings
+from identknee.calibrate.starts import load_start
+from identknee.diagnosis.advice.advice import Advice, advise
+from identknee.diagnosis.explanations.attribution import Attribution, attribute
+from identknee.diagnosis.explanations.candidates import Exclusion
+from identknee.diagnosis.explanations.causes import Cause, causes_of
+from identknee.diagnosis.explanations.fitting import BaseFit, fit_base, fit_from
+from identknee.diagnosis.explanations.refit import Refit, without_causes
+from identknee.diagnosis.explanations.verdict import LEVEL, Conclusion, Verdict, conclude
+from identknee.diagnosis.gain.gain import Gain, measure_gain
+from identknee.diagnosis.missing_line.line import LineFinding, find_line
+from identknee.diagnosis.missing_line.wrench import (
+    MissingPull,
+    MissingWrench,
+    missing_pulls,
+    missing_wrench,
+)
+from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
+from identknee.diagnosis.score.localisation import Localisation, TrialLayout, localise
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import library
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.soundness import stability_findings
 from identknee.runs.arrays import Array
+from identknee.runs.findings import Finding, Severity
+from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
 DIRECTIONS = (
@@ -25,13 +41,20 @@ DIRECTIONS = (
     ("distraction", "compression"),
     ("lateral force", "medial force"),
 )
-# Of the deviance: another minimum of the base model, and not the end of the same one.
+# Fall of the deviance from which on it is another minimum of the base model, and not the end of
+# the same one.
 LOWER = 1.0
+# Fall of the deviance that a fit which ended before its minimum may promise and still be taken for
+# it.
+LEAST_PROMISE = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnosis:
     """What the data say against the model of a subject.
+
+    What follows from the fits (causes, exclusions, the gain and so on) is computed when it is first
+    asked for, once.
 
     Attributes
     ----------
@@ -52,7 +75,7 @@ class Diagnosis:
     line
         The line of force that explains most where no known cause does; None elsewhere.
     seed
-        Of the distributions under no effect.
+        Seed of the distributions under no effect.
     """
 
     laxity: Laxity
@@ -65,12 +88,98 @@ class Diagnosis:
     line: LineFinding | None
     seed: int
 
+    @cached_property
+    def explanation(self) -> Refit:
+        """The model with the causes found; the base model where there are none.
+
+        A line of force that explains what no known cause does is a cause too.
+        """
+        if self.conclusion.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS):
+            return self.conclusion.best
+        if self.line is not None and self.line.is_line:
+            return self.line.refit
+        return self.base
+
+    @cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """The causes of the explanation, with their amplitudes in physical units."""
+        return causes_of(self.explanation)
+
+    @cached_property
+    def extended_knee(self) -> Knee:
+        """The subject with the causes found, for every other calculation."""
+        return self.explanation.extended_knee
+
+    @cached_property
+    def gain(self) -> Gain | None:
+        """What the causes gain on trials held out; None where there are none."""
+        if not self.explanation.causes:
+            return None
+        return measure_gain(
+            self.base.fitted,
+            self.explanation.fitted,
+            self.noise.sd,
+            noise_degrees=self.noise.degrees_of_freedom,
+        )
+
+    @cached_property
+    def exclusions(self) -> tuple[Exclusion, ...]:
+        """What the data say of each effect of the library.
+
+        Effects in the explanation have the score that they had before they joined it, all others
+        the score beside it.
+        """
+        first, *others = self.attribution.steps
+        beside = next((x for x in others if x.at is self.explanation), first)
+        joined = self.explanation.names
+        steps = ((first if x.name in joined else beside, x) for x in self._library())
+        return tuple(step.exclusion(effect, step.scores) for step, effect in steps)
+
+    @cached_property
+    def missing_wrench(self) -> MissingWrench:
+        """What the model without causes lacks in every trial, ligaments as in the explanation.
+
+        Ligaments that were fitted without the cause have taken over what they can of it; those
+        fitted beside it leave it to be seen.
+        """
+        base = self.base.fitted
+        theta = self.explanation.fitted.theta[: base.model.parameters.n]
+        return missing_wrench(base.compared, theta, self.noise.sd, self.noise.correlation)
+
+    @cached_property
+    def missing_pulls(self) -> tuple[MissingPull, ...]:
+        """Its mean along the plateau by flexion and direction of load."""
+        return missing_pulls(self.missing_wrench, layout_of(self.laxity))
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What a reader must know of the fits that the diagnosis stands on."""
+        findings = list(_unfinished(self.base, "without causes"))
+        if self.explanation is not self.base:
+            names = " and ".join(self.explanation.names)
+            findings += _unfinished(self.explanation, f"with {names}")
+        fitted = self.explanation.fitted
+        findings += bound_findings(fitted.theta, fitted.model.parameters)
+        findings += [
+            Finding(
+                severity=Severity.WARNING if x.could_matter else Severity.INFO,
+                sentence=x.reason,
+                where=" and ".join(x.refit.names),
+            )
+            for x in self.attribution.rivals
+            if x.reason
+        ]
+        return (*findings, *stability_findings(self.base.fitted.model))
+
+    def _library(self) -> tuple[Effect, ...]:
+        return _library(self.base.fitted.model.knee, self.laxity)
+
 
 def diagnose(
     knee: Knee,
     laxity: Laxity,
     *,
-    starts: Sequence[Array] = (),
+    starts: Sequence[Array | str | os.PathLike[str]] = (),
     effects: Sequence[Effect] | None = None,
     seed: int = 0,
 ) -> Diagnosis | None:
@@ -81,43 +190,79 @@ def diagnose(
     knee, laxity
         The subject and the data.
     starts
-        Ligament parameters at which fits begin besides the subject's own, each shape ``(2m,)``.
+        Where fits begin besides the subject's own values: ligament parameters, each shape
+        ``(2m,)``, or names and files of starts, see `identknee.load_start`.
     effects
         Candidates; the whole library where None.
     seed
-        Of the distributions under no effect.
+        Seed of the distributions under no effect.
+
+    Raises
+    ------
+    ValueError
+        If there is no such start.
     """
+    begin = [_start(knee, laxity, x) if isinstance(x, str | os.PathLike) else x for x in starts]
     if effects is None:
-        effects = _not_stored(knee, laxity)
-    found = fit_base(knee, laxity, starts=starts, seed=seed)
-    if found is None or not found.fitted.evaluation.is_finite:
+        stored = {own.name for own in knee.effects}
+        effects = [x for x in _library(knee, laxity) if x.name not in stored]
+    base_fit = fit_base(knee, laxity, starts=begin, seed=seed)
+    if base_fit is None or not base_fit.fitted.evaluation.is_finite:
         return None
-    attribution, p_value = _explained(found, effects, seed)
+    attribution, p_value = _explained(base_fit, effects, seed)
     if (start := lower_start(attribution)) is not None:
-        found = fit_base(knee, laxity, starts=[*starts, start], seed=seed) or found
-        attribution, p_value = _explained(found, effects, seed)
-    base = attribution.base
+        base_fit = fit_base(knee, laxity, starts=[*begin, start], seed=seed) or base_fit
+        attribution, p_value = _explained(base_fit, effects, seed)
+    base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)
-    is_open = conclusion.verdict is Verdict.AMBIGUOUS
-    is_unknown = conclusion.verdict is Verdict.UNEXPLAINED
+    advice = line = None
+    if conclusion.verdict is Verdict.AMBIGUOUS:
+        known = replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
+        advice = advise(attribution.best, attribution.open_rivals, known)
+    if conclusion.verdict is Verdict.UNEXPLAINED:
+        line = find_line(base, seed=seed)
     return Diagnosis(
         laxity=laxity,
-        noise=found.found,
+        noise=noise,
         base=base,
         localisation=_localisation(base, seed),
         attribution=attribution,
         conclusion=conclusion,
-        advice=advise(attribution, laxity, found.found) if is_open else None,
-        line=find_line(base, seed=seed) if is_unknown else None,
+        advice=advice,
+        line=line,
         seed=seed,
     )
 
 
-def _explained(found: BaseFit, effects: Sequence[Effect], seed: int) -> tuple[Attribution, float]:
+def why_untestable(knee: Knee, laxity: Laxity) -> str:
+    """Why data cannot be tested, as a sentence."""
+    if noise_of(laxity, laxity.coordinates) is None:
+        return (
+            "The data state no noise and their load curves are too short to show it: state it with "
+            "--noise, for example --noise 0.3mm,0.3deg."
+        )
+    return (
+        "No parameters near the subject's have a prediction in every measured trial. See: "
+        f"identknee subject check; or leave the cells of such trials of {knee.name} blank."
+    )
+
+
+def _start(knee: Knee, laxity: Laxity, name: str | os.PathLike[str]) -> Array:
+    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=())
+    return load_start(name, model.parameters)
+
+
+def _library(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:
+    return library(knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None)
+
+
+def _explained(
+    base_fit: BaseFit, effects: Sequence[Effect], seed: int
+) -> tuple[Attribution, float]:
     """The explanation of what a fit leaves, and how probable so clear a misfit is."""
-    base = _base_refit(found)
+    base = without_causes(base_fit)
     attribution = attribute(base, effects, seed=seed)
-    p_value = alarm_p_value(base, attribution.steps[0].scores.p_value)
+    p_value = base.alarm_p_value(attribution.steps[0].scores.p_value)
     if p_value <= LEVEL and not attribution.steps[0].is_significant:
         attribution = attribute(base, effects, seed=seed, is_forced=True)
     return attribution, p_value
@@ -138,24 +283,6 @@ def lower_start(attribution: Attribution) -> Array | None:
     return again.theta[: base.model.n_ligament_parameters]
 
 
-def _not_stored(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:
-    """The library without what the subject has already."""
-    whole = library(knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None)
-    return tuple(x for x in whole if x.name not in {own.name for own in knee.effects})
-
-
-def _base_refit(found: BaseFit) -> Refit:
-    fitted = found.fitted
-    protocol = fitted.laxity.protocol
-    patterns = smooth_patterns(protocol.loads, protocol.flexion_deg, fitted.laxity.is_measured)
-    return Refit(
-        causes=(),
-        fitted=fitted,
-        smooth=fitted.noise.whiten(patterns),
-        noise_degrees=found.found.degrees_of_freedom,
-    )
-
-
 def layout_of(laxity: Laxity) -> TrialLayout:
     """How the trials of the data are told apart."""
     return TrialLayout(
@@ -168,6 +295,16 @@ def layout_of(laxity: Laxity) -> TrialLayout:
 
 
 def _localisation(base: Refit, seed: int) -> Localisation:
-    fitted = base.fitted
-    layout = layout_of(fitted.laxity)
-    return localise(fitted.residual_rows(), base.projector, fitted.noise, layout, seed=seed)
+    fitted, layout = base.fitted, layout_of(base.fitted.laxity)
+    return localise(fitted.residual_rows(), fitted.projector, fitted.noise, layout, seed=seed)
+
+
+def _unfinished(refit: Refit, which: str) -> list[Finding]:
+    fitted = refit.fitted
+    if fitted.outcome is Outcome.MINIMUM or refit.promised_fall < LEAST_PROMISE:
+        return []
+    sentence = (
+        f"The fit {which} did not reach its minimum, and a straight model promises a misfit lower "
+        f"by {refit.promised_fall:.2g}: {fitted.outcome.sentence} Begin it elsewhere with --start."
+    )
+    return [Finding(severity=Severity.WARNING, sentence=sentence, where="starts")]

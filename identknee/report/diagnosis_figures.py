@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.diagnosis.causes import Estimate, explanation_of, ligament_estimates
-from identknee.diagnosis.curves import load_curves
+from identknee.diagnosis.advice.isolability import LEAST_DISTANCE, Distances
 from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
-from identknee.diagnosis.localisation import LEVEL, Localisation
-from identknee.diagnosis.look import Step
-from identknee.diagnosis.noise_model import Curve
+from identknee.diagnosis.explanations.attribution import Step
+from identknee.diagnosis.explanations.causes import Estimate, ligament_estimates
+from identknee.diagnosis.noise.data_noise import load_curves
+from identknee.diagnosis.noise.noise_model import Curve
+from identknee.diagnosis.score.localisation import LEVEL, Localisation
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
@@ -148,7 +148,7 @@ def added_variable_figure(found: Diagnosis) -> Figure:
         The diagnosis.
     """
     step = found.attribution.steps[0]
-    names = explanation_of(found).names
+    names = found.explanation.names
     scored = [x for x in step.scores.candidates if x.name in names]
     candidate = [*scored, *step.scores.candidates][0]
     signature = step.test.signature(candidate.name, candidate.variant)
@@ -192,7 +192,7 @@ def scores_figure(found: Diagnosis) -> Figure:
         The diagnosis.
     """
     first, *others = found.attribution.steps
-    explanation = explanation_of(found)
+    explanation = found.explanation
     shown = [first, *(x for x in others if x.at is explanation)]
     order = [x.name for x in first.scores.candidates]
     figure = Figure(figsize=(6.4, 1.3 + 0.24 * len(order)), layout="constrained")
@@ -255,7 +255,7 @@ def parameters_before_after_figure(
     truth
         True values by whole name, where they are known.
     """
-    explanation = explanation_of(found)
+    explanation = found.explanation
     fits = {"without cause": ligament_estimates(found.base)}
     if explanation.causes:
         fits[f"with {' and '.join(explanation.names)}"] = ligament_estimates(explanation)
@@ -313,7 +313,7 @@ def diagnosis_figures(found: Diagnosis) -> dict[str, Figure]:
 def _changes(found: Diagnosis, residuals: Array) -> dict[str, Array]:
     """What the leading explanations change of the predictions, shape ``(n, 5)`` each."""
     attribution = found.attribution
-    refits = [explanation_of(found), attribution.best, *(x.refit for x in attribution.rivals)]
+    refits = [found.explanation, attribution.best, *(x.refit for x in attribution.rivals)]
     # The explanation is mostly the best one, too: names come once.
     changes = {
         " and ".join(x.names): residuals - x.fitted.compared.differences(x.fitted.theta)

@@ -5,31 +5,21 @@ from collections.abc import Sequence
 import numpy as np
 import xarray
 
-from identknee.diagnosis.causes import explanation_of
 from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.exclusions import Exclusion
-from identknee.diagnosis.missing_pulls import wrench_of
+from identknee.diagnosis.explanations.candidates import Exclusion
 from identknee.laxity.table import COORDINATES
 from identknee.report.groups import constant_data, observed_data
 
 
-def diagnosis_groups(found: Diagnosis, tested: Sequence[Exclusion]) -> dict[str, xarray.Dataset]:
-    """Groups ``misfit``, ``residuals``, ``missing_wrench``, ``scores``, ``refits``, the data's.
-
-    Parameters
-    ----------
-    found
-        The diagnosis.
-    tested
-        Of every effect, see `identknee.diagnosis.exclusions`.
-    """
+def diagnosis_groups(found: Diagnosis) -> dict[str, xarray.Dataset]:
+    """Groups ``misfit``, ``residuals``, ``missing_wrench``, ``scores``, ``refits``, the data's."""
     return {
         "constant_data": constant_data(found.laxity.protocol),
         "observed_data": observed_data(found.laxity),
         "misfit": _misfit(found),
         "residuals": _residuals(found),
         "missing_wrench": _missing_wrench(found),
-        "scores": _scores(tested),
+        "scores": _scores(found.exclusions),
         "refits": _refits(found),
     }
 
@@ -60,7 +50,7 @@ def _residuals(found: Diagnosis) -> xarray.Dataset:
     """Measured less predicted, without and with the causes, and the noise found."""
     dims = ("trial", "coordinate")
     before, after = (
-        x.fitted.compared.differences(x.fitted.theta) for x in (found.base, explanation_of(found))
+        x.fitted.compared.differences(x.fitted.theta) for x in (found.base, found.explanation)
     )
     return xarray.Dataset(
         {
@@ -74,7 +64,7 @@ def _residuals(found: Diagnosis) -> xarray.Dataset:
 
 def _missing_wrench(found: Diagnosis) -> xarray.Dataset:
     """What else would have to act in every trial, whole and outside contact, with its errors."""
-    wrench, names = wrench_of(found), ("varus_Nm", "internal_Nm", "x_N", "y_N", "z_N")
+    wrench, names = found.missing_wrench, ("varus_Nm", "internal_Nm", "x_N", "y_N", "z_N")
     by_name = {}
     for prefix, values, covariance in (
         ("whole", wrench.wrench, wrench.covariance),
@@ -107,7 +97,7 @@ def _refits(found: Diagnosis) -> xarray.Dataset:
     """All explanations compared in the end: the base model, the best ones, their rivals."""
     attribution = found.attribution
     rivals = [x for x in attribution.rivals if x.refit is not found.base]
-    best = {" + ".join(x.names): x for x in (explanation_of(found), attribution.best) if x.causes}
+    best = {" + ".join(x.names): x for x in (found.explanation, attribution.best) if x.causes}
     refits = [found.base, *best.values(), *(x.refit for x in rivals)]
     n_other = len(refits) - len(rivals)
     n = found.base.fitted.model.n_ligament_parameters

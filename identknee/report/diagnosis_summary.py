@@ -1,36 +1,32 @@
 """A diagnosis as the flat, documented numbers of a summary."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from identknee.diagnosis.causes import (
+from identknee.diagnosis.diagnose import Diagnosis
+from identknee.diagnosis.explanations.candidates import Exclusion
+from identknee.diagnosis.explanations.causes import (
     Cause,
     Estimate,
     causes_of,
-    explanation_of,
     ligament_estimates,
 )
-from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.exclusions import Exclusion
-from identknee.diagnosis.gain import Gain
-from identknee.diagnosis.gain_summary import gain_summary
-from identknee.diagnosis.missing_line import LineFinding
-from identknee.diagnosis.missing_pulls import MissingPull, pulls_of
-from identknee.diagnosis.refit import Refit
-from identknee.diagnosis.rivals import Rival, RivalState
-from identknee.diagnosis.verdict import Verdict
+from identknee.diagnosis.explanations.refit import Rival, RivalState
+from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.missing_line.line import LineFinding
+from identknee.diagnosis.missing_line.wrench import MissingPull
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
 from identknee.model.effects.facts import FACTS
+from identknee.report.gain_summary import gain_summary
 from identknee.runs.arrays import Array
+from identknee.runs.findings import findings_summary
 from identknee.subject.knee import Knee
 
 
-def diagnosis_summary(
-    found: Diagnosis, tested: Sequence[Exclusion], gain: Gain | None
-) -> dict[str, Any]:
+def diagnosis_summary(found: Diagnosis) -> dict[str, Any]:
     """What ``result.json`` says of a diagnosis.
 
     ``causes`` are those of the best explanation, where the verdict names any, or the line of force
@@ -40,39 +36,32 @@ def diagnosis_summary(
     whose ``state`` is not tested says why. ``effects`` says of every effect tried whether it was
     seen and which size would have been. Rivals that are open have their own amplitudes and
     parameters. ``missing_wrench`` is what else would have to act on the tibia, see
-    `identknee.diagnosis.missing_pulls`.
-
-    Parameters
-    ----------
-    found
-        The diagnosis.
-    tested
-        Of every effect, see `identknee.diagnosis.exclusions`.
-    gain
-        What the causes gain; None where none is named.
+    `identknee.diagnosis.missing_line.wrench`.
     """
-    conclusion, explanation = found.conclusion, explanation_of(found)
+    conclusion, explanation = found.conclusion, found.explanation
+    knee = found.base.fitted.model.knee
     before, after = ligament_estimates(found.base), ligament_estimates(explanation)
     return {
         "verdict": conclusion.verdict,
         "sentence": conclusion.sentence,
         "p_value": conclusion.p_value,
         "reasons": list(conclusion.reasons),
-        "causes": _causes(explanation),
+        "causes": [_cause(x, knee) for x in found.causes],
         "group": list(conclusion.group),
         "line": None if found.line is None else _line(found.line),
         "rivals": [_rival(x) for x in found.attribution.rivals],
         "misfit": _misfit(found),
-        "missing_wrench": [_pull(x) for x in pulls_of(found)],
+        "missing_wrench": [_pull(x) for x in found.missing_pulls],
         "noise": _noise(found),
         "advised_trials": [] if found.advice is None else trials_summary(found.advice.trials),
         "advice": None if found.advice is None else _advice(found),
-        "gain": None if gain is None else gain_summary(gain),
+        "gain": None if found.gain is None else gain_summary(found.gain),
         "parameters_before": _values(before),
         "parameters_after": _values(after),
         "parameters_before_ci95": _intervals(before),
         "parameters_after_ci95": _intervals(after),
-        "effects": {x.name: _tested(x) for x in tested},
+        "effects": {x.name: _tested(x) for x in found.exclusions},
+        "findings": findings_summary(found.findings),
     }
 
 
@@ -91,6 +80,7 @@ def untestable_summary(reason: str) -> dict[str, Any]:
         **empty,
         **dict.fromkeys((*nothing, *parameters)),
         "effects": {},
+        "findings": [],
     }
 
 
@@ -104,11 +94,6 @@ def trials_summary(trials: Protocol) -> list[dict[str, Any]]:
         }
         for name, angle, row in zip(trials.trials, trials.flexion_deg, trials.loads, strict=True)
     ]
-
-
-def _causes(explanation: Refit) -> list[dict[str, Any]]:
-    knee = explanation.fitted.model.knee
-    return [_cause(x, knee) for x in causes_of(explanation)]
 
 
 def _cause(cause: Cause, knee: Knee) -> dict[str, Any]:
@@ -166,23 +151,23 @@ def _pull(pull: MissingPull) -> dict[str, Any]:
 
 
 def _rival(rival: Rival) -> dict[str, Any]:
-    is_open = rival.state is RivalState.OPEN
+    is_open, knee = rival.state is RivalState.OPEN, rival.refit.fitted.model.knee
     is_tested = rival.state is not RivalState.NOT_TESTED
     return {
         "causes": list(rival.refit.names),
-        "log_evidence_below": rival.lead if is_tested else None,
+        "log_evidence_below": rival.log_evidence_deficit if is_tested else None,
         "distance": rival.distance if is_tested else None,
         "state": rival.state.value,
         "reason": rival.reason or None,
         "could_matter": rival.could_matter,
         "is_excluded": rival.is_excluded,
-        "amplitudes": _causes(rival.refit) if is_open else [],
+        "amplitudes": [_cause(x, knee) for x in causes_of(rival.refit)] if is_open else [],
         "parameters": _values(ligament_estimates(rival.refit)) if is_open else None,
     }
 
 
 def _misfit(found: Diagnosis) -> dict[str, Any]:
-    base, best = found.base, explanation_of(found)
+    base, best = found.base, found.explanation
     return {
         "sentence": found.localisation.sentence,
         "share": found.localisation.share,

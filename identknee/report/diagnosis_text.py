@@ -2,43 +2,27 @@
 
 from collections.abc import Iterable, Sequence
 
-from identknee.diagnosis.advice import Advice
-from identknee.diagnosis.attribution import Attribution
-from identknee.diagnosis.causes import (
+from identknee.diagnosis.advice.advice import Advice
+from identknee.diagnosis.diagnose import Diagnosis
+from identknee.diagnosis.explanations.attribution import Attribution
+from identknee.diagnosis.explanations.candidates import Exclusion, Visibility
+from identknee.diagnosis.explanations.causes import (
     Cause,
     Estimate,
-    causes_of,
-    explanation_of,
     ligament_estimates,
 )
-from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.exclusions import Exclusion
-from identknee.diagnosis.gain import Gain
-from identknee.diagnosis.power import Cell
-from identknee.diagnosis.protocol_isolability import Visibility
-from identknee.diagnosis.refit import Refit
-from identknee.diagnosis.rivals import Rival, RivalState
-from identknee.diagnosis.verdict import Verdict
+from identknee.diagnosis.explanations.refit import Refit, Rival, RivalState
+from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.gain.gain import Gain
+from identknee.diagnosis.score.score import Cell
 from identknee.model.effects.facts import FACTS
 
 MOST_RIVALS = 6
 
 
-def diagnosis_lines(
-    found: Diagnosis, tested: Sequence[Exclusion], gain: Gain | None
-) -> dict[str, list[str]]:
-    """What a person reads, lines by heading.
-
-    Parameters
-    ----------
-    found
-        The diagnosis.
-    tested
-        Of every effect, see `identknee.diagnosis.exclusions`.
-    gain
-        What the causes gain; None where none is named.
-    """
-    conclusion, explanation = found.conclusion, explanation_of(found)
+def diagnosis_lines(found: Diagnosis) -> dict[str, list[str]]:
+    """What a person reads, lines by heading."""
+    conclusion, explanation = found.conclusion, found.explanation
     is_named = conclusion.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
     heading = conclusion.verdict.value
     if explanation.causes:
@@ -47,13 +31,13 @@ def diagnosis_lines(
     sections = {
         heading: [conclusion.sentence, *conclusion.reasons, found.noise.sentence],
         "Where": [] if conclusion.verdict is Verdict.ADEQUATE else [found.localisation.sentence],
-        "Cause": [x for cause in causes_of(explanation) for x in _cause(cause)],
+        "Cause": [x for cause in found.causes for x in _cause(cause)],
         "Where it would act": [] if found.line is None else [found.line.sentence],
         "Rivals": _rivals(found.attribution) if is_named else [],
         "Whichever of them it is": _whichever(found) if is_named else [],
         "What would tell them apart": _advice(found.advice),
-        "Excluded, and beyond the power of these data": _tested(tested, conclusion.group),
-        "Gain": [] if gain is None else _gain(gain),
+        "Excluded, and beyond the power of these data": _tested(found.exclusions, conclusion.group),
+        "Gain": [] if found.gain is None else _gain(found.gain),
         "Parameters": _parameters(found),
     }
     return {heading: lines for heading, lines in sections.items() if lines}
@@ -82,7 +66,7 @@ def amount(value: float, unit: str) -> str:
     return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
 
 
-def visibility_line(x: Exclusion | Visibility) -> str:
+def visibility_line(x: Visibility) -> str:
     """Which size of an effect is seen, and which would matter."""
     seen = "never" if x.detectable == float("inf") else f"from {amount(x.detectable, x.unit)} on"
     return f"seen {seen}; {amount(x.relevant, x.unit)} would matter ({x.parameter})"
@@ -129,7 +113,9 @@ def _rival(rival: Rival, width: int) -> str:
     name = listed(rival.refit.names) or "no cause"
     if rival.state is RivalState.NOT_TESTED:
         return f"{name:{width}}  {'-':>12}  {'-':>8}  {rival.state}"
-    return f"{name:{width}}  {-rival.lead:12.1f}  {rival.distance:8.1f}  {rival.state}"
+    return (
+        f"{name:{width}}  {-rival.log_evidence_deficit:12.1f}  {rival.distance:8.1f}  {rival.state}"
+    )
 
 
 def _advice(advice: Advice | None) -> list[str]:
@@ -151,7 +137,7 @@ def _whichever(found: Diagnosis) -> list[str]:
         return []
     trees = [_flat(x.refit) for x in rivals]
     lines = []
-    for name, best in _flat(explanation_of(found)).items():
+    for name, best in _flat(found.explanation).items():
         values = [best.value, *(x[name].value for x in trees)]
         low, high = best.ci95
         # Beyond an open end nothing is said.
@@ -188,10 +174,10 @@ def _gain(gain: Gain) -> list[str]:
 
 def _parameters(found: Diagnosis) -> list[str]:
     before = _flat(found.base)
-    after = _flat(explanation_of(found))
+    after = _flat(found.explanation)
     width = max(len(x) for x in before)
     lines = [f"{'':{width}}  {'without cause':>26}  {'with cause':>26}"]
-    if not explanation_of(found).causes:
+    if not found.explanation.causes:
         lines, after = [f"{'':{width}}  {'fitted, 95 %':>26}"], {}
     return lines + [
         f"{name:{width}}  {_interval(x):>26}"

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.diagnosis.isolability import LEAST_DISTANCE
-from identknee.diagnosis.protocol_isolability import ROOT, ProtocolIsolability
+from identknee.diagnosis.advice.isolability import LEAST_DISTANCE
+from identknee.diagnosis.advice.protocol import ROOT, ProtocolIsolability
 from identknee.report.diagnosis_summary import trials_summary
 
 

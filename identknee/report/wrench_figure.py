@@ -10,9 +10,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
-from identknee.diagnosis.causes import causes_of, explanation_of
 from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.missing_pulls import MissingPull, pulls_of
+from identknee.diagnosis.missing_line.wrench import MissingPull
 from identknee.report.figures import COLOURS, GREY
 from identknee.report.scene import View
 from identknee.runs.arrays import Array
@@ -44,7 +43,7 @@ def wrench_figure(found: Diagnosis) -> Figure:
     found
         The diagnosis.
     """
-    knee, pulls = found.base.fitted.model.knee, pulls_of(found)
+    knee, pulls = found.base.fitted.model.knee, found.missing_pulls
     angles = sorted({x.flexion_deg for x in pulls})
     directions = list(dict.fromkeys(x.direction for x in pulls))
     size = (0.8 + 2.1 * max(len(directions), 1), 1.2 + 1.45 * max(len(angles), 1))
@@ -79,7 +78,7 @@ def _largest(pulls: Sequence[MissingPull]) -> tuple[float, float]:
 
 def _lines(found: Diagnosis, knee: Knee) -> dict[str, Array]:
     """Femoral and tibial end of each structure that the diagnosis gives, in tibial axes (2, 3)."""
-    given = {x.name: x.line for x in causes_of(explanation_of(found)) if x.line is not None}
+    given = {x.name: x.line for x in found.causes if x.line is not None}
     if found.line is not None and not given:
         given = {"the line tried": np.stack([found.line.femur, found.line.tibia])}
     return {name: knee.tibia_frame.to_local(line) for name, line in given.items()}

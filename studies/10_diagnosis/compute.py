@@ -146,9 +146,7 @@ def case_row(case: Mapping[str, Any]) -> Row:
     began = time.perf_counter()
     found = diagnose(knee, blind.laxity)
     seconds = time.perf_counter() - began
-    summary = (
-        untestable_summary("no prediction") if found is None else diagnosis_summary(found, (), None)
-    )
+    summary = untestable_summary("no prediction") if found is None else diagnosis_summary(found)
     judged = score(blind.truth, summary)
     row |= {
         "signal": blind.truth.signal,

@@ -11,15 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from identknee.diagnosis.base_fit import fit_base
-from identknee.diagnosis.causes import causes_of
 from identknee.diagnosis.diagnose import Diagnosis, diagnose
-from identknee.diagnosis.elpd import elpd_difference
-from identknee.diagnosis.exclusions import exclusions
-from identknee.diagnosis.folds import Fold
-from identknee.diagnosis.held_out import HeldOut, held_out
-from identknee.diagnosis.observations import observations_of
-from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.explanations.causes import causes_of
+from identknee.diagnosis.explanations.fitting import fit_base
+from identknee.diagnosis.explanations.refit import Refit
+from identknee.diagnosis.gain.folds import Fold, observations_of
+from identknee.diagnosis.gain.gain import elpd_difference
+from identknee.diagnosis.gain.held_out import HeldOut, held_out
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.published import TABLE2, PublishedLaxity, table2_laxity
 from identknee.laxity.table import COORDINATES, Laxity
@@ -188,7 +186,7 @@ def diagnosed(knee: Knee, sd: float | None, seed: int, without: str = "") -> Row
                 "power": x.power,
                 "cell": x.cell.value,
             }
-            for x in exclusions(found)
+            for x in found.exclusions
         ],
         **extensions(found),
     }

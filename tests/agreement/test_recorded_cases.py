@@ -5,7 +5,7 @@ import pytest
 from data_files import DATA
 
 from identknee.diagnosis.diagnose import diagnose
-from identknee.diagnosis.verdict import Verdict
+from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.laxity.table import read_laxity
 from identknee.subject.folder import example
 

@@ -10,7 +10,7 @@ from blind_diagnoses import BlindTask, outcome_of
 
 from identknee.blind.case import blind_case
 from identknee.diagnosis.diagnose import diagnose
-from identknee.diagnosis.verdict import Verdict
+from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.laxity.table import Laxity
 from identknee.subject.reference import reference_knee
 

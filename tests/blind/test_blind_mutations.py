@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from identknee.blind.case import BlindCase, blind_case
-from identknee.diagnosis import base_fit
 from identknee.diagnosis.diagnose import Diagnosis, diagnose
-from identknee.diagnosis.library_signatures import library_variants
-from identknee.diagnosis.noise_model import build_noise_model
-from identknee.diagnosis.projection import Projector
-from identknee.diagnosis.score import score_test
-from identknee.diagnosis.signature import Signature
+from identknee.diagnosis.explanations import fitting
+from identknee.diagnosis.explanations.candidates import library_variants
+from identknee.diagnosis.noise.noise_model import build_noise_model
+from identknee.diagnosis.score.misfit import Projector
+from identknee.diagnosis.score.score import score_test
+from identknee.diagnosis.score.signature import Signature
 from identknee.model.effects.library import library
 from identknee.subject.reference import reference_knee
 
@@ -45,7 +45,7 @@ def test_without_the_projector_near_equivalent_fits_are_effects(found: Diagnosis
     moved = there + 8.0 * (jacobian @ right[0]) / size[0]
     nothing = Projector(basis=np.zeros((len(moved), 0)))
     given = signatures(found)
-    test = score_test(base.projector, given, seed=0, scale="unknown")
+    test = score_test(base.fitted.projector, given, seed=0, scale="unknown")
     with_it = test.evaluate(moved)
     without = score_test(nothing, given, seed=0, scale="unknown").evaluate(moved)
     assert with_it.max_score == pytest.approx(test.evaluate(there).max_score, rel=1e-6)
@@ -57,12 +57,12 @@ def test_without_signs_a_structure_that_pushes_is_one(found: Diagnosis) -> None:
     given = signatures(found)
     structure = next(x for x in given if x.name == "anterolateral")
     pushed = base.fitted.residual_rows()
-    column = base.projector.project(structure.columns)[:, 0]
+    column = base.fitted.projector.project(structure.columns)[:, 0]
     pushed = pushed - 8.0 * column / np.linalg.norm(column)
     free = [replace(x, sign=0 * x.sign) for x in given if x.name == structure.name]
     own = [x for x in given if x.name == structure.name]
-    with_signs = score_test(base.projector, own, seed=0).evaluate(pushed)
-    without = score_test(base.projector, free, seed=0).evaluate(pushed)
+    with_signs = score_test(base.fitted.projector, own, seed=0).evaluate(pushed)
+    without = score_test(base.fitted.projector, free, seed=0).evaluate(pushed)
     assert without.max_score > with_signs.max_score + 2.0
 
 
@@ -73,10 +73,10 @@ def test_without_nuisances_softer_contact_is_another_cause(
     knee = reference_knee()
     sd = np.full(null.noise_free.coordinates.shape, 0.1)
     errorless = replace(null.noise_free, sd=sd, within_trial_correlation=0.3)
-    allowed = base_fit.base_model(knee, errorless.protocol)
+    allowed = fitting.base_model(knee, errorless.protocol)
     bare = allowed.with_effects(())
     noise = build_noise_model(sd, errorless.is_measured, correlation=0.3)
     start = allowed.parameters.center
-    with_it = base_fit.fit_from(allowed, errorless, noise, [start])
-    without = base_fit.fit_from(bare, errorless, noise, [start[: bare.parameters.n]])
+    with_it = fitting.fit_from(allowed, errorless, noise, [start])
+    without = fitting.fit_from(bare, errorless, noise, [start[: bare.parameters.n]])
     assert without.misfit > 2.0 * with_it.misfit

@@ -13,7 +13,7 @@ from rows import Measure, Row
 from work_store import work_store
 
 from identknee.blind.effects import LISTED, UNLISTED
-from identknee.diagnosis.protocol_isolability import protocol_isolability
+from identknee.diagnosis.advice.protocol import protocol_isolability
 from identknee.identify.shares import share
 from identknee.laxity.protocol import load_protocol
 from identknee.runs.executors import process_pool

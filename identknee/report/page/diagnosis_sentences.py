@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from identknee.diagnosis.verdict import Verdict
+from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.report.page.finding import Finding, Question
 from identknee.report.page.results import Result
 from identknee.report.page.words import (

@@ -4,8 +4,8 @@ from typing import Annotated, Self
 
 from pydantic import model_validator
 
-from identknee.diagnosis.rivals import RivalState
-from identknee.diagnosis.verdict import Verdict
+from identknee.diagnosis.explanations.refit import RivalState
+from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.report.page.summary_parts import (
     AGAIN,
     Count,

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import xarray
 
-from identknee.diagnosis.isolability import Distances
+from identknee.diagnosis.advice.isolability import Distances
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol
 from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure
 from identknee.report.diagnosis_figures import (

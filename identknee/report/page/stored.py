@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.diagnosis.causes import Estimate
-from identknee.diagnosis.localisation import CellScore, Localisation
+from identknee.diagnosis.explanations.causes import Estimate
+from identknee.diagnosis.score.localisation import CellScore, Localisation
 from identknee.identify.information.information import Information
 from identknee.identify.information.jacobian_noise import JacobianNoise
 from identknee.identify.profile.result import Profile, Side, SideStatus, Verdict

@@ -12,7 +12,7 @@ from diagnoses import FRAME, FRAME_DEG, short_data
 from posed_knees import posed_folder
 
 import identknee as ik
-from identknee.diagnosis.isolability import MOST_TRIALS
+from identknee.diagnosis.advice.isolability import MOST_TRIALS
 
 PICTURES = {"misfit", "residuals", "added_variable", "scores", "parameters", "missing_wrench"}
 

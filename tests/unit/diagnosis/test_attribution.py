@@ -10,20 +10,24 @@ import pytest
 from diagnoses import FRAME, FRAME_DEG, SD, diagnosed, short_trials
 from scipy.stats import multivariate_normal
 
-from identknee.diagnosis import attribution as module
-from identknee.diagnosis.attribution import (
+from identknee.diagnosis.explanations import attribution as module
+from identknee.diagnosis.explanations.attribution import (
+    MOST_AMPLITUDES,
     MOST_CAUSES,
     Attribution,
     _is_better,
-    _looked_back,
     _with_flexible,
     attribute,
+    backward_elimination,
+    promising_refits,
 )
-from identknee.diagnosis.base_fit import fit_base
-from identknee.diagnosis.diagnose import _base_refit
-from identknee.diagnosis.look import MOST_AMPLITUDES, promising_refits
-from identknee.diagnosis.refit import Refit, expected_distance
-from identknee.diagnosis.rivals import rivals_of
+from identknee.diagnosis.explanations.fitting import fit_base
+from identknee.diagnosis.explanations.refit import (
+    Refit,
+    expected_distance,
+    rivals_of,
+    without_causes,
+)
 from identknee.identify.evaluation import Evaluation
 from identknee.laxity.noise import add_noise
 from identknee.model.effects.library import effect_named
@@ -45,7 +49,7 @@ def base_of(**hidden: float) -> Refit:
     laxity = add_noise(model.simulate(theta), sd_mm=SD, sd_deg=SD, seed=5)
     found = fit_base(knee, laxity, starts=[], seed=0)
     assert found is not None
-    return _base_refit(found)
+    return without_causes(found)
 
 
 def attributed(base: Refit, *names: str, is_forced: bool = False) -> Attribution:
@@ -116,12 +120,12 @@ def test_rivals_are_the_other_explanations_each_once_by_their_evidence(one: Attr
     assert len(set(names)) == len(names)
     assert frozenset(one.best.names) not in names
     assert names
-    leads = [x.lead for x in one.rivals]
-    assert leads == sorted(leads)
+    deficits = [x.log_evidence_deficit for x in one.rivals]
+    assert deficits == sorted(deficits)
     for x in one.rivals:
-        assert x.lead == pytest.approx(one.best.log_evidence - x.refit.log_evidence)
+        assert x.log_evidence_deficit == pytest.approx(one.best.log_evidence - x.refit.log_evidence)
         assert x.distance == pytest.approx(expected_distance(one.best, x.refit))
-        assert x.lead > 0.0
+        assert x.log_evidence_deficit > 0.0
 
 
 def test_another_fit_of_the_same_causes_is_no_rival(one: Attribution) -> None:
@@ -185,7 +189,7 @@ class Made:
     """As much of a refit as the rules look at."""
 
     names: tuple[str, ...] = ()
-    strain: float = 100.0
+    penalised_chi2: float = 100.0
     log_evidence: float = 0.0
     n_amplitudes: int = 1
 
@@ -207,13 +211,13 @@ def better(new: Made, old: Made) -> bool:
 def test_a_first_cause_must_lower_the_misfit_and_gain_evidence(
     fall: float, gain: float, is_better: bool
 ) -> None:
-    new = Made(names=("a",), strain=100.0 - fall, log_evidence=gain)
+    new = Made(names=("a",), penalised_chi2=100.0 - fall, log_evidence=gain)
     assert better(new, Made()) is is_better
 
 
 @pytest.mark.parametrize(("fall", "is_better"), [(16.1, True), (15.9, False)])
 def test_a_further_cause_must_lower_it_by_more(fall: float, is_better: bool) -> None:
-    new = Made(names=("a", "b"), strain=100.0 - fall, log_evidence=5.0)
+    new = Made(names=("a", "b"), penalised_chi2=100.0 - fall, log_evidence=5.0)
     assert better(new, Made(names=("a",))) is is_better
 
 
@@ -231,16 +235,16 @@ def looked_back(
     monkeypatch.setattr(module, "_without", without)
     monkeypatch.setattr(module, "_swapped", swapped)
     steps: Any = [SimpleNamespace(refits=singles)]
-    best, rest = _looked_back(Made(), current, (), steps)  # type: ignore[arg-type]
+    best, rest = backward_elimination(Made(), current, (), steps)  # type: ignore[arg-type]
     return best, rest  # type: ignore[return-value]
 
 
 def test_a_cause_that_another_made_superfluous_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first step's choice may be a stand-in for two that were found after it."""
-    current = Made(names=("stand-in", "true"), strain=50.0, log_evidence=20.0)
+    current = Made(names=("stand-in", "true"), penalised_chi2=50.0, log_evidence=20.0)
     made: dict[tuple[str, ...], Made] = {
-        ("true",): Made(names=("true",), strain=60.0, log_evidence=19.0),
-        ("stand-in",): Made(names=("stand-in",), strain=90.0, log_evidence=5.0),
+        ("true",): Made(names=("true",), penalised_chi2=60.0, log_evidence=19.0),
+        ("stand-in",): Made(names=("stand-in",), penalised_chi2=90.0, log_evidence=5.0),
     }
     best, rest = looked_back(monkeypatch, current, made, [])
     assert best.names == ("true",)
@@ -248,39 +252,41 @@ def test_a_cause_that_another_made_superfluous_is_left_out(monkeypatch: pytest.M
 
 
 def test_a_cause_that_is_needed_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    current = Made(names=("a", "b"), strain=50.0, log_evidence=20.0)
+    current = Made(names=("a", "b"), penalised_chi2=50.0, log_evidence=20.0)
     made: dict[tuple[str, ...], Made] = {
-        ("a",): Made(names=("a",), strain=67.0, log_evidence=15.0),
-        ("b",): Made(names=("b",), strain=90.0, log_evidence=5.0),
+        ("a",): Made(names=("a",), penalised_chi2=67.0, log_evidence=15.0),
+        ("b",): Made(names=("b",), penalised_chi2=90.0, log_evidence=5.0),
     }
     best, _ = looked_back(monkeypatch, current, made, [])
     assert best is current
 
 
 def test_a_swap_that_explains_far_more_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    current = Made(names=("a", "b"), strain=80.0, log_evidence=20.0)
-    third = Made(names=("c",), strain=85.0, log_evidence=10.0)
+    current = Made(names=("a", "b"), penalised_chi2=80.0, log_evidence=20.0)
+    third = Made(names=("c",), penalised_chi2=85.0, log_evidence=10.0)
     made: dict[tuple[str, ...], Made] = {
-        ("a",): Made(names=("a",), strain=120.0, log_evidence=0.0),
-        ("b",): Made(names=("b",), strain=120.0, log_evidence=0.0),
-        ("b", "c"): Made(names=("b", "c"), strain=50.0, log_evidence=40.0),
-        ("a", "c"): Made(names=("a", "c"), strain=79.0, log_evidence=20.5),
+        ("a",): Made(names=("a",), penalised_chi2=120.0, log_evidence=0.0),
+        ("b",): Made(names=("b",), penalised_chi2=120.0, log_evidence=0.0),
+        ("b", "c"): Made(names=("b", "c"), penalised_chi2=50.0, log_evidence=40.0),
+        ("a", "c"): Made(names=("a", "c"), penalised_chi2=79.0, log_evidence=20.5),
     }
     best, rest = looked_back(monkeypatch, current, made, [third])
     assert best.names == ("b", "c")
     assert current in rest
     # One that is hardly ahead is an alternative, no better explanation.
-    made[("b", "c")] = Made(names=("b", "c"), strain=79.0, log_evidence=20.9)
+    made[("b", "c")] = Made(names=("b", "c"), penalised_chi2=79.0, log_evidence=20.9)
     best, _ = looked_back(monkeypatch, current, made, [third])
     assert best is current
 
 
 def test_flexible_effects_are_not_swapped_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    current = Made(names=("a", "b"), strain=50.0, log_evidence=20.0)
-    many = Made(names=("many",), strain=10.0, log_evidence=90.0, n_amplitudes=MOST_AMPLITUDES + 1)
+    current = Made(names=("a", "b"), penalised_chi2=50.0, log_evidence=20.0)
+    many = Made(
+        names=("many",), penalised_chi2=10.0, log_evidence=90.0, n_amplitudes=MOST_AMPLITUDES + 1
+    )
     made: dict[tuple[str, ...], Made] = {
-        ("a",): Made(names=("a",), strain=90.0, log_evidence=1.0),
-        ("b",): Made(names=("b",), strain=90.0, log_evidence=1.0),
+        ("a",): Made(names=("a",), penalised_chi2=90.0, log_evidence=1.0),
+        ("b",): Made(names=("b",), penalised_chi2=90.0, log_evidence=1.0),
     }
     best, _ = looked_back(monkeypatch, current, made, [many])
     assert best is current
@@ -292,8 +298,10 @@ def flexible(current: Made, rest: Sequence[Made], first: Sequence[Made]) -> tupl
 
 
 def test_an_effect_of_many_amplitudes_wins_by_evidence_alone() -> None:
-    simple = Made(names=("a",), strain=50.0, log_evidence=20.0)
-    many = Made(names=("many",), strain=10.0, log_evidence=30.0, n_amplitudes=MOST_AMPLITUDES + 1)
+    simple = Made(names=("a",), penalised_chi2=50.0, log_evidence=20.0)
+    many = Made(
+        names=("many",), penalised_chi2=10.0, log_evidence=30.0, n_amplitudes=MOST_AMPLITUDES + 1
+    )
     best, rest = flexible(simple, [simple, many], [simple, many])
     assert best is many
     assert simple in rest
@@ -324,15 +332,15 @@ def test_no_more_than_three_causes_are_sought(monkeypatch: pytest.MonkeyPatch) -
         return (
             Made(
                 names=(*now.names, name),
-                strain=now.strain - 20.0,
+                penalised_chi2=now.penalised_chi2 - 20.0,
                 log_evidence=now.log_evidence + 10.0,
             ),
         )
 
-    monkeypatch.setattr(module, "_look", look)
+    monkeypatch.setattr(module, "score_candidates", look)
     monkeypatch.setattr(module, "promising_refits", refits)
     monkeypatch.setattr(
-        module, "_looked_back", lambda _base, current, rest, _steps: (current, rest)
+        module, "backward_elimination", lambda _base, current, rest, _steps: (current, rest)
     )
     monkeypatch.setattr(module, "rivals_of", lambda *_: ())
     effects: Any = [SimpleNamespace(name=x) for x in "abcde"]

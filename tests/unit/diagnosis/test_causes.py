@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, FRAME_DEG, diagnosed
 
-from identknee.diagnosis import causes
-from identknee.diagnosis.causes import (
+from identknee.diagnosis.explanations import causes
+from identknee.diagnosis.explanations.causes import (
     Estimate,
-    causes_of,
-    explanation_of,
     ligament_estimates,
-    unit_of,
 )
 from identknee.model.effects.library import library
+from identknee.model.effects.units import unit_of
 from identknee.report import diagnosis_text
 from identknee.subject.knee import Knee
 
@@ -30,7 +28,7 @@ def test_every_amplitude_of_the_library_has_its_unit(reference: Knee) -> None:
 
 
 def test_a_vector_is_as_large_as_its_components_together() -> None:
-    (cause,) = causes_of(explanation_of(diagnosed(FRAME)))
+    (cause,) = diagnosed(FRAME).causes
     values = [x.value for x in cause.parameters]
     assert cause.name == FRAME
     assert (cause.amplitude.name, cause.amplitude.unit) == ("total", "deg")
@@ -44,8 +42,8 @@ def test_a_vector_is_as_large_as_its_components_together() -> None:
 
 def test_data_without_an_effect_have_no_causes() -> None:
     found = diagnosed(None)
-    assert explanation_of(found) is found.base
-    assert causes_of(explanation_of(found)) == ()
+    assert found.explanation is found.base
+    assert found.causes == ()
 
 
 def test_every_ligament_has_both_parameters_within_their_intervals(reference: Knee) -> None:

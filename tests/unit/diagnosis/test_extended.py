@@ -7,10 +7,8 @@ import pytest
 from diagnoses import FRAME, diagnosed, short_data
 from posed_knees import posed_reference
 
-from identknee.diagnosis.causes import explanation_of
 from identknee.diagnosis.diagnose import diagnose
-from identknee.diagnosis.extended import extended_knee, fitted_values
-from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.explanations.refit import Refit
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.folder import read_subject, write_subject
@@ -21,11 +19,11 @@ SOLVED = 1e-6
 
 def _predicted(refit: Refit, folder: Path) -> np.ndarray:
     """What the extended subject, written and read again, predicts where the fit lies."""
-    knee = read_subject(write_subject(extended_knee(refit), folder))
+    knee = read_subject(write_subject(refit.extended_knee, folder))
     model = LaxityModel(knee=knee, protocol=refit.fitted.laxity.protocol)
     values = {
         f"{owner}.{name}": x
-        for owner, own in fitted_values(refit).items()
+        for owner, own in refit.fitted_values.items()
         for name, x in own.items()
     }
     assert model.parameters.names == refit.fitted.model.parameters.names
@@ -37,7 +35,7 @@ def test_a_posed_and_mirrored_knee_keeps_its_causes(tmp_path: Path) -> None:
     candidates = [effect_named(knee, x) for x in (FRAME, "flexion_offset")]
     found = diagnose(knee, short_data(knee, FRAME), effects=candidates)
     assert found is not None
-    best = explanation_of(found)
+    best = found.explanation
     assert FRAME in found.conclusion.group
     np.testing.assert_allclose(
         _predicted(best, tmp_path / "extended"),
@@ -48,8 +46,8 @@ def test_a_posed_and_mirrored_knee_keeps_its_causes(tmp_path: Path) -> None:
 
 def test_amplitudes_are_the_subjects_own_and_ligaments_as_before() -> None:
     found = diagnosed(FRAME)
-    best = explanation_of(found)
-    extended = extended_knee(best)
+    best = found.explanation
+    extended = best.extended_knee
     own = LaxityModel(knee=extended, protocol=found.laxity.protocol).parameters
     n = best.n_base - 2
     np.testing.assert_array_equal(own.start[:n], best.fitted.model.parameters.center[:n])

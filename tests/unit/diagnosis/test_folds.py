@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_knee import small_protocol
 
-from identknee.diagnosis.folds import DIRECTION, EXTREMES, FLEXION, Fold, held_out_folds
+from identknee.diagnosis.gain.folds import DIRECTION, EXTREMES, FLEXION, Fold, held_out_folds
 from identknee.laxity.protocol import LOADS, Protocol, load_protocol
 
 

@@ -12,7 +12,7 @@ from linear_data import (
     unit_noise,
 )
 
-from identknee.diagnosis.goodness import (
+from identknee.diagnosis.score.misfit import (
     Check,
     cauchy_combination,
     nested_check,

@@ -18,10 +18,9 @@ from scipy.optimize import least_squares
 from scipy.stats import multivariate_normal
 from tolerances import CLOSED_FORM
 
-from identknee.diagnosis.elpd import elpd_difference
-from identknee.diagnosis.folds import DIRECTION, FAMILIES, FLEXION, Fold
-from identknee.diagnosis.held_out import FoldStatus, held_out
-from identknee.diagnosis.observations import Observations
+from identknee.diagnosis.gain.folds import DIRECTION, FAMILIES, FLEXION, Fold, Observations
+from identknee.diagnosis.gain.gain import elpd_difference
+from identknee.diagnosis.gain.held_out import FoldStatus, held_out
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
@@ -196,11 +195,11 @@ def test_the_difference_of_two_models_is_the_sum_over_trials() -> None:
     assert found.difference == pytest.approx(by_trial.sum(), rel=SOLVED)
     assert found.se == pytest.approx(np.sqrt(63) * np.std(by_trial, ddof=1), rel=SOLVED)
     assert found.difference > 3 * found.se
-    assert found.n_gains == found.n_with_signature == 3
+    assert all(x.folds and x.difference > 2.0 * x.se for x in found.families)
     assert found.folds == folds
     back = elpd_difference(scored[1], scored[0])
     assert back.difference == -found.difference
-    assert back.n_gains == 0
+    assert all(x.difference < 0.0 for x in back.families)
 
 
 def test_folds_that_say_nothing_of_the_difference_do_not_count() -> None:
@@ -217,12 +216,12 @@ def test_folds_that_say_nothing_of_the_difference_do_not_count() -> None:
     assert "only they show" in flexion.not_scored[0][1]
     assert set(flexion.folds).isdisjoint(flexion.without_signature)
     assert len(flexion.folds) + len(flexion.without_signature) == 2
-    assert direction.is_gain
-    assert extremes.is_gain
+    assert direction.difference > 2.0 * direction.se
+    assert extremes.difference > 2.0 * extremes.se
     same = elpd_difference(scored[0], scored[0])
     assert same.difference == 0
     assert np.isnan(same.se)
-    assert same.n_with_signature == same.n_gains == 0
+    assert not any(x.folds for x in same.families)
 
 
 def test_models_scored_on_different_folds_are_refused() -> None:

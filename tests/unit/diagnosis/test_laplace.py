@@ -8,7 +8,7 @@ from scipy import integrate, stats
 from tolerances import CLOSED_FORM
 
 from identknee.calibrate.problem import WithPriors
-from identknee.diagnosis.laplace import Laplace, laplace
+from identknee.diagnosis.explanations.causes import Laplace, laplace
 from identknee.diagnosis.normal_in_box import (
     box_intervals,
     log_box_probability,

@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.diagnosis.base_fit import Fitted, fit_from
-from identknee.diagnosis.line_candidates import (
+from identknee.diagnosis.explanations.fitting import Fitted, fit_from
+from identknee.diagnosis.missing_line.scan import (
     LENGTHS,
     MOST_LINES,
+    NAME,
     SLACK_STRAINS,
     CandidateLines,
+    LineScan,
     candidate_lines,
     line_columns,
+    scan_lines,
 )
-from identknee.diagnosis.line_scan import NAME, LineScan, scan_lines
-from identknee.diagnosis.noise_model import build_noise_model
+from identknee.diagnosis.noise.noise_model import build_noise_model
 from identknee.laxity.protocol import load_protocol
 from identknee.model.effects.contact_law import Cartilage
 from identknee.model.effects.structures import structure_at

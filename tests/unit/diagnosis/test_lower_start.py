@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.base_fit import fit_from
 from identknee.diagnosis.diagnose import LOWER, diagnose, lower_start
+from identknee.diagnosis.explanations.fitting import fit_from
 from identknee.laxity.noise import add_noise
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.diagnosis.base_fit import fit_from
-from identknee.diagnosis.goodness import smooth_patterns
-from identknee.diagnosis.missing_line import find_line
-from identknee.diagnosis.noise_model import build_noise_model
-from identknee.diagnosis.refit import Refit
+from identknee.diagnosis.explanations.fitting import fit_from
+from identknee.diagnosis.explanations.refit import Refit
+from identknee.diagnosis.missing_line.line import find_line
+from identknee.diagnosis.noise.noise_model import build_noise_model
+from identknee.diagnosis.score.misfit import smooth_patterns
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity

@@ -7,10 +7,8 @@ import pytest
 from line_gradient import line_gradient
 from small_knee import small_knee, small_protocol
 
-from identknee.diagnosis.data_noise import DataNoise, NoiseSource
-from identknee.diagnosis.localisation import TrialLayout
-from identknee.diagnosis.missing_pulls import missing_pulls
-from identknee.diagnosis.missing_wrench import MissingWrench, missing_wrench
+from identknee.diagnosis.missing_line.wrench import MissingWrench, missing_pulls, missing_wrench
+from identknee.diagnosis.score.localisation import TrialLayout
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.pose import rotation_matrix
@@ -34,16 +32,10 @@ def with_errors(model: LaxityModel, theta: Array, of: LaxityModel) -> LaxityResi
     return LaxityResiduals(model=of, laxity=replace(noisy, coordinates=laxity.coordinates))
 
 
-def noise_of(laxity: Laxity) -> DataNoise:
+def noise_of(laxity: Laxity) -> tuple[Array, float]:
     """As the data state it."""
     assert laxity.sd is not None
-    return DataNoise(
-        sd=laxity.sd,
-        correlation=laxity.within_trial_correlation,
-        factors=None,
-        degrees_of_freedom=np.inf,
-        source=NoiseSource.STATED,
-    )
+    return laxity.sd, laxity.within_trial_correlation
 
 
 def test_it_is_the_pull_of_the_structure_left_out(model: LaxityModel) -> None:
@@ -57,7 +49,7 @@ def test_it_is_the_pull_of_the_structure_left_out(model: LaxityModel) -> None:
     extended = model.with_effects([hidden])
     theta = model.parameters.center
     problem = with_errors(extended, np.r_[theta, 0.002, 6.0], model)
-    found = missing_wrench(problem, theta, noise_of(problem.laxity))
+    found = missing_wrench(problem, theta, *noise_of(problem.laxity))
     setting = extended.setting(np.r_[theta, 0.002, 6.0])
     poses = model.predict(theta).poses
     flexion = setting.flexion[model.paths.trial_node]
@@ -72,7 +64,7 @@ def test_it_weighs_as_much_as_the_residuals(model: LaxityModel) -> None:
     theta = model.parameters.center
     data = add_noise(model.simulate(theta), sd_mm=0.2, sd_deg=0.3, seed=2, correlation=0.3)
     problem = LaxityResiduals(model=model, laxity=data, weighting="noise")
-    found = missing_wrench(problem, theta, noise_of(problem.laxity))
+    found = missing_wrench(problem, theta, *noise_of(problem.laxity))
     solved = np.linalg.solve(found.covariance, found.wrench[:, :, None])[:, :, 0]
     residuals = problem.residuals(theta)
     assert (found.wrench * solved).sum() == pytest.approx(residuals @ residuals, rel=1e-6)
@@ -81,7 +73,7 @@ def test_it_weighs_as_much_as_the_residuals(model: LaxityModel) -> None:
 def test_only_what_lies_outside_contact_is_quiet(model: LaxityModel) -> None:
     theta = model.parameters.center
     problem = with_errors(model, theta, model)
-    found = missing_wrench(problem, theta, noise_of(problem.laxity))
+    found = missing_wrench(problem, theta, *noise_of(problem.laxity))
     superior = np.sqrt(found.covariance[:, 3, 3])
     outside = np.sqrt(np.einsum("nii->ni", found.outside_covariance))
     assert (np.linalg.matrix_rank(found.outside_covariance[0], rtol=1e-9)) == 3
@@ -94,7 +86,7 @@ def test_a_trial_with_a_blank_has_none(model: LaxityModel) -> None:
     coordinates = np.array(laxity.coordinates)
     coordinates[2, 1] = np.nan
     problem = LaxityResiduals(model=model, laxity=replace(laxity, coordinates=coordinates))
-    found = missing_wrench(problem, theta, noise_of(problem.laxity))
+    found = missing_wrench(problem, theta, *noise_of(problem.laxity))
     assert np.isnan(found.wrench[2]).all()
     assert np.isnan(found.outside_covariance[2]).all()
     assert np.isfinite(np.delete(found.outside, 2, axis=0)).all()

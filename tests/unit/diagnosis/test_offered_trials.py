@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.base_fit import base_model, fit_from, nuisance_changes
-from identknee.diagnosis.noise_model import build_noise_model
-from identknee.diagnosis.offered_trials import OfferedTrials
+from identknee.diagnosis.advice.advice import OfferedTrials
+from identknee.diagnosis.explanations.fitting import base_model, fit_from, plain_noise
+from identknee.diagnosis.noise.nuisances import nuisance_changes
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.table import Laxity
 from identknee.laxity.unloaded import relative_to_unloaded
@@ -26,10 +26,9 @@ def test_a_trial_made_and_offered_has_the_same_rows(reference: Knee, zero: str) 
         laxity = Laxity(
             protocol=laxity.protocol, coordinates=laxity.coordinates, sd=sd, zero=laxity.zero
         )
-    noise = build_noise_model(sd, laxity.is_measured, correlation=0.0)
-    fitted = fit_from(model, laxity, noise, [theta], most_steps=1)
+    fitted = fit_from(model, laxity, plain_noise(laxity), [theta], most_steps=1)
     candidates = candidate_trials(laxity.protocol, flexion_deg=[30.0])
-    offer = OfferedTrials(laxity=laxity, noise=noise, candidates=candidates)
+    offer = OfferedTrials(laxity=laxity, candidates=candidates)
     _, slopes = offer.predict(fitted.model, fitted.theta)
     for rows in (slopes, offer.nuisances(fitted)):
         n = laxity.n

@@ -5,9 +5,15 @@ import pytest
 from linear_data import library, linear_fit, signature
 from scipy.stats import norm
 
-from identknee.diagnosis.power import Cell, detectable_amplitude, detection_power, judge
-from identknee.diagnosis.score import ScoreTest, score_test
-from identknee.diagnosis.signature import project_signature
+from identknee.diagnosis.score.score import (
+    Cell,
+    ScoreTest,
+    detectable_amplitude,
+    detection_power,
+    judge,
+    score_test,
+)
+from identknee.diagnosis.score.signature import project_signature
 
 FIT = linear_fit()
 N_DATA_SETS = 1000

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, SD, short_trials
 
-from identknee.diagnosis.isolability import ENOUGH, LEAST_DISTANCE, MOST_TRIALS
-from identknee.diagnosis.protocol_isolability import ProtocolIsolability, protocol_isolability
+from identknee.diagnosis.advice.isolability import ENOUGH, LEAST_DISTANCE, MOST_TRIALS
+from identknee.diagnosis.advice.protocol import ProtocolIsolability, protocol_isolability
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.model.effects.library import library
 from identknee.subject.knee import Knee

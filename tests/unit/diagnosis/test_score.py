@@ -7,8 +7,8 @@ import pytest
 from linear_data import N_PARAMETERS, LinearFit, library, linear_fit, signature
 from scipy.stats import norm
 
-from identknee.diagnosis.projection import Projector
-from identknee.diagnosis.score import LEVEL, N_DRAWS, Scale, ScoreTest, score_test
+from identknee.diagnosis.score.misfit import Projector
+from identknee.diagnosis.score.score import LEVEL, N_DRAWS, Scale, ScoreTest, score_test
 from identknee.runs.arrays import Array
 
 N_NULLS = 4000

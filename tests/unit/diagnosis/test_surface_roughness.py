@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.diagnosis.surface_roughness import (
+from identknee.diagnosis.noise.nuisances import (
     LENGTH,
     SurfaceBumps,
     roughness_columns,
     surface_bumps,
-    trial_contacts,
 )
 from identknee.mechanics.contact_places import distances
 from identknee.mechanics.distance_field import build_field
 from identknee.model.effects.contact_law import Cartilage
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.trial_contacts import trial_contacts
 from identknee.runs.arrays import Array
 
 HEIGHT = 2e-4  # mm

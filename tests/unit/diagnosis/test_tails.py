@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identknee.diagnosis.tails import (
+from identknee.diagnosis.score.misfit import (
     deviate_of_log_tail,
     log_chi2_tail,
     log_tail_of_deviate,

@@ -8,15 +8,23 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, diagnosed
 
-from identknee.diagnosis import attribution as attribution_module
-from identknee.diagnosis import look
-from identknee.diagnosis.attribution import Attribution, attribute
-from identknee.diagnosis.exclusions import exclusions
-from identknee.diagnosis.look import Step, promising_refits
-from identknee.diagnosis.own_findings import own_findings
-from identknee.diagnosis.refit import Refit, refit
-from identknee.diagnosis.rivals import RivalState, rivals_of
-from identknee.diagnosis.verdict import SEVERAL, UNTESTED, Conclusion, Verdict, conclude
+from identknee.diagnosis.explanations import attribution as attribution_module
+from identknee.diagnosis.explanations import refit as refit_module
+from identknee.diagnosis.explanations.attribution import (
+    Attribution,
+    Step,
+    attribute,
+    promising_refits,
+)
+from identknee.diagnosis.explanations.refit import Refit, RivalState, refit, rivals_of
+from identknee.diagnosis.explanations.verdict import (
+    SEVERAL,
+    UNTESTED,
+    Conclusion,
+    Verdict,
+    conclude,
+)
+from identknee.diagnosis.score.score import LEVEL
 from identknee.identify.evaluation import Evaluation
 from identknee.model import soundness
 from identknee.model.effects.effect import Effect
@@ -69,9 +77,7 @@ def others() -> tuple[Refit, ...]:
 def scores_of(found: Attribution) -> dict[str, float]:
     """Share of the highest score that each cause has, for those that chance does not explain."""
     scores = found.steps[0].scores
-    return {
-        x.name: x.score / scores.max_score for x in scores.candidates if x.p_value <= look.LEVEL
-    }
+    return {x.name: x.score / scores.max_score for x in scores.candidates if x.p_value <= LEVEL}
 
 
 def strong_and_weak(others: Sequence[Refit]) -> tuple[Refit, Refit]:
@@ -133,10 +139,10 @@ def test_an_unfinished_fit_is_excluded_only_if_its_promise_would_not_help(
     gained = begun.fitted.deviance - fitted.deviance
     assert begun.promised_fall == pytest.approx(gained, rel=0.5)
     cut = ended(begun, Outcome.CLIFF)
-    lead = diagnosed(FRAME).attribution.best.log_evidence - cut.log_evidence
+    deficit = diagnosed(FRAME).attribution.best.log_evidence - cut.log_evidence
     (rival,) = concluded([cut])[0].rivals
     expected = (
-        RivalState.NOT_TESTED if lead - 0.5 * cut.promised_fall <= 10.0 else RivalState.EXCLUDED
+        RivalState.NOT_TESTED if deficit - 0.5 * cut.promised_fall <= 10.0 else RivalState.EXCLUDED
     )
     assert rival.state is expected
 
@@ -177,7 +183,7 @@ def test_a_refit_that_fails_begins_with_less_of_the_effect(
     (free,) = step.refits
     largest = np.abs(free.amplitudes(FRAME)).max()
     blocked = Blocked(FRAME, 0.05 * largest)
-    monkeypatch.setattr(look, "refit", blocked)
+    monkeypatch.setattr(attribution_module, "refit", blocked)
     (found,) = promising_refits(replace(step, refits=()), base)
     assert blocked.n_failed >= 4
     assert found.log_evidence == pytest.approx(free.log_evidence, abs=0.01)
@@ -186,8 +192,8 @@ def test_a_refit_that_fails_begins_with_less_of_the_effect(
 def test_what_fails_from_everywhere_is_said_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     found = diagnosed(FRAME)
     blocked = Blocked(FRAME, -1.0)
-    monkeypatch.setattr(look, "refit", blocked)
     monkeypatch.setattr(attribution_module, "refit", blocked)
+    monkeypatch.setattr(refit_module, "refit", blocked)
     knee = found.base.fitted.model.knee
     effects = [effect_named(knee, x) for x in (FRAME, *OTHERS)]
     attribution = attribute(found.base, effects, seed=0)
@@ -198,14 +204,14 @@ def test_what_fails_from_everywhere_is_said_everywhere(monkeypatch: pytest.Monke
     if conclusion.verdict is Verdict.UNEXPLAINED:
         assert conclusion.sentence == UNTESTED
     whole = replace(found, attribution=attribution, conclusion=conclusion)
-    summary = diagnosis_summary(whole, exclusions(whole), None)
+    summary = diagnosis_summary(whole)
     entries = [x for x in summary["rivals"] if FRAME in x["causes"]]
     assert {x["state"] for x in entries} == {"not tested"}
     assert not any(x["is_excluded"] for x in entries)
     assert {x["log_evidence_below"] for x in entries} == {None}
     assert all(f"{FRAME} could not be tested" in x["reason"] for x in entries)
     assert any(f"{FRAME} could not be tested" in x for x in summary["reasons"])
-    lines = diagnosis_lines(whole, exclusions(whole), None)
+    lines = diagnosis_lines(whole)
     said = " ".join(next(iter(lines.values())))
     assert f"{FRAME} could not be tested" in said
 
@@ -215,7 +221,7 @@ def test_the_diagnosis_says_what_its_fits_lack(others: tuple[Refit, ...]) -> Non
     found = diagnosed(FRAME)
     attribution, conclusion = concluded([failed(strong), failed(weak)])
     whole = replace(found, attribution=attribution, conclusion=conclusion)
-    said = {x.where: x.severity for x in own_findings(whole)}
+    said = {x.where: x.severity for x in whole.findings}
     assert said[strong.names[0]] is Severity.WARNING
     assert said[weak.names[0]] is Severity.INFO
     assert "starts" not in said
@@ -226,7 +232,7 @@ def test_the_diagnosis_says_what_its_fits_lack(others: tuple[Refit, ...]) -> Non
     away[:n] *= 1.3
     begun = refit(found.base, [], [away], most_steps=1)
     assert begun.fitted.outcome is not Outcome.MINIMUM
-    (warning,) = [x for x in own_findings(replace(found, base=begun)) if x.where == "starts"]
+    (warning,) = [x for x in replace(found, base=begun).findings if x.where == "starts"]
     assert warning.severity is Severity.WARNING
     assert "The fit without causes did not reach its minimum" in warning.sentence
 
@@ -235,7 +241,8 @@ def test_a_diagnosis_carries_the_failed_stability_check_of_its_subject(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = diagnosed(FRAME)
-    assert [x for x in own_findings(found) if x.where == "subject"] == []
+    assert [x for x in found.findings if x.where == "subject"] == []
     monkeypatch.setattr(soundness, "ENOUGH_MARGIN", np.inf)
-    (finding,) = [x for x in own_findings(found) if x.where == "subject"]
+    again = replace(found)
+    (finding,) = [x for x in again.findings if x.where == "subject"]
     assert "hardly stable" in finding.sentence

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, diagnosed
 
-from identknee.diagnosis.causes import explanation_of
+from identknee.diagnosis.advice.isolability import Distances
 from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.exclusions import exclusions
-from identknee.diagnosis.isolability import Distances
-from identknee.diagnosis.localisation import Localisation
-from identknee.diagnosis.missing_line import LineFinding
-from identknee.diagnosis.refit import refit
-from identknee.diagnosis.verdict import Conclusion, Verdict
+from identknee.diagnosis.explanations.refit import refit
+from identknee.diagnosis.explanations.verdict import Conclusion, Verdict
+from identknee.diagnosis.missing_line.line import LineFinding
+from identknee.diagnosis.score.localisation import Localisation
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import MISSING_LINE
@@ -104,14 +102,14 @@ def test_distances_below_the_limit_are_written() -> None:
 
 def test_what_cannot_be_tested_has_the_same_keys() -> None:
     found = diagnosed(None)
-    tested = diagnosis_summary(found, exclusions(found), None)
+    tested = diagnosis_summary(found)
     assert set(untestable_summary("why")) == set(tested)
     assert untestable_summary("why")["reasons"] == ["why"]
 
 
 def test_rivals_that_are_open_come_with_their_own_numbers() -> None:
     found = diagnosed(FRAME)
-    for rival in diagnosis_summary(found, exclusions(found), None)["rivals"]:
+    for rival in diagnosis_summary(found)["rivals"]:
         assert bool(rival["amplitudes"]) == (rival["state"] == "open")
         assert (rival["parameters"] is None) == (rival["state"] != "open")
         assert rival["is_excluded"] == (rival["state"] == "excluded")
@@ -120,11 +118,11 @@ def test_rivals_that_are_open_come_with_their_own_numbers() -> None:
 def test_an_unexplained_misfit_changes_no_parameter() -> None:
     found = diagnosed(FRAME)
     unexplained = replace(found, conclusion=_unexplained(found.conclusion))
-    assert explanation_of(unexplained) is found.base
-    summary = diagnosis_summary(unexplained, exclusions(unexplained), None)
+    assert unexplained.explanation is found.base
+    summary = diagnosis_summary(unexplained)
     assert summary["causes"] == []
     assert summary["parameters_after"] == summary["parameters_before"]
-    assert "Cause" not in diagnosis_lines(unexplained, (), None)
+    assert "Cause" not in diagnosis_lines(unexplained)
 
 
 def test_lines_of_a_left_knee_are_where_it_was_scanned(reference: Knee) -> None:
@@ -134,7 +132,7 @@ def test_lines_of_a_left_knee_are_where_it_was_scanned(reference: Knee) -> None:
     model = replace(fitted.model, knee=replace(fitted.model.knee, side="left"))
     left = replace(found.line.refit, fitted=replace(fitted, model=model))
     mirrored = replace(found, line=replace(found.line, refit=left))
-    one, other = (diagnosis_summary(x, (), None)["line"] for x in (found, mirrored))
+    one, other = (diagnosis_summary(x)["line"] for x in (found, mirrored))
     for end in ("femur", "tibia"):
         np.testing.assert_array_equal(one[end] * [1.0, 1.0, -1.0], other[end])
 
@@ -163,34 +161,32 @@ def _with_line(found: Diagnosis, knee: Knee) -> Diagnosis:
 
 def test_a_line_of_force_is_a_cause_that_the_library_lacks(reference: Knee) -> None:
     found = _with_line(diagnosed(None), reference)
-    tested = exclusions(found)
-    summary = diagnosis_summary(found, tested, None)
+    summary = diagnosis_summary(found)
     assert summary["line"]["side"] == "medial"
     assert [x["name"] for x in summary["causes"]] == [MISSING_LINE]
     assert summary["causes"][0]["unit"] == "kN"
     for figure in diagnosis_figures(found).values():
         assert png(figure).startswith(b"\x89PNG")
-    names = diagnosis_groups(found, tested)["refits"]["explanation"]
+    names = diagnosis_groups(found)["refits"]["explanation"]
     assert names.to_numpy().tolist()[:2] == ["none", MISSING_LINE]
-    assert "Where it would act" in diagnosis_lines(found, tested, None)
+    assert "Where it would act" in diagnosis_lines(found)
 
 
 def test_a_line_that_does_not_explain_the_data_is_no_cause(reference: Knee) -> None:
     """A turned frame is no force along a line."""
     found = _with_line(diagnosed(FRAME), reference)
-    summary = diagnosis_summary(found, exclusions(found), None)
+    summary = diagnosis_summary(found)
     assert not summary["line"]["is_line"]
     assert summary["causes"] == []
 
 
 def test_every_array_stands_over_the_trials_and_effects_it_is_of() -> None:
     found = diagnosed(FRAME)
-    tested = exclusions(found)
-    groups = diagnosis_groups(found, tested)
+    groups = diagnosis_groups(found)
     assert groups["residuals"]["after"].shape == found.laxity.coordinates.shape
     after = groups["residuals"]["after"].to_numpy()
     assert np.nanstd(after) < np.nanstd(groups["residuals"]["before"].to_numpy())
-    assert groups["scores"]["effect"].to_numpy().tolist() == [x.name for x in tested]
+    assert groups["scores"]["effect"].to_numpy().tolist() == [x.name for x in found.exclusions]
     assert int(np.isfinite(groups["misfit"]["score"]).sum()) == len(found.localisation.cells)
 
 

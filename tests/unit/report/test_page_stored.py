@@ -8,7 +8,7 @@ from diagnoses import FRAME, diagnosed
 from problems import linear
 from report_folders import diagnosis_folder, profile_folder, some_profiles, write_verb
 
-from identknee.diagnosis.causes import ligament_estimates
+from identknee.diagnosis.explanations.causes import ligament_estimates
 from identknee.identify.information.geodesic import geodesics
 from identknee.identify.information.information import information
 from identknee.identify.information.structure import check_structure

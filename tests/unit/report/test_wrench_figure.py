@@ -7,16 +7,14 @@ from diagnoses import FRAME, diagnosed
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 
-from identknee.diagnosis.causes import explanation_of
-from identknee.diagnosis.missing_pulls import pulls_of, wrench_of
-from identknee.diagnosis.missing_wrench import missing_wrench
-from identknee.diagnosis.verdict import Verdict
+from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.missing_line.wrench import missing_wrench
 from identknee.report.wrench_figure import LEVEL, SHOWN, wrench_figure
 
 
 def test_every_flexion_and_direction_has_a_force_and_its_ellipse() -> None:
     found = diagnosed(FRAME)
-    pulls = pulls_of(found)
+    pulls = found.missing_pulls
     panels = [x for x in wrench_figure(found).axes if x.patches]
     assert len(panels) == len({x.flexion_deg for x in pulls}) * len({x.direction for x in pulls})
     drawn = [[type(x) for x in panel.patches] for panel in panels]
@@ -32,19 +30,20 @@ def test_what_may_be_noise_is_grey() -> None:
         panels = wrench_figure(found).axes
         ellipses = [x for axes in panels for x in axes.patches if type(x) is Ellipse]
         bright = [x for x in ellipses if np.allclose(x.get_facecolor()[:3], to_rgb(SHOWN))]
-        assert len(bright) == sum(x.p_value <= LEVEL for x in pulls_of(found))
+        assert len(bright) == sum(x.p_value <= LEVEL for x in found.missing_pulls)
 
 
 def test_it_is_what_is_missing_beside_the_ligaments_of_the_explanation() -> None:
     found = diagnosed(FRAME)
     base = found.base.fitted
     n = base.model.parameters.n
-    theta = explanation_of(found).fitted.theta[:n]
+    theta = found.explanation.fitted.theta[:n]
     assert not np.array_equal(theta, base.theta)
-    expected = missing_wrench(base.compared, theta, found.noise)
-    np.testing.assert_array_equal(wrench_of(found).wrench, expected.wrench)
+    errors = found.noise.sd, found.noise.correlation
+    expected = missing_wrench(base.compared, theta, *errors)
+    np.testing.assert_array_equal(found.missing_wrench.wrench, expected.wrench)
     nameless = replace(
         found, conclusion=replace(found.conclusion, verdict=Verdict.UNEXPLAINED, group=())
     )
-    alone = missing_wrench(base.compared, base.theta, found.noise)
-    np.testing.assert_array_equal(wrench_of(nameless).wrench, alone.wrench)
+    alone = missing_wrench(base.compared, base.theta, *errors)
+    np.testing.assert_array_equal(nameless.missing_wrench.wrench, alone.wrench)

@@ -1,0 +1,1 @@
+"""Which causes trials can tell apart, and the trials to add."""

@@ -1,0 +1,223 @@
+"""Which trials to add so that explanations that fit alike come apart."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.diagnosis.advice.isolability import AdvisedTrials, Pair, advise_trials
+from identknee.diagnosis.explanations.fitting import Fitted, plain_noise
+from identknee.diagnosis.explanations.refit import Refit, Rival
+from identknee.diagnosis.noise.nuisances import nuisance_changes
+from identknee.laxity.candidates import candidate_trials, repeated
+from identknee.laxity.protocol import Protocol, concatenate
+from identknee.laxity.table import Laxity
+from identknee.model.candidate_laxity import CandidateLaxity, typical_errors
+from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.residuals import LaxityResiduals
+from identknee.runs.arrays import Array
+
+# Rivals beyond these follow from the nearest ones.
+MOST_RIVALS = 6
+# In units of noise: where explanations that fit alike differ by more in a single value, one of the
+# knees snaps, and whether it does hangs on parameters that hardly differ.
+MOST_DIFFERENCE = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """Predictions in units of the noise of the m values made and the r values of n offered trials.
+
+    Attributes
+    ----------
+    made, offered
+        Shapes ``(m, ...)`` and ``(n, r, ...)``; NaN in offered trials without a prediction.
+    """
+
+    made: Array
+    offered: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OfferedTrials:
+    """The trials of data, and others to choose from.
+
+    Attributes
+    ----------
+    laxity
+        The data with their errors.
+    candidates
+        The trials to choose from, each measured as those made were.
+    """
+
+    laxity: Laxity
+    candidates: Protocol
+
+    def predict(self, model: LaxityModel, theta: Array) -> tuple[Rows, Rows]:
+        """What a model predicts less what was measured, and its derivatives by theta."""
+        compared = LaxityResiduals(model=model, laxity=self.laxity)
+        values, jacobian = self._choice(model, theta).predict(theta, range(self.candidates.n))
+        noise = plain_noise(self.laxity)
+        return (
+            Rows(made=noise.whiten(compared.residuals(theta)), offered=values),
+            Rows(made=noise.whiten(compared.jacobian(theta)), offered=jacobian),
+        )
+
+    def nuisances(self, fitted: Fitted) -> Rows:
+        """What nuisances change, for one prior standard deviation of each in the last dimension."""
+        choice = self._choice(fitted.model, fitted.theta)
+        # One that is made and offered is there once.
+        whole = concatenate([self.laxity.protocol, choice.trials], name="made and offered")
+        changes, spreads = nuisance_changes(fitted.model.with_protocol(whole), fitted.theta)
+        offered = [whole.trials.index(x) for x in choice.trials.trials]
+        return Rows(
+            made=plain_noise(self.laxity).whiten(
+                fitted.compared.rows(changes[: self.laxity.n] * spreads)
+            ),
+            offered=choice.rows(changes[offered] * spreads),
+        )
+
+    def advise(
+        self, rows: Rows, pairs: Sequence[Pair], fitted: Fitted, *, n_base: int
+    ) -> tuple[Protocol, AdvisedTrials]:
+        """The trials that separate pairs most, under a fit's prior and nuisances.
+
+        Parameters
+        ----------
+        rows
+            Columns of `n_base` base parameters, then of the effects in `pairs`.
+        pairs
+            What to tell apart, see `identknee.diagnosis.advice.isolability.advise_trials`.
+        fitted
+            The fit.
+        n_base
+            How many base parameters there are.
+        """
+        nuisances = self.nuisances(fitted)
+        n = nuisances.made.shape[1]
+        prior = fitted.evaluation.jacobian[fitted.n_data :, :n_base]
+        of_base = np.pad(prior, ((0, 0), (0, rows.made.shape[1] - n_base + n)))
+        found = advise_trials(
+            np.vstack([np.hstack([rows.made, nuisances.made]), of_base]),
+            np.concatenate([rows.offered, nuisances.offered], axis=2),
+            pairs,
+            n_base=n_base,
+            n_nuisances=n,
+        )
+        # A trial may come several times.
+        chosen, offered = list(found.chosen), self.candidates
+        advised = Protocol(
+            name="advised",
+            trials=repeated([offered.trials[i] for i in chosen], self.laxity.protocol.trials),
+            flexion_deg=offered.flexion_deg[chosen],
+            loads=offered.loads[chosen],
+        )
+        return advised, found
+
+    def _choice(self, model: LaxityModel, theta: Array) -> CandidateLaxity:
+        return CandidateLaxity(
+            model=model,
+            laxity=self.laxity,
+            protocol=self.candidates,
+            sd=typical_errors(self.laxity),
+            free=model.parameters.with_fixed((), theta),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Advice:
+    """Trials to add, and what they would do.
+
+    Attributes
+    ----------
+    trials
+        The protocol to add, the most useful first.
+    rivals
+        Names of the causes of each rival.
+    before, after
+        Distance of each rival in units of noise without and with these trials, see
+        `identknee.diagnosis.explanations.refit.expected_distance`.
+    """
+
+    trials: Protocol
+    rivals: tuple[tuple[str, ...], ...]
+    before: Array
+    after: Array
+
+    @property
+    def sentence(self) -> str:
+        """What they would do, for a person."""
+        trials = ", ".join(self.trials.trials)
+        least = float(self.after.min())
+        return (
+            f"Adding {trials} would set the nearest rival {least:.1f} units of noise apart "
+            f"instead of {float(self.before.min()):.1f}; 5 are enough."
+        )
+
+
+def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | None:
+    """The trials that separate the best explanation from its open rivals; None without any.
+
+    Causes that depend on the order of the trials are left out: no choice of loads tells them apart.
+
+    Trials of the data may be advised once more. Each is taken to be measured as those made were.
+
+    Parameters
+    ----------
+    best
+        The best explanation.
+    rivals
+        Those that the data leave open, the most likely first.
+    laxity
+        The data with the errors found in them.
+    """
+    rivals = [x for x in rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
+    if not rivals or _depends_on_order(best):
+        return None
+    offer = OfferedTrials(laxity=laxity, candidates=candidate_trials(laxity.protocol))
+    rows, pairs = _table(best, rivals, offer)
+    trials, found = offer.advise(rows, pairs, best.fitted, n_base=best.n_base)
+    return Advice(
+        trials=trials,
+        rivals=tuple(x.refit.names for x in rivals),
+        before=found.distances[0],
+        after=found.distances[-1],
+    )
+
+
+def _depends_on_order(explanation: Refit) -> bool:
+    """Whether it says what trials yield by when they are made, which nobody knows beforehand."""
+    return any(x in NEEDS_ORDER | NEEDS_PHASE for x in explanation.names)
+
+
+def _table(best: Refit, rivals: Sequence[Rival], offer: OfferedTrials) -> tuple[Rows, list[Pair]]:
+    """Columns of the base parameters, of differences and of the rivals' causes, and the pairs.
+
+    The difference between the predictions of the best explanation and of a rival is one column,
+    with amplitude 1, and is to be told from any change of the rival's amplitudes.
+    """
+    n_base = best.n_base
+    whole, slopes = offer.predict(best.fitted.model, best.fitted.theta)
+    made, offered = [slopes.made[:, :n_base]], [slopes.offered[:, :, :n_base]]
+    pairs = []
+    place = n_base
+    for rival in rivals:
+        other = rival.refit.fitted
+        values, own = offer.predict(other.model, other.theta)
+        made += [(whole.made - values.made)[:, None], own.made[:, n_base:]]
+        differences = whole.offered - values.offered
+        snaps = (np.abs(differences) > MOST_DIFFERENCE).any(axis=1)
+        differences[snaps] = np.nan
+        offered += [differences[:, :, None], own.offered[:, :, n_base:]]
+        end = place + 1 + other.model.parameters.n - n_base
+        pairs.append(
+            Pair(
+                effect=np.array([place]),
+                amplitude=np.ones(1),
+                rival=np.arange(place + 1, end),
+                rival_prior_sd=other.model.parameters.prior_sd[n_base:],
+            )
+        )
+        place = end
+    return Rows(made=np.hstack(made), offered=np.concatenate(offered, axis=2)), pairs

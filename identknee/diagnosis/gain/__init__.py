@@ -1,0 +1,1 @@
+"""What an explanation gains on trials that it was not fitted to."""

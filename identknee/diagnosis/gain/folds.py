@@ -1,0 +1,203 @@
+"""The measured values row by row, and the trials to be held out together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.diagnosis.noise.noise_model import NoiseModel
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import ROTATIONS, Laxity
+from identknee.laxity.unloaded import SAME_ANGLE_DEG
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+
+FLEXION = "flexion"
+DIRECTION = "load direction"
+EXTREMES = "extreme loads"
+FAMILIES = (FLEXION, DIRECTION, EXTREMES)
+# In the order of a protocol's loads: what a positive and a negative load are called.
+DIRECTIONS = (
+    ("internal moment", "external moment"),
+    ("varus moment", "valgus moment"),
+    ("anterior force", "posterior force"),
+    ("distraction force", "compression force"),
+    ("lateral force", "medial force"),
+)
+# Of the largest load of its kind: a load beyond this is extreme.
+EXTREME_SHARE = 0.8
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fold:
+    """Trials that are held out of a fit together.
+
+    Attributes
+    ----------
+    family
+        One of `FAMILIES`.
+    name
+        Which trials, such as ``"30 deg"`` or ``"varus moment"``.
+    held
+        Whether a trial is held out, shape ``(n,)``; some are and some are not.
+
+    Raises
+    ------
+    ValueError
+        If all trials are held out, or none.
+    """
+
+    family: str
+    name: str
+    held: BoolArray
+
+    def __post_init__(self) -> None:
+        held = np.array(self.held, dtype=np.bool_)
+        held.flags.writeable = False
+        object.__setattr__(self, "held", held)
+        if held.all() or not held.any():
+            raise ValueError(
+                f"the fold {self.name!r} must hold out some trials and keep some; "
+                f"it holds out {int(held.sum())} of {held.size}"
+            )
+
+
+def held_out_folds(protocol: Protocol) -> tuple[Fold, ...]:
+    """Folds of three families: a flexion angle, a direction of load, and the largest loads.
+
+    A fold that would hold out every trial is none: a protocol of one flexion angle has no fold of
+    that family. A load of one size only has no extremes, since nothing smaller of it is left to
+    learn from.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> [fold.name for fold in held_out_folds(load_protocol("seed63"))][:5]
+    ['0 deg', '30 deg', '60 deg', 'internal moment', 'external moment']
+    """
+    found = [(FLEXION, *x) for x in _flexions(protocol.flexion_deg)]
+    for names, load in zip(DIRECTIONS, protocol.loads.T, strict=True):
+        found += [
+            (DIRECTION, name, np.asarray(sign * load > 0))
+            for name, sign in zip(names, (1.0, -1.0), strict=True)
+        ]
+    found.append((EXTREMES, "largest loads", extreme_trials(protocol)))
+    return tuple(
+        Fold(family=family, name=name, held=held)
+        for family, name, held in found
+        if held.any() and not held.all()
+    )
+
+
+def extreme_trials(protocol: Protocol) -> BoolArray:
+    """Whether a trial bears a load of at least 80 % of the largest of its kind, shape ``(n,)``."""
+    sizes = np.abs(protocol.loads)
+    largest = sizes.max(axis=0, initial=0.0)
+    beyond = (sizes >= (EXTREME_SHARE - ROUNDING) * largest) & (sizes > 0)
+    varies = ((sizes > 0) & ~beyond).any(axis=0)
+    return np.asarray((beyond & varies).any(axis=1))
+
+
+def _flexions(flexion_deg: Array) -> list[tuple[str, BoolArray]]:
+    """The trials of each flexion angle; angles of a rig that differ by its scatter are one."""
+    angles = np.unique(flexion_deg)
+    starts = np.flatnonzero(np.diff(angles, prepend=-np.inf) > SAME_ANGLE_DEG)
+    group = np.searchsorted(angles[starts], flexion_deg, side="right") - 1
+    return [
+        (f"{np.median(flexion_deg[group == i]):g} deg", np.asarray(group == i))
+        for i in range(len(starts))
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rmse:
+    """Root-mean-square errors; NaN where there is nothing to compare.
+
+    Attributes
+    ----------
+    mm
+        Of the translations [mm].
+    deg
+        Of the rotations [deg].
+    noise
+        Of all values, each in units of its own noise: 1 where nothing but noise is left.
+    """
+
+    mm: float
+    deg: float
+    noise: float
+
+    def to_json(self) -> dict[str, float | None]:
+        """The same by name; null where there is nothing to compare."""
+        values = {"mm": self.mm, "deg": self.deg, "noise": self.noise}
+        return {name: x if np.isfinite(x) else None for name, x in values.items()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observations:
+    """What is known of the m measured values besides their size.
+
+    Attributes
+    ----------
+    trial
+        The trial of each, shape ``(m,)``.
+    coordinate
+        Its place in `identknee.laxity.table.COORDINATES`, shape ``(m,)``.
+    sd
+        Standard deviation of its noise alone, in its unit, shape ``(m,)``, > 0.
+    noise
+        Of all errors, nuisances included.
+    n_trials
+        Trials of the protocol, those that measured nothing included.
+    """
+
+    trial: IntArray
+    coordinate: IntArray
+    sd: Array
+    noise: NoiseModel
+    n_trials: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "trial", frozen_integers(self.trial))
+        object.__setattr__(self, "coordinate", frozen_integers(self.coordinate))
+        object.__setattr__(self, "sd", frozen(self.sd, len(self.trial), name="sd"))
+
+    @property
+    def is_angle(self) -> BoolArray:
+        """Whether a value is a rotation, shape ``(m,)``."""
+        return np.asarray(self.coordinate >= ROTATIONS.start)
+
+    def rmse(self, errors: Array) -> Rmse:
+        """Root-mean-square of errors in mm and deg, shape ``(..., m)``; NaN is left out."""
+        squares = errors**2
+        return Rmse(
+            mm=_root_mean(squares[..., ~self.is_angle]),
+            deg=_root_mean(squares[..., self.is_angle]),
+            noise=_root_mean(squares / self.sd**2),
+        )
+
+
+def observations_of(laxity: Laxity, sd: Array, noise: NoiseModel) -> Observations:
+    """The measured values of `laxity`.
+
+    Parameters
+    ----------
+    laxity
+        The table.
+    sd
+        Standard deviation of the noise of each value, shape ``(n, 5)``; read where measured.
+    noise
+        Of the measured values, nuisances included.
+    """
+    trial, coordinate = np.nonzero(laxity.is_measured)
+    return Observations(
+        trial=trial,
+        coordinate=coordinate,
+        sd=sd[laxity.is_measured],
+        noise=noise,
+        n_trials=laxity.n,
+    )
+
+
+def _root_mean(squares: Array) -> float:
+    known = squares[~np.isnan(squares)]
+    return float(np.sqrt(known.mean())) if known.size else float("nan")

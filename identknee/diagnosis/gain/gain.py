@@ -1,0 +1,398 @@
+"""What a named cause gains: misfit, prediction of held trials, evidence, parameters, forces."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identknee.diagnosis.explanations.causes import Laplace, laplace
+from identknee.diagnosis.explanations.fitting import Fitted, weighed
+from identknee.diagnosis.gain.discrepancy import Discrepancy, fit_discrepancy
+from identknee.diagnosis.gain.folds import (
+    Fold,
+    Observations,
+    Rmse,
+    extreme_trials,
+    held_out_folds,
+    observations_of,
+)
+from identknee.diagnosis.gain.held_out import FoldScore, HeldOut, held_out
+from identknee.diagnosis.score.misfit import Check, base_projector, omnibus_check
+from identknee.identify.evaluation import Evaluation, evaluate
+from identknee.laxity.table import COORDINATES
+from identknee.model.tensions import tensions_of
+from identknee.runs.arrays import Array, frozen
+
+# Squared distance of two predictions in units of the noise below which they are the same.
+LEAST_SIGNATURE = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FamilyDifference:
+    """The difference in log predictive density over one family of folds.
+
+    Attributes
+    ----------
+    family
+        Of the folds.
+    difference, se
+        Sum over the held trials of the second model's log density less the first's, and its
+        standard error over trials; 0 and NaN where no fold counts.
+    folds
+        Folds that count.
+    without_signature
+        Folds in which both models predict the same, so that they say nothing of their difference.
+    not_scored
+        Folds that one of both models could not predict, with the reason.
+    """
+
+    family: str
+    difference: float
+    se: float
+    folds: tuple[Fold, ...]
+    without_signature: tuple[Fold, ...]
+    not_scored: tuple[tuple[Fold, str], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ElpdDifference:
+    """The difference in log predictive density of held trials: after less before.
+
+    Attributes
+    ----------
+    difference, se
+        Over all trials, each averaged over the folds that hold it out, and its standard error;
+        0 and NaN where no fold counts.
+    families
+        The same for each family of folds.
+    """
+
+    difference: float
+    se: float
+    families: tuple[FamilyDifference, ...]
+
+    @property
+    def folds(self) -> tuple[Fold, ...]:
+        """All folds that count."""
+        return tuple(fold for x in self.families for fold in x.folds)
+
+
+def elpd_difference(before: HeldOut, after: HeldOut) -> ElpdDifference:
+    """How much better `after` predicts held trials than `before`.
+
+    Standard errors take trials as independent, not the values of a trial. A fold counts where both
+    models predict its trials, and not the same.
+
+    Raises
+    ------
+    ValueError
+        If the two were not scored on the same folds.
+
+    References
+    ----------
+    A. Vehtari, A. Gelman and J. Gabry, Practical Bayesian model evaluation using leave-one-out
+    cross-validation and WAIC, Stat. Comput. 27 (2017) 1413-1432, doi:10.1007/s11222-016-9696-4,
+    section 5.
+    """
+    if [x.fold for x in before.scores] != [x.fold for x in after.scores]:
+        raise ValueError("the two models were scored on different folds; use the same ones")
+    pairs = list(zip(before.scores, after.scores, strict=True))
+    families = []
+    for family in before.families:
+        own = [x for x in pairs if x[0].fold.family == family]
+        families.append(_family(family, own, before.observations))
+    counted = {id(fold) for x in families for fold in x.folds}
+    used = [x for x in pairs if id(x[0].fold) in counted]
+    difference, se = _summed(used, before.observations.n_trials)
+    return ElpdDifference(difference=difference, se=se, families=tuple(families))
+
+
+def _family(
+    family: str, pairs: list[tuple[FoldScore, FoldScore]], observations: Observations
+) -> FamilyDifference:
+    counted, same, missing = [], [], []
+    for before, after in pairs:
+        fold = before.fold
+        if not (before.is_scored and after.is_scored):
+            worse = after if before.is_scored else before
+            missing.append((fold, worse.status.sentence))
+        elif _signature(before, after, observations) < LEAST_SIGNATURE:
+            same.append(fold)
+        else:
+            counted.append((before, after))
+    difference, se = _summed(counted, observations.n_trials)
+    return FamilyDifference(
+        family=family,
+        difference=difference,
+        se=se,
+        folds=tuple(x.fold for x, _ in counted),
+        without_signature=tuple(same),
+        not_scored=tuple(missing),
+    )
+
+
+def _signature(before: FoldScore, after: FoldScore, observations: Observations) -> float:
+    """Squared distance of the two predictions of a fold, in units of the noise."""
+    held = np.flatnonzero(before.fold.held[observations.trial])
+    apart = before.errors[held] - after.errors[held]
+    covariance = observations.noise.covariance[np.ix_(held, held)]
+    return float(apart @ np.linalg.solve(covariance, apart))
+
+
+def _summed(pairs: list[tuple[FoldScore, FoldScore]], n_trials: int) -> tuple[float, float]:
+    """Sum over trials of the mean difference over folds, and its standard error."""
+    gains = np.array([y.log_density - x.log_density for x, y in pairs]).reshape(-1, n_trials)
+    is_held = ~np.isnan(gains)
+    times = is_held.sum(axis=0)
+    seen = times > 0
+    by_trial: Array = np.where(is_held, gains, 0.0).sum(axis=0)[seen] / times[seen]
+    n = by_trial.size
+    se = float(np.sqrt(n * np.var(by_trial, ddof=1))) if n > 1 else float("nan")
+    return float(by_trial.sum()), se
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Assessment:
+    """How well one model does.
+
+    Attributes
+    ----------
+    check
+        Chi-square of data and priors together, its degrees of freedom and its probability.
+    errors
+        Measured less predicted values [mm, deg], shape ``(m,)``.
+    in_sample
+        Their root mean squares.
+    held_out
+        Prediction of trials it was not fitted to.
+    posterior
+        Intervals of its parameters and its evidence.
+    """
+
+    check: Check
+    errors: Array
+    in_sample: Rmse
+    held_out: HeldOut
+    posterior: Laplace
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "errors", frozen(self.errors, None, name="errors"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ParameterChange:
+    """A parameter of both models, before and after.
+
+    Attributes
+    ----------
+    name
+        Of the parameter.
+    before, after
+        Its values, in its own unit.
+    interval_before, interval_after
+        95 % intervals; an end is None where the data give none, as in `Estimate`.
+    shift
+        How far it moved, in standard errors of before.
+    interval_ratio
+        Length of the interval after over before: the honest price of one more cause; NaN where one
+        of them is open.
+    """
+
+    name: str
+    before: float
+    after: float
+    interval_before: tuple[float | None, float | None]
+    interval_after: tuple[float | None, float | None]
+    shift: float
+    interval_ratio: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForceChange:
+    """Ligament forces under the largest loads, before and after.
+
+    Attributes
+    ----------
+    trials
+        Names of the trials.
+    ligaments
+        Names of the ligaments.
+    before, after
+        Their forces [N], shape ``(n_trials, n_ligaments)``; NaN where a trial has no equilibrium.
+    """
+
+    trials: tuple[str, ...]
+    ligaments: tuple[str, ...]
+    before: Array
+    after: Array
+
+    def __post_init__(self) -> None:
+        shape = len(self.trials), len(self.ligaments)
+        for name in ("before", "after"):
+            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Gain:
+    """What the cause gains over the base model, and what a Gaussian process does in its place.
+
+    Attributes
+    ----------
+    before, after
+        The base model, and the one with the cause.
+    absorbed
+        The base model with a Gaussian process for what it leaves: it names nothing. Its spreads and
+        lengths are those of all trials also where some are held out, to its favour.
+    discrepancy
+        That process.
+    elpd
+        Log predictive density of held trials, with the cause less without it.
+    elpd_absorbed
+        The same of the process less the base model.
+    explained
+        Share of the mean square of each measured coordinate that the cause removes; negative where
+        it adds.
+    parameters
+        Those of both models.
+    forces
+        Ligament forces under the largest loads.
+    """
+
+    before: Assessment
+    after: Assessment
+    absorbed: Assessment
+    discrepancy: Discrepancy
+    elpd: ElpdDifference
+    elpd_absorbed: ElpdDifference
+    explained: dict[str, float]
+    parameters: tuple[ParameterChange, ...]
+    forces: ForceChange
+
+    @property
+    def log_evidence_difference(self) -> float:
+        """Logarithm of the Bayes factor of the cause."""
+        return self.after.posterior.log_evidence - self.before.posterior.log_evidence
+
+    @property
+    def shared_folds(self) -> tuple[Fold, ...]:
+        """Folds that both models predict."""
+        pairs = zip(self.before.held_out.scores, self.after.held_out.scores, strict=True)
+        return tuple(x.fold for x, y in pairs if x.is_scored and y.is_scored)
+
+    def rmse_held_out(self, of: Assessment, family: str | None = None) -> Rmse:
+        """Error of held values over the folds that both models predict."""
+        return of.held_out.rmse(family, folds=self.shared_folds)
+
+    def expected_rmse(self, of: Assessment, family: str | None = None) -> Rmse:
+        """The error that `of` itself expects there, see `HeldOut.expected_rmse`."""
+        return of.held_out.expected_rmse(family, folds=self.shared_folds)
+
+
+def measure_gain(
+    before: Fitted, after: Fitted, sd: Array, *, noise_degrees: float = np.inf
+) -> Gain:
+    """What the model `after` gains over `before`, fitted to the same data.
+
+    Parameters
+    ----------
+    before, after
+        The fits without and with the cause; noise and nuisances are those of `before`.
+    sd
+        Standard deviation of the noise alone of each value, shape ``(n, 5)``.
+    noise_degrees
+        Degrees of freedom of the noise where it is an estimate.
+    """
+    laxity = before.laxity
+    observations = observations_of(laxity, sd, before.noise)
+    folds = held_out_folds(laxity.protocol)
+    assessed = [_assess(x, observations, folds, noise_degrees) for x in (before, after)]
+    discrepancy = fit_discrepancy(before.compared, observations, before.theta, laxity.protocol)
+    # The same fit under the process as noise.
+    absorbed = _assess(before, discrepancy.observations, folds, noise_degrees)
+    absorbed = replace(
+        absorbed,
+        errors=discrepancy.errors,
+        in_sample=observations.rmse(discrepancy.errors),
+    )
+    return Gain(
+        before=assessed[0],
+        after=assessed[1],
+        absorbed=absorbed,
+        discrepancy=discrepancy,
+        elpd=elpd_difference(assessed[0].held_out, assessed[1].held_out),
+        elpd_absorbed=elpd_difference(assessed[0].held_out, absorbed.held_out),
+        explained=_explained(observations, assessed[0].errors, assessed[1].errors),
+        parameters=_parameter_changes(before, after, assessed[0].posterior, assessed[1].posterior),
+        forces=_force_change(before, after),
+    )
+
+
+def _assess(
+    fitted: Fitted, observations: Observations, folds: Sequence[Fold], noise_degrees: float
+) -> Assessment:
+    at = _evaluation(fitted, observations)
+    errors = -fitted.compared.residuals(fitted.theta)
+    return Assessment(
+        check=omnibus_check(
+            -at.residuals, base_projector(at.jacobian), noise_degrees=noise_degrees
+        ),
+        errors=errors,
+        in_sample=observations.rmse(errors),
+        held_out=held_out(fitted.compared, observations, fitted.theta, folds),
+        posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
+    )
+
+
+def _evaluation(fitted: Fitted, observations: Observations) -> Evaluation:
+    """Whitened by the noise of `observations`, which need not be that of the fit."""
+    if observations.noise is fitted.noise:
+        return fitted.evaluation
+    return evaluate(weighed(fitted.model, fitted.laxity, observations.noise), fitted.theta)
+
+
+def _explained(observations: Observations, before: Array, after: Array) -> dict[str, float]:
+    shares = {}
+    for i in np.unique(observations.coordinate):
+        own = observations.coordinate == i
+        left, whole = (np.sum((x[own] / observations.sd[own]) ** 2) for x in (after, before))
+        shares[COORDINATES[i]] = float(1.0 - left / whole) if whole > 0 else 0.0
+    return shares
+
+
+def _parameter_changes(
+    before: Fitted, after: Fitted, old: Laplace, new: Laplace
+) -> tuple[ParameterChange, ...]:
+    changes = []
+    for i, name in enumerate(before.model.parameters.names):
+        j = after.model.parameters.index(name)
+        intervals = old.interval(i), new.interval(j)
+        was, now = (
+            float("nan") if None in x else float(np.ptp(np.array(x, dtype=np.float64)))
+            for x in intervals
+        )
+        changes.append(
+            ParameterChange(
+                name=name,
+                before=float(old.theta[i]),
+                after=float(new.theta[j]),
+                interval_before=intervals[0],
+                interval_after=intervals[1],
+                shift=float((new.theta[j] - old.theta[i]) / old.sd[i]),
+                interval_ratio=float(now / was) if was > 0 else float("nan"),
+            )
+        )
+    return tuple(changes)
+
+
+def _force_change(before: Fitted, after: Fitted) -> ForceChange:
+    extreme = np.flatnonzero(extreme_trials(before.laxity.protocol))
+    forces = []
+    for fitted in (before, after):
+        model = fitted.compared.model
+        forces.append(tensions_of(model, model.predict_once(fitted.theta))[extreme])
+    return ForceChange(
+        trials=tuple(before.laxity.protocol.trials[i] for i in extreme),
+        ligaments=tuple(x.name for x in before.model.knee.ligaments),
+        before=forces[0],
+        after=forces[1],
+    )

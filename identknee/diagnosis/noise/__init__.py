@@ -1,0 +1,1 @@
+"""The errors of measured laxity: how large they are, and how they hang together."""

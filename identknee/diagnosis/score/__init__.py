@@ -1,0 +1,1 @@
+"""How strongly residuals speak against a model, for each of many causes, and where."""

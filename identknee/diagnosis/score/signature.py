@@ -1,0 +1,212 @@
+"""What an effect would add to the residuals, and how strongly residuals speak for it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from identknee.diagnosis.score.misfit import Projector, deviate_of_log_tail, log_weighted_tail
+from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+
+# Signs are dealt with by trying every set of amplitudes that are not zero.
+MOST_SIGNED = 6
+# A signature of which less is left is explained by the fitted parameters.
+LEAST_LEFT = 1e-6
+# The share of draws with each set of signed amplitudes; mirrored pairs make one sign exactly 1/2.
+SIGN_DRAWS, SIGN_SEED = 4000, 0
+# Roots of the statistic, over that of its largest weight, at which its tail is tabulated.
+ROOTS = np.concatenate([np.linspace(0.0, 10.0, 201), np.geomspace(10.2, 1e4, 150)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Signature:
+    """The change of the whitened predictions that an effect would cause.
+
+    Attributes
+    ----------
+    name
+        Of the effect.
+    variant
+        What distinguishes signatures of one effect, such as a site or a slack strain; may be empty.
+    columns
+        For an amplitude of 1 of each of its k parameters, shape ``(m, k)``, m the data rows.
+    prior_sd
+        Prior standard deviation of each amplitude, shape ``(k,)``, > 0.
+    sign
+        1 or -1 for an amplitude that can have that sign only, 0 for either, shape ``(k,)``.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a prior is not positive, a sign is none or more than 6 are given.
+    """
+
+    name: str
+    variant: str
+    columns: Array
+    prior_sd: Array
+    sign: IntArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", frozen(self.columns, None, None, name="columns"))
+        k = self.columns.shape[1]
+        object.__setattr__(self, "prior_sd", frozen(self.prior_sd, k, name="prior_sd"))
+        object.__setattr__(self, "sign", frozen_integers(self.sign))
+        if self.sign.shape != (k,) or not np.isin(self.sign, (-1, 0, 1)).all():
+            raise ValueError(f"{self.name}: sign must be -1, 0 or 1 for each of {k} amplitudes")
+        if np.count_nonzero(self.sign) > MOST_SIGNED:
+            raise ValueError(
+                f"{self.name}: at most {MOST_SIGNED} amplitudes can have a sign; split the effect"
+            )
+        if not np.all((self.prior_sd > 0) & np.isfinite(self.prior_sd)):
+            raise ValueError(f"{self.name}: every prior_sd must be greater than 0 and finite")
+
+    @property
+    def n_parameters(self) -> int:
+        """Amplitudes of the effect."""
+        return int(self.columns.shape[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProjectedSignature:
+    """A signature without what the fitted parameters explain of it, and its statistic.
+
+    The statistic is the gain: how much the objective (sum of squares plus prior penalty) falls when
+    the amplitudes are free, within their signs. It is a function of the correlations
+    ``u = projected' r``.
+
+    Attributes
+    ----------
+    signature
+        As it was.
+    projected
+        Its projected columns, shape ``(m, k)``.
+    gram
+        Information about the amplitudes without their prior, shape ``(k, k)``.
+    covariance
+        Of the amplitudes, prior included, signs left out of account, shape ``(k, k)``.
+    """
+
+    signature: Signature
+    projected: Array
+    gram: Array = field(init=False, repr=False)
+    covariance: Array = field(init=False, repr=False)
+    _solutions: list[tuple[IntArray, Array]] = field(init=False, repr=False)
+    _roots: Array = field(init=False, repr=False)
+    _deviates: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gram", self.projected.T @ self.projected)
+        precision = self.gram + np.diag(self.signature.prior_sd**-2.0)
+        object.__setattr__(self, "covariance", np.linalg.inv(precision))
+        solutions = _solutions(precision, self.signature.sign) if self.is_seen else []
+        object.__setattr__(self, "_solutions", solutions)
+        roots, deviates = self._tabulate() if self.is_seen else (np.zeros(1), np.zeros(1))
+        object.__setattr__(self, "_roots", roots)
+        object.__setattr__(self, "_deviates", deviates)
+
+    @property
+    def n_parameters(self) -> int:
+        """Amplitudes of the effect."""
+        return self.signature.n_parameters
+
+    @property
+    def share_left(self) -> float:
+        """Length of what is left over the length of the signature, 0 where it has none."""
+        size = float(np.linalg.norm(self.signature.columns))
+        return float(np.linalg.norm(self.projected)) / size if size > 0 else 0.0
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether anything is left that the fitted parameters do not explain."""
+        return self.share_left > LEAST_LEFT
+
+    def gain(self, correlations: Array) -> Array:
+        """The statistic of each draw, shape ``(n,)``, from its correlations, ``(n, k)``."""
+        gain = np.zeros(len(correlations))
+        for _, _, value in self._feasible(correlations):
+            np.maximum(gain, value, out=gain)
+        return gain
+
+    def amplitude(self, correlations: Array) -> Array:
+        """The most probable amplitudes of each draw, shape ``(n, k)``; zeros where none gains."""
+        best = np.zeros(len(correlations))
+        amplitude = np.zeros(correlations.shape)
+        for used, found, value in self._feasible(correlations):
+            better = value > best
+            best[better] = value[better]
+            amplitude[better] = 0.0
+            amplitude[np.ix_(better, used)] = found[better]
+        return amplitude
+
+    def deviate(self, gain: Array) -> Array:
+        """The normal deviate as rare under no effect as `gain`, 0 at least, any shape.
+
+        With one amplitude of one sign it is the usual one-sided score. It is 0 for a signature that
+        the fitted parameters explain.
+        """
+        return np.asarray(np.interp(np.sqrt(gain), self._roots, self._deviates))
+
+    def _feasible(self, correlations: Array) -> Iterator[tuple[IntArray, Array, Array]]:
+        """Sets of free amplitudes, their values, and the gains: 0 where a sign is wrong."""
+        for used, inverse in self._solutions:
+            found = correlations[:, used] @ inverse
+            value = np.einsum("nk,nk->n", found, correlations[:, used])
+            wrong = (found * self.signature.sign[used] < 0).any(axis=1)
+            yield used, found, np.where(wrong, 0.0, value)
+
+    def _tabulate(self) -> tuple[Array, Array]:
+        """Roots of the gain and the deviates as rare: a mixture over the sets that may be free."""
+        weights = [
+            np.maximum(np.linalg.eigvals(inverse @ self.gram[np.ix_(used, used)]).real, 0.0)
+            for used, inverse in self._solutions
+        ]
+        roots = ROOTS * np.sqrt(max(x.max() for x in weights))
+        log_tails = [
+            np.log(share) + log_weighted_tail(roots**2, weight)
+            for share, weight in zip(self._shares(), weights, strict=True)
+            if share > 0
+        ]
+        deviates = deviate_of_log_tail(np.logaddexp.reduce(log_tails, axis=0))
+        return roots, np.maximum(np.maximum.accumulate(deviates), 0.0)
+
+    def _shares(self) -> Array:
+        """How often each set of free amplitudes is the best one under no effect."""
+        if not self.signature.sign.any():
+            return np.ones(1)
+        generator = np.random.default_rng(SIGN_SEED)
+        half = generator.standard_normal((SIGN_DRAWS // 2, self.n_parameters))
+        size, vectors = np.linalg.eigh(self.gram)
+        draws = np.concatenate([half, -half]) @ (vectors * np.sqrt(np.maximum(size, 0.0))).T
+        gains = np.array([value for _, _, value in self._feasible(draws)])
+        best = gains.argmax(axis=0)[gains.max(axis=0) > 0]
+        return np.asarray(np.bincount(best, minlength=len(gains)) / len(draws))
+
+
+def _solutions(precision: Array, sign: IntArray) -> list[tuple[IntArray, Array]]:
+    """The sets of amplitudes that may be free, each with the inverse of its precision.
+
+    The best point under signs is the free solution of one such set, so that the best feasible one
+    among them is exact.
+    """
+    is_signed = sign != 0
+    solutions: list[tuple[IntArray, Array]] = []
+    for choice in product((True, False), repeat=int(is_signed.sum())):
+        free = ~is_signed
+        free[is_signed] = choice
+        used = np.flatnonzero(free)
+        if len(used):
+            inverse = np.asarray(np.linalg.inv(precision[np.ix_(used, used)]), dtype=np.float64)
+            solutions.append((frozen_integers(used), inverse))
+    return solutions
+
+
+def project_signature(projector: Projector, signature: Signature) -> ProjectedSignature:
+    """The signature without what the fitted parameters explain, and its statistic."""
+    return ProjectedSignature(signature=signature, projected=projector.project(signature.columns))
+
+
+def effect_names(signatures: Sequence[ProjectedSignature]) -> tuple[str, ...]:
+    """The effects whose variants these are, in the order first met."""
+    return tuple(dict.fromkeys(x.signature.name for x in signatures))
