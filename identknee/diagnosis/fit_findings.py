@@ -17,7 +17,7 @@ from identknee.model.soundness import rim_findings, stability_findings
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 
-# Of the trials without equilibrium: so many are listed by name for each reason.
+# How many trials without equilibrium are listed by name for each reason.
 MOST_LISTED = 6
 
 

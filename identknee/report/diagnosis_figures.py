@@ -36,7 +36,7 @@ def misfit_figure(localisation: Localisation) -> Figure:
     Parameters
     ----------
     localisation
-        Of a diagnosis.
+        Map of misfit of a diagnosis.
     """
     cells = localisation.cells
     rows = [x for x in COORDINATES if x in {y.coordinate for y in cells}]
@@ -103,7 +103,7 @@ def residuals_figure(
     residuals
         Measured less predicted [mm, deg], shape ``(n, 5)``; NaN where nothing was measured.
     sd
-        Of the noise, in the same shape.
+        Standard deviation of the noise, in the same shape.
     changes
         By name of a model, its prediction less the first one's, in the same shape.
     """
@@ -220,7 +220,7 @@ def isolability_figure(distances: Distances) -> Figure:
     Parameters
     ----------
     distances
-        Of all effects from one another.
+        Distances of all effects from one another.
     """
     names = distances.effects
     order = [distances.rivals.index(x) for x in names]

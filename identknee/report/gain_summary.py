@@ -105,7 +105,7 @@ def _change(change: ParameterChange) -> dict[str, Any]:
 
 
 def _forces(forces: ForceChange) -> dict[str, Any]:
-    """Of each trial and ligament: the force before and after [N]."""
+    """Force before and after [N] of each trial and ligament."""
     return {
         trial: {
             ligament: {

@@ -407,8 +407,8 @@ DIAGNOSIS = (
     ),
     _diagnosis(
         "score/score.py",
-        "factors = LEVEL / np.exp(log_tail_of_deviate(quantiles))",
-        "factors = np.exp(log_tail_of_deviate(quantiles)) / LEVEL",
+        "factors = LEVEL / np.exp(log_tail_of_z_score(quantiles))",
+        "factors = np.exp(log_tail_of_z_score(quantiles)) / LEVEL",
         "many sites of one structure are as many chances to be named",
         "score::test_variants_count_as_the_looks_they_are_worth",
     ),

@@ -17,7 +17,7 @@ LEAST_DISTANCE = 5.0
 ENOUGH, MOST_TRIALS = 7.0, 12
 # Prior standard deviations within which a mix of amplitudes is plausible.
 REACH = 3.0
-# Of the largest eigenvalue of scaled information: below it a direction is not known at all.
+# Share of the largest eigenvalue of scaled information below which a direction is not known at all.
 LEAST_EIGENVALUE = 1e-12
 
 
@@ -60,7 +60,7 @@ def distances(
     effects
         One variant of each, supposed true.
     amplitudes
-        Of each, shape ``(k,)``.
+        Amplitudes of each, shape ``(k,)``.
     rivals
         All variants of all rivals; they keep to their signs and priors.
     """
@@ -174,10 +174,10 @@ class AdvisedTrials:
     chosen
         Which candidates, in the order of choice; one may come several times.
     distances
-        Of each pair before and after each choice, shape ``(n_chosen + 1, n_pairs)``.
+        Distance of each pair before and after each choice, shape ``(n_chosen + 1, n_pairs)``.
     single
-        Of each pair after one candidate alone, shape ``(n_candidates, n_pairs)``; NaN where the
-        candidate has no prediction.
+        Distance of each pair after one candidate alone, shape ``(n_candidates, n_pairs)``; NaN
+        where the candidate has no prediction.
     """
 
     chosen: tuple[int, ...]

@@ -77,14 +77,14 @@ class ProtocolIsolability:
     protocol
         The trials that have a prediction.
     visibility
-        Of every effect of the library.
+        Size that would be seen, for every effect of the library.
     distances
-        Of the effects from one another, each as far out of the noise as `ROOT`.
+        How far the effects are from one another, each as far out of the noise as `ROOT`.
     advice
         For each group of effects that cannot be told apart. Errors of the insertions are in no
         group, since they imitate a little of everything.
     look_alikes
-        Of each effect the others that it cannot be told from, the closest first.
+        The effects that each cannot be told from, the closest first.
     """
 
     protocol: Protocol
@@ -114,7 +114,7 @@ def protocol_isolability(
     sd_mm, sd_deg
         Standard deviation of the errors, > 0.
     seed
-        Of the distributions under no effect.
+        Seed of the distributions under no effect.
     """
     fitted = _own_fit(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
     if fitted is None:

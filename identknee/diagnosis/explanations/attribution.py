@@ -22,10 +22,9 @@ from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
 MOST_CAUSES = 3
-# Of the logarithm of the evidence: what a cause must gain to join, and to stay when another could
-# do without it.
+# Log evidence that a cause must gain to join, and to stay when another could do without it.
 LEAST_GAIN = 2.0
-# Of the chi-square: what the largest of a library of scores reaches by chance, squared.
+# Fall of the penalised chi-square that the largest of a library of scores reaches by chance.
 LEAST_FALL, FURTHER_FALL = 9.0, 16.0
 # What the highest score may be by chance for a first cause, and for one more: a cause found shifts
 # what is left, and its own model is only nearly right.
@@ -37,7 +36,7 @@ LEAST_SCORE = 1.0
 MOST_AMPLITUDES = 16
 # Steps before those far behind in evidence are left where they are; the highest scores never are.
 FEW_STEPS, FAR_BEHIND, ALWAYS = 6, 40.0, 2
-# Of the amplitude expected: where a refit begins that can begin nowhere else.
+# Share of the amplitude expected at which a refit begins that can begin nowhere else.
 LITTLE = 0.1
 # The same where even that has no prediction, from more to nearly nothing.
 LESS = (0.03, 0.01, 0.001)
@@ -125,7 +124,7 @@ def attribute(
     effects
         Candidates.
     seed
-        Of the distribution of the largest score.
+        Seed of the distribution of the largest score.
     is_forced
         Whether to try a first cause although none scores high: where other tests found a misfit.
     """

@@ -36,8 +36,8 @@ STRAINS = (-4.0, 0.0, 4.0, 8.0)
 SHIFT = 6.0
 # Femoral x and y, tibial x: among the six amplitudes after stiffness and strain.
 SHIFTED = (2, 3, 5)
-# Of the whitened residuals: an amplitude of a prior standard deviation that does less is unseen to
-# first order, and its effect at that amplitude is taken instead.
+# Length of the whitened residuals: an amplitude of a prior standard deviation that does less is
+# unseen to first order, and its effect at that amplitude is taken instead.
 UNSEEN = 1e-6
 
 
@@ -48,9 +48,9 @@ class Variant:
     Attributes
     ----------
     effect
-        Of the library.
+        Effect of the library.
     signature
-        Of those amplitudes that change the residuals to first order.
+        Signature of those amplitudes that change the residuals to first order.
     values
         All amplitudes where the signature was taken, shape ``(a,)``.
     moved

@@ -15,7 +15,7 @@ from identknee.model.effects.units import PLAIN, unit_of
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, frozen
 
-# Of a standard deviation.
+# Share of a standard deviation that rounding may move an end by.
 ROUNDING = 1e-9
 TWO_SIDED = float(ndtri(0.975))
 TOTAL = "total"
@@ -139,7 +139,7 @@ class Estimate:
     Attributes
     ----------
     name
-        Of the parameter, without its owner; ``"total"`` for the length of a vector of several.
+        Name of the parameter, without its owner; ``"total"`` for the length of a vector of several.
     value
         In its unit.
     unit
@@ -187,7 +187,7 @@ def posterior_of(refit: Refit) -> Laplace:
 def causes_of(refit: Refit) -> tuple[Cause, ...]:
     """The causes that a fit has beyond the base model, with their amplitudes.
 
-    Of amplitudes in one unit that may have either sign, such as the components of a force, the
+    For amplitudes in one unit that may have either sign, such as the components of a force, the
     total counts: the root of the sum of their squares, less what their errors add to it. Of others
     in the unit of the first, such as the stiffnesses of two halves, the largest counts.
     """

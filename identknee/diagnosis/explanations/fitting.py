@@ -27,10 +27,10 @@ from identknee.subject.knee import Knee
 N_STARTS = 3
 # Prior standard deviations within which the other starts lie.
 REACH = 1.0
-# Of the deviance; the statistics that follow are known to a thousandth of a unit at best.
+# Tolerance on the deviance; the statistics that follow are known to a thousandth of a unit at best.
 TOLERANCE = 1e-4
 MOST_STEPS = 40
-# Of the largest load of the data: below this a knee seldom snaps, whatever its parameters.
+# Share of the largest load of the data below which a knee seldom snaps through.
 LOW_LOADS = 0.5
 
 
@@ -174,7 +174,7 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
         Ligament parameters to begin at besides the subject's own and Sobol points around those,
         each shape ``(2m,)``.
     seed
-        Of those points.
+        Seed of those points.
     """
     model = base_model(knee, laxity.protocol).with_tests(laxity)
     n = model.n_ligament_parameters

@@ -26,7 +26,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
-# Of the range of an amplitude: this close to an end it lies on it.
+# Share of the range of an amplitude: this close to an end it lies on it.
 AT_END = 1e-3
 # A rival this much less likely is excluded if it could be told apart; beyond the second number
 # whether it could or not.
@@ -61,7 +61,7 @@ class Refit:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the causes."""
+        """Names of the causes."""
         return tuple(x.name for x in self.causes)
 
     @property
@@ -163,7 +163,7 @@ class Refit:
         return tree
 
     def covariance(self) -> Array:
-        """Of all parameters, priors included, shape ``(p, p)``."""
+        """Covariance of all parameters, priors included, shape ``(p, p)``."""
         jacobian = self.fitted.evaluation.jacobian
         return np.asarray(np.linalg.inv(jacobian.T @ jacobian))
 
@@ -210,7 +210,7 @@ def refit(
     starts
         Each shape ``(p,)``.
     most_steps
-        Of each fit.
+        Steps of each fit at most.
     """
     model = base.fitted.model
     extended = model.with_effects([*model.effects, *causes])
@@ -278,7 +278,8 @@ class Rival:
     distance
         How well the data could tell both apart, see `expected_distance`.
     score
-        Of its cause that the best explanation lacks, before any refit; None where that is several.
+        Score of its cause that the best explanation lacks, before any refit; None where it lacks
+        several.
     highest
         The highest score of the same look.
     """

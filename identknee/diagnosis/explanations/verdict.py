@@ -16,7 +16,7 @@ LEVEL = 0.05
 FITS, HARDLY_FITS = 0.01, 0.001
 # Insertions less probable than this may be those of another structure.
 FAR_OFF = 0.1
-# Of the prior variance of a shift: data that take off less know nothing of it.
+# Share of the prior variance of a shift: data that take off less know nothing of it.
 LEAST_MOVED = 1e-6
 # A verdict that holds for only some of these multiples of a stated noise is none.
 NOISE_FACTORS = (0.75, 1.33)

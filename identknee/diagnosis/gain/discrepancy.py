@@ -13,9 +13,9 @@ from identknee.identify.evaluation import evaluate
 from identknee.laxity.protocol import Protocol
 from identknee.runs.arrays import Array, frozen
 
-# Of a coordinate's standard deviation of discrepancy, in units of its noise.
+# Bounds of a coordinate's standard deviation of discrepancy, in units of its noise.
 LEAST_SPREAD, MOST_SPREAD = 1e-2, 1e2
-# Of a correlation length, where flexion and each load vary between 0 and 1, or -1 and 1.
+# Bounds of a correlation length, where flexion and each load vary between 0 and 1, or -1 and 1.
 LEAST_LENGTH, MOST_LENGTH = 0.4, 5.0
 START_SPREAD, START_LENGTH = 1.0, 0.7
 MOST_ITERATIONS = 30
@@ -98,7 +98,7 @@ def fit_discrepancy(
     )
     values = np.exp(found.x)
     own = kernel.projected(kernel.covariance(found.x))
-    # Of the prior's share in each value: what it absorbs, by kriging.
+    # What the process absorbs of each value, by kriging.
     absorbing = cho_solve(cho_factor(np.eye(len(own)) + own), own)
     left = target - absorbing.T @ target
     return Discrepancy(
@@ -134,7 +134,7 @@ class _Kernel:
         self._reduce = projector.project(observations.noise.whiten(np.eye(len(trial))))
 
     def covariance(self, logs: Array) -> Array:
-        """Of the values [mm, deg], before projection, shape ``(m, m)``."""
+        """Covariance of the values [mm, deg], before projection, shape ``(m, m)``."""
         shape = -0.5 * self._flexion * np.exp(-2 * logs[-2])
         shape = shape - 0.5 * self._load * np.exp(-2 * logs[-1])
         spread = self._own * np.exp(logs[:-2])

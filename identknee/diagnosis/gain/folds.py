@@ -22,7 +22,7 @@ DIRECTIONS = (
     ("distraction force", "compression force"),
     ("lateral force", "medial force"),
 )
-# Of the largest load of its kind: a load beyond this is extreme.
+# Share of the largest load of its kind beyond which a load is extreme.
 EXTREME_SHARE = 0.8
 ROUNDING = 1e-9
 
@@ -115,11 +115,11 @@ class Rmse:
     Attributes
     ----------
     mm
-        Of the translations [mm].
+        Error of the translations [mm].
     deg
-        Of the rotations [deg].
+        Error of the rotations [deg].
     noise
-        Of all values, each in units of its own noise: 1 where nothing but noise is left.
+        Error of all values, each in units of its own noise: 1 where nothing but noise is left.
     """
 
     mm: float
@@ -145,7 +145,7 @@ class Observations:
     sd
         Standard deviation of its noise alone, in its unit, shape ``(m,)``, > 0.
     noise
-        Of all errors, nuisances included.
+        Covariance of all errors, nuisances included.
     n_trials
         Trials of the protocol, those that measured nothing included.
     """
@@ -186,7 +186,7 @@ def observations_of(laxity: Laxity, sd: Array, noise: NoiseModel) -> Observation
     sd
         Standard deviation of the noise of each value, shape ``(n, 5)``; read where measured.
     noise
-        Of the measured values, nuisances included.
+        Covariance of the errors, nuisances included.
     """
     trial, coordinate = np.nonzero(laxity.is_measured)
     return Observations(

@@ -34,7 +34,7 @@ class FamilyDifference:
     Attributes
     ----------
     family
-        Of the folds.
+        Family of the folds.
     difference, se
         Sum over the held trials of the second model's log density less the first's, and its
         standard error over trials; 0 and NaN where no fold counts.
@@ -186,7 +186,7 @@ class ParameterChange:
     Attributes
     ----------
     name
-        Of the parameter.
+        Name of the parameter.
     before, after
         Its values, in its own unit.
     interval_before, interval_after

@@ -14,10 +14,10 @@ from identknee.identify.evaluation import Evaluation, Evaluator, evaluate
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 
-# Of the deviance: a tenth of a standard deviation of a parameter at most.
+# Tolerance on the deviance: a tenth of a standard deviation of a parameter at most.
 TOLERANCE = 1e-2
 MOST_STEPS = 12
-# Of the largest singular value: a direction below it is not seen at all.
+# Share of the largest singular value below which a direction is not seen at all.
 LEAST_SINGULAR_VALUE = 1e-6
 
 
@@ -217,7 +217,7 @@ class _Kept:
         return np.asarray(solve_triangular(self.factor, residuals, lower=True))
 
     def jacobian(self, theta: Array) -> Array:
-        """Of the same, shape ``(m_kept, p)``."""
+        """Change of the residuals with theta, shape ``(m_kept, p)``."""
         jacobian = self.memory(theta).jacobian[self.rows]
         return np.asarray(solve_triangular(self.factor, jacobian, lower=True))
 

@@ -47,7 +47,7 @@ class LineFinding:
         Ends of the line in the common frame of the scanned pose [mm], shape ``(3,)``. Where along
         the line they are is hardly known.
     covariance
-        Of both ends [mm2], shape ``(6, 6)``.
+        Covariance of both ends [mm2], shape ``(6, 6)``.
     place
         What the line is near to, averaged over the lines that fit as well.
     trial
@@ -62,7 +62,7 @@ class LineFinding:
     n_simulations
         Made in all refits.
     seed
-        Of the lines and of the draws.
+        Seed of the lines and of the draws.
     """
 
     refit: Refit
@@ -141,7 +141,7 @@ def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
     base
         The model without a line, fitted.
     seed
-        Of the choice of lines and of the draws behind the p-value.
+        Seed of the choice of lines and of the draws behind the p-value.
 
     Raises
     ------

@@ -128,7 +128,7 @@ class MissingPull:
     Attributes
     ----------
     flexion_deg, direction
-        Of the trials, as on the map of misfit.
+        Flexion and direction of load of the trials, as on the map of misfit.
     n_trials
         How many of them have every coordinate.
     mean, covariance
@@ -148,7 +148,7 @@ class MissingPull:
 
     @property
     def sd(self) -> Array:
-        """Of the errors of `mean`, shape ``(3,)``."""
+        """Standard deviation of the errors of `mean`, shape ``(3,)``."""
         return np.sqrt(np.diag(self.covariance))
 
     @property

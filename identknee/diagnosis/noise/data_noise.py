@@ -163,14 +163,15 @@ class DataNoise:
     Attributes
     ----------
     sd
-        Of every value in its unit, shape ``(n, 5)``; NaN where nothing was measured.
+        Standard deviation of every value in its unit, shape ``(n, 5)``; NaN where nothing was
+        measured.
     correlation
         What the errors of a trial share.
     factors
         Found noise over stated noise, of lengths and of angles, NaN for what was not measured; None
         where nothing was stated or found.
     degrees_of_freedom
-        Of the standard deviations; infinite where they are taken as stated.
+        Degrees of freedom of the standard deviations; infinite where they are taken as stated.
     source
         Where they come from.
     """

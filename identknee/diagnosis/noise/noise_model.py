@@ -11,7 +11,7 @@ from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_int
 
 # Removed along a load curve before what is left counts as noise: a curve of laxity needs it.
 CURVE_DEGREE = 4
-# Of a polynomial that leaves this many degrees of freedom at least, or the curve is not used.
+# Degrees of freedom that a polynomial must leave, or the curve is not used.
 LEAST_LEFT = 2
 # Degrees of freedom in all below which a correlation or a standard deviation is not estimated.
 LEAST_DEGREES = 8.0
@@ -59,7 +59,7 @@ class NoiseModel:
     Attributes
     ----------
     covariance
-        Of the m measured values, in the units of the table, shape ``(m, m)``.
+        Covariance of the m measured values, in the units of the table, shape ``(m, m)``.
     factor
         Its lower Cholesky factor, shape ``(m, m)``.
     """
@@ -244,7 +244,7 @@ def estimate_scale(
 
 
 def _degrees_of_freedom(left: Array) -> float:
-    """Of the quadratic form `left` in independent errors, by its first two moments."""
+    """Degrees of freedom of the quadratic form `left`, by its first two moments."""
     squares = float(np.sum(left**2))
     return float(np.trace(left)) ** 2 / squares if squares > 0 else 0.0
 

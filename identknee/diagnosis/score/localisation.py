@@ -12,7 +12,7 @@ from identknee.runs.arrays import Array, BoolArray, frozen
 LEVEL = 0.05
 N_DRAWS = 4000
 UNLOADED = "no load"
-# Of the length of a shift: with less left the fitted parameters explain it.
+# Share of the length of a shift: with less left the fitted parameters explain it.
 LEAST_LEFT = 1e-6
 
 
@@ -23,9 +23,9 @@ class TrialLayout:
     Attributes
     ----------
     flexion_deg
-        Of each trial, shape ``(n,)``.
+        Flexion of each trial, shape ``(n,)``.
     loads
-        Of each trial, shape ``(n, a)``, in any units.
+        Loads of each trial, shape ``(n, a)``, in any units.
     directions
         Names of the positive and the negative direction of each load, such as
         ``("internal moment", "external moment")``.
@@ -128,13 +128,13 @@ def localise(
         Whitened, measured less predicted, rows of the prior included where the projector has them,
         shape ``(m,)``.
     projector
-        Of the fit.
+        Projector of the fit.
     noise
-        Of the data.
+        Errors of the data.
     layout
-        Of the trials.
+        Layout of the trials.
     seed
-        Of the draws that adjust the probabilities for the number of cells.
+        Seed of the draws that adjust the probabilities for the number of cells.
     """
     cells, columns = _seen(_cells(layout), projector, noise)
     scores = projector.project(residuals) @ columns

@@ -9,8 +9,9 @@ from scipy.special import gammaincc, gammaln, log_ndtr, ndtri_exp
 
 from identknee.runs.arrays import Array, BoolArray, frozen
 
-# Of the largest singular value. Directions the data hardly see are kept on purpose: each costs one
-# degree of freedom and makes every statistic indifferent to which near-equivalent fit was found.
+# Share of the largest singular value. Directions the data hardly see are kept on purpose: each
+# costs one degree of freedom and makes every statistic indifferent to which near-equivalent fit was
+# found.
 LEAST_SINGULAR_VALUE = 1e-6
 # Cauchy's combination cannot take a probability of 1.
 MOST_PROBABLE = 0.99
@@ -111,9 +112,9 @@ class Check:
     Attributes
     ----------
     statistic
-        A chi-square, an F ratio or a normal deviate.
+        A chi-square, an F ratio or a z-score.
     degrees_of_freedom
-        What a chi-square or the numerator of an F ratio has; 1 for a normal deviate.
+        What a chi-square or the numerator of an F ratio has; 1 for a z-score.
     p_value
         Probability of a statistic as large if the residuals are noise.
     """
@@ -133,7 +134,7 @@ def omnibus_check(
     residuals
         Whitened, rows of the prior included where the projector has them, shape ``(m,)``.
     projector
-        Of the fit.
+        Projector of the fit.
     noise_degrees
         Degrees of freedom of the noise's standard deviation where that is an estimate.
     """
@@ -156,7 +157,7 @@ def nested_check(
     residuals
         As in `omnibus_check`.
     projector
-        Of the fit.
+        Projector of the fit.
     wider
         The same with the whitened patterns taken out too, ``projector.with_columns(patterns)``:
         `smooth_patterns` for smooth misfit of any kind.
@@ -191,9 +192,9 @@ def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Arr
     Parameters
     ----------
     loads
-        Of each trial, shape ``(n, a)``, in any units.
+        Loads of each trial, shape ``(n, a)``, in any units.
     flexion
-        Of each trial, shape ``(n,)``.
+        Flexion of each trial, shape ``(n,)``.
     is_measured
         Which values there are, shape ``(n, 5)``; the m measured ones are taken row by row.
     """
@@ -288,11 +289,11 @@ def log_weighted_tail(value: Array, weights: Array) -> Array:
     return log_chi2_tail((value - mean) * squares / cubes + degrees, degrees)
 
 
-def deviate_of_log_tail(log_tail: Array) -> Array:
-    """The standard normal deviate that is exceeded with the same probability."""
+def z_score_of_log_tail(log_tail: Array) -> Array:
+    """The z-score that is exceeded with the same probability."""
     return np.asarray(-ndtri_exp(np.minimum(log_tail, 0.0)))
 
 
-def log_tail_of_deviate(deviate: Array) -> Array:
-    """The log probability that a standard normal variable exceeds `deviate`."""
-    return np.asarray(log_ndtr(-deviate))
+def log_tail_of_z_score(z_score: Array) -> Array:
+    """The log probability that a standard normal variable exceeds `z_score`."""
+    return np.asarray(log_ndtr(-z_score))

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from identknee.diagnosis.score.misfit import Projector, deviate_of_log_tail, log_tail_of_deviate
+from identknee.diagnosis.score.misfit import Projector, log_tail_of_z_score, z_score_of_log_tail
 from identknee.diagnosis.score.signature import (
     ProjectedSignature,
     Signature,
@@ -36,13 +36,13 @@ class CandidateScore:
     name, variant
         The effect, and its variant that scores highest.
     score
-        Normal deviate as rare under no effect, all variants tried counted; 0 at least.
+        Z-score as rare under no effect, all variants tried counted; 0 at least.
     p_value
         Probability that the largest score of all candidates is this large under no effect.
     amplitude
         Expected amplitudes of that variant, most probable under prior and signs, shape ``(k,)``.
     covariance
-        Of the amplitudes, shape ``(k, k)``.
+        Covariance of the amplitudes, shape ``(k, k)``.
     gain
         Expected fall of the objective when the effect joins the model.
     share_left
@@ -96,7 +96,7 @@ class ScoreTest:
     Attributes
     ----------
     projector
-        Of the fit.
+        Projector of the fit.
     signatures
         All variants of all effects, projected.
     scale
@@ -107,7 +107,7 @@ class ScoreTest:
     null
         Largest scores under no effect, increasing, shape ``(n_draws,)``.
     seed
-        Of the draws.
+        Seed of the draws.
     """
 
     projector: Projector
@@ -142,8 +142,8 @@ class ScoreTest:
 
     def max_scores(self, residuals: Array) -> Array:
         """The largest score of each of n residual vectors, shape ``(n,)`` from ``(n, m)``."""
-        deviates = _deviates(_in_units(residuals, self.projector, self.scale), self.signatures)
-        scores = _by_name(deviates, self.signatures)
+        z_scores = _z_scores(_in_units(residuals, self.projector, self.scale), self.signatures)
+        scores = _by_name(z_scores, self.signatures)
         return np.asarray(_corrected(scores, self.trials_factors).max(axis=1))
 
     def evaluate(self, residuals: Array) -> Scores:
@@ -156,19 +156,19 @@ class ScoreTest:
             has them (mean less fitted value, in units of the prior's spread), shape ``(m,)``.
         """
         counted = _in_units(residuals[None], self.projector, self.scale)
-        deviates = _deviates(counted, self.signatures)
-        scores = _corrected(_by_name(deviates, self.signatures), self.trials_factors)[0]
+        z_scores = _z_scores(counted, self.signatures)
+        scores = _corrected(_by_name(z_scores, self.signatures), self.trials_factors)[0]
         found = [
-            self._candidate(self.names[i], float(scores[i]), deviates[0], residuals)
+            self._candidate(self.names[i], float(scores[i]), z_scores[0], residuals)
             for i in np.argsort(-scores, kind="stable")
         ]
         return Scores(candidates=tuple(found), quantile=self.quantile)
 
     def _candidate(
-        self, name: str, score: float, deviates: Array, residuals: Array
+        self, name: str, score: float, z_scores: Array, residuals: Array
     ) -> CandidateScore:
         own = [i for i, x in enumerate(self.signatures) if x.signature.name == name]
-        best = self.signatures[max(own, key=lambda i: deviates[i])]
+        best = self.signatures[max(own, key=lambda i: z_scores[i])]
         correlations = self.projector.project(residuals)[None] @ best.projected
         return CandidateScore(
             name=name,
@@ -192,7 +192,7 @@ def score_test(
 ) -> ScoreTest:
     """The max-score test, with the distribution of its maximum under no effect by simulation.
 
-    Every effect scores with the variant that fits best, as a normal deviate as rare under no
+    Every effect scores with the variant that fits best, as a z-score as rare under no
     effect: its gain, penalised by the prior of its amplitudes, is turned into a probability that
     knows their number and signs, and that is multiplied by the number of independent looks its
     variants are worth (Gross and Vitells). So effects with one and with many amplitudes or variants
@@ -201,11 +201,11 @@ def score_test(
     Parameters
     ----------
     projector
-        Of the fit.
+        Projector of the fit.
     signatures
         All variants of all effects; variants of one effect share its name.
     seed
-        Of the draws.
+        Seed of the draws.
     scale
         ``"unknown"`` where the size of the noise is not known.
     n_draws
@@ -225,8 +225,8 @@ def score_test(
         raise ValueError("the score test needs at least one signature")
     projected = tuple(project_signature(projector, x) for x in signatures)
     draws = np.random.default_rng(seed).standard_normal((n_draws, projector.n_rows))
-    deviates = _deviates(_in_units(draws, projector, scale), projected)
-    scores = _by_name(deviates, projected)
+    z_scores = _z_scores(_in_units(draws, projector, scale), projected)
+    scores = _by_name(z_scores, projected)
     factors = _trials_factors(scores, projected)
     return ScoreTest(
         projector=projector,
@@ -247,38 +247,38 @@ def _in_units(residuals: Array, projector: Projector, scale: Scale) -> Array:
     return np.asarray(projected * np.sqrt(projector.degrees_of_freedom) / size)
 
 
-def _deviates(residuals: Array, signatures: Sequence[ProjectedSignature]) -> Array:
-    """The deviate of each signature for each of n projected residuals, shape ``(n, s)``."""
+def _z_scores(residuals: Array, signatures: Sequence[ProjectedSignature]) -> Array:
+    """The z-score of each signature for each of n projected residuals, shape ``(n, s)``."""
     correlations = residuals @ np.hstack([x.projected for x in signatures])
     ends = np.cumsum([x.n_parameters for x in signatures])
     return np.stack(
         [
-            x.deviate(x.gain(correlations[:, end - x.n_parameters : end]))
+            x.z_score(x.gain(correlations[:, end - x.n_parameters : end]))
             for x, end in zip(signatures, ends, strict=True)
         ],
         axis=1,
     )
 
 
-def _by_name(deviates: Array, signatures: Sequence[ProjectedSignature]) -> Array:
-    """The largest deviate of each effect, shape ``(n, e)``."""
+def _by_name(z_scores: Array, signatures: Sequence[ProjectedSignature]) -> Array:
+    """The largest z-score of each effect, shape ``(n, e)``."""
     names = np.array([x.signature.name for x in signatures])
-    return np.stack([deviates[:, names == x].max(axis=1) for x in effect_names(signatures)], axis=1)
+    return np.stack([z_scores[:, names == x].max(axis=1) for x in effect_names(signatures)], axis=1)
 
 
 def _trials_factors(scores: Array, signatures: Sequence[ProjectedSignature]) -> Array:
-    """By how much more often than one deviate the largest of each effect exceeds its quantile."""
+    """By how much more often than one z-score the largest of each effect exceeds its quantile."""
     names = [x.signature.name for x in signatures]
     variants = np.array([names.count(x) for x in effect_names(signatures)], dtype=np.float64)
     quantiles = np.quantile(scores, 1 - LEVEL, axis=0)
-    factors = LEVEL / np.exp(log_tail_of_deviate(quantiles))
+    factors = LEVEL / np.exp(log_tail_of_z_score(quantiles))
     return np.asarray(np.clip(factors, 1.0, variants))
 
 
 def _corrected(scores: Array, trials_factors: Array) -> Array:
-    """Deviates as rare as the largest of so many independent ones, 0 at least."""
-    log_tails = log_tail_of_deviate(scores) + np.log(trials_factors)
-    return np.asarray(np.maximum(deviate_of_log_tail(log_tails), 0.0))
+    """Z-scores as rare as the largest of so many independent ones, 0 at least."""
+    log_tails = log_tail_of_z_score(scores) + np.log(trials_factors)
+    return np.asarray(np.maximum(z_score_of_log_tail(log_tails), 0.0))
 
 
 @unique
@@ -370,10 +370,10 @@ def detectable_amplitude(
 
 
 def _threshold(test: ScoreTest, signature: ProjectedSignature) -> float:
-    """The deviate of one variant from which on its effect is found."""
+    """The z-score of one variant from which on its effect is found."""
     factor = test.trials_factors[test.names.index(signature.signature.name)]
-    log_tail = log_tail_of_deviate(np.array(test.quantile)) - np.log(factor)
-    return float(deviate_of_log_tail(log_tail))
+    log_tail = log_tail_of_z_score(np.array(test.quantile)) - np.log(factor)
+    return float(z_score_of_log_tail(log_tail))
 
 
 def _noise(signature: ProjectedSignature) -> Array:
@@ -384,4 +384,4 @@ def _noise(signature: ProjectedSignature) -> Array:
 
 
 def _share_found(signature: ProjectedSignature, correlations: Array, threshold: float) -> float:
-    return float(np.mean(signature.deviate(signature.gain(correlations)) >= threshold))
+    return float(np.mean(signature.z_score(signature.gain(correlations)) >= threshold))

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from identknee.diagnosis.score.misfit import Projector, deviate_of_log_tail, log_weighted_tail
+from identknee.diagnosis.score.misfit import Projector, log_weighted_tail, z_score_of_log_tail
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 
 # Signs are dealt with by trying every set of amplitudes that are not zero.
@@ -26,7 +26,7 @@ class Signature:
     Attributes
     ----------
     name
-        Of the effect.
+        Name of the effect.
     variant
         What distinguishes signatures of one effect, such as a site or a slack strain; may be empty.
     columns
@@ -85,7 +85,7 @@ class ProjectedSignature:
     gram
         Information about the amplitudes without their prior, shape ``(k, k)``.
     covariance
-        Of the amplitudes, prior included, signs left out of account, shape ``(k, k)``.
+        Covariance of the amplitudes, prior included, signs left out of account, shape ``(k, k)``.
     """
 
     signature: Signature
@@ -94,7 +94,7 @@ class ProjectedSignature:
     covariance: Array = field(init=False, repr=False)
     _solutions: list[tuple[IntArray, Array]] = field(init=False, repr=False)
     _roots: Array = field(init=False, repr=False)
-    _deviates: Array = field(init=False, repr=False)
+    _z_scores: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gram", self.projected.T @ self.projected)
@@ -102,9 +102,9 @@ class ProjectedSignature:
         object.__setattr__(self, "covariance", np.linalg.inv(precision))
         solutions = _solutions(precision, self.signature.sign) if self.is_seen else []
         object.__setattr__(self, "_solutions", solutions)
-        roots, deviates = self._tabulate() if self.is_seen else (np.zeros(1), np.zeros(1))
+        roots, z_scores = self._tabulate() if self.is_seen else (np.zeros(1), np.zeros(1))
         object.__setattr__(self, "_roots", roots)
-        object.__setattr__(self, "_deviates", deviates)
+        object.__setattr__(self, "_z_scores", z_scores)
 
     @property
     def n_parameters(self) -> int:
@@ -140,13 +140,13 @@ class ProjectedSignature:
             amplitude[np.ix_(better, used)] = found[better]
         return amplitude
 
-    def deviate(self, gain: Array) -> Array:
-        """The normal deviate as rare under no effect as `gain`, 0 at least, any shape.
+    def z_score(self, gain: Array) -> Array:
+        """The z-score as rare under no effect as `gain`, 0 at least, any shape.
 
         With one amplitude of one sign it is the usual one-sided score. It is 0 for a signature that
         the fitted parameters explain.
         """
-        return np.asarray(np.interp(np.sqrt(gain), self._roots, self._deviates))
+        return np.asarray(np.interp(np.sqrt(gain), self._roots, self._z_scores))
 
     def _feasible(self, correlations: Array) -> Iterator[tuple[IntArray, Array, Array]]:
         """Sets of free amplitudes, their values, and the gains: 0 where a sign is wrong."""
@@ -157,7 +157,7 @@ class ProjectedSignature:
             yield used, found, np.where(wrong, 0.0, value)
 
     def _tabulate(self) -> tuple[Array, Array]:
-        """Roots of the gain and the deviates as rare: a mixture over the sets that may be free."""
+        """Roots of the gain and the z-scores as rare: a mixture over the sets that may be free."""
         weights = [
             np.maximum(np.linalg.eigvals(inverse @ self.gram[np.ix_(used, used)]).real, 0.0)
             for used, inverse in self._solutions
@@ -168,8 +168,8 @@ class ProjectedSignature:
             for share, weight in zip(self._shares(), weights, strict=True)
             if share > 0
         ]
-        deviates = deviate_of_log_tail(np.logaddexp.reduce(log_tails, axis=0))
-        return roots, np.maximum(np.maximum.accumulate(deviates), 0.0)
+        z_scores = z_score_of_log_tail(np.logaddexp.reduce(log_tails, axis=0))
+        return roots, np.maximum(np.maximum.accumulate(z_scores), 0.0)
 
     def _shares(self) -> Array:
         """How often each set of free amplitudes is the best one under no effect."""

@@ -258,7 +258,7 @@ def _change(summary: Mapping[str, Any]) -> Finding:
 
 
 def _width(ends: Sequence[float | None]) -> float:
-    """Of an interval, for ranking; endless where it is open."""
+    """Width of an interval, for ranking; infinite where it is open."""
     low, high = ends
     return float("inf") if low is None or high is None else max(high - low, 1e-12)
 

@@ -33,7 +33,7 @@ def test_one_signed_amplitude_has_the_usual_score() -> None:
     u = correlations(fit, found, residuals)
     textbook = u[0, 0] / np.linalg.norm(found.projected)
     # The table of the tail is interpolated in steps of 0.05.
-    assert found.deviate(found.gain(u))[0] == pytest.approx(textbook, rel=1e-4)
+    assert found.z_score(found.gain(u))[0] == pytest.approx(textbook, rel=1e-4)
     whole = np.hstack([fit.jacobian, fit.projector.padded(column)])
     regression, *_ = np.linalg.lstsq(whole, residuals[0], rcond=None)
     assert found.amplitude(u)[0, 0] == pytest.approx(regression[-1], rel=1e-6)
@@ -48,7 +48,7 @@ def test_the_wrong_sign_scores_nothing() -> None:
     for sign, scores in ((1, False), (-1, True), (0, True)):
         found = projected(fit, column, sign=sign)
         u = correlations(fit, found, residuals)
-        assert (found.deviate(found.gain(u))[0] > 10) == scores
+        assert (found.z_score(found.gain(u))[0] > 10) == scores
         assert (found.amplitude(u)[0, 0] < -1) == scores
 
 
@@ -71,16 +71,16 @@ def test_signed_amplitudes_are_those_of_constrained_least_squares(seed: int) -> 
 @pytest.mark.parametrize(
     ("k", "sign", "prior_sd"), [(1, 0, 1.0), (1, 1, 1.0), (2, 1, 0.05), (8, 0, 0.05), (24, 0, 0.1)]
 )
-def test_deviates_are_standard_normal_under_no_effect(k: int, sign: int, prior_sd: float) -> None:
+def test_z_scores_are_standard_normal_under_no_effect(k: int, sign: int, prior_sd: float) -> None:
     """So that effects with one and with many amplitudes compare."""
     fit, generator = linear_fit(), np.random.default_rng(k)
     columns = generator.standard_normal((fit.n_data, k)) * np.geomspace(1, 0.1, k)
     found = projected(fit, columns, sign=sign, prior_sd=prior_sd)
     u = correlations(fit, found, fit.residuals(generator, N_DRAWS))
-    deviates = found.deviate(found.gain(u))
-    assert deviates.min() >= 0
+    z_scores = found.z_score(found.gain(u))
+    assert z_scores.min() >= 0
     for limit in (1.0, 2.0, 3.0):
-        share, expected = np.mean(deviates > limit), norm.sf(limit)
+        share, expected = np.mean(z_scores > limit), norm.sf(limit)
         # Binomial error, and 10 % for the three moments that stand for the distribution.
         bound = 5 * np.sqrt(expected / N_DRAWS) + 0.1 * expected
         assert share == pytest.approx(expected, abs=bound)
@@ -96,7 +96,7 @@ def test_what_the_parameters_explain_scores_nothing() -> None:
     found = projected(without_prior, bare)
     assert not found.is_seen
     u = correlations(without_prior, found, fit.residuals(generator, 3))
-    np.testing.assert_array_equal(found.deviate(found.gain(u)), 0.0)
+    np.testing.assert_array_equal(found.z_score(found.gain(u)), 0.0)
     assert projected(fit, np.zeros((fit.n_data, 1))).share_left == 0.0
 
 

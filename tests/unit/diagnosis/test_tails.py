@@ -5,10 +5,10 @@ import pytest
 from scipy import stats
 
 from identknee.diagnosis.score.misfit import (
-    deviate_of_log_tail,
     log_chi2_tail,
-    log_tail_of_deviate,
+    log_tail_of_z_score,
     log_weighted_tail,
+    z_score_of_log_tail,
 )
 
 N_DRAWS = 200_000
@@ -31,12 +31,12 @@ def test_chi_square_tail_goes_on_where_numbers_underflow(degrees: float) -> None
 
 
 def test_one_signed_or_unsigned_normal_is_exact() -> None:
-    deviates = np.array([0.3, 2.0, 5.0, 60.0])
+    z_scores = np.array([0.3, 2.0, 5.0, 60.0])
     np.testing.assert_allclose(
-        log_chi2_tail(deviates**2, 1.0), np.log(2) + log_tail_of_deviate(deviates), rtol=1e-6
+        log_chi2_tail(z_scores**2, 1.0), np.log(2) + log_tail_of_z_score(z_scores), rtol=1e-6
     )
     np.testing.assert_allclose(
-        deviate_of_log_tail(log_tail_of_deviate(deviates)), deviates, rtol=1e-9
+        z_score_of_log_tail(log_tail_of_z_score(z_scores)), z_scores, rtol=1e-9
     )
 
 
