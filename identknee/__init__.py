@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from identknee.identify.posterior.power_scaling import prior_sensitivity
     from identknee.identify.posterior.sample import Ensembles, sample
     from identknee.identify.profile.pairs import PairProfile, profile_pair
-    from identknee.identify.profile.profile import profile
     from identknee.identify.profile.profiles import (
         other_optima,
         profile_parameters,
@@ -91,6 +90,7 @@ if TYPE_CHECKING:
     from identknee.subject.opensim import import_opensim
     from identknee.subject.reference import reference_knee
     from identknee.subject.surface import Surface
+    from identknee.verbs.profile import Profiles, profile
 
 __all__ = [  # noqa: RUF022 - in the order of the flow
     "read_subject",
@@ -150,6 +150,7 @@ __all__ = [  # noqa: RUF022 - in the order of the flow
     "f_threshold",
     "bootstrap_statistics",
     "Profile",
+    "Profiles",
     "SideStatus",
     "Verdict",
     "profile",
@@ -274,7 +275,7 @@ _MODULES = {
         "bootstrap_statistics",
     ),
     "identify.profile.result": ("Profile", "SideStatus", "Verdict"),
-    "identify.profile.profile": ("profile",),
+    "verbs.profile": ("Profiles", "profile"),
     "identify.profile.profiles": ("profile_parameters", "profile_quantities", "other_optima"),
     "identify.profile.pairs": (
         "PairProfile",

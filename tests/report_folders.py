@@ -1,5 +1,6 @@
 """Folders of results as verbs leave them, made from the library in seconds."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,12 @@ from identknee.model.simulate import simulate
 from identknee.report.diagnosis_groups import diagnosis_groups
 from identknee.report.diagnosis_summary import diagnosis_summary
 from identknee.report.groups import fit_groups
-from identknee.report.profile_groups import profile_groups, profile_summary
 from identknee.report.result_files import write_result
 from identknee.runs.record import record
 from identknee.subject.knee import Knee
+from identknee.verbs.answer import Answer
+from identknee.verbs.files import write_answer
+from identknee.verbs.profile import Profiles
 
 KNEE = "0" * 64
 OPEN_BELOW = "x0.value_pct"
@@ -45,6 +48,22 @@ def write_verb(
     return folder
 
 
+def write_given(
+    folder: Path,
+    verb: str,
+    answer: Answer,
+    *,
+    subject: str = "reference",
+    digest: str = KNEE,
+) -> Path:
+    """A folder with what a verb that gave this answer leaves."""
+    folder.mkdir(parents=True, exist_ok=True)
+    settings = {"subject": subject, "data": "test/laxity.csv"}
+    inputs = {"subject": digest, "data": "d" * 64}
+    write_answer(folder, replace(answer, record=record(verb, settings, inputs, 0).finish()))
+    return folder
+
+
 def some_profiles() -> tuple[Profile, ...]:
     """A closed one, and one with an open end."""
     problem = linear()
@@ -56,10 +75,22 @@ def some_profiles() -> tuple[Profile, ...]:
 
 def profile_folder(folder: Path, **named: str) -> Path:
     """What `identknee profile` leaves of a straight problem."""
+    return write_given(folder, "profile", straight_profiles(), **named)
+
+
+def straight_profiles() -> Profiles:
+    """The answer of `profile` to a straight problem."""
     profiles = some_profiles()
-    summary = {"parameters": {x.name: profile_summary(x) for x in profiles}, "quantities": {}}
-    groups = profile_groups(profiles, linear().parameters.names)
-    return write_verb(folder, "profile", summary, groups, **named)
+    problem = linear()
+    return Profiles(
+        parameters={x.name: x for x in profiles},
+        quantities={},
+        pairs=(),
+        parameter_names=problem.parameters.names,
+        optimum=problem.minimum,
+        deviance=profiles[0].deviance,
+        degrees_of_freedom=None,
+    )
 
 
 def few_trials() -> Protocol:

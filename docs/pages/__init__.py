@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from identknee.verbs.documented import page_of_answers
 from pages.api import write_api
 from pages.commands import write_commands
 from pages.flow import write_flow
@@ -17,4 +18,5 @@ def write_pages(docs: Path) -> None:
     write_commands(parts / "commands.md")
     write_flow(parts / "flow.html")
     write_records(parts / "records.md", docs.parent / "tests")
+    (parts / "answers.md").write_text(page_of_answers(), encoding="utf-8")
     write_studies(docs / "studies", docs.parent / "studies")

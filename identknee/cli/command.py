@@ -12,14 +12,13 @@ from typing import Annotated, Any, Literal, TypeVar
 import typer
 import typer.core
 
-import identknee as ik
 from identknee.laxity.named_tables import TABLES
-from identknee.runs.errors import InputError
+from identknee.runs.errors import InputError, NotComputed
 from identknee.runs.executors import WorkerDied
-from identknee.runs.files import digest, plain
-from identknee.runs.progress import progress_bar
+from identknee.runs.files import plain
 from identknee.runs.unforeseen import report_unforeseen, warnings_logged
 from identknee.subject.examples import named_subject
+from identknee.verbs.answer import Answer
 
 Result = TypeVar("Result")
 
@@ -99,10 +98,6 @@ Continuation = Annotated[
     Literal["continuation", "single-step"],
     typer.Option(help="Follow the load, or apply it all at once as the paper did."),
 ]
-
-
-class NotComputed(Exception):  # noqa: N818 - said to a person as a sentence
-    """Raised where the input is fine and the answer still cannot be had; says why."""
 
 
 class Verb(typer.core.TyperCommand):
@@ -222,11 +217,17 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
-def warm_up(knee: "ik.Knee", protocol: "ik.Protocol") -> None:
-    """Compile and build the distance field, or load them, so that times taken later exclude it."""
-    with progress_bar("preparing, longer the first time after an installation"):
-        model = ik.LaxityModel(knee=knee, protocol=protocol.select([0]), effects=())
-        model.predict(model.parameters.center)
+def run_verb(context: typer.Context, function: Callable[..., Answer]) -> None:
+    """Call a verb of the library with the options of the command, and print its answer."""
+    arguments = dict(context.params)
+    as_json = arguments.pop("as_json")
+    answer = function(**arguments)
+    # These load xarray and what draws tables, which takes longer than most mistakes.
+    from identknee.report.terminal import terminal_lines
+    from identknee.runs.plain_records import summary_of
+
+    lines = [] if as_json else terminal_lines(answer)
+    show(summary_of(answer), [*lines, f"Results: {arguments['out']}"], as_json=as_json)
 
 
 def nested(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
@@ -249,20 +250,3 @@ def timed(function: Callable[[], Result]) -> tuple[Result, float]:
     began = time.perf_counter()
     result = function()
     return result, time.perf_counter() - began
-
-
-def knee_digest(knee: "ik.Knee") -> str:
-    """SHA-256 of all numbers of a knee: surfaces, frames, ligaments and effects, from wherever."""
-    parts = [knee.side.encode()]
-    for x in knee.ligaments:
-        numbers = (*x.femur.tolist(), *x.tibia.tolist(), x.stiffness_kN, x.reference_strain_pct)
-        parts.append(f"{x.name} {numbers}".encode())
-    for effect in knee.effects:
-        ends = [(femur.tolist(), tibia.tolist()) for femur, tibia in effect.lines]
-        spread = (effect.stiffness_sd_kN, effect.site_sd_mm)
-        parts.append(f"{effect.name} {dict(effect.values)} {effect.fixed} {ends} {spread}".encode())
-    for surface in (knee.femur, *knee.tibia):
-        parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
-    for frame in (knee.femur_frame, knee.tibia_frame):
-        parts += [frame.origin.tobytes(), frame.axes.tobytes()]
-    return digest(b"".join(parts))

@@ -6,24 +6,15 @@ from typing import Annotated
 import typer
 
 import identknee as ik
-from identknee.cli.command import (
-    Json,
-    MaybeData,
-    Out,
-    Seed,
-    Subject,
-    Workers,
-    knee_digest,
-    show,
-    timed,
-    warm_up,
-)
+from identknee.cli.command import Json, MaybeData, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import Noise, file_digests, measured
 from identknee.cli.isolability import say_isolability, shown
 from identknee.laxity.named_tables import laxity_file
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.findings import finding_lines
 from identknee.runs.record import record
+from identknee.verbs.identification import warm_up
+from identknee.verbs.knee_digest import knee_digest
 
 Planned = Annotated[
     str | None,

@@ -29,11 +29,11 @@ from identknee.cli.identification import (
     identification,
     no_prediction,
 )
-from identknee.cli.values import named_bounds
 from identknee.runs.files import prepare_folder
 from identknee.runs.findings import finding_lines, findings_summary
 from identknee.runs.record import record
 from identknee.runs.resume import finish_work
+from identknee.verbs.values import named_bounds
 
 NumberOfSets = Annotated[int, typer.Option("--n-sets", min=2, help="Parameter sets wanted.")]
 Criterion = Annotated[

@@ -11,21 +11,21 @@ from identknee.cli.command import (
     Continuation,
     Data,
     Json,
-    NotComputed,
     Out,
     Seed,
     Subject,
     Workers,
-    knee_digest,
     nested,
     show,
-    warm_up,
 )
-from identknee.cli.values import named_bounds
 from identknee.laxity.named_tables import laxity_file
+from identknee.runs.errors import NotComputed
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.findings import Finding, Severity, finding_lines, findings_summary
 from identknee.runs.record import Recording, record
+from identknee.verbs.identification import warm_up
+from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.values import named_bounds
 
 Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]
 Method = Annotated[

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, knee_digest, show
+from identknee.cli.command import Json, show
 from identknee.runs.files import prepare_folder, write_atomically
+from identknee.verbs.knee_digest import knee_digest
 
 if TYPE_CHECKING:
     from identknee.report.page.knee_scene import KneeScene

@@ -7,21 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import identknee as ik
-from identknee.cli.command import (
-    Json,
-    NotComputed,
-    Out,
-    Seed,
-    Subject,
-    Workers,
-    knee_digest,
-    show,
-    timed,
-    warm_up,
-)
+from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
+from identknee.runs.errors import NotComputed
 from identknee.runs.executors import threads
 from identknee.runs.files import prepare_folder
 from identknee.runs.record import record
+from identknee.verbs.identification import warm_up
+from identknee.verbs.knee_digest import knee_digest
 
 if TYPE_CHECKING:
     from identknee.model.insertion_moves import SettledKnee

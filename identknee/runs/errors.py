@@ -61,3 +61,7 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     if close:
         return f"Did you mean {names[close[0]]}?"
     return f"Known are {', '.join(names.values())}."
+
+
+class NotComputed(Exception):  # noqa: N818 - said to a person as a sentence
+    """Raised where the input is fine and the answer still cannot be had; says why."""

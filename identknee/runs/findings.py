@@ -1,8 +1,9 @@
 """What a result says against itself: sentences that a person must read beside the numbers."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import Enum, unique
+
+from identknee.runs.declare import declared, entry
 
 
 @unique
@@ -22,27 +23,22 @@ class Severity(Enum):
 _PREFIXES = {Severity.INFO: "", Severity.WARNING: "Warning: ", Severity.ERROR: "Error: "}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Finding:
     """One thing that a reader of a result must know.
 
     Terminal, ``result.json`` and report show the same findings.
-
-    Attributes
-    ----------
-    severity
-        An info explains; a warning says that conclusions may be wrong; after an error the
-        numbers must not be used before its cause is known.
-    sentence
-        One or a few whole sentences that end with what can be done, where something can.
-    where
-        What it is about: ``"data"``, ``"parameters"``, ``"starts"``, ``"subject"`` or the name of
-        a parameter, trial or cause.
     """
 
-    severity: Severity
-    sentence: str
-    where: str
+    severity: Severity = entry(
+        "info explains; warning: conclusions may be wrong; error: the numbers must not be used "
+        "before its cause is known"
+    )
+    sentence: str = entry("What was found and what can be done")
+    where: str = entry(
+        "What it is about: data, parameters, starts, subject, trials, or the name of a parameter, "
+        "trial or cause"
+    )
 
     @property
     def line(self) -> str:

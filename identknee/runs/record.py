@@ -6,64 +6,37 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
-from types import MappingProxyType
 from typing import Any
 
+from identknee.runs.declare import declared, entry
 from identknee.runs.files import plain
+from identknee.runs.plain_records import to_plain
 
 PACKAGES = ("identknee", "numpy", "scipy", "numba")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Record:
-    """The call, its inputs, seed, versions and time.
+    """The call, its inputs, seed, versions and time."""
 
-    Attributes
-    ----------
-    verb
-        What was asked for, for example ``"fit"``.
-    settings
-        Every setting by name, in JSON types.
-    inputs
-        SHA-256 of each input by name (see `identknee.runs.files.digest`).
-    seed
-        The seed, None where nothing was random.
-    versions
-        Version of Python and of each package that the numbers depend on.
-    started
-        When it began: ISO 8601, UTC.
-    seconds
-        How long it took [s].
-    """
-
-    verb: str
-    settings: Mapping[str, Any]
-    inputs: Mapping[str, str]
-    seed: int | None
-    versions: Mapping[str, str]
-    started: str
-    seconds: float
-
-    def __post_init__(self) -> None:
-        for name in ("settings", "inputs", "versions"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-
-    # A mapping proxy cannot be pickled, and records travel between processes.
-    def __reduce__(self) -> tuple[Any, ...]:  # type: ignore[explicit-override]
-        """How to pickle a record."""
-        return _from_dict, (self.to_dict(),)
+    verb: str = entry("What was asked for, such as fit")
+    settings: Mapping[str, Any] = entry("Every setting by name")
+    inputs: Mapping[str, str] = entry(
+        "SHA-256 of each input by name: the numbers of the subject, the bytes of a file"
+    )
+    seed: int | None = entry("Seed of all random numbers; null where nothing was random")
+    versions: Mapping[str, str] = entry(
+        "Version of Python and of each package that the numbers depend on"
+    )
+    started: str = entry("When it began, UTC")
+    seconds: float = entry("Wall time of the whole call", unit="s")
+    arrays: str = entry(
+        "SHA-256 of result.nc, by which a damaged one is known", only="written", default=""
+    )
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain JSON types."""
-        return {
-            "verb": self.verb,
-            "settings": plain(dict(self.settings)),
-            "inputs": dict(self.inputs),
-            "seed": self.seed,
-            "versions": dict(self.versions),
-            "started": self.started,
-            "seconds": self.seconds,
-        }
+        return {name: x for name, x in plain(to_plain(self)).items() if name != "arrays"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,7 +100,3 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def _from_dict(values: Mapping[str, Any]) -> Record:
-    return Record(**values)

@@ -18,7 +18,7 @@ from identknee.calibrate.starts import named_start
 from identknee.identify.optimum import best_fit
 from identknee.identify.profile.pairs import profile_pair
 from identknee.identify.profile.profile import profile
-from identknee.identify.profile.profiles import profile_parameters, profile_to_plain
+from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
@@ -36,6 +36,7 @@ from identknee.report.study_records import (
 )
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
+from identknee.runs.plain_records import to_plain
 from identknee.runs.resume import open_work, resumable_map
 
 HERE = Path(__file__).parent
@@ -157,7 +158,7 @@ def described(knee: str) -> Row:
 def parameter_profiles(item: Item) -> list[Row]:
     """The profile of every parameter."""
     found = profile_parameters(problem_of(item), optimum_of(item))
-    return [{**profile_to_plain(x), "nested": nested_plain(x)} for x in found]
+    return [{**to_plain(x), "nested": nested_plain(x)} for x in found]
 
 
 def pair_profile(item: tuple[Item, str]) -> Row:

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from profile_tables import tables
 
-from identknee.identify.profile.profiles import profile_from_plain
 from identknee.identify.profile.result import Profile
 from identknee.model.parameters import Parameters
 from identknee.report.figures import BLACK, COLOURS, MARKERS, STYLES
@@ -19,6 +18,7 @@ from identknee.report.profile_figures import (
     smooth_edge,
 )
 from identknee.report.study_page import draw_study
+from identknee.runs.plain_records import from_plain
 
 HERE = Path(__file__).parent
 Row = Mapping[str, Any]
@@ -33,7 +33,7 @@ def profiles_of(record: Row) -> list[Profile]:
     """The profiles of the first knee's parameters."""
     part = next(iter(record["knees"].values()))
     kept = [{key: x for key, x in row.items() if key != "nested"} for row in part["profiles"]]
-    return [profile_from_plain(row) for row in kept]
+    return [from_plain(Profile, row) for row in kept]
 
 
 def figure_1(record: Row) -> Figure:

@@ -81,6 +81,7 @@ def commanded(words: list[str], out: Path | None = None) -> str:
 
     with (
         patch.object(ik, "read_subject", read_once),
+        patch("identknee.verbs.verb.read_subject", read_once),
         patch.object(unforeseen, "report_unforeseen", _raise),
         patch("identknee.cli.command.report_unforeseen", _raise),
     ):

@@ -19,7 +19,8 @@ from identknee.identify.profile.thresholds import chi2_threshold, threshold_belo
 from identknee.identify.profile.walk import BetterFound, Walk
 from identknee.identify.quantity import ParameterQuantity
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
@@ -33,68 +34,35 @@ MOST_ROUNDS = 4
 SMALLEST = 1e-12
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class PairRay:
-    """The profile of a pair along one straight way from its optimum.
+    """The profile of a pair along one straight path from its optimum."""
 
-    Attributes
-    ----------
-    values
-        The pair at each point, from the optimum outward, shape ``(k, 2)``.
-    deltas, slopes
-        Rise of the deviance there, and its derivative along the way by the distance from the
-        optimum (of whatever unit `distances` have), shape ``(k,)``.
-    distances
-        From the optimum, in units that turn the pair's likely values into a circle, shape ``(k,)``.
-    status
-        How the way ended; ``closed`` at the threshold.
-    end
-        The last likely pair, shape ``(2,)``, or the last one tried where the way is open.
-    """
-
-    values: Array
-    deltas: Array
-    slopes: Array
-    distances: Array
-    status: SideStatus
-    end: Array
-
-    def __post_init__(self) -> None:
-        k = len(self.distances)
-        object.__setattr__(self, "values", frozen(self.values, k, 2, name="values"))
-        for field in ("deltas", "slopes", "distances"):
-            object.__setattr__(self, field, frozen(getattr(self, field), k, name=field))
-        object.__setattr__(self, "end", frozen(self.end, 2, name="end"))
+    values: Array = array("The pair at each point, from the optimum outward", "point", "member")
+    deltas: Array = array("Rise of the deviance there", "point")
+    slopes: Array = array("Derivative of that rise by the distance from the optimum", "point")
+    distances: Array = array(
+        "Distance from the optimum, in units that turn the pair's confidence set into a circle",
+        "point",
+    )
+    status: SideStatus = entry("How the path ended; closed at the threshold")
+    end: Array = array("Last pair of the set, or the last one tried where it is open", "member")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class PairProfile:
-    """The pairs of values that the data do not exclude, as ways outward from the best pair.
+    """The pairs of values that the data do not exclude, as paths outward from the best pair."""
 
-    Attributes
-    ----------
-    names
-        Of the two parameters.
-    level, threshold
-        Confidence level of the set for both at once, and the rise of the deviance that bounds it.
-    optimum
-        The best pair, shape ``(2,)``.
-    rays
-        Ways outward, counterclockwise in units that turn the set into a circle. What lies behind
-        an excluded stretch of a way is not seen.
-    n_simulations
-        Simulations made, each with its Jacobian.
-    """
-
-    names: tuple[str, str]
-    level: float
-    threshold: float
-    optimum: Array
-    rays: tuple[PairRay, ...]
-    n_simulations: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "optimum", frozen(self.optimum, 2, name="optimum"))
+    names: tuple[str, str] = entry("Names of the two parameters", key="parameters")
+    level: float = entry("Confidence level of the set for both at once", unit="1")
+    threshold: float = entry("Rise of the deviance that bounds the set", unit="1")
+    optimum: Array = array("The best pair", "member", unit=OF_PARAMETER)
+    rays: tuple[PairRay, ...] = entry(
+        "Paths outward, counterclockwise in units that turn the set into a circle; what lies "
+        "behind an excluded stretch of a path is not seen",
+        rows="ray",
+    )
+    n_simulations: int = entry("Simulations made, each with its Jacobian", unit="1")
 
     def contour(self, level: float) -> Array:
         """The edge of the likely pairs at a level up to the profile's own, shape ``(n_rays, 2)``.

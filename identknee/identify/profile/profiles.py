@@ -1,7 +1,6 @@
 """Profiles of several quantities, resumable and on any executor."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, TypedDict, Unpack
 
@@ -13,12 +12,13 @@ from identknee.calibrate.problem import Problem
 from identknee.identify.evaluation import evaluate
 from identknee.identify.profile.march import JUMP
 from identknee.identify.profile.profile import LEVEL, profile
-from identknee.identify.profile.result import Profile, Side, SideStatus, Verdict
+from identknee.identify.profile.result import Profile
 from identknee.identify.profile.thresholds import chi2_threshold
 from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.identify.sweep.starts_design import sobol_starts
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, serial
+from identknee.runs.plain_records import from_plain, to_plain
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
 
@@ -135,7 +135,7 @@ def profile_quantities(
             name=f"profile round {round_}",
             description="profiling",
         )
-        found = tuple(profile_from_plain(x) for x in kept)
+        found = tuple(from_plain(Profile, x) for x in kept)
         better = _better_of_all(found)
         if better is None:
             break
@@ -186,31 +186,6 @@ def other_optima(
     return np.reshape([x.theta for x in found[1:]], (-1, parameters.n))
 
 
-def profile_to_plain(of: Profile) -> dict[str, Any]:
-    """A profile in types that JSON has, for `profile_from_plain`."""
-    plain = {x.name: getattr(of, x.name) for x in fields(of)}
-    for name in ("lower_side", "upper_side"):
-        side: Side = plain[name]
-        plain[name] = {x.name: getattr(side, x.name) for x in fields(side)}
-        plain[name]["status"] = side.status.value
-    return {**plain, "verdict": of.verdict.value}
-
-
-def profile_from_plain(plain: Mapping[str, Any]) -> Profile:
-    """The profile that `profile_to_plain` took apart, after a way through JSON."""
-    whole = dict(plain)
-    for name in ("lower_side", "upper_side"):
-        side = dict(whole[name])
-        side["status"] = SideStatus(side["status"])
-        side["at_bounds"] = tuple(side["at_bounds"])
-        whole[name] = Side(**side)
-    whole["verdict"] = Verdict(whole["verdict"])
-    whole["intervals"] = tuple((low, high) for low, high in whole["intervals"])
-    better = whole["better_optimum"]
-    whole["better_optimum"] = None if better is None else np.array(better)
-    return Profile(**whole)
-
-
 def _profiled(
     problem: Problem,
     theta: Array,
@@ -219,7 +194,7 @@ def _profiled(
     which: int,
 ) -> dict[str, Any]:
     quantity, threshold = asked[which]
-    return profile_to_plain(profile(problem, theta, quantity, threshold=threshold, **settings))
+    return to_plain(profile(problem, theta, quantity, threshold=threshold, **settings))
 
 
 def _better_of_all(found: Sequence[Profile]) -> Array | None:

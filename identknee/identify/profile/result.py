@@ -1,13 +1,13 @@
-"""What a profile found: the curve, the set of likely values, and how each side ended."""
+"""What a profile found: the curve, the confidence set, and how each side ended."""
 
-from dataclasses import dataclass
 from enum import Enum, unique
 
 import numpy as np
 
 from identknee.identify.profile.hermite import crossings
 from identknee.identify.profile.thresholds import threshold_below
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 
 Interval = tuple[float | None, float | None]
 
@@ -62,136 +62,131 @@ _VERDICTS = {
     Verdict.ONE_SIDED: "The data bound the value on one side only.",
     Verdict.PRACTICALLY_NONIDENTIFIABLE: "These data bound the value on neither side.",
     Verdict.STRUCTURALLY_SUSPECT: "No such data may bound the value: they do not depend on it.",
-    Verdict.MULTIMODAL: "The likely values form several separate intervals.",
+    Verdict.MULTIMODAL: "The confidence set has several separate intervals.",
     Verdict.UNDETERMINED: "A side was not finished, so nothing is claimed.",
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Side:
-    """The end of a profile on one side, with the numbers behind its status.
+    """The end of a profile on one side, with the numbers behind its status."""
 
-    Attributes
-    ----------
-    status
-        How it ended.
-    end
-        The last likely value; None where the side is not closed.
-    error
-        How far the end may be off by the tolerances of its solution, in the quantity's unit; NaN
-        where the side is not closed.
-    reached
-        The outermost value at which the profile was computed. Where the side is open at the
-        feasibility boundary of the model, that is where the boundary lies.
-    max_deviance
-        Largest rise of the deviance between the optimum and there.
-    at_bounds
-        Parameters, other than the profiled one, that sit on a bound there: the end is then a
-        statement about the box too.
-    """
-
-    status: SideStatus
-    end: float | None
-    error: float
-    reached: float
-    max_deviance: float
-    at_bounds: tuple[str, ...]
+    status: SideStatus = entry("How it ended")
+    end: float | None = entry(
+        "Last value of the confidence set; null where the side is not closed", unit=OF_QUANTITY
+    )
+    error: float = entry(
+        "How far the end may be off by the tolerances of its solution; null where not closed",
+        unit=OF_QUANTITY,
+    )
+    reached: float = entry(
+        "Outermost value at which the profile was computed; at an end open at the feasibility "
+        "boundary of the model, where that boundary lies",
+        unit=OF_QUANTITY,
+    )
+    max_deviance: float = entry(
+        "Largest rise of the deviance between the optimum and there", unit="1"
+    )
+    at_bounds: tuple[str, ...] = entry(
+        "Other parameters that sit on a bound there: the end is then a statement about the box too"
+    )
 
     @property
+    @derived("What the status means")
     def sentence(self) -> str:
-        """What that means, as a full sentence."""
+        """What the status means, as a full sentence."""
         return self.status.sentence
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Profile:
-    """The best fit at each value of a quantity, and the values that the data do not exclude.
+    """The best fit at each value of a quantity, and the values that the data do not exclude."""
 
-    Attributes
-    ----------
-    name, unit
-        Of the quantity.
-    level, threshold
-        Confidence level of the set, and the rise of the deviance that bounds it.
-    optimum, optimum_value, deviance
-        Theta of the best fit, shape ``(n,)``, the quantity there, and its deviance.
-    values, thetas, deltas
-        The curve from low to high values, shape ``(k,)``: the quantity, the parameters of the best
-        fit with that value, shape ``(k, n)``, and the rise of the deviance above the best fit.
-    slopes
-        Exact derivative of `deltas` by `values`, shape ``(k,)``; of the chords where a fit stopped
-        at the feasibility boundary.
-    branches
-        To which local optimum's path each point belongs, shape ``(k,)``; 0 is the best fit's.
-    intervals
-        The set of likely values as separate intervals from low to high; None for an open end.
-    lower_side, upper_side
-        How the set ended below and above.
-    verdict
-        What that means for the quantity.
-    practical_level
-        The largest confidence level known to close on both sides: `level` where both ends are
-        closed, less where one is not.
-    n_simulations
-        Simulations made, each with its Jacobian.
-    better_optimum
-        A better fit than the one given, where the profile met one and started over from it.
-    n_restarts
-        How often that happened.
-    """
-
-    name: str
-    unit: str
-    level: float
-    threshold: float
-    optimum: Array
-    optimum_value: float
-    deviance: float
-    values: Array
-    thetas: Array
-    deltas: Array
-    slopes: Array
-    branches: IntArray
-    intervals: tuple[Interval, ...]
-    lower_side: Side
-    upper_side: Side
-    verdict: Verdict
-    practical_level: float
-    n_simulations: int
-    better_optimum: Array | None
-    n_restarts: int
-
-    def __post_init__(self) -> None:
-        k, n = len(self.values), len(self.optimum)
-        for field, shape in (
-            ("optimum", (n,)),
-            ("values", (k,)),
-            ("thetas", (k, n)),
-            ("deltas", (k,)),
-            ("slopes", (k,)),
-        ):
-            object.__setattr__(self, field, frozen(getattr(self, field), *shape, name=field))
-        object.__setattr__(self, "branches", frozen_integers(self.branches))
+    name: str = entry("Name of the quantity")
+    unit: str = entry("Unit of the quantity")
+    optimum_value: float = entry("The quantity at the best fit", unit=OF_QUANTITY, key="value")
+    intervals: tuple[Interval, ...] = entry(
+        "Confidence set as separate intervals from low to high, each lower and upper end; null "
+        "for an open end",
+        unit=OF_QUANTITY,
+    )
+    lower_side: Side = entry("How the set ended below")
+    upper_side: Side = entry("How the set ended above")
+    verdict: Verdict = entry("What that means for the quantity")
+    level: float = entry("Confidence level of the set", unit="1")
+    threshold: float = entry("Rise of the deviance that bounds the set", unit="1")
+    practical_level: float = entry(
+        "Largest confidence level known to close on both sides", unit="1"
+    )
+    deviance: float = entry("Deviance of the best fit", unit="1")
+    n_simulations: int = entry("Simulations made, each with its Jacobian", unit="1")
+    n_restarts: int = entry("How often the profile started over from a better fit", unit="1")
+    optimum: Array = array("Theta of the best fit", "parameter", unit=OF_PARAMETER)
+    better_optimum: Array | None = array(
+        "A better fit than the one given, where the profile met one and started over from it",
+        "parameter",
+        unit=OF_PARAMETER,
+        default=None,
+    )
+    values: Array = array(
+        "The quantity along the curve, from low to high", "point", unit=OF_QUANTITY
+    )
+    thetas: Array = array(
+        "Parameters of the best fit with that value",
+        *("point", "parameter"),
+        unit=OF_PARAMETER,
+        key="theta",
+    )
+    deltas: Array = array("Rise of the deviance above the best fit", "point", key="delta_deviance")
+    slopes: Array = array(
+        "Exact derivative of the rise by the quantity; of the chords where a fit stopped at the "
+        "feasibility boundary",
+        "point",
+        unit="1 over the unit of the quantity",
+        key="slope",
+    )
+    branches: IntArray = array(
+        "Local optimum to whose path each point belongs; 0 is the best fit",
+        "point",
+        dtype=int,
+        key="branch",
+    )
 
     @property
+    @derived("Lower end of the set; null where it is open", unit=OF_QUANTITY)
     def lower(self) -> float | None:
-        """The least likely value; None where the set is open below."""
+        """The lower end; None where the set is open below."""
         return self.intervals[0][0]
 
     @property
+    @derived("Upper end of the set; null where it is open", unit=OF_QUANTITY)
     def upper(self) -> float | None:
-        """The greatest likely value; None where the set is open above."""
+        """The upper end; None where the set is open above."""
         return self.intervals[-1][1]
 
     @property
+    @derived("How the set ended below")
     def lower_status(self) -> SideStatus:
         """How the set ended below."""
         return self.lower_side.status
 
     @property
+    @derived("How the set ended above")
     def upper_status(self) -> SideStatus:
         """How the set ended above."""
         return self.upper_side.status
+
+    @property
+    @derived("What the verdict means")
+    def sentence(self) -> str:
+        """What the verdict means, as a full sentence."""
+        return self.verdict.sentence
+
+    @property
+    @derived("Points of the curve", unit="1")
+    def n_points(self) -> int:
+        """Number of points of the curve."""
+        return len(self.values)
 
     @property
     def z(self) -> Array:
@@ -199,7 +194,7 @@ class Profile:
         return np.sign(self.values - self.optimum_value) * np.sqrt(np.maximum(self.deltas, 0.0))
 
     def intervals_at(self, level: float) -> tuple[Interval, ...]:
-        """The set of likely values at a lower confidence level, read off the curve.
+        """The confidence set at a lower confidence level, read off the curve.
 
         Between points the curve is the cubic of their deviances and slopes. The threshold keeps the
         proportion to this profile's own that a chi-squared law gives.

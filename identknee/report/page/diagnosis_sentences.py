@@ -4,9 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from identknee.diagnosis.explanations.verdict import Verdict
-from identknee.report.page.finding import Finding, Question
 from identknee.report.page.results import Result
-from identknee.report.page.words import (
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import (
     amount,
     capital,
     coordinate_words,
@@ -15,20 +16,19 @@ from identknee.report.page.words import (
     parameter_words,
     trial_words,
 )
-from identknee.report.tables import Column, Table
 
 HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested."
 MOST_PARAMETERS = 3
 
 
-def diagnosis_findings(result: Result) -> Iterator[Finding]:
+def diagnosis_findings(result: Result) -> Iterator[Statement]:
     """The verdict, where the misfit is, what the cause changes, and the trials that would tell."""
     summary = result.summary
     if "verdict" not in summary:
         yield from _planned(summary)
         return
     verdict = Verdict(summary["verdict"])
-    yield Finding(
+    yield Statement(
         question=Question.WRONG,
         sentence=_verdict_sentence(verdict, summary),
         tables=_verdict_tables(summary),
@@ -43,11 +43,11 @@ def diagnosis_findings(result: Result) -> Iterator[Finding]:
     if summary.get("parameters_before"):
         yield _change(summary)
     if summary.get("noise"):
-        yield Finding(question=Question.WRONG, sentence=summary["noise"]["sentence"])
+        yield Statement(question=Question.WRONG, sentence=summary["noise"]["sentence"])
     yield _tried(summary["effects"])
     advised = summary["advised_trials"]
     if advised:
-        yield Finding(
+        yield Statement(
             question=Question.NEXT,
             sentence=f"Next test: {_trials(advised)}. {_told(summary['advice'])}",
             tables=(_trial_table(advised),),
@@ -55,7 +55,7 @@ def diagnosis_findings(result: Result) -> Iterator[Finding]:
         )
 
 
-def design_findings(result: Result) -> Iterator[Finding]:
+def design_findings(result: Result) -> Iterator[Statement]:
     """The trials that shrink open intervals most, and by how much."""
     summary = result.summary
     trials = summary["trials"]
@@ -66,7 +66,7 @@ def design_findings(result: Result) -> Iterator[Finding]:
     )
     columns = tuple(Column(name=x) for x in ("target", "now", "predicted", "simulated"))
     name, entry = next(iter(targets.items()))
-    yield Finding(
+    yield Statement(
         question=Question.NEXT,
         sentence=f"Next test for {listed(map(parameter_words, targets))}: {_trials(trials)}. "
         f"{capital(parameter_words(name))} would then be known from {_ends(entry['after'])} "
@@ -173,7 +173,7 @@ def _clarity(summary: Mapping[str, Any]) -> Table:
     return Table(title="How clear it is", columns=columns, rows=rows)
 
 
-def _where(misfit: Mapping[str, Any]) -> Finding:
+def _where(misfit: Mapping[str, Any]) -> Statement:
     cells = misfit["cells"]
     angles: dict[tuple[str, str], list[str]] = {}
     for x in cells:
@@ -194,7 +194,7 @@ def _where(misfit: Mapping[str, Any]) -> Finding:
         Column(name="score", decimals=1),
         Column(name="p", decimals=None),
     )
-    return Finding(
+    return Statement(
         question=Question.WRONG,
         sentence=f"It is wrong mostly in {places}: "
         f"{100 * misfit['share']:.0f} % of the misfit beyond the noise.",
@@ -203,7 +203,7 @@ def _where(misfit: Mapping[str, Any]) -> Finding:
     )
 
 
-def _gain(gain: Mapping[str, Any]) -> Finding:
+def _gain(gain: Mapping[str, Any]) -> Statement:
     held, expected = gain["rmse_held_out"], gain["rmse_held_out_expected"]
     names = {
         "before": "without the cause",
@@ -221,7 +221,7 @@ def _gain(gain: Mapping[str, Any]) -> Finding:
         Column(name="error", unit="sd of the noise"),
         Column(name="expected of a right model", unit="sd of the noise"),
     )
-    return Finding(
+    return Statement(
         question=Question.WRONG,
         sentence="With the cause the model predicts trials it has not seen with an error of "
         f"{held['after']['noise']:.2f} instead of {held['before']['noise']:.2f} times the noise.",
@@ -229,7 +229,7 @@ def _gain(gain: Mapping[str, Any]) -> Finding:
     )
 
 
-def _change(summary: Mapping[str, Any]) -> Finding:
+def _change(summary: Mapping[str, Any]) -> Statement:
     before, after = summary["parameters_before"], summary["parameters_after"]
     spans = summary["parameters_before_ci95"], summary["parameters_after_ci95"]
     rows, moves = [], {}
@@ -248,7 +248,7 @@ def _change(summary: Mapping[str, Any]) -> Finding:
     if summary["causes"]:
         words = listed(map(parameter_words, most))
         sentence = f"With the cause the ligaments' parameters change, most of all {words}."
-    return Finding(
+    return Statement(
         question=Question.WRONG,
         sentence=sentence,
         tables=(
@@ -267,7 +267,7 @@ def _end(end: float | None) -> float | str:
     return "open" if end is None else end
 
 
-def _tried(effects: Mapping[str, Mapping[str, Any]]) -> Finding:
+def _tried(effects: Mapping[str, Mapping[str, Any]]) -> Statement:
     missed = [name for name, x in effects.items() if x["cell"] == "inconclusive"]
     rows = tuple(
         (
@@ -289,14 +289,14 @@ def _tried(effects: Mapping[str, Mapping[str, Any]]) -> Finding:
     said = f"{len(effects)} known causes were tried."
     if missed:
         said += f" The data could not have shown {listed(missed)} at a size that matters."
-    return Finding(
+    return Statement(
         question=Question.WRONG,
         sentence=said,
         tables=(Table(title="Every cause tried", columns=columns, rows=rows),),
     )
 
 
-def _planned(summary: Mapping[str, Any]) -> Iterator[Finding]:
+def _planned(summary: Mapping[str, Any]) -> Iterator[Statement]:
     """What a protocol could show, before there are data."""
     rows = tuple(
         (
@@ -315,7 +315,7 @@ def _planned(summary: Mapping[str, Any]) -> Iterator[Finding]:
     )
     groups = summary["groups"]
     together = "; ".join(listed(x["effects"], "from") for x in groups)
-    yield Finding(
+    yield Statement(
         question=Question.WRONG,
         sentence=f"The {summary['n_trials']} trials of {summary['protocol']} could not tell "
         f"{together}."
@@ -326,7 +326,7 @@ def _planned(summary: Mapping[str, Any]) -> Iterator[Finding]:
     )
     for group in groups:
         if group["advised_trials"]:
-            yield Finding(
+            yield Statement(
                 question=Question.NEXT,
                 sentence=f"To tell {listed(group['effects'])} apart, add "
                 f"{_trials(group['advised_trials'])}.",

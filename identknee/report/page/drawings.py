@@ -12,12 +12,12 @@ from identknee.report.page.drawing import Drawing
 from identknee.report.page.model_drawings import design_drawings, diagnosis_drawings
 from identknee.report.page.results import Result
 from identknee.report.page.stored import stored_information, stored_profiles
-from identknee.report.page.words import label, listed
 from identknee.report.profile_figures import intervals_figure, profiles_figure
 from identknee.report.sample_figures import corner_figure, forces_figure, prior_posterior_figure
 from identknee.report.sensitivity_figures import effects_figure, map_figure
 from identknee.report.starts_figure import starts_figure
 from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
+from identknee.report.words import label, listed
 
 MOST_DRAWS = 400
 MOST_FORCES = 16
@@ -28,7 +28,8 @@ INDICES = {"mu_star": "mean absolute effect, mu*", "ST": "total Sobol index, ST"
 def drawings(result: Result) -> tuple[Drawing, ...]:
     """All figures of a result, the most telling first; none of a verb whose answer is a table."""
     draw = _BY_VERB.get(result.verb)
-    return tuple(draw(result)) if draw is not None and result.groups else ()
+    has_numbers = bool(result.groups) or result.answer is not None
+    return tuple(draw(result)) if draw is not None and has_numbers else ()
 
 
 def _demo(result: Result) -> Iterator[Drawing]:

@@ -15,7 +15,7 @@ from identknee.report.laxity_figures import (
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Findings, Result
 from identknee.report.page.stored import coordinates
-from identknee.report.page.words import listed
+from identknee.report.words import listed
 from identknee.runs.arrays import Array
 
 BAND_ENDS = (0.025, 0.975)

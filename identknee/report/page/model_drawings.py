@@ -17,7 +17,7 @@ from identknee.report.diagnosis_figures import (
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Result
 from identknee.report.page.stored import coordinates, stored_estimates, stored_localisation
-from identknee.report.page.words import label, listed
+from identknee.report.words import label, listed
 
 
 def diagnosis_drawings(result: Result) -> Iterator[Drawing]:

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 
+from identknee.report.answers.statements import statements_of
 from identknee.report.page.diagnosis_sentences import design_findings, diagnosis_findings
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
-from identknee.report.page.finding import Finding, Question
 from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.known_sentences import (
     equivalents_findings,
     information_findings,
-    profile_findings,
     sample_findings,
 )
 from identknee.report.page.laxity_part import laxity_drawings
@@ -40,6 +39,7 @@ from identknee.report.page.search_sentences import (
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
 from identknee.report.page.warnings import warnings
+from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.record import versions
 
@@ -73,12 +73,11 @@ FURTHER = {
     "diagnose": "What does the model get wrong, and why?",
     "design": "Which trials would close the gap?",
 }
-_SAY: Mapping[str, Callable[[Result], Iterator[Finding]]] = {
+_SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
     "demo": demo_findings,
     "simulate": simulate_findings,
     "fit": fit_findings,
     "sweep": sweep_findings,
-    "profile": profile_findings,
     "sample": sample_findings,
     "information": information_findings,
     "equivalents": equivalents_findings,
@@ -92,7 +91,7 @@ _SAY: Mapping[str, Callable[[Result], Iterator[Finding]]] = {
 class _Said:
     """A finding with where it is from."""
 
-    finding: Finding
+    finding: Statement
     source: str
 
 
@@ -178,7 +177,7 @@ def _subject(findings: Findings, number: int, level: int, scene: KneeScene | Non
     said = [
         _Said(finding=x, source=_source(result))
         for result in findings.results
-        for x in (*warnings(result), *_SAY[result.verb](result))
+        for x in (*warnings(result), *_statements(result))
     ]
     figures = _figures(findings, number)
     parts = [("answer", "The answer", _answer(said))]
@@ -197,6 +196,14 @@ def _subject(findings: Findings, number: int, level: int, scene: KneeScene | Non
     contents = element("nav", links, aria_label=f"Contents, subject {findings.subject}")
     first, *others = [section(*x, level=level) for x in shown]
     return first + contents + "".join(others)
+
+
+def _statements(result: Result) -> Iterable[Statement]:
+    if result.answer is None:
+        return _SAY[result.verb](result)
+    taken = result.answer.assumptions
+    assumed = [Statement(question=Question.KNOWN, sentence=" ".join(taken))] if taken else []
+    return [*statements_of(result.answer), *assumed]
 
 
 def _leads(said: _Said) -> bool:

@@ -20,6 +20,8 @@ from identknee.report.result_files import ARRAYS, SUMMARY
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest
 from identknee.runs.schema import Fault, read_json, shown, validated
+from identknee.verbs.answer import Answer
+from identknee.verbs.files import ANSWERS, loaded
 
 # In the order of the flow; verbs that are not here leave nothing to report on.
 FLOW = (
@@ -44,11 +46,14 @@ class Result:
         `result.json`.
     groups
         The groups of `result.nc` by name; empty where there is no such file.
+    answer
+        What the verb gave back; None for a verb whose answer is read from its summary.
     """
 
     folder: Path
     summary: Mapping[str, Any]
     groups: Mapping[str, xarray.Dataset]
+    answer: Answer | None = None
 
     @property
     def verb(self) -> str:
@@ -156,6 +161,8 @@ def _read(path: Path) -> Result | None:
     verb = record.get("verb") if isinstance(record, dict) else None
     if record is None or not isinstance(verb, str) or verb not in FLOW:
         return None
+    if verb in ANSWERS:
+        return Result(folder=path.parent, summary=summary, groups={}, answer=loaded(path, summary))
     schema = schema_of(verb, summary)
     validated(schema, summary, lambda fault: _error(path, fault))
     arrays = path.with_name(ARRAYS)

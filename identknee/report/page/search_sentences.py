@@ -3,17 +3,18 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from identknee.report.page.finding import Finding, Question
-from identknee.report.page.known_sentences import profile_findings
+from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.results import Result
-from identknee.report.page.words import (
+from identknee.report.page.stored import stored_profiles
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import (
     amount,
     coordinate_words,
     label,
     listed,
     parameter_words,
 )
-from identknee.report.tables import Column, Table
 from identknee.runs.outcome import Outcome
 
 # Below this a parameter error is rounding [kN].
@@ -28,19 +29,21 @@ ENDED = {
 }
 
 
-def demo_findings(result: Result) -> Iterator[Finding]:
+def demo_findings(result: Result) -> Iterator[Statement]:
     """What the paper's question comes to: a good fit, wrong parameters, and why."""
     starts = result.summary["starts"]
     searches = [x for x in starts if x["method"] == "complex"]
     descents = [x for x in starts if x["method"] == "least-squares"]
     worst = max(searches, key=lambda x: float(x["error"]["kN"]))
-    yield Finding(
+    yield Statement(
         question=Question.SEARCH,
         sentence=f"{misleading_fit(worst)} {exact_fit(descents)}",
         tables=(_starts_table(starts),),
         is_answer=True,
     )
-    yield from profile_findings(result)
+    noise = result.summary.get("noise")
+    given = "" if noise is None else f"With noise of {noise['mm']:g} mm and {noise['deg']:g} deg, "
+    yield from parameter_statements(stored_profiles(result), given)
 
 
 def misleading_fit(row: Mapping[str, Any]) -> str:
@@ -64,7 +67,7 @@ def exact_fit(rows: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def simulate_findings(result: Result) -> Iterator[Finding]:
+def simulate_findings(result: Result) -> Iterator[Statement]:
     """How many trials have an equilibrium."""
     summary = result.summary
     n, total = int(summary["n_converged"]), int(summary["n_trials"])
@@ -74,19 +77,19 @@ def simulate_findings(result: Result) -> Iterator[Finding]:
         columns = (Column(name="trial"), Column(name="why"))
         rows = tuple((str(x["trial"]), str(x["reason"])) for x in lost)
         tables = (Table(title="Trials without prediction", columns=columns, rows=rows),)
-    yield Finding(
+    yield Statement(
         question=Question.LAXITY,
         sentence=f"Of {total} simulated trials {n} have a stable equilibrium.",
         tables=tables,
     )
 
 
-def fit_findings(result: Result) -> Iterator[Finding]:
+def fit_findings(result: Result) -> Iterator[Statement]:
     """How well the best fit reproduces the data, and how the search ended."""
     summary = result.summary
     if summary["outcome"] == Outcome.START_FAILED.value:
         # What the search began with is no fit, and its error is that of the other trials.
-        yield Finding(question=Question.SEARCH, sentence=str(summary["sentence"]), is_answer=True)
+        yield Statement(question=Question.SEARCH, sentence=str(summary["sentence"]), is_answer=True)
         return
     rmse = summary["rmse"]
     errors = [
@@ -105,7 +108,7 @@ def fit_findings(result: Result) -> Iterator[Finding]:
         Column(name="start", decimals=None),
         Column(name="fitted", decimals=None),
     )
-    yield Finding(
+    yield Statement(
         question=Question.SEARCH,
         sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
         f"(RMSE). {summary['sentence']} A good fit does not show that its parameters are right.",
@@ -114,7 +117,7 @@ def fit_findings(result: Result) -> Iterator[Finding]:
     )
 
 
-def sweep_findings(result: Result) -> Iterator[Finding]:
+def sweep_findings(result: Result) -> Iterator[Statement]:
     """Where searches from many starts ended, and how many ends there are."""
     summary = result.summary
     ends = listed(f"{n} {ENDED[kind]}" for kind, n in summary["kinds"].items() if n)
@@ -132,7 +135,7 @@ def sweep_findings(result: Result) -> Iterator[Finding]:
         Column(name=SHARES, unit="%", decimals=0),
         *(Column(name=label(x), decimals=None) for x in names),
     )
-    yield Finding(
+    yield Statement(
         question=Question.SEARCH,
         sentence=f"Of {summary['n_starts']} searches from different starts {ends}. Those that "
         f"ended at a minimum found {places}.",
@@ -141,7 +144,7 @@ def sweep_findings(result: Result) -> Iterator[Finding]:
     )
 
 
-def sensitivity_findings(result: Result) -> Iterator[Finding]:
+def sensitivity_findings(result: Result) -> Iterator[Statement]:
     """Which parameter moves which laxity most."""
     indices = result.summary["indices"]
     name = next((x for x in ("mu_star", "ST") if x in indices), next(iter(indices)))
@@ -154,7 +157,7 @@ def sensitivity_findings(result: Result) -> Iterator[Finding]:
         Column(name="laxity it moves most"),
         Column(name=f"index {name}", decimals=None),
     )
-    yield Finding(
+    yield Statement(
         question=Question.LAXITY,
         sentence=_most_influential(entries, str(result.summary["method"])),
         tables=(Table(title="Largest influence of every parameter", columns=columns, rows=rows),),

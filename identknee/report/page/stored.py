@@ -14,15 +14,14 @@ from identknee.identify.profile.result import Profile, Side, SideStatus, Verdict
 from identknee.model.parameters import Parameters
 from identknee.report.page.results import Result
 from identknee.runs.arrays import Array
+from identknee.verbs.profile import Profiles
 
 
 def stored_profiles(result: Result) -> tuple[Profile, ...]:
     """The profiles that a profile or a demo left, in their order; none of other verbs."""
-    summary = result.summary
-    entries = summary.get("profiles") or {
-        **summary.get("parameters", {}),
-        **summary.get("quantities", {}),
-    }
+    if isinstance(result.answer, Profiles):
+        return result.answer.profiles
+    entries = result.summary.get("profiles", {})
     curves = result.groups.get("profile")
     if curves is None:
         return ()

@@ -63,13 +63,6 @@ class Drawn(Profiled):
     upper_side: Side
 
 
-class Profiles(Summary):
-    """Of `profile`."""
-
-    parameters: dict[str, Profiled]
-    quantities: dict[str, Profiled] = Field(default_factory=dict)
-
-
 class Errors(Kept):
     """Mean errors of parameters."""
 
@@ -281,7 +274,6 @@ SCHEMAS: Mapping[str, type[Summary]] = {
     "simulate": Simulation,
     "fit": Fit,
     "sweep": Sweep,
-    "profile": Profiles,
     "sample": Sample,
     "information": Information,
     "equivalents": Equivalents,

@@ -27,7 +27,10 @@ values = [-4, 4]
 
 def run(*words: object) -> Result:
     """Result of the command with these words; what is no exit is raised."""
-    with patch.object(ik, "read_subject", _read_subject):
+    with (
+        patch.object(ik, "read_subject", _read_subject),
+        patch("identknee.verbs.verb.read_subject", _read_subject),
+    ):
         result = CliRunner().invoke(app, [str(word) for word in words])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception

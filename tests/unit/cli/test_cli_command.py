@@ -14,10 +14,12 @@ import typer
 from typer.testing import CliRunner
 
 import identknee as ik
-from identknee.cli.command import NotComputed, Verb, Verbs, knee_digest, nested
+from identknee.cli.command import Verb, Verbs, nested
 from identknee.runs import unforeseen
 from identknee.runs.arrays import frozen
+from identknee.runs.errors import NotComputed
 from identknee.runs.files import digest
+from identknee.verbs.knee_digest import knee_digest
 
 
 def _ended(error: BaseException) -> tuple[int, str]:

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identknee.cli.command import NotComputed
 from identknee.cli.identification import best_fits, file_digests, identification
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.laxity_model import LaxityModel
+from identknee.runs.errors import NotComputed
 from identknee.runs.executors import serial
 from identknee.runs.findings import Severity
 

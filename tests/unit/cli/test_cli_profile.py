@@ -45,7 +45,7 @@ def test_the_keys_that_checks_read_are_there(noisy: Path, tmp_path: Path) -> Non
     assert f"MCL.tension_N@{trial}" in summary["quantities"]
     assert "verdict" in result.stdout
     with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
-        assert {"profile", "ci"} <= set(tree.children)
+        assert {"profile", "profile_quantities"} <= set(tree.children)
 
 
 def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path) -> None:

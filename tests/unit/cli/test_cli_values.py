@@ -2,7 +2,7 @@
 
 import pytest
 
-from identknee.cli.values import named_bounds, named_values, noise_sizes
+from identknee.verbs.values import named_bounds, named_values, noise_sizes
 
 
 def test_values_come_by_name() -> None:

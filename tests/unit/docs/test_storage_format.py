@@ -34,7 +34,6 @@ RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
     "subject export": ("subject check", []),
     "fit": ("fit", ["DATA"]),
     "sweep": ("sweep", ["DATA", "--n-starts", "4", "--ways", "2"]),
-    "profile": ("profile", ["DATA", *FEW, "--parameter", NAME]),
     "equivalents": ("equivalents", ["DATA", *FEW, "--n-sets", "2", "--forces", "none"]),
     "sensitivity": ("sensitivity", ["DATA", "--method", "morris", "--samples", "4"]),
     "diagnose": ("diagnose", ["FRAMED"]),
@@ -121,7 +120,14 @@ def run(verb: str, words: Sequence[str], out: Path) -> Path:
     read = ik.read_subject
     subject = [] if verb == "demo" else ["reference"]
     call = [*(x for x in verb.split() if not x.startswith("--")), *subject, *words]
-    with patch.object(ik, "read_subject", lambda x: reference() if x == "reference" else read(x)):
+
+    def read_once(subject: str) -> ik.Knee:
+        return reference() if subject == "reference" else read(subject)
+
+    with (
+        patch.object(ik, "read_subject", read_once),
+        patch("identknee.verbs.verb.read_subject", read_once),
+    ):
         result = CliRunner().invoke(app, [*call, "--out", str(out)])
     assert result.exit_code == 0, result.output
     return out

@@ -9,18 +9,17 @@ from problems import ClosedForm, Linear, linear, plain_parameters
 from identknee.identify.profile.profile import profile
 from identknee.identify.profile.profiles import (
     other_optima,
-    profile_from_plain,
     profile_parameters,
     profile_quantities,
-    profile_to_plain,
 )
 from identknee.identify.profile.result import Profile
 from identknee.identify.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
+from identknee.runs.plain_records import from_plain, to_plain
 from identknee.runs.resume import as_stored, open_work
 
 
 def _same(one: Profile, other: Profile) -> bool:
-    return bool(as_stored(profile_to_plain(one)) == as_stored(profile_to_plain(other)))
+    return bool(as_stored(to_plain(one)) == as_stored(to_plain(other)))
 
 
 def test_profiles_come_in_the_order_of_their_names() -> None:
@@ -38,7 +37,7 @@ def test_a_profile_survives_json() -> None:
     problem = linear()
     first = ParameterQuantity(parameters=problem.parameters, name="x0.value_pct")
     found = profile(problem, problem.minimum, first)
-    again = profile_from_plain(as_stored(profile_to_plain(found)))
+    again = from_plain(Profile, as_stored(to_plain(found)))
     assert _same(found, again)
     assert again.verdict is found.verdict
     assert again.upper_status is found.upper_status

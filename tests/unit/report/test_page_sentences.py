@@ -1,32 +1,65 @@
 """What the page says of results, in words."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from report_folders import write_verb
+from report_folders import straight_profiles, write_given, write_verb
 
-from identknee.identify.profile.result import Verdict
+from identknee.identify.profile.result import Interval, Profile, Side, SideStatus, Verdict
+from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.diagnosis_sentences import diagnosis_findings
-from identknee.report.page.finding import Question
-from identknee.report.page.known_sentences import equivalents_findings, profile_findings
+from identknee.report.page.known_sentences import equivalents_findings
 from identknee.report.page.page import report_html
 from identknee.report.page.results import Result, found_results
 from identknee.report.page.search_sentences import exact_fit, fit_findings, sweep_findings
 from identknee.report.page.warnings import warnings
+from identknee.report.statement import Question
 
 
-def entry(lower: float | None, upper: float | None, verdict: Verdict) -> dict[str, Any]:
-    return {
-        "value": 10.0,
-        "unit": "kN",
-        "lower": lower,
-        "upper": upper,
-        "verdict": verdict.value,
-        "intervals": [[lower, upper]],
-        "level": 0.95,
-        "n_simulations": 5,
-    }
+def profile(
+    name: str,
+    ends: Interval,
+    verdict: Verdict,
+    *,
+    intervals: tuple[Interval, ...] = (),
+    upper: tuple[SideStatus, float] = (SideStatus.OPEN_FLAT, 99.0),
+) -> Profile:
+    """A profile of which only the words matter."""
+    low, high = (
+        Side(
+            status=upper[0] if end is None else SideStatus.CLOSED,
+            end=end,
+            error=0.0,
+            reached=upper[1],
+            max_deviance=1.0,
+            at_bounds=(),
+        )
+        for end in ends
+    )
+    return Profile(
+        name=name,
+        unit="kN",
+        optimum_value=10.0,
+        intervals=intervals or (ends,),
+        lower_side=low,
+        upper_side=high,
+        verdict=verdict,
+        level=0.95,
+        threshold=3.84,
+        practical_level=0.95,
+        deviance=1.0,
+        n_simulations=5,
+        n_restarts=0,
+        optimum=np.array([10.0]),
+        values=np.array([10.0]),
+        thetas=np.array([[10.0]]),
+        deltas=np.array([0.0]),
+        slopes=np.array([0.0]),
+        branches=np.array([0]),
+    )
 
 
 def result(folder: Path, verb: str, summary: dict[str, Any]) -> Result:
@@ -34,19 +67,15 @@ def result(folder: Path, verb: str, summary: dict[str, Any]) -> Result:
     return found
 
 
-def profiled(folder: Path, parameters: dict[str, Any], **more: Any) -> list[str]:
-    found = result(folder, "profile", {"parameters": parameters, "quantities": {}, **more})
-    return [x.sentence for x in profile_findings(found)]
+def said_of(*profiles: Profile) -> list[str]:
+    return [x.sentence for x in parameter_statements(profiles)]
 
 
-def test_known_and_unknown_stand_in_one_sentence(tmp_path: Path) -> None:
-    (said,) = profiled(
-        tmp_path,
-        {
-            "ACL.stiffness_kN": entry(8.8, 11.2, Verdict.IDENTIFIABLE),
-            "band.stiffness_kN": entry(6.0, None, Verdict.ONE_SIDED),
-            "LCL.stiffness_kN": entry(None, None, Verdict.PRACTICALLY_NONIDENTIFIABLE),
-        },
+def test_known_and_unknown_stand_in_one_sentence() -> None:
+    (said,) = said_of(
+        profile("ACL.stiffness_kN", (8.8, 11.2), Verdict.IDENTIFIABLE),
+        profile("band.stiffness_kN", (6.0, None), Verdict.ONE_SIDED),
+        profile("LCL.stiffness_kN", (None, None), Verdict.PRACTICALLY_NONIDENTIFIABLE),
     )
     assert said == (
         "At 95 % confidence the data bound 1 of the 3 ligament parameters asked for on both "
@@ -56,25 +85,26 @@ def test_known_and_unknown_stand_in_one_sentence(tmp_path: Path) -> None:
     )
 
 
-def test_an_end_that_only_the_model_makes_is_said_to_be_open(tmp_path: Path) -> None:
-    cut = entry(14.9, None, Verdict.ONE_SIDED)
-    cut |= {"lower_status": "closed", "upper_status": "open_at_feasibility"}
-    cut["upper_side"] = {"reached": 25.438}
-    summary = {"parameters": {"PCL.stiffness_kN": cut}, "quantities": {}}
-    (found,) = profile_findings(result(tmp_path, "profile", summary))
-    assert "not known upwards (at least 14.9 kN; the model ends at 25.4 kN)" in found.sentence
-    assert "bound none of the 1" in found.sentence
-    (table,) = found.tables
+def test_an_end_that_only_the_model_makes_is_said_to_be_open() -> None:
+    cut = profile(
+        "PCL.stiffness_kN",
+        (14.9, None),
+        Verdict.ONE_SIDED,
+        upper=(SideStatus.OPEN_AT_FEASIBILITY, 25.438),
+    )
+    (statement,) = parameter_statements([cut])
+    assert "not known upwards (at least 14.9 kN; the model ends at 25.4 kN)" in statement.sentence
+    assert "bound none of the 1" in statement.sentence
+    (table,) = statement.tables
     assert table.rows[0][3] == "open, the model ends at 25.44"
 
 
-def test_of_many_the_best_and_all_open_ones_are_named(tmp_path: Path) -> None:
-    parameters = {
-        f"line{i}.stiffness_kN": entry(9.0 - i, 11.0, Verdict.IDENTIFIABLE) for i in range(7)
-    }
-    parameters["line5.stiffness_kN"] = entry(None, 11.0, Verdict.ONE_SIDED)
-    parameters["line6.stiffness_kN"] = entry(9.0, None, Verdict.ONE_SIDED)
-    (said,) = profiled(tmp_path, parameters)
+def test_of_many_the_best_and_all_open_ones_are_named() -> None:
+    ends: dict[int, Interval] = {i: (9.0 - i, 11.0) for i in range(5)}
+    ends |= {5: (None, 11.0), 6: (9.0, None)}
+    (said,) = said_of(
+        *(profile(f"line{i}.stiffness_kN", x, Verdict.ONE_SIDED) for i, x in ends.items())
+    )
     named = [f"line{i}" for i in range(7) if f"line{i}" in said]
     assert named == ["line0", "line5", "line6"]
 
@@ -87,18 +117,18 @@ def test_of_many_the_best_and_all_open_ones_are_named(tmp_path: Path) -> None:
         (Verdict.STRUCTURALLY_SUSPECT, "more data of this kind may not help"),
     ],
 )
-def test_every_verdict_has_its_words(tmp_path: Path, verdict: Verdict, words: str) -> None:
-    told = entry(None, None, verdict)
-    if verdict is Verdict.MULTIMODAL:
-        told |= {"intervals": [[1.0, 2.0], [3.0, 4.0]], "lower": 1.0, "upper": 4.0}
-    (said,) = profiled(tmp_path, {"ACL.stiffness_kN": told})
+def test_every_verdict_has_its_words(verdict: Verdict, words: str) -> None:
+    several = verdict is Verdict.MULTIMODAL
+    ends: Interval = (1.0, 4.0) if several else (None, None)
+    parts: tuple[Interval, ...] = ((1.0, 2.0), (3.0, 4.0)) if several else ()
+    (said,) = said_of(profile("ACL.stiffness_kN", ends, verdict, intervals=parts))
     assert words in said.replace("from ", "")
 
 
-def test_doubts_are_passed_on(tmp_path: Path) -> None:
-    entries = {"ACL.stiffness_kN": entry(8.8, 11.2, Verdict.IDENTIFIABLE)}
-    said = profiled(tmp_path, entries, assumptions=["The misfit is more than the noise."])
-    assert said[-1] == "The misfit is more than the noise."
+def test_what_was_taken_for_granted_is_on_the_page(tmp_path: Path) -> None:
+    answer = replace(straight_profiles(), assumptions=("varus_deg was not measured.",))
+    (found,) = found_results(write_given(tmp_path, "profile", answer))
+    assert "varus_deg was not measured." in report_html([found])
 
 
 def test_stored_findings_stand_where_they_belong_and_lead(tmp_path: Path) -> None:

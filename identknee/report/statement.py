@@ -1,4 +1,4 @@
-"""One thing that results say: a sentence, and the numbers behind it."""
+"""What an answer says, to a terminal, a notebook or the page: sentences, and the numbers behind."""
 
 from dataclasses import dataclass
 from enum import Enum, unique
@@ -32,7 +32,7 @@ _HEADINGS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Finding:
+class Statement:
     """A sentence for a person, and what it stands on.
 
     Attributes

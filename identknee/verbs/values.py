@@ -1,10 +1,35 @@
-"""Numbers with names and units as they are typed on a command line."""
+"""Numbers with names and units, given as numbers or as they are typed on a command line."""
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 _NOISE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg)\s*")
+
+
+NoiseLike = str | tuple[float, float] | None
+BoundsLike = Sequence[str] | Mapping[str, tuple[float, float]] | None
+
+
+def noise_of(noise: str | tuple[float, float]) -> tuple[float, float]:
+    """Standard deviations of lengths and angles [mm, deg], however they were given.
+
+    Raises
+    ------
+    ValueError
+        If they are no sizes of noise.
+    """
+    if isinstance(noise, str):
+        return noise_sizes(noise)
+    mm, deg = noise
+    return noise_sizes(f"{mm}mm,{deg}deg")
+
+
+def bounds_of(bounds: BoundsLike) -> dict[str, tuple[float, float]]:
+    """Lower and upper bound by parameter name, however they were given."""
+    if isinstance(bounds, Mapping):
+        return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+    return named_bounds(bounds or [], "--bounds")
 
 
 def named_values(texts: Sequence[str], option: str) -> dict[str, float]:

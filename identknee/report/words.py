@@ -119,3 +119,19 @@ def trial_words(trial: Mapping[str, Any]) -> str:
 
 def _load_name(name: str, value: float) -> str:
     return OPPOSITES[name] if value < 0 else name.rpartition("_")[0].replace("_", " ")
+
+
+def between(ends: tuple[float | None, float | None], unit: str) -> str:
+    """A range, open ends included.
+
+    Examples
+    --------
+    >>> between((1.0, 2.5), "kN"), between((1.0, None), "kN"), between((None, 2.5), "kN")
+    ('from 1 to 2.5 kN', 'from 1 kN upwards', 'up to 2.5 kN')
+    """
+    low, high = ends
+    if low is not None and high is not None:
+        return f"from {amount(low, '')} to {amount(high, unit)}"
+    if low is not None:
+        return f"from {amount(low, unit)} upwards"
+    return "any value" if high is None else f"up to {amount(high, unit)}"

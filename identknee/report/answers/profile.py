@@ -1,0 +1,162 @@
+"""What profile likelihoods say: which values are known within limits, and which are open."""
+
+from collections.abc import Iterator, Sequence
+
+from identknee.identify.profile.pairs import PairProfile
+from identknee.identify.profile.result import Profile, Side, SideStatus, Verdict
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import amount, between, capital, label, listed, parameter_words
+from identknee.verbs.profile import Profiles
+
+STIFFNESS = "stiffness_kN"
+# More of them in one sentence are no answer any more.
+MOST_NAMED = 5
+
+
+def profile_statements(answer: Profiles) -> Iterator[Statement]:
+    """How many quantities are known, then one by one."""
+    yield from parameter_statements(tuple(answer.parameters.values()))
+    yield from _predictions(tuple(answer.quantities.values()))
+    for pair in answer.pairs:
+        yield _joint(pair)
+
+
+def parameter_statements(profiles: Sequence[Profile], given: str = "") -> Iterator[Statement]:
+    """The same of parameters alone.
+
+    Parameters
+    ----------
+    profiles
+        Profiles of parameters.
+    given
+        What the first sentence begins with, as in ``"With noise of 0.5 mm, "``.
+    """
+    stiffness = [x for x in profiles if x.name.endswith(STIFFNESS)]
+    others = [x for x in profiles if not x.name.endswith(STIFFNESS)]
+    for k, group in enumerate(x for x in (stiffness, others) if x):
+        first = [capital(f"{given}{_how_many(profiles)}")] if k == 0 else []
+        yield Statement(
+            question=Question.KNOWN,
+            sentence=" ".join([*first, _one_by_one(group)]),
+            tables=(_table(group, "Values that the data do not exclude"),),
+            is_answer=k == 0,
+        )
+
+
+def _joint(pair: PairProfile) -> Statement:
+    closed = sum(x.status is SideStatus.CLOSED for x in pair.rays)
+    names = listed(map(parameter_words, pair.names))
+    return Statement(
+        question=Question.KNOWN,
+        sentence=f"The joint set of {names} is bounded along {closed} of {len(pair.rays)} paths "
+        "from the best pair.",
+    )
+
+
+def _one_by_one(profiles: Sequence[Profile]) -> str:
+    """All quantities of a group in one sentence; of many the best known and those left open."""
+    chosen = list(profiles)
+    if len(chosen) > MOST_NAMED:
+        ranked = sorted(chosen, key=_width)
+        is_open = [x for x in ranked if _width(x) == float("inf")]
+        chosen = list(dict.fromkeys([ranked[0], *(is_open or ranked[-1:])]))
+    clauses: list[str] = []
+    before = None
+    for profile in chosen:
+        quantity = profile.name.rpartition(".")[2]
+        words = parameter_words(profile.name)
+        if quantity == before:
+            words = words.partition("'s ")[0] + "'s"
+        clauses.append(f"{words} {clause(profile)}")
+        before = quantity
+    return capital("; ".join(clauses)) + "."
+
+
+def clause(profile: Profile) -> str:
+    """What is known of a quantity, to follow its name."""
+    low, high, unit = profile.lower, profile.upper, profile.unit
+    if profile.verdict is Verdict.MULTIMODAL:
+        parts = listed((between(x, unit) for x in profile.intervals), "or")
+        return f"lies in one of several separate ranges ({parts})"
+    if profile.verdict is Verdict.UNDETERMINED:
+        return "is left undecided, as the computation of a limit was not finished"
+    if low is not None and high is not None:
+        half = amount(0.5 * (high - low), unit, 2)
+        return f"is known to within ±{half} ({amount(low, '')} to {amount(high, unit)})"
+    if low is not None:
+        return f"is not known upwards (at least {amount(low, unit)}{_model_ends(profile)})"
+    if high is not None:
+        return f"is not known downwards (at most {amount(high, unit)}{_model_ends(profile)})"
+    if profile.verdict is Verdict.STRUCTURALLY_SUSPECT:
+        return "is not known, and more data of this kind may not help"
+    return f"is not known: these data bound it on neither side{_model_ends(profile)}"
+
+
+def _model_ends(profile: Profile) -> str:
+    """Where the model and not the data ends a set, to follow what the data say; mostly empty."""
+    places = [
+        amount(side.reached, profile.unit)
+        for side in (profile.lower_side, profile.upper_side)
+        if side.status is SideStatus.OPEN_AT_FEASIBILITY
+    ]
+    return f"; the model ends at {listed(places)}" if places else ""
+
+
+def _width(profile: Profile) -> float:
+    """Width of a set relative to its best value; infinite where it is open."""
+    if profile.lower is None or profile.upper is None:
+        return float("inf")
+    return (profile.upper - profile.lower) / max(abs(profile.optimum_value), 1e-12)
+
+
+def _how_many(profiles: Sequence[Profile]) -> str:
+    n, level = len(profiles), 100 * profiles[0].level
+    k = sum(x.lower is not None and x.upper is not None for x in profiles)
+    said = f"ligament parameter{'' if n == 1 else 's'} asked for on both sides"
+    which = "" if k == n and n > 1 else f"{k or 'none'} of "
+    return f"at {level:g} % confidence the data bound {which}the {n} {said}."
+
+
+def _predictions(profiles: Sequence[Profile]) -> Iterator[Statement]:
+    """Forces and laxities, the widest first and the rest behind it."""
+    if profiles:
+        yield Statement(
+            question=Question.KNOWN,
+            sentence=_one_by_one(profiles),
+            tables=(_table(profiles, "Forces and laxities that the data do not exclude"),),
+        )
+
+
+def _table(profiles: Sequence[Profile], title: str) -> Table:
+    return Table(
+        title=title,
+        columns=(
+            Column(name="quantity"),
+            Column(name="lower end", decimals=None),
+            Column(name="best", decimals=None),
+            Column(name="upper end", decimals=None),
+            Column(name="verdict"),
+            Column(name="simulations"),
+        ),
+        rows=tuple(
+            (
+                label(x.name),
+                _end(x.lower_side),
+                x.optimum_value,
+                _end(x.upper_side),
+                x.verdict.value.replace("_", " "),
+                x.n_simulations,
+            )
+            for x in profiles
+        ),
+    )
+
+
+def _end(side: Side) -> float | str:
+    """An end of a set as a table shows it."""
+    if side.end is not None:
+        return float(side.end)
+    if side.status is SideStatus.OPEN_AT_FEASIBILITY:
+        return f"open, the model ends at {side.reached:.4g}"
+    return str(side.status.value).replace("_", " ")

@@ -1,0 +1,16 @@
+"""The statements of any answer."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from identknee.report.answers.profile import profile_statements
+from identknee.report.statement import Statement
+from identknee.verbs.answer import Answer
+from identknee.verbs.profile import Profiles
+
+_OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {Profiles: profile_statements}
+
+
+def statements_of(answer: Answer) -> tuple[Statement, ...]:
+    """What an answer says, its main sentence first."""
+    return tuple(_OF[type(answer)](answer))

@@ -1,0 +1,217 @@
+"""Data classes whose fields say once what they hold: meaning, unit, axes and where it is written.
+
+Read-only copies of arrays, ``result.json``, ``result.nc``, the way back from both and the page on
+result files all follow from these declarations.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, TypeVar, dataclass_transform
+
+import numpy as np
+
+from identknee.runs.arrays import frozen
+
+ENTRY, DERIVED = "entry", "__entry__"
+OF_PARAMETER = "kN or %, as the parameter's name says"
+OF_COORDINATE = "mm or deg, as the coordinate's name says"
+OF_QUANTITY = "unit of the quantity"
+# Lengths of axes that never differ.
+LENGTHS = {"axis": 3, "end": 2, "member": 2}
+Getter = TypeVar("Getter", bound=Callable[..., Any])
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """What a field holds, and where files have it.
+
+    Attributes
+    ----------
+    meaning
+        What it is, as a phrase with its noun and no full stop.
+    unit
+        Unit; empty for words, ``"1"`` for plain numbers.
+    dims
+        Axes of an array; none for everything else.
+    dtype
+        Type of an array's numbers.
+    is_in_json, is_in_arrays
+        Whether ``result.json`` and ``result.nc`` have it.
+    key
+        Its name in files, where that is not the field's.
+    group
+        Group of ``result.nc`` that holds it and all that stands below it.
+    rows
+        Axis along which the records of a mapping or tuple are stacked in ``result.nc``.
+    only
+        When it is there, where that is not always.
+    """
+
+    meaning: str
+    unit: str = ""
+    dims: tuple[str, ...] = ()
+    dtype: type = float
+    is_in_json: bool = True
+    is_in_arrays: bool = False
+    key: str = ""
+    group: str = ""
+    rows: str = ""
+    only: str = ""
+
+
+def entry(
+    meaning: str,
+    *,
+    unit: str = "",
+    default: Any = MISSING,
+    default_factory: Any = MISSING,
+    **where: Any,
+) -> Any:
+    """Field that holds a number, a word, another record or several; `where` as in `Entry`."""
+    metadata = {ENTRY: Entry(meaning=meaning, unit=unit, **where)}
+    if default_factory is not MISSING:
+        return field(default_factory=default_factory, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def array(
+    meaning: str,
+    *dims: str,
+    unit: str = "1",
+    dtype: type = float,
+    default: Any = MISSING,
+    **where: Any,
+) -> Any:
+    """Field that holds a read-only array over named axes, stored in ``result.nc``.
+
+    Arrays of one record that share an axis must agree on its length. Where the default is None
+    the array may be missing.
+    """
+    known = {"is_in_json": False, "is_in_arrays": True, **where}
+    metadata = {ENTRY: Entry(meaning=meaning, unit=unit, dims=dims, dtype=dtype, **known)}
+    return field(default=default, metadata=metadata)
+
+
+def derived(meaning: str, **where: Any) -> Callable[[Getter], Getter]:
+    """Decorator, below ``@property``, of what ``result.json`` says beside the fields."""
+
+    def mark(getter: Getter) -> Getter:
+        setattr(getter, DERIVED, Entry(meaning=meaning, **where))
+        return getter
+
+    return mark
+
+
+@dataclass_transform(
+    eq_default=False,
+    frozen_default=True,
+    kw_only_default=True,
+    field_specifiers=(entry, array, field),
+)
+def declared(cls: type[Made]) -> type[Made]:
+    """A frozen data class, compared by identity, with read-only copies of its arrays and mappings.
+
+    The class's own ``__post_init__`` runs after they are made. The meanings of its entries become
+    the section *Attributes* of its docstring.
+
+    Raises
+    ------
+    ValueError
+        On construction, if an array holds no numbers or does not fit its axes.
+
+    Examples
+    --------
+    >>> @declared
+    ... class Curve:
+    ...     "A curve."
+    ...     x: np.ndarray = array("Places", "point", unit="mm")
+    ...     y: np.ndarray = array("Heights", "point", unit="mm")
+    >>> Curve(x=[0, 1], y=[2, 3]).y
+    array([2., 3.])
+    >>> Curve(x=[0, 1], y=[2])
+    Traceback (most recent call last):
+    ValueError: y must have shape 2, got (1,)
+    """
+    own = cls.__dict__.get("__post_init__")
+
+    def complete(self: Any) -> None:
+        _freeze(self)
+        if own is not None:
+            own(self)
+
+    setattr(cls, "__post_init__", complete)  # noqa: B010 - the type has no such attribute
+    # Neither read-only arrays nor mappings survive a pickle, and records travel between processes.
+    if "__reduce__" not in cls.__dict__:
+        setattr(cls, "__reduce__", _reduced)  # noqa: B010
+    made = dataclass(frozen=True, slots=True, kw_only=True, eq=False)(cls)
+    _document(made)
+    return made
+
+
+def entries(cls: type) -> dict[str, Entry]:
+    """The declared fields of a class by name, in their order."""
+    return {x.name: x.metadata[ENTRY] for x in fields(cls) if ENTRY in x.metadata}
+
+
+def derived_entries(cls: type) -> dict[str, Entry]:
+    """The declared properties of a class by name, in their order."""
+    found = {}
+    for owner in reversed(cls.__mro__):
+        for name, value in vars(owner).items():
+            getter = value.fget if isinstance(value, property) else None
+            if hasattr(getter, DERIVED):
+                found[name] = getattr(getter, DERIVED)
+    return found
+
+
+def is_declared(cls: Any) -> bool:
+    """Whether a type is a class of declared fields."""
+    return isinstance(cls, type) and hasattr(cls, "__dataclass_fields__") and bool(entries(cls))
+
+
+def _reduced(record: Any) -> tuple[Any, ...]:
+    values = {x.name: getattr(record, x.name) for x in fields(record) if x.init}
+    plain = {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in values.items()}
+    return _made, (type(record), plain)
+
+
+def _made(cls: Callable[..., Any], values: Mapping[str, Any]) -> Any:
+    return cls(**values)
+
+
+def _freeze(record: Any) -> None:
+    lengths: dict[str, int] = dict(LENGTHS)
+    for name, values in record.__dataclass_fields__.items():
+        value = getattr(record, name)
+        about = values.metadata.get(ENTRY)
+        if about is not None and about.dims and not isinstance(value, tuple):
+            if value is None and values.default is None:
+                continue
+            made = _array(name, value, about, lengths)
+            lengths |= dict(zip(about.dims, made.shape, strict=True))
+            object.__setattr__(record, name, made)
+        elif type(value) is dict:
+            object.__setattr__(record, name, MappingProxyType(value.copy()))
+
+
+def _array(name: str, value: Any, about: Entry, lengths: Mapping[str, int]) -> np.ndarray:
+    made = frozen(value, *(lengths.get(x) for x in about.dims), name=name)
+    if about.dtype is float:
+        return made
+    converted: np.ndarray = made.astype(about.dtype)
+    converted.flags.writeable = False
+    return converted
+
+
+def _document(cls: type) -> None:
+    """Append the section *Attributes* from the entries, where the docstring has none."""
+    lines = []
+    for name, about in entries(cls).items():
+        unit = f" [{about.unit}]" if about.unit not in ("", "1") else ""
+        shape = f", shape ``({', '.join(about.dims)}{',' * (len(about.dims) == 1)})``"
+        lines += [name, f"    {about.meaning}{unit}{shape if about.dims else ''}."]
+    text = cls.__doc__ or ""
+    if lines and "Attributes\n" not in text:
+        cls.__doc__ = "\n".join([text.rstrip(), "", "Attributes", "----------", *lines, ""])

@@ -1,0 +1,63 @@
+"""The page on answers, which follows from their declarations."""
+
+from collections.abc import Iterator
+
+from identknee.runs.declare import Entry, derived_entries, entries
+from identknee.runs.plain_records import hints_of, record_within
+from identknee.verbs.files import ANSWERS, answer_class
+
+HEAD = "| name | unit | axes | file | is |\n| --- | --- | --- | --- | --- |"
+
+
+def page_of_answers() -> str:
+    """A table for the answer of each verb, then one for each kind of record in them, as Markdown.
+
+    Examples
+    --------
+    >>> "| `deviance` |" in page_of_answers()
+    True
+    """
+    parts: list[str] = []
+    records: dict[type, None] = {}
+    for verb in ANSWERS:
+        answer = answer_class(verb)
+        parts += [f"## {verb}", _summary(answer), _table(answer)]
+        records |= dict.fromkeys(_records(answer))
+    parts.append("## Records")
+    for kind in records:
+        parts += [f"### {kind.__name__}", _summary(kind), _table(kind)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _summary(cls: type) -> str:
+    return (cls.__doc__ or "").partition("\n")[0]
+
+
+def _records(cls: type) -> Iterator[type]:
+    """The declared classes within a class, and within those."""
+    for hint in hints_of(cls).values():
+        kind, _ = record_within(hint)
+        if kind is not None:
+            yield kind
+            yield from _records(kind)
+
+
+def _table(cls: type) -> str:
+    hints = hints_of(cls)
+    lines = [HEAD]
+    for name, about in (entries(cls) | derived_entries(cls)).items():
+        kind, how = record_within(hints.get(name))
+        many = {"dict": "by name, each a", "list": "in a list, each a", "one": "a"}
+        meaning = about.meaning if kind is None else f"{about.meaning}: {many[how]} {kind.__name__}"
+        unit = about.unit or ("" if not about.dims else "1")
+        axes = ", ".join(about.dims) or about.rows
+        lines.append(f"| `{about.key or name}` | {unit} | {axes} | {_file(about)} | {meaning} |")
+    return "\n".join(lines)
+
+
+def _file(about: Entry) -> str:
+    """Which of the two files has it, and in which group."""
+    group = f", group `{about.group}`" if about.group else ""
+    if about.dims and not about.is_in_json:
+        return f"nc{group}"
+    return f"json and nc{group}" if about.is_in_arrays or about.rows else "json"

@@ -1,0 +1,152 @@
+"""Answers as two files, and back: a flat summary for people and checks, and all arrays."""
+
+import gc
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeVar
+
+import xarray
+
+from identknee.runs.array_groups import groups_of, with_arrays
+from identknee.runs.errors import InputError
+from identknee.runs.files import PathLike, digest, part_beside, plain, write_atomically, write_json
+from identknee.runs.plain_records import from_plain, summary_of
+from identknee.runs.schema import Fault, read_json, shown
+from identknee.verbs.answer import Answer
+
+SUMMARY, ARRAYS = "result.json", "result.nc"
+AGAIN = "Run the command that made it again."
+# Where the class of each verb's answer is declared.
+ANSWERS = {"profile": "identknee.verbs.profile:Profiles"}
+Given = TypeVar("Given", bound=Answer)
+
+
+def write_answer(folder: Path, answer: Given) -> Given:
+    """The answer, as now written to `result.json` and `result.nc`.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written; neither is left half-written.
+    """
+    record = answer.record
+    if record is None:
+        raise ValueError("only what a verb gave back can be written: it knows how it was made")
+    # The summary comes last: where it stands the arrays stand too.
+    content = _write_arrays(folder / ARRAYS, answer)
+    written = replace(answer, record=replace(record, arrays=digest(content)))
+    write_json(folder / SUMMARY, summary_of(written))
+    return written
+
+
+def load(path: PathLike) -> Answer:
+    """What a verb left in a folder, as the verb gave it back.
+
+    Parameters
+    ----------
+    path
+        The folder ``--out`` of a verb, or ``result.json`` in it.
+
+    Raises
+    ------
+    InputError
+        If there is no result, it is of a verb without one, or a file is damaged.
+    """
+    file = Path(path)
+    file = file / SUMMARY if file.is_dir() else file
+    summary = read_json(file, AGAIN)
+    record = summary.get("record") if isinstance(summary, dict) else None
+    verb = record.get("verb") if isinstance(record, dict) else None
+    if verb not in ANSWERS:
+        raise InputError(file, "record/verb", f"{shown(verb)} is no verb with a result", AGAIN)
+    return loaded(file, summary)
+
+
+def loaded(file: Path, summary: Mapping[str, Any]) -> Answer:
+    """The answer of a summary that was read from `file`; as `load`."""
+    cls = answer_class(summary["record"]["verb"])
+    arrays = file.with_name(ARRAYS)
+    groups = _groups(arrays, summary["record"].get("arrays"))
+
+    def refuse(fault: Fault) -> InputError:
+        where = "/".join(str(x) for x in (*fault.place, *([fault.key] * bool(fault.key))))
+        return InputError(file, where, fault.why, fault.remedy or AGAIN)
+
+    try:
+        answer = from_plain(cls, with_arrays(cls, dict(summary), groups), refuse)
+    # What mutated files hold may be of any kind where a table or a list should stand.
+    except (AttributeError, IndexError, KeyError, TypeError) as error:
+        raise InputError(file, "", f"it does not fit its arrays ({error})", AGAIN) from error
+    _check_agreement(file, summary, answer)
+    return answer
+
+
+def answer_class(verb: str) -> type[Answer]:
+    """The class of a verb's answer."""
+    module, _, name = ANSWERS[verb].partition(":")
+    found: type[Answer] = getattr(import_module(module), name)
+    return found
+
+
+def _check_agreement(file: Path, summary: Mapping[str, Any], answer: Answer) -> None:
+    """Refuse a summary that says something else than the answer made of it."""
+    again = plain(summary_of(answer))
+    for key, value in again.items():
+        if key != "record" and summary.get(key) != value:
+            raise InputError(file, key, "it does not agree with the rest of the result", AGAIN)
+
+
+def _write_arrays(path: Path, answer: Answer) -> bytes:
+    """The bytes now written."""
+    tree = xarray.DataTree.from_dict(groups_of(answer))
+    if (record := answer.record) is not None:
+        tree.attrs = {
+            "verb": record.verb,
+            "started": record.started,
+            "versions": ", ".join(f"{name} {x}" for name, x in record.versions.items()),
+        }
+    # The library writes to paths only; its file becomes bytes that are written whole or not at all.
+    temporary = part_beside(path)
+    try:
+        tree.to_netcdf(temporary, engine="h5netcdf")
+        content = temporary.read_bytes()
+    except OSError as error:
+        remedy = "Free some space or choose another folder with --out."
+        raise InputError(path, "", f"it cannot be written ({error})", remedy) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    write_atomically(path, content)
+    return content
+
+
+def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
+    if digest(path) != sha:
+        why = "it is not the file that was written with result.json"
+        raise InputError(path, "", why, AGAIN)
+    with warnings.catch_warnings(), _files_closed_in_silence():
+        warnings.simplefilter("ignore")
+        try:
+            with xarray.open_datatree(path, engine="h5netcdf") as tree:
+                return {name: node.to_dataset().load() for name, node in tree.children.items()}
+        # The libraries below raise errors of many types at a damaged file.
+        except Exception as error:  # noqa: BLE001
+            why = f"the arrays cannot be read ({type(error).__name__}: {shown(str(error))})"
+    raise InputError(path, "", why, AGAIN)
+
+
+@contextmanager
+def _files_closed_in_silence() -> Iterator[None]:
+    """Keep off the terminal what the library prints when it closes a file it could not open."""
+    shown_before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+        # What failed may wait for its end in a circle.
+        gc.collect()
+    finally:
+        sys.unraisablehook = shown_before

@@ -1,0 +1,312 @@
+"""Measured laxity and the model of it in units of the noise: what verbs of inference share."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identknee.calibrate.bounded import with_bounds
+from identknee.calibrate.doubts import (
+    bound_findings,
+    misfit_findings,
+    start_findings,
+    unstated_misfit_findings,
+)
+from identknee.calibrate.fit import Fit
+from identknee.calibrate.problem import Problem, Restricted, restricted
+from identknee.calibrate.starts import load_start
+from identknee.identify.feasibility import feasibility_findings
+from identknee.identify.noise import EstimatedNoise, with_estimated_noise
+from identknee.identify.optimum import best_fits as find_best_fits
+from identknee.identify.optimum import check_inside
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import FreeParameters
+from identknee.model.residuals import LaxityResiduals
+from identknee.model.soundness import rim_findings, stability_findings
+from identknee.runs.arrays import Array
+from identknee.runs.errors import NotComputed
+from identknee.runs.executors import Executor
+from identknee.runs.findings import Finding, Severity
+from identknee.runs.outcome import Outcome
+from identknee.runs.progress import progress_bar
+from identknee.subject.knee import Knee
+from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
+
+# Of lengths and of angles [mm, deg].
+Sizes = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Identification:
+    """Measured laxity and the model of it, ready to be asked what they determine.
+
+    Attributes
+    ----------
+    knee, laxity, model
+        The subject, the data and the model under the protocol of the data.
+    problem
+        Residuals in units of their noise, over the parameters not fixed.
+    free
+        The parameters of the problem, and the values of those of the model that are fixed.
+    start
+        Where fits begin, shape ``(n,)``.
+    degrees_of_freedom
+        Of a noise estimated from the fit; None where the noise is stated.
+    estimated_noise
+        Its standard deviation for lengths and for angles [mm, deg]; None where it is stated or no
+        such coordinate was measured.
+    assumptions
+        What was taken for granted, as sentences for the user.
+    """
+
+    knee: Knee
+    laxity: Laxity
+    model: LaxityModel
+    problem: Problem
+    free: FreeParameters
+    start: Array
+    degrees_of_freedom: int | None
+    estimated_noise: Sizes
+    assumptions: tuple[str, ...]
+
+    def findings_at(
+        self, theta: Array, deviance: float, fits: Sequence[Fit] = ()
+    ) -> tuple[Finding, ...]:
+        """What speaks against the best fit: its misfit, its bounds, other fits, and the model.
+
+        Parameters
+        ----------
+        theta
+            The best parameters of the problem, shape ``(n,)``.
+        deviance
+            Sum of squared residuals there, in units of their noise.
+        fits
+            All fits that it is the best of.
+        """
+        parameters = self.problem.parameters
+        model = (
+            *stability_findings(self.model),
+            *feasibility_findings(self.problem, np.asarray(theta)),
+            *rim_findings(
+                self.model.protocol.trials, self.model.predict_once(self.free.expand(theta))
+            ),
+        )
+        if self.degrees_of_freedom is None:
+            n = int(self.laxity.is_measured.sum())
+            misfit = misfit_findings(deviance, n, parameters.n)
+        else:
+            # That the noise was estimated is among the assumptions.
+            left = unstated_misfit_findings(*self.estimated_noise)
+            misfit = tuple(x for x in left if x.severity is not Severity.INFO)
+        bounds = bound_findings(np.asarray(theta), parameters)
+        if not fits:
+            return (*misfit, *bounds, *model)
+        thetas = np.array([x.theta for x in fits])
+        deviances = 2.0 * np.array([x.objective for x in fits])
+        return (*misfit, *bounds, *start_findings(thetas, deviances, parameters), *model)
+
+    def free_index(self, name: str, option: str) -> int:
+        """Where the parameter called `name` stands among those that vary.
+
+        Raises
+        ------
+        ValueError
+            If there is no such parameter, or `--fix` holds it.
+        """
+        index = self.model.parameters.index(name)
+        if index not in self.free.free_indices:
+            raise ValueError(f"{option} {name}: --fix holds this parameter; leave out one of both")
+        return self.free.free_indices.index(index)
+
+
+def identification(
+    knee: Knee,
+    laxity: Laxity,
+    *,
+    noise: NoiseLike = None,
+    start: str = "subject",
+    fixed: Sequence[str] | None = None,
+    bounds: BoundsLike = None,
+) -> Identification:
+    """A knee and its laxity, checked and compared in units of the noise.
+
+    Parameters
+    ----------
+    knee, laxity
+        The subject and the data.
+    noise
+        Standard deviations of lengths and of angles [mm, deg], in place of those of the data: two
+        numbers or a text such as ``0.5mm,0.5deg``.
+    start
+        Where fits begin: ``"subject"``, ``"IG1"`` to ``"IG4"``, or a TOML file.
+    fixed
+        Names of parameters held at the start.
+    bounds
+        Lower and upper bound by parameter name, or texts such as ``ACL.stiffness_kN=5:15``.
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong, or the data cannot say anything about the noise that they leave
+        unstated.
+    NotComputed
+        If the noise is to be estimated and the model has no prediction at the start.
+    """
+    limits = bounds_of(bounds)
+    laxity = with_noise(laxity, noise)
+    model = LaxityModel(knee=knee, protocol=laxity.protocol)
+    residuals = LaxityResiduals(
+        model=model, laxity=laxity, weighting="unit" if laxity.sd is None else "noise"
+    )
+    theta = load_start(start, with_bounds(residuals, limits).parameters)
+    part = restricted(with_bounds(residuals, limits), fixed or (), theta)
+    warm_up(knee, laxity.protocol)
+    problem: Problem = part
+    degrees: int | None = None
+    sizes: Sizes = (None, None)
+    assumptions = _about_the_data(laxity, part.parameters.n)
+    if laxity.sd is None:
+        estimate, sizes = _with_estimated_noise(part, residuals, theta)
+        problem, degrees = estimate.problem, estimate.degrees_of_freedom
+        assumptions.append(_about_estimated_noise(sizes, degrees))
+    return Identification(
+        knee=knee,
+        laxity=laxity,
+        model=model,
+        problem=problem,
+        free=part.free,
+        start=part.free.restrict(theta),
+        degrees_of_freedom=degrees,
+        estimated_noise=sizes,
+        assumptions=tuple(assumptions),
+    )
+
+
+def warm_up(knee: Knee, protocol: Protocol) -> None:
+    """Compile and build the distance field, or load them, so that times taken later exclude it."""
+    with progress_bar("preparing, longer the first time after an installation"):
+        model = LaxityModel(knee=knee, protocol=protocol.select([0]), effects=())
+        model.predict(model.parameters.center)
+
+
+def with_noise(laxity: Laxity, noise: NoiseLike) -> Laxity:
+    """The data, their noise as stated where it is given.
+
+    Raises
+    ------
+    ValueError
+        If the noise is none, or the data state that of some coordinates only.
+    """
+    if noise is not None:
+        mm, deg = noise_of(noise)
+        sd = np.where(laxity.is_measured, np.array([mm] * 3 + [deg] * 2), np.nan)
+        return replace(laxity, sd=sd)
+    if laxity.sd is None:
+        return laxity
+    lacking = np.any(np.isnan(laxity.sd) & laxity.is_measured, axis=0).tolist()
+    if any(lacking):
+        columns = [f"sd_{x}" for x, lacks in zip(COORDINATES, lacking, strict=True) if lacks]
+        raise ValueError(
+            f"the data state the noise of some coordinates only: {', '.join(columns)} is missing. "
+            "Add it, or state the noise of all with --noise, for example --noise 0.5mm,0.5deg"
+        )
+    return laxity
+
+
+def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[Fit, ...]:
+    """Fits from the start and from around it, the lowest first.
+
+    Raises
+    ------
+    ValueError
+        If the start lies outside the bounds.
+    NotComputed
+        If none of them found a prediction; it says which trials are to blame.
+    """
+    check_start(setup)
+    try:
+        return find_best_fits(setup.problem, start=setup.start, seed=seed, executor=executor)
+    except ValueError as error:
+        raise no_prediction(setup) from error
+
+
+def check_start(setup: Identification) -> None:
+    """Refuse a start outside the bounds.
+
+    Raises
+    ------
+    ValueError
+        Naming the first parameter that is outside.
+    """
+    check_inside(setup.start, setup.problem.parameters)
+
+
+def no_prediction(setup: Identification) -> NotComputed:
+    """The error that no parameters near the start predict all measured trials; it names them."""
+    return _no_prediction(setup.model, setup.laxity, setup.free.fixed_values)
+
+
+def _no_prediction(model: LaxityModel, laxity: Laxity, start: Array) -> NotComputed:
+    prediction = model.predict(start, derivatives=False)
+    used = np.any(laxity.is_measured, axis=1).tolist()
+    lost = [
+        (trial, outcome)
+        for trial, outcome, is_used in zip(
+            model.protocol.trials, prediction.outcomes, used, strict=True
+        )
+        if is_used and outcome is not Outcome.CONVERGED
+    ]
+    where = ""
+    if lost:
+        trial, outcome = lost[0]
+        where = (
+            f" (at the start {len(lost)} of {sum(used)} trials have none; {trial}: "
+            f"{outcome.sentence.rstrip('.')})"
+        )
+    return NotComputed(
+        f"no parameters near the start have a prediction in every measured trial{where}. Choose "
+        "another --start, leave the cells of such trials blank, or see: identknee subject check"
+    )
+
+
+def _with_estimated_noise(
+    part: Restricted, residuals: LaxityResiduals, theta: Array
+) -> tuple[EstimatedNoise, Sizes]:
+    if not np.isfinite(residuals.residuals(theta)).all():
+        raise _no_prediction(residuals.model, residuals.laxity, theta)
+    # Where only lengths or only angles were measured there is one group.
+    units, groups = np.unique(residuals.units, return_inverse=True)
+    found = with_estimated_noise(part, groups, part.free.restrict(theta))
+    sizes = dict(zip(units.tolist(), found.sds.tolist(), strict=True))
+    return found, (sizes.get(0), sizes.get(1))
+
+
+def _about_estimated_noise(sizes: Sizes, degrees: int) -> str:
+    shown = ", ".join(
+        f"{sd:.3g} {unit}" for sd, unit in zip(sizes, ("mm", "deg"), strict=True) if sd is not None
+    )
+    return (
+        "The data state no noise: one standard deviation for lengths and one for angles was "
+        f"estimated from what the best fit leaves ({shown}, {degrees} degrees of freedom), and F "
+        "thresholds are used."
+    )
+
+
+def _about_the_data(laxity: Laxity, n_parameters: int) -> list[str]:
+    measured = laxity.is_measured
+    sentences = [
+        f"{name} was not measured."
+        for name, column in zip(COORDINATES, measured.T, strict=True)
+        if not column.any()
+    ]
+    n = int(measured.sum())
+    if n == 0:
+        raise ValueError("no coordinate was measured in any trial; fill in at least one column")
+    if n < n_parameters:
+        sentences.append(
+            f"{n} measured values cannot determine {n_parameters} parameters: some intervals must "
+            "be open. Measure more trials, or hold parameters with --fix."
+        )
+    return sentences

@@ -1,0 +1,21 @@
+"""The numbers of a knee as one digest, by which subjects are told apart."""
+
+from identknee.runs.files import digest
+from identknee.subject.knee import Knee
+
+
+def knee_digest(knee: Knee) -> str:
+    """SHA-256 of all numbers of a knee: surfaces, frames, ligaments and effects, from wherever."""
+    parts = [knee.side.encode()]
+    for x in knee.ligaments:
+        numbers = (*x.femur.tolist(), *x.tibia.tolist(), x.stiffness_kN, x.reference_strain_pct)
+        parts.append(f"{x.name} {numbers}".encode())
+    for effect in knee.effects:
+        ends = [(femur.tolist(), tibia.tolist()) for femur, tibia in effect.lines]
+        spread = (effect.stiffness_sd_kN, effect.site_sd_mm)
+        parts.append(f"{effect.name} {dict(effect.values)} {effect.fixed} {ends} {spread}".encode())
+    for surface in (knee.femur, *knee.tibia):
+        parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
+    for frame in (knee.femur_frame, knee.tibia_frame):
+        parts += [frame.origin.tobytes(), frame.axes.tobytes()]
+    return digest(b"".join(parts))

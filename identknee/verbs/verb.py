@@ -1,0 +1,176 @@
+"""One scaffold for all verbs: read, record, resume, time, write."""
+
+import functools
+import inspect
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+from identknee.laxity.named_tables import laxity_file
+from identknee.laxity.table import Laxity, read_laxity
+from identknee.runs.executors import Executor, process_pool
+from identknee.runs.files import PathLike, digest, prepare_folder
+from identknee.runs.record import record
+from identknee.runs.resume import finish_work, open_work
+from identknee.runs.store import Store
+from identknee.subject.folder import read_subject
+from identknee.subject.knee import Knee
+from identknee.verbs.answer import Answer
+from identknee.verbs.knee_digest import knee_digest
+
+WORK = "unfinished.sqlite"
+# What cannot change a number; everything else decides whether stored work may be resumed.
+NOT_DECIDING = {"out", "workers"}
+SubjectLike = Knee | PathLike
+LaxityLike = Laxity | PathLike
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result", bound=Answer)
+
+
+@dataclass(slots=True, kw_only=True)
+class Run:
+    """What a verb works with while it runs: its executor, its store and its clock.
+
+    Attributes
+    ----------
+    knee, measured
+        The subject and the data, read and digested; None for no data.
+    executor
+        Anything with an ordered ``map``, of as many workers as asked for.
+    out
+        Folder of the results; None where nothing is written.
+    deciding
+        All that the results depend on.
+    """
+
+    knee: Knee
+    measured: Laxity | None
+    executor: Executor
+    out: Path | None
+    deciding: Mapping[str, Any]
+    _stack: ExitStack
+    _store: Store | None = None
+    _began: float = 0.0
+
+    @property
+    def laxity(self) -> Laxity:
+        """The data.
+
+        Raises
+        ------
+        ValueError
+            If there are none.
+        """
+        if self.measured is None:
+            raise ValueError("there are no data; give a laxity table")
+        return self.measured
+
+    @property
+    def store(self) -> Store | None:
+        """Where unfinished work is kept, opened when first asked for; None without a folder."""
+        if self._store is None and self.out is not None:
+            self._store = self._stack.enter_context(open_work(self.out / WORK, self.deciding))
+        return self._store
+
+    def start_clock(self) -> None:
+        """Begin to count the time of the computation: all before is loading and compiling."""
+        self._began = time.perf_counter()
+
+    def finish(self) -> None:
+        """Note that the results of the stored work are written."""
+        if self.out is not None and self._store is not None:
+            finish_work(self.out / WORK)
+
+    @property
+    def seconds(self) -> float:
+        """Time since the clock was started."""
+        return time.perf_counter() - self._began
+
+
+def verb(
+    function: Callable[Concatenate[Run, Arguments], Result],
+) -> Callable[Arguments, Result]:
+    """The function as users call it: without its run, which is made from the arguments.
+
+    The arguments ``subject`` and ``data`` may be a knee and its laxity or where to read them,
+    ``out`` and ``workers`` say where results go and how many processes work. Every other argument
+    is part of what stored work must agree with to be resumed.
+    """
+    signature = inspect.signature(function)
+    own = list(signature.parameters.values())[1:]
+
+    @functools.wraps(function)
+    def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        bound = called.__signature__.bind(*args, **kwargs)  # type: ignore[attr-defined]
+        bound.apply_defaults()
+        with _run(function.__name__, bound.arguments) as (run, recording):
+            run.start_clock()
+            result = function(run, *bound.args, **bound.kwargs)
+            result = replace(result, seconds=run.seconds, record=recording.finish())
+        if run.out is not None:
+            # xarray takes longer to load than a short computation takes.
+            from identknee.verbs.files import write_answer
+
+            result = write_answer(run.out, result)
+            run.finish()
+        return result
+
+    called.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
+    return called
+
+
+@contextmanager
+def _run(name: str, arguments: Mapping[str, Any]) -> Iterator[tuple[Run, Any]]:
+    out = arguments.get("out")
+    folder = None if out is None else prepare_folder(out)
+    data = arguments.get("data")
+    laxity = data if data is None or isinstance(data, Laxity) else read_laxity(data)
+    subject = arguments["subject"]
+    knee = subject if isinstance(subject, Knee) else read_subject(subject)
+    inputs = _inputs(arguments, knee, data)
+    settings = {key: _setting(value) for key, value in arguments.items()}
+    recording = record(name, settings, inputs, arguments.get("seed"))
+    deciding = {key: x for key, x in settings.items() if key not in NOT_DECIDING}
+    with ExitStack() as stack:
+        run = Run(
+            knee=knee,
+            measured=laxity,
+            executor=stack.enter_context(process_pool(arguments.get("workers", 1))),
+            out=folder,
+            deciding={"verb": name, "inputs": inputs, **deciding},
+            _stack=stack,
+        )
+        yield run, recording
+
+
+def _inputs(arguments: Mapping[str, Any], knee: Knee, data: Any) -> dict[str, str]:
+    """SHA-256 of everything that came from outside the call."""
+    inputs = {"subject": knee_digest(knee)}
+    if isinstance(data, Laxity):
+        inputs["data"] = laxity_digest(data)
+    elif data is not None:
+        inputs["data"] = digest(laxity_file(data))
+    others = {k: x for k, x in arguments.items() if k not in ("subject", "data", "out")}
+    return inputs | {k: digest(x) for k, x in others.items() if _is_file(x)}
+
+
+def _is_file(value: Any) -> bool:
+    return isinstance(value, str | Path) and Path(value).suffix == ".toml" and Path(value).is_file()
+
+
+def laxity_digest(laxity: Laxity) -> str:
+    """SHA-256 of all numbers of a laxity table."""
+    sd = b"" if laxity.sd is None else laxity.sd.tobytes()
+    words = repr((laxity.protocol.trials, laxity.zero, laxity.within_trial_correlation))
+    protocol = laxity.protocol.flexion_deg.tobytes() + laxity.protocol.loads.tobytes()
+    return digest(words.encode() + protocol + laxity.coordinates.tobytes() + sd)
+
+
+def _setting(value: Any) -> Any:
+    """An argument as the record keeps it: a knee by its name, a table by what it is."""
+    if isinstance(value, Knee):
+        return value.name
+    return "a table in memory" if isinstance(value, Laxity) else value
