@@ -17,6 +17,7 @@ LONGEST_SHOWN = 60
 _WANTED = {
     "string_type": "text",
     "bool_type": "true or false",
+    "float_type": "a number",
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "list_type": "a list",
