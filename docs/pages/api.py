@@ -8,7 +8,7 @@ ROOT = Path(ik.__file__).parent
 # In the order of the flow; the command line has a page of its own.
 PACKAGES = (
     *("subject", "laxity", "model", "calibrate", "identify", "diagnosis"),
-    *("report", "blind", "mechanics", "runs"),
+    *("verbs", "report", "blind", "mechanics", "runs"),
 )
 
 

@@ -7,9 +7,9 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Json, Out, Seed, SubjectOrReference, Workers, show, timed
+from identknee.cli.lazily import knee_digest
 from identknee.runs.files import prepare_folder, write_json
 from identknee.runs.record import record
-from identknee.verbs.knee_digest import knee_digest
 
 Effect = Annotated[
     list[str] | None,

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 import typer.core
@@ -18,7 +18,9 @@ from identknee.runs.executors import WorkerDied
 from identknee.runs.files import plain
 from identknee.runs.unforeseen import report_unforeseen, warnings_logged
 from identknee.subject.examples import named_subject
-from identknee.verbs.answer import Answer
+
+if TYPE_CHECKING:
+    from identknee.verbs.answer import Answer
 
 Result = TypeVar("Result")
 
@@ -217,7 +219,7 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
-def run_verb(context: typer.Context, function: Callable[..., Answer]) -> None:
+def run_verb(context: typer.Context, function: "Callable[..., Answer]") -> None:
     """Call a verb of the library with the options of the command, and print its answer."""
     arguments = dict(context.params)
     as_json = arguments.pop("as_json")

@@ -12,12 +12,11 @@ import typer
 import identknee as ik
 from identknee.calibrate.scales import STIFFNESS_UNIT
 from identknee.cli.command import Json, Out, Seed, Workers, nested, show
+from identknee.cli.lazily import knee_digest, warm_up
 from identknee.cli.report import write_report
 from identknee.runs.executors import Executor, serial, threads
 from identknee.runs.files import prepare_folder, write_atomically
 from identknee.runs.record import record
-from identknee.verbs.identification import warm_up
-from identknee.verbs.knee_digest import knee_digest
 
 if TYPE_CHECKING:
     from identknee.report.starts import StartRow

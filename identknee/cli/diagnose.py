@@ -9,12 +9,11 @@ import identknee as ik
 from identknee.cli.command import Json, MaybeData, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import Noise, file_digests, measured
 from identknee.cli.isolability import say_isolability, shown
+from identknee.cli.lazily import knee_digest, warm_up
 from identknee.laxity.named_tables import laxity_file
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.findings import finding_lines
 from identknee.runs.record import record
-from identknee.verbs.identification import warm_up
-from identknee.verbs.knee_digest import knee_digest
 
 Planned = Annotated[
     str | None,

@@ -18,13 +18,12 @@ from identknee.cli.command import (
     nested,
     show,
 )
+from identknee.cli.lazily import knee_digest, warm_up
 from identknee.laxity.named_tables import laxity_file
 from identknee.runs.errors import NotComputed
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.findings import Finding, Severity, finding_lines, findings_summary
 from identknee.runs.record import Recording, record
-from identknee.verbs.identification import warm_up
-from identknee.verbs.knee_digest import knee_digest
 from identknee.verbs.values import named_bounds
 
 Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]

@@ -1,31 +1,18 @@
-"""Options of the verbs of identifiability, and their set-up from the words of a command line."""
+"""Options of the verbs of identifiability, and what they share, loaded when it is first used."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from identknee.laxity.named_tables import laxity_file
-from identknee.laxity.table import Laxity, read_laxity
-from identknee.runs.files import PathLike, digest
-from identknee.subject.folder import read_subject
-from identknee.subject.knee import Knee
-from identknee.verbs.identification import (
-    Identification as SetUp,
-)
-from identknee.verbs.identification import (
-    best_fits,
-    check_start,
-    no_prediction,
-    with_noise,
-)
-from identknee.verbs.identification import identification as identified
-from identknee.verbs.knee_digest import knee_digest
-from identknee.verbs.verb import WORK
+from identknee.cli.digests import file_digests
 
-__all__ = ["WORK", "best_fits", "check_start", "no_prediction"]
+if TYPE_CHECKING:
+    from identknee.cli.set_up import Identification
+else:
+    Identification = object
+
+WORK = "unfinished.sqlite"
+__all__ = ["WORK", "Identification", "file_digests"]
 
 Noise = Annotated[
     str | None,
@@ -60,50 +47,38 @@ Bounds = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Identification(SetUp):
-    """A set-up with the digests of what it was read from.
+def identification(*words: Any, **options: Any) -> "Identification":
+    """As `identknee.cli.set_up.identification`."""
+    from identknee.cli.set_up import identification as made
 
-    Attributes
-    ----------
-    inputs
-        SHA-256 of each input by name.
-    """
-
-    inputs: dict[str, str]
+    return made(*words, **options)
 
 
-def identification(
-    subject: str,
-    data: PathLike,
-    *,
-    noise: str | None = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: Sequence[str] | None = None,
-) -> Identification:
-    """Subject and data, read, checked and compared in units of the noise."""
-    laxity, knee = read_laxity(data), read_subject(subject)
-    setup = identified(knee, laxity, noise=noise, start=start, fixed=fixed, bounds=bounds)
-    inputs = {
-        "subject": knee_digest(knee),
-        "data": digest(laxity_file(data)),
-        **file_digests(start=start),
-    }
-    fields = {name: getattr(setup, name) for name in SetUp.__slots__}
-    return Identification(**fields, inputs=inputs)
-
-
-def measured(subject: str, data: PathLike, noise: str | None) -> tuple[Knee, Laxity]:
+def measured(subject: str, data: Any, noise: str | None) -> Any:
     """Subject and data, the noise of the data as `--noise` says where it is given."""
-    laxity, knee = read_laxity(data), read_subject(subject)
-    return knee, with_noise(laxity, noise)
+    from identknee.laxity.table import read_laxity
+    from identknee.subject.folder import read_subject
+    from identknee.verbs.identification import with_noise
+
+    return read_subject(subject), with_noise(read_laxity(data), noise)
 
 
-def file_digests(**options: str | None) -> dict[str, str]:
-    """SHA-256, by option, of those options that name a file rather than something built in."""
-    return {
-        name: digest(value)
-        for name, value in options.items()
-        if value is not None and Path(value).suffix == ".toml" and Path(value).is_file()
-    }
+def best_fits(setup: Any, **options: Any) -> Any:
+    """As `identknee.verbs.identification.best_fits`."""
+    from identknee.verbs import identification as shared
+
+    return shared.best_fits(setup, **options)
+
+
+def check_start(setup: Any) -> None:
+    """As `identknee.verbs.identification.check_start`."""
+    from identknee.verbs import identification as shared
+
+    shared.check_start(setup)
+
+
+def no_prediction(setup: Any) -> Exception:
+    """As `identknee.verbs.identification.no_prediction`."""
+    from identknee.verbs import identification as shared
+
+    return shared.no_prediction(setup)

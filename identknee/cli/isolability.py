@@ -9,11 +9,10 @@ import typer
 import identknee as ik
 from identknee.cli.command import show, timed
 from identknee.cli.identification import file_digests
+from identknee.cli.lazily import knee_digest, warm_up
 from identknee.runs.errors import NotComputed
 from identknee.runs.files import write_atomically
 from identknee.runs.record import record
-from identknee.verbs.identification import warm_up
-from identknee.verbs.knee_digest import knee_digest
 from identknee.verbs.values import noise_sizes
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Json, show
+from identknee.cli.lazily import knee_digest
 from identknee.runs.files import prepare_folder, write_atomically
-from identknee.verbs.knee_digest import knee_digest
 
 if TYPE_CHECKING:
     from identknee.report.page.knee_scene import KneeScene

@@ -10,12 +10,11 @@ import typer
 import identknee as ik
 from identknee.cli.command import Json, MaybeData, Out, Seed, Subject, Workers, show, timed
 from identknee.cli.identification import WORK, Fixed, Start
+from identknee.cli.lazily import knee_digest, warm_up
 from identknee.runs.errors import NotComputed
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.record import record
 from identknee.runs.resume import finish_work
-from identknee.verbs.identification import warm_up
-from identknee.verbs.knee_digest import knee_digest
 
 MethodName = Literal["morris", "sobol", "delta", "pawn", "hdmr", "shapley"]
 ProtocolName = Annotated[

@@ -21,12 +21,11 @@ from identknee.cli.command import (
     timed,
 )
 from identknee.cli.identification import file_digests
+from identknee.cli.lazily import knee_digest, warm_up
 from identknee.runs.errors import NotComputed
 from identknee.runs.files import prepare_folder
 from identknee.runs.findings import Finding, finding_lines, findings_summary
 from identknee.runs.record import record
-from identknee.verbs.identification import warm_up
-from identknee.verbs.knee_digest import knee_digest
 from identknee.verbs.values import named_values, noise_sizes
 
 LAXITY_FILE = "laxity.csv"

@@ -10,14 +10,13 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import WRONG_INPUT, Json, Out, Seed, Subject, Verb, Verbs, Workers, show
+from identknee.cli.lazily import knee_digest, warm_up
 from identknee.cli.subject_list import list_subjects
 from identknee.cli.subject_settle import ProtocolName, Within, settle
 from identknee.runs.executors import threads
 from identknee.runs.files import digest, prepare_folder, write_atomically
 from identknee.runs.record import Recording, record
 from identknee.subject.examples import opensim_file
-from identknee.verbs.identification import warm_up
-from identknee.verbs.knee_digest import knee_digest
 
 SCENE_FILE = "scene.png"
 

@@ -8,12 +8,11 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Json, Out, Seed, Subject, Workers, show, timed
+from identknee.cli.lazily import knee_digest, warm_up
 from identknee.runs.errors import NotComputed
 from identknee.runs.executors import threads
 from identknee.runs.files import prepare_folder
 from identknee.runs.record import record
-from identknee.verbs.identification import warm_up
-from identknee.verbs.knee_digest import knee_digest
 
 if TYPE_CHECKING:
     from identknee.model.insertion_moves import SettledKnee

@@ -167,23 +167,11 @@ def profile(
         thresholds=thresholds,
     )
     best = min(profiles, key=lambda x: x.deviance)
-    joint = tuple(
-        profile_pair(
-            setup.problem,
-            best.optimum,
-            couple,
-            level=level,
-            threshold=_threshold(setup, level, 2),
-            executor=run.executor,
-            store=run.store,
-        )
-        for couple in couples
-    )
     names = setup.problem.parameters.names
     return Profiles(
         parameters={x.name: x for x in profiles if x.name in names},
         quantities={x.name: x for x in profiles if x.name not in names},
-        pairs=joint,
+        pairs=_joint_sets(run, setup, best.optimum, couples, level),
         parameter_names=names,
         optimum=best.optimum,
         deviance=best.deviance,
@@ -227,6 +215,23 @@ def _couple(setup: Identification, pair: Pair) -> tuple[str, str]:
     if first == second:
         raise ValueError(f"--pair {text}: a pair needs two different parameters")
     return first, second
+
+
+def _joint_sets(
+    run: Run, setup: Identification, theta: Array, couples: Sequence[tuple[str, str]], level: float
+) -> tuple[PairProfile, ...]:
+    return tuple(
+        profile_pair(
+            setup.problem,
+            theta,
+            couple,
+            level=level,
+            threshold=_threshold(setup, level, 2),
+            executor=run.executor,
+            store=run.store,
+        )
+        for couple in couples
+    )
 
 
 def _threshold(setup: Identification, level: float, n: int = 1) -> float:
