@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from identknee.blind.score import Score, score
     from identknee.blind.truth import Truth, read_truth
     from identknee.calibrate.bounded import with_bounds
+    from identknee.calibrate.constrained import minimise, solve_constrained
     from identknee.calibrate.fit import Fit, fit, fit_many, waterfall
     from identknee.calibrate.problem import Problem
+    from identknee.calibrate.quantity import ParameterQuantity, Quantity, UserQuantity
     from identknee.calibrate.starts import load_start
     from identknee.diagnosis.diagnose import Diagnosis, diagnose
     from identknee.identify.conformance.score import conformance_cases, run_conformance
-    from identknee.identify.constrained import minimise, solve_constrained
     from identknee.identify.design.design import Design, design
     from identknee.identify.equivalents.equivalents import Equivalents, equivalents
     from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
         chi2_threshold,
         f_threshold,
     )
-    from identknee.identify.quantity import ParameterQuantity, Quantity, UserQuantity
     from identknee.identify.sensitivity.designs import Box, box_around
     from identknee.identify.sensitivity.sensitivity import Sensitivity, sensitivity
     from identknee.identify.sweep.cliffs import CliffMap, map_cliffs
@@ -263,7 +263,7 @@ _MODULES = {
         "box_around",
     ),
     "model.laxity_outputs": ("LaxityOutputs",),
-    "identify.quantity": (
+    "calibrate.quantity": (
         "Quantity",
         "ParameterQuantity",
         "UserQuantity",
@@ -330,7 +330,7 @@ _MODULES = {
         "power_of_best_test",
     ),
     "model.equivalence": ("rms_blocks",),
-    "identify.constrained": (
+    "calibrate.constrained": (
         "minimise",
         "solve_constrained",
     ),

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.conformance.case import Answer, Case
-from identknee.identify.quantity import ParameterQuantity
 from identknee.runs.arrays import Array
 
 N_STARTS = 16

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from knees import model
 
-from identknee.identify.constrained import Constrained, minimise, solve_constrained
-from identknee.identify.evaluation import Evaluator
-from identknee.identify.quantity import ParameterQuantity
+from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
+from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel

@@ -7,8 +7,8 @@ import numpy as np
 from knees import model
 from narrow_knee import narrow_knee
 
-from identknee.identify.constrained import minimise
-from identknee.identify.evaluation import Evaluator
+from identknee.calibrate.constrained import minimise
+from identknee.calibrate.evaluation import Evaluator
 from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.noise import add_noise

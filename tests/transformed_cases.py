@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.conformance.case import Case, Formula
 from identknee.identify.conformance.score import conformance_cases
-from identknee.identify.quantity import ParameterQuantity
 
 # Moved by a shift, a bound one rounding away would be somewhere else.
 SHIFTABLE = {

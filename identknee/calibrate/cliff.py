@@ -3,9 +3,9 @@
 import numpy as np
 import scipy.linalg
 
-from identknee.calibrate.gauss_newton import RANK_TOLERANCE
-from identknee.calibrate.objective import Objective
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.scales import typical_steps
+from identknee.calibrate.tolerances import RANK_TOLERANCE
 from identknee.runs.arrays import Array
 
 LENGTHS = (1.0, 1 / 4, 1 / 16, 1 / 64)
@@ -16,10 +16,10 @@ TILTED_LENGTHS = (1.0, 0.1, 0.01)
 ENOUGH = 0.01
 
 
-def way_around(objective: Objective, theta: Array, generator: np.random.Generator) -> Array | None:
-    """A feasible point clearly lower than `theta`, shape ``(n,)``; None if none was found.
+def way_around(evaluator: Evaluator, theta: Array, generator: np.random.Generator) -> Array | None:
+    """A feasible point clearly lower than `theta`, shape ``(n,)``; None if there is none.
 
-    The singular vectors of the Jacobian turn the objective into the distance from a target. First
+    The singular vectors of the Jacobian turn the deviance into the distance from a target. First
     the components of the way to the target are tried one by one: where stiff and soft directions
     are mixed, often some of them are free. If all are blocked, the way itself is tilted sideways,
     along each of the directions across it and then away from those that were blocked, which
@@ -27,69 +27,66 @@ def way_around(objective: Objective, theta: Array, generator: np.random.Generato
 
     Parameters
     ----------
-    objective
-        Evaluated at `theta` before.
+    evaluator
+        Evaluator of the residuals; it has a prediction at `theta`.
     theta
         A point before a cliff, shape ``(n,)``, within the bounds.
     generator
         Turns the sideways directions, so that a second try differs from the first.
     """
-    poll = _Poll(objective, theta)
+    poll = _Poll(evaluator, theta)
     if poll.distance == 0.0:
         return None
     for length in LENGTHS:
         steps = length * np.diag(poll.target)
-        found = poll.lowest(steps[np.argsort(-np.abs(poll.target))])
-        if found is not None:
-            return found
+        lower = poll.lowest(steps[np.argsort(-np.abs(poll.target))])
+        if lower is not None:
+            return lower
     across = _across(poll.target, generator)
     for length in TILTED_LENGTHS:
         for tilt in np.deg2rad(TILTS_DEG):
-            found = _slide(poll, across, float(tilt), length)
-            if found is not None:
-                return found
+            lower = _slide(poll, across, float(tilt), length)
+            if lower is not None:
+                return lower
     return None
 
 
 class _Poll:
     """Trial steps from one point, in coordinates where the linear model is a distance."""
 
-    def __init__(self, objective: Objective, theta: Array) -> None:
-        self._objective = objective
+    def __init__(self, evaluator: Evaluator, theta: Array) -> None:
+        self._evaluator = evaluator
         self._theta = theta
-        self._scales = typical_steps(objective.parameters)
-        residuals = objective.residuals(theta)
-        left, size, right = scipy.linalg.svd(
-            objective.jacobian(theta) * self._scales, full_matrices=False
-        )
+        self._scales = typical_steps(evaluator.parameters)
+        here = evaluator(theta)
+        left, size, right = scipy.linalg.svd(here.jacobian * self._scales, full_matrices=False)
         kept = size > RANK_TOLERANCE * size[0]
         self._scaled_from_poll = right[kept].T / size[kept]
-        self._value = objective.value(theta)
-        self.target: Array = -(left[:, kept].T @ residuals)
+        self._deviance = here.deviance
+        self.target: Array = -(left[:, kept].T @ here.residuals)
         self.distance = float(np.linalg.norm(self.target))
 
     def lowest(self, steps: Array) -> Array | None:
         """The lowest point after any of the `steps`, None where none is low enough."""
-        tried = [self.value(step) for step in steps]
-        best = int(np.argmin([value for value, _ in tried]))
-        value, point = tried[best]
-        return point if self.is_lower(value) else None
+        tried = [self.after(step) for step in steps]
+        deviance, point = min(tried, key=lambda pair: pair[0])
+        return point if self.is_lower(deviance) else None
 
-    def value(self, step: Array) -> tuple[float, Array]:
-        """Objective after `step`, and the point, kept to bounds and to moderate lengths."""
+    def after(self, step: Array) -> tuple[float, Array]:
+        """Deviance after `step`, and the point, kept to bounds and to moderate lengths."""
         scaled = self._scaled_from_poll @ step
         length = float(np.max(np.abs(scaled)))
-        parameters = self._objective.parameters
+        parameters = self._evaluator.parameters
         point = np.clip(
             self._theta + self._scales * scaled * min(1.0, LONGEST / max(length, LONGEST)),
             parameters.lower,
             parameters.upper,
         )
-        return self._objective.value(point), point
+        return self._evaluator.deviance(point), point
 
-    def is_lower(self, value: float) -> bool:
+    def is_lower(self, deviance: float) -> bool:
         """Whether the decrease is worth the step."""
-        return value < self._value - ENOUGH * 0.5 * self.distance**2
+        return deviance < self._deviance - ENOUGH * self.distance**2
 
 
 def _slide(poll: _Poll, across: Array, tilt: float, length: float) -> Array | None:
@@ -99,10 +96,10 @@ def _slide(poll: _Poll, across: Array, tilt: float, length: float) -> Array | No
     reach = length * np.cos(tilt)
     blocked = np.zeros(poll.target.size)
     for direction in np.vstack([across, -across]):
-        value, point = poll.value(reach * (toward + sideways * direction))
-        if poll.is_lower(value):
+        deviance, point = poll.after(reach * (toward + sideways * direction))
+        if poll.is_lower(deviance):
             return point
-        blocked += direction * (not np.isfinite(value))
+        blocked += direction * (not np.isfinite(deviance))
     if not blocked.any():
         return None
     away = -blocked / np.linalg.norm(blocked)

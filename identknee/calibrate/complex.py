@@ -1,8 +1,8 @@
-"""The Complex method as the paper used it: ask for candidates, be told their objectives."""
+"""The Complex method as the paper used it: ask for candidates, be told their deviances."""
 
 import numpy as np
 
-from identknee.calibrate.objective import Objective
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.scales import floors, half_widths
 from identknee.calibrate.search import POPULATION, run_search, uniform_box
 from identknee.runs.arrays import Array
@@ -34,7 +34,7 @@ class Complex:
 
     Notes
     -----
-    The paper leaves open what becomes of a candidate without a prediction: its objective is
+    The paper leaves open what becomes of a candidate without a prediction: its deviance is
     infinite, which is never an improvement, so it is halved and then replaced like any other.
     A candidate as good as the second worst counts as improved.
 
@@ -67,7 +67,7 @@ class Complex:
         return self._asked
 
     def tell(self, values: Array) -> None:
-        """Take the objectives of the candidates last asked, shape ``(m,)``."""
+        """Take the deviances of the candidates last asked, shape ``(m,)``."""
         if self._values.size == 0:
             self._values = np.array(values)
             self._reflect()
@@ -82,7 +82,7 @@ class Complex:
             self._halvings += 1
             self._asked = self._lifted(0.5 * (self._asked + self._centroid))
         else:
-            # One more than the attempts: the random candidate stays, whatever its objective.
+            # One more than the attempts: the random candidate stays, whatever its deviance.
             self._halvings += 1
             self._asked = self._random(1)
 
@@ -101,14 +101,14 @@ class Complex:
 
 
 def minimise_by_complex(
-    objective: Objective, start: Array, generator: np.random.Generator
+    evaluator: Evaluator, start: Array, generator: np.random.Generator
 ) -> Outcome:
-    """How the Complex method ended on `objective`, which remembers the best point."""
-    parameters = objective.parameters
+    """How the Complex method ended; the evaluator remembers the best point."""
+    parameters = evaluator.parameters
     search = Complex(
         start=start,
         half_widths=half_widths(parameters),
         floors=floors(parameters),
         generator=generator,
     )
-    return run_search(search, objective)
+    return run_search(search, evaluator)

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.complex import minimise_by_complex
+from identknee.calibrate.evaluation import Ended, Evaluator
 from identknee.calibrate.gauss_newton import gauss_newton
 from identknee.calibrate.least_squares import minimise_by_least_squares
-from identknee.calibrate.objective import Ended, Objective
 from identknee.calibrate.population import (
     minimise_by_annealing,
     minimise_by_cma_es,
     minimise_by_genetic,
     minimise_by_particle_swarm,
 )
-from identknee.calibrate.problem import Problem, Restricted, WithPriors, restricted
+from identknee.calibrate.problem import Problem, WithPriors, restricted
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial, spawn_seeds
@@ -29,7 +29,7 @@ from identknee.runs.progress import progress, progress_bar
 
 BUDGET = 2500
 
-Method = Callable[[Objective, Array, np.random.Generator], Outcome]
+Method = Callable[[Evaluator, Array, np.random.Generator], Outcome]
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
@@ -115,6 +115,11 @@ class Fit:
         """Names of the parameters that ended on one of their bounds."""
         low, high = self.theta <= self.parameters.lower, self.theta >= self.parameters.upper
         return tuple(np.array(self.parameters.names)[low | high].tolist())
+
+    @property
+    def deviance(self) -> float:
+        """Sum of squares at `theta`: twice the objective."""
+        return 2.0 * self.objective
 
     # typing.override came with Python 3.12.
     def __str__(self) -> str:  # type: ignore[explicit-override]
@@ -238,13 +243,13 @@ def _fit(
     generator = _generator(seed)
     whole: Problem = WithPriors(problem=problem) if priors else problem
     part = restricted(whole, fixed, start)
-    objective = Objective(part, budget=allowed, on_simulation=on_simulation)
+    evaluator = Evaluator(part, budget=allowed, on_simulation=on_simulation)
     began = time.perf_counter()
     try:
-        outcome = minimise(objective, part.free.restrict(start), generator)
+        outcome = minimise(evaluator, part.free.restrict(start), generator)
     except Ended as end:
         outcome = end.outcome
-    if objective.best_theta is None:
+    if evaluator.best_theta is None:
         outcome = Outcome.START_FAILED
     return Fit(
         method=method,
@@ -252,37 +257,36 @@ def _fit(
         fixed=tuple(fixed),
         priors=priors,
         start=start,
-        theta=start if objective.best_theta is None else part.free.expand(objective.best_theta),
-        objective=objective.best_value,
+        theta=start if evaluator.best_theta is None else part.free.expand(evaluator.best_theta),
+        objective=0.5 * evaluator.best_deviance,
         outcome=outcome,
-        message=_message(outcome, objective),
-        n_simulations=objective.n_simulations,
+        message=_message(outcome, evaluator),
+        n_simulations=evaluator.n_simulations,
         budget=allowed,
-        gradient_norm=_gradient_norm(objective, part),
+        gradient_norm=_gradient_norm(evaluator),
         seconds=time.perf_counter() - began,
         seed=seed,
-        history=np.array(objective.history).reshape(-1, 2),
+        history=np.array(evaluator.history).reshape(-1, 2) * [1.0, 0.5],
     )
 
 
-def _message(outcome: Outcome, objective: Objective) -> str:
-    n = objective.n_simulations
+def _message(outcome: Outcome, evaluator: Evaluator) -> str:
+    n = evaluator.n_simulations
     simulations = "1 simulation" if n == 1 else f"{n} simulations"
     if outcome is Outcome.START_FAILED and n > 1:
         return f"The model has no prediction at any of {simulations} around the start."
     return f"{outcome.sentence} It took {simulations}."
 
 
-def _gradient_norm(objective: Objective, part: Restricted) -> float | None:
+def _gradient_norm(evaluator: Evaluator) -> float | None:
     """Not counted as a simulation: theta was one already."""
-    theta = objective.best_theta
-    if theta is None:
+    if evaluator.best_theta is None:
         return None
-    jacobian = objective.jacobian(theta)
-    if not np.all(np.isfinite(jacobian)):
+    here = evaluator(evaluator.best_theta)
+    if not here.is_finite:
         return None
     # A search without bounds may end outside them, where they do not hold it back.
-    return gauss_newton(theta, objective.residuals(theta), jacobian, part.parameters).gradient_norm
+    return 0.5 * gauss_newton(here, evaluator.parameters).gradient_norm
 
 
 def _method(name: str) -> Method:

@@ -4,9 +4,10 @@ import numpy as np
 import scipy.optimize
 
 from identknee.calibrate.cliff import way_around
+from identknee.calibrate.evaluation import Ended, Evaluator
 from identknee.calibrate.gauss_newton import gauss_newton
-from identknee.calibrate.objective import Ended, Objective
 from identknee.calibrate.scales import typical_steps
+from identknee.calibrate.tolerances import KINK_SHARE
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -18,41 +19,39 @@ INSIDE = 1e-3
 RELATIVE_STEP = 1e-10
 RELATIVE_START = 1e-9
 MAX_WAYS = 30
-# Of the objective: what a step that cannot be made may promise at a minimum on a kink.
-KINK_SHARE = 1e-6
 
 
 def minimise_by_least_squares(
-    objective: Objective, start: Array, generator: np.random.Generator
+    evaluator: Evaluator, start: Array, generator: np.random.Generator
 ) -> Outcome:
-    """How bounded least squares from `start` ended on `objective`.
+    """How bounded least squares from `start` ended.
 
     scipy's trust-region reflective method does the descent. It ends where the Gauss-Newton step
     within the bounds vanishes, or where no step goes down any more and none promises a millionth of
-    the objective, as at a minimum on a kink (`minimum`). Where it cannot go on because every longer
+    the deviance, as at a minimum on a kink (`minimum`). Where it cannot go on because every longer
     step has no prediction it tries to get around (`identknee.calibrate.cliff`) and goes on from
     there, or ends (`cliff`). A start outside the bounds is moved just inside.
     """
-    theta = _inside(start, objective.parameters)
-    if not np.isfinite(objective.value(theta)):
+    theta = _inside(start, evaluator.parameters)
+    if not np.isfinite(evaluator.deviance(theta)):
         return Outcome.START_FAILED
     for _ in range(MAX_WAYS):
-        outcome = _descend(objective, theta)
+        outcome = _descend(evaluator, theta)
         if outcome is not Outcome.CLIFF:
             return outcome
-        around = way_around(objective, _best(objective), generator)
+        around = way_around(evaluator, _best(evaluator), generator)
         if around is None:
             return Outcome.CLIFF
         theta = around
     return Outcome.CLIFF
 
 
-def _descend(objective: Objective, theta: Array) -> Outcome:
-    parameters = objective.parameters
+def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
+    parameters = evaluator.parameters
     theta = _strictly_inside(theta, parameters)
-    if not np.isfinite(objective.value(theta)):
+    if not np.isfinite(evaluator.deviance(theta)):
         return Outcome.CLIFF
-    watch = _Watch(objective)
+    watch = _Watch(evaluator)
     # Only the step is left to scipy as a reason to stop: the others are tested in `_Watch`.
     try:
         scipy.optimize.least_squares(
@@ -65,16 +64,17 @@ def _descend(objective: Objective, theta: Array) -> Outcome:
             ftol=None,
             xtol=RELATIVE_STEP,
             gtol=None,
-            max_nfev=objective.budget + 1,
+            # The budget of the evaluator ends it.
+            max_nfev=np.iinfo(np.int32).max,
         )
     except Ended as end:
         if end.outcome is Outcome.BUDGET:
             raise
         outcome = end.outcome
     else:
-        outcome = Outcome.MINIMUM if _is_on_a_kink(objective) else Outcome.VALLEY
+        outcome = Outcome.MINIMUM if _is_on_a_kink(evaluator) else Outcome.VALLEY
     if outcome is Outcome.MINIMUM:
-        _settle(objective)
+        _settle(evaluator)
     return outcome
 
 
@@ -85,13 +85,13 @@ class _Watch:
     after residuals that are not finite, without an end to that.
     """
 
-    def __init__(self, objective: Objective) -> None:
-        self._objective = objective
-        self._scales = typical_steps(objective.parameters)
+    def __init__(self, evaluator: Evaluator) -> None:
+        self._evaluator = evaluator
+        self._scales = typical_steps(evaluator.parameters)
         self._accepted: Array | None = None
 
     def residuals(self, theta: Array) -> Array:
-        residuals = self._objective.residuals(theta)
+        residuals = self._evaluator.residuals(theta)
         if self._accepted is not None and not np.all(np.isfinite(residuals)):
             step = np.max(np.abs(theta - self._accepted) / self._scales)
             if step < CLIFF_STEP:
@@ -99,41 +99,37 @@ class _Watch:
         return residuals
 
     def jacobian(self, theta: Array) -> Array:
-        objective = self._objective
-        residuals, jacobian = objective.residuals(theta), objective.jacobian(theta)
-        if not np.all(np.isfinite(jacobian)):
+        here = self._evaluator(theta)
+        if not here.is_finite:
             raise Ended(Outcome.VALLEY)
-        if gauss_newton(theta, residuals, jacobian, objective.parameters).is_stationary:
+        if gauss_newton(here, self._evaluator.parameters).is_stationary:
             raise Ended(Outcome.MINIMUM)
-        self._accepted = np.array(theta)
-        return jacobian
+        self._accepted = here.theta
+        return here.jacobian
 
 
-def _is_on_a_kink(objective: Objective) -> bool:
+def _is_on_a_kink(evaluator: Evaluator) -> bool:
     """Whether the derivatives promise next to nothing where the search could not go on.
 
     Where a contact point just touches, the derivatives of both sides differ and may point at each
     other: the lowest place is there, and no derivative vanishes at it.
     """
-    theta = _best(objective)
-    residuals, jacobian = objective.residuals(theta), objective.jacobian(theta)
-    step = gauss_newton(theta, residuals, jacobian, objective.parameters)
-    return bool(step.reduction <= KINK_SHARE * objective.value(theta))
+    here = evaluator(_best(evaluator))
+    return gauss_newton(here, evaluator.parameters).reduction <= KINK_SHARE * here.deviance
 
 
-def _settle(objective: Objective) -> None:
+def _settle(evaluator: Evaluator) -> None:
     """Take the last Gauss-Newton step, which ends on an active bound and not just before it."""
-    theta = _best(objective)
-    parameters = objective.parameters
-    residuals, jacobian = objective.residuals(theta), objective.jacobian(theta)
-    step = gauss_newton(theta, residuals, jacobian, parameters).step
-    objective.value(np.clip(theta + step, parameters.lower, parameters.upper))
+    theta = _best(evaluator)
+    parameters = evaluator.parameters
+    step = gauss_newton(evaluator(theta), parameters).step
+    evaluator.deviance(np.clip(theta + step, parameters.lower, parameters.upper))
 
 
-def _best(objective: Objective) -> Array:
-    if objective.best_theta is None:  # pragma: no cover - only called after a finite start
+def _best(evaluator: Evaluator) -> Array:
+    if evaluator.best_theta is None:  # pragma: no cover - only called after a finite start
         raise Ended(Outcome.START_FAILED)
-    return objective.best_theta
+    return evaluator.best_theta
 
 
 def _inside(start: Array, parameters: Parameters) -> Array:

@@ -1,7 +1,7 @@
 """The population methods the paper asks future work to try, from pymoo, cma and scipy.
 
 All start in the paper's box around the start, cut to the parameters' bounds, search within these
-bounds, and know of infinite objectives only that they are worse than all others.
+bounds, and know of infinite deviances only that they are worse than all others.
 """
 
 import importlib
@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 
-from identknee.calibrate.objective import Objective
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.scales import half_widths
 from identknee.calibrate.search import POPULATION, run_search, uniform_box
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
-# Stands for infinity where a library takes differences of objectives.
+# Stands for infinity where a library takes differences of deviances.
 NO_PREDICTION = 1e100
 # scipy's 5,230 jumps all over the bounds: with it, 2,500 simulations of eight springs
 # (tests/problems.py) from a start near the minimum never went below the start.
@@ -25,44 +25,45 @@ INITIAL_TEMPERATURE = 10.0
 
 
 def minimise_by_genetic(
-    objective: Objective, start: Array, generator: np.random.Generator
+    evaluator: Evaluator, start: Array, generator: np.random.Generator
 ) -> Outcome:
-    """How pymoo's genetic algorithm with 20 members ended on `objective`."""
+    """How pymoo's genetic algorithm with 20 members ended."""
     module = _imported("pymoo.algorithms.soo.nonconvex.ga")
-    search = PymooSearch(module.GA, objective.parameters, start, generator)
-    return run_search(search, objective)
+    search = PymooSearch(module.GA, evaluator.parameters, start, generator)
+    return run_search(search, evaluator)
 
 
 def minimise_by_particle_swarm(
-    objective: Objective, start: Array, generator: np.random.Generator
+    evaluator: Evaluator, start: Array, generator: np.random.Generator
 ) -> Outcome:
-    """How pymoo's adaptive particle swarm with 20 particles ended on `objective`."""
+    """How pymoo's adaptive particle swarm with 20 particles ended."""
     module = _imported("pymoo.algorithms.soo.nonconvex.pso")
-    search = PymooSearch(module.PSO, objective.parameters, start, generator)
-    return run_search(search, objective)
+    search = PymooSearch(module.PSO, evaluator.parameters, start, generator)
+    return run_search(search, evaluator)
 
 
 def minimise_by_cma_es(
-    objective: Objective, start: Array, generator: np.random.Generator
+    evaluator: Evaluator, start: Array, generator: np.random.Generator
 ) -> Outcome:
-    """How CMA-ES ended on `objective`; its first normal has the variance of the uniform box."""
-    return run_search(CmaSearch(objective.parameters, start, generator), objective)
+    """How CMA-ES ended; its first normal has the variance of the uniform box."""
+    return run_search(CmaSearch(evaluator.parameters, start, generator), evaluator)
 
 
 def minimise_by_annealing(
-    objective: Objective, start: Array, generator: np.random.Generator
+    evaluator: Evaluator, start: Array, generator: np.random.Generator
 ) -> Outcome:
     """How scipy's generalised simulated annealing ended; it has no end but the budget.
 
-    Local searches are off, because they would take differences of the objective, blind to cliffs.
+    Local searches are off, because they would take differences of the deviance, blind to cliffs.
     """
-    parameters = objective.parameters
+    parameters = evaluator.parameters
     scipy.optimize.dual_annealing(
-        lambda theta: min(objective.value(theta), NO_PREDICTION),
+        # Half the deviance, the objective of the paper: temperatures are in its unit.
+        lambda theta: min(0.5 * evaluator.deviance(theta), NO_PREDICTION),
         list(zip(parameters.lower, parameters.upper, strict=True)),
         x0=uniform_box(generator, 1, *_box(parameters, start))[0],
-        # An iteration is at least one simulation; the objective's budget ends the loop.
-        maxiter=objective.budget,
+        # An iteration is at least one simulation; the evaluator's budget ends the loop.
+        maxiter=evaluator.budget,
         initial_temp=INITIAL_TEMPERATURE,
         no_local_search=True,
         # The keyword was `seed` until scipy 1.15 and is still understood.
@@ -117,7 +118,7 @@ class PymooSearch:
         return np.asarray(self._asked.get("X"), dtype=np.float64)
 
     def tell(self, values: Array) -> None:
-        """Take the objectives of those asked, shape ``(m,)``."""
+        """Take the deviances of those asked, shape ``(m,)``."""
         static = _imported("pymoo.problems.static").StaticProblem(self._problem, F=values[:, None])
         _imported("pymoo.core.evaluator").Evaluator().eval(static, self._asked)
         self._algorithm.tell(infills=self._asked)
@@ -157,7 +158,7 @@ class CmaSearch:
         return self.population
 
     def tell(self, values: Array) -> None:
-        """Take the objectives of the generation, shape ``(m,)``."""
+        """Take the deviances of the generation, shape ``(m,)``."""
         self._strategy.tell(list(self.population), list(np.minimum(values, NO_PREDICTION)))
 
 

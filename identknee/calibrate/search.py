@@ -1,10 +1,10 @@
-"""The one loop of all searches that ask for candidates and are told their objectives."""
+"""The one loop of all searches that ask for candidates and are told their deviances."""
 
 from typing import Protocol
 
 import numpy as np
 
-from identknee.calibrate.objective import Objective
+from identknee.calibrate.evaluation import Evaluator
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
@@ -25,11 +25,11 @@ class Search(Protocol):
         ...
 
     def tell(self, values: Array) -> None:
-        """Take the objectives of the candidates just asked, shape ``(m,)``; they may be inf."""
+        """Take the deviances of the candidates just asked, shape ``(m,)``; they may be inf."""
         ...
 
 
-def run_search(search: Search, objective: Objective) -> Outcome:
+def run_search(search: Search, evaluator: Evaluator) -> Outcome:
     """How the search ended: when the population's spread in every parameter was below 1e-3.
 
     The spread is the largest minus the smallest value, in the unit of the parameter (kN or %).
@@ -37,13 +37,13 @@ def run_search(search: Search, objective: Objective) -> Outcome:
     Raises
     ------
     Ended
-        If the budget of the objective was used up first.
+        If the budget of the evaluator was used up first.
     """
     while True:
         candidates = search.ask()
         if len(candidates) == 0:
             return Outcome.SPREAD
-        search.tell(np.array([objective.value(candidate) for candidate in candidates]))
+        search.tell(np.array([evaluator.deviance(candidate) for candidate in candidates]))
         if np.all(np.ptp(search.population, axis=0) < SPREAD_TOLERANCE):
             return Outcome.SPREAD
 

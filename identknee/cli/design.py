@@ -167,7 +167,7 @@ def _with_errors(its: Identification) -> "ik.Laxity":
 
 
 def _target(its: Identification, name: str) -> "ik.Quantity":
-    from identknee.identify.quantity import RestrictedQuantity
+    from identknee.calibrate.quantity import RestrictedQuantity
     from identknee.model.quantities import AT, quantity_named
 
     if AT not in name:

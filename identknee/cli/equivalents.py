@@ -175,7 +175,7 @@ def _region(
 
 
 def _forces(its: Identification, forces: str, trials: str | None) -> list[Any]:
-    from identknee.identify.quantity import RestrictedQuantity
+    from identknee.calibrate.quantity import RestrictedQuantity
     from identknee.model.equivalence import largest_loads
     from identknee.model.quantities import ligament_forces
 

@@ -2,16 +2,15 @@
 
 import numpy as np
 
-from identknee.calibrate.objective import Ended
-from identknee.identify.bounded_step import bounded_step
-from identknee.identify.constrained import (
+from identknee.calibrate.bounded_step import bounded_step
+from identknee.calibrate.constrained import (
     Constrained,
     conditional_sds,
     minimise,
     solve_constrained,
 )
-from identknee.identify.evaluation import Evaluation, Evaluator
-from identknee.identify.quantity import Quantity
+from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
+from identknee.calibrate.quantity import Quantity
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 

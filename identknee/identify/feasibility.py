@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
-from identknee.identify.evaluation import evaluate
 from identknee.identify.posterior.density import from_working, newton_kernel, to_working
 from identknee.identify.shares import Share, share
 from identknee.runs.arrays import Array

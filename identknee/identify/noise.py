@@ -6,6 +6,7 @@ import numpy as np
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem
+from identknee.calibrate.tolerances import RANK_TOLERANCE
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 
@@ -142,6 +143,6 @@ def _sds(residuals: Array, groups: IntArray, degrees: Array) -> Array:
 def _parameters_determined(jacobian: Array, groups: IntArray) -> tuple[Array, int]:
     """How many parameters each group determines, shape ``(k,)``, and how many all of them do."""
     left, size, _ = np.linalg.svd(jacobian, full_matrices=False)
-    rank = int(np.sum(size > size[0] * 1e-10))
+    rank = int(np.sum(size > size[0] * RANK_TOLERANCE))
     leverage = np.sum(left[:, :rank] ** 2, axis=1)
     return np.bincount(groups, weights=leverage).astype(np.float64), rank

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
 from identknee.identify.profile.pairs import PairProfile, profile_pair
 from identknee.identify.profile.profiles import profile_quantities
 from identknee.identify.profile.result import Profile
@@ -14,7 +15,6 @@ from identknee.identify.profile.thresholds import (
     f_threshold,
     resimulated,
 )
-from identknee.identify.quantity import ParameterQuantity, Quantity, RestrictedQuantity
 from identknee.laxity.protocol import load_protocol
 from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array

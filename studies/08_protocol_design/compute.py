@@ -15,6 +15,7 @@ import numpy as np
 import platformdirs
 
 from identknee.calibrate.fit import fit
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.calibrate.starts import named_start
 from identknee.identify.design.added_trials import WithTrials
 from identknee.identify.design.criteria import CRITERIA, Criterion
@@ -22,7 +23,6 @@ from identknee.identify.design.design import Design, design
 from identknee.identify.optimum import best_fit
 from identknee.identify.profile.profiles import profile_quantities
 from identknee.identify.profile.result import Profile
-from identknee.identify.quantity import ParameterQuantity
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import LOADS, Protocol, load_protocol

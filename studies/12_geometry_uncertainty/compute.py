@@ -16,10 +16,10 @@ import numpy as np
 import platformdirs
 from scipy.spatial.transform import Rotation
 
+from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
+from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.calibrate.starts import named_start
-from identknee.identify.constrained import Constrained, minimise, solve_constrained
-from identknee.identify.evaluation import Evaluator
-from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import LOADS, Protocol, load_protocol
 from identknee.laxity.table import Laxity

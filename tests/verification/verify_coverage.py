@@ -17,10 +17,10 @@ from rows import Measure, Row
 from scipy.stats import binomtest, chi2
 from work_store import work_store
 
-from identknee.identify.constrained import minimise
-from identknee.identify.evaluation import Evaluator
+from identknee.calibrate.constrained import minimise
+from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.profile.thresholds import bootstrap_statistics, resimulated
-from identknee.identify.quantity import ParameterQuantity
 from identknee.report.study_records import knee_digest
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool

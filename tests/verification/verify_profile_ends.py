@@ -11,8 +11,8 @@ from scipy.stats import chi2
 from work_store import work_store
 
 from identknee.calibrate.fit import fit
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.profile.profile import profile
-from identknee.identify.quantity import ParameterQuantity
 from identknee.model.residuals import LaxityResiduals
 from identknee.report.study_records import knee_digest
 from identknee.runs.arrays import Array

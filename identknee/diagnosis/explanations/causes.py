@@ -7,9 +7,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtri
 
+from identknee.calibrate.evaluation import Evaluation
 from identknee.diagnosis.explanations.refit import Refit
 from identknee.diagnosis.normal_in_box import box_intervals, log_box_probability, log_interval_mass
-from identknee.identify.evaluation import Evaluation
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.effects.units import PLAIN, unit_of
 from identknee.model.parameters import Parameters

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
+from identknee.calibrate.constrained import Constrained, minimise
+from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import WithPriors
 from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
 from identknee.diagnosis.noise.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.noise.nuisances import nuisance_changes
 from identknee.diagnosis.score.misfit import Projector, base_projector
-from identknee.identify.constrained import Constrained, minimise
-from identknee.identify.evaluation import Evaluation, Evaluator
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.contact_law import CONTACT_LAW, contact_nuisance

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
 from identknee.diagnosis.gain.folds import Observations
 from identknee.diagnosis.score.misfit import Projector, base_projector
-from identknee.identify.evaluation import evaluate
 from identknee.laxity.protocol import Protocol
 from identknee.runs.arrays import Array, frozen
 

@@ -7,10 +7,10 @@ from enum import Enum, unique
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from identknee.calibrate.constrained import Constrained, minimise
+from identknee.calibrate.evaluation import Evaluation, Evaluator, evaluate
 from identknee.calibrate.problem import Problem, WithPriors
 from identknee.diagnosis.gain.folds import Fold, Observations, Rmse
-from identknee.identify.constrained import Constrained, minimise
-from identknee.identify.evaluation import Evaluation, Evaluator, evaluate
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.quantity import Quantity
+from identknee.calibrate.quantity import Quantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 

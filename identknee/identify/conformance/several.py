@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.conformance.case import Case, Formula
 from identknee.identify.conformance.construction import (
     FLAT,
@@ -14,7 +15,6 @@ from identknee.identify.conformance.construction import (
     linear,
     plain_parameters,
 )
-from identknee.identify.quantity import ParameterQuantity
 from identknee.runs.arrays import Array
 
 STRUCTURALLY = {"lower": FLAT, "upper": FLAT, "verdict": "structurally_suspect"}

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
+from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.design.added_trials import Candidates, WithTrials
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, Loss, WidthLoss
 from identknee.identify.design.search import choose
 from identknee.identify.design.survey import Excluded, paths_of, survey
 from identknee.identify.profile.profiles import ProfileSettings, profile_quantities
 from identknee.identify.profile.result import Profile
-from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
+from identknee.calibrate.quantity import Quantity
 from identknee.identify.design.added_trials import Candidates
 from identknee.identify.design.criteria import Loss, Path, directions_across
-from identknee.identify.evaluation import evaluate
 from identknee.identify.information.information import scaled_units
 from identknee.identify.profile.result import Profile
-from identknee.identify.quantity import Quantity
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.executors import Executor
 

@@ -8,10 +8,10 @@ from enum import Enum, unique
 import numpy as np
 from scipy.spatial.distance import pdist
 
+from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.equivalents.rays import farthest_first
 from identknee.identify.equivalents.region import Region
 from identknee.identify.equivalents.search import Searches, Side
-from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial, spawn_seeds

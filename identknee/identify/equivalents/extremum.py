@@ -5,9 +5,10 @@ from enum import Enum, unique
 
 import numpy as np
 
+from identknee.calibrate.quantity import Quantity
+from identknee.calibrate.tolerances import RANK_TOLERANCE
 from identknee.identify.equivalents.region import Blocks, Inside, PairView, RegionView
 from identknee.identify.equivalents.step import Model, Step, best_step
-from identknee.identify.quantity import Quantity
 from identknee.runs.arrays import Array, frozen
 
 # A point counts as inside up to this excess over the limit, relative to it.
@@ -22,8 +23,6 @@ ACCEPTED, GOOD, POOR = 0.05, 0.6, 0.25
 # search from ending outside, because along a curved boundary every step leaves a little.
 PRICE, LOWEST_PRICE, HIGHEST_PRICE = 1.2, 1e-2, 1e2
 MAX_STEPS = 200
-# Directions that change the predictions less than this part of the stiffest are open.
-RANK_TOLERANCE = 1e-10
 TINY = float(np.finfo(float).tiny)
 
 

@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 from scipy.stats import norm
 
+from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.evaluation import Evaluation, Evaluator
 from identknee.runs.arrays import Array, frozen
 
 ALL = "all"

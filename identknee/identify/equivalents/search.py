@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.equivalents.extremum import (
     INSIDE_TOLERANCE,
     End,
@@ -18,7 +19,6 @@ from identknee.identify.equivalents.extremum import (
 )
 from identknee.identify.equivalents.rays import longest_axes, points_along
 from identknee.identify.equivalents.region import Region, RegionView
-from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.executors import Executor
 from identknee.runs.resume import resumable_map

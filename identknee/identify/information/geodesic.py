@@ -5,10 +5,9 @@ from enum import Enum
 
 import numpy as np
 
-from identknee.calibrate.objective import Ended
+from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import floors
-from identknee.identify.evaluation import Evaluation, Evaluator
 from identknee.identify.information.information import Scaling, combination, scaled_units, spectrum
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, frozen

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.evaluation import Evaluator
 from identknee.identify.information.jacobian_noise import JacobianNoise, jacobian_noise
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen

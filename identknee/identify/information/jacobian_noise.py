@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.identify.evaluation import Evaluation, Evaluator
+from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.runs.arrays import Array, frozen
 
 # In scaled units. The perturbation must be small against any curvature and large against the

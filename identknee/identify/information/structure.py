@@ -6,8 +6,9 @@ from enum import Enum
 import numpy as np
 from scipy.stats import qmc
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
-from identknee.identify.evaluation import evaluate
+from identknee.calibrate.tolerances import RANK_TOLERANCE
 from identknee.identify.information.information import scaled_units
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
@@ -16,8 +17,6 @@ from identknee.runs.progress import progress
 
 N_POINTS = 64
 NO_RANK = -1
-# Of columns of length 1; exact derivatives are good to 1e-12.
-RANK_TOLERANCE = 1e-10
 # Derivatives by a scaled unit below this part of the noise are those of no influence.
 NO_INFLUENCE = 1e-12
 

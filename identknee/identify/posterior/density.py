@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from identknee.calibrate.evaluation import Evaluation, evaluate
 from identknee.calibrate.problem import Problem
-from identknee.identify.evaluation import Evaluation, evaluate
 from identknee.identify.shares import share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray

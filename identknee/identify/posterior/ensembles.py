@@ -7,9 +7,9 @@ from typing import Any
 import emcee
 import numpy as np
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import fit
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.evaluation import evaluate
 from identknee.identify.posterior.density import (
     LogPosterior,
     from_working,

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
-from identknee.identify.evaluation import evaluate
 from identknee.identify.posterior.density import LogPosterior, prior_quantiles
 from identknee.identify.posterior.posterior import QUANTILES, Posterior
 from identknee.model.parameters import Parameters

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.identify.constrained import Constrained
+from identknee.calibrate.constrained import Constrained
 from identknee.identify.profile.hermite import crossings
 from identknee.identify.profile.result import Side, SideStatus
 from identknee.identify.profile.walk import Point, Walk, step_to

@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.calibrate.constrained import minimise
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import Problem
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.constrained import minimise
-from identknee.identify.evaluation import Evaluator
 from identknee.identify.profile.hermite import crossings
 from identknee.identify.profile.march import march
 from identknee.identify.profile.profile import OPTIMUM_TOLERANCE
 from identknee.identify.profile.result import SideStatus
 from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
 from identknee.identify.profile.walk import BetterFound, Walk
-from identknee.identify.quantity import ParameterQuantity
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry

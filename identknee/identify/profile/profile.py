@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.calibrate.constrained import Constrained, minimise
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import Problem
-from identknee.identify.constrained import Constrained, minimise
+from identknee.calibrate.quantity import Quantity
 from identknee.identify.detours import fit_around
-from identknee.identify.evaluation import Evaluator
 from identknee.identify.profile.result import Profile
 from identknee.identify.profile.search import (
     Branch,
@@ -19,7 +20,6 @@ from identknee.identify.profile.search import (
 from identknee.identify.profile.thresholds import chi2_threshold
 from identknee.identify.profile.verdict import assembled
 from identknee.identify.profile.walk import BetterFound, Walk
-from identknee.identify.quantity import Quantity
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 

@@ -7,14 +7,14 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import fit_many
 from identknee.calibrate.problem import Problem
-from identknee.identify.evaluation import evaluate
+from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.profile.march import JUMP
 from identknee.identify.profile.profile import LEVEL, profile
 from identknee.identify.profile.result import Profile
 from identknee.identify.profile.thresholds import chi2_threshold
-from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.identify.sweep.starts_design import sobol_starts
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, serial

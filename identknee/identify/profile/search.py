@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.calibrate.constrained import minimise
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.constrained import minimise
+from identknee.calibrate.tolerances import EIGENVALUE_TOLERANCE
 from identknee.identify.profile.march import AT_END, JUMP, Leg, march
 from identknee.identify.profile.result import Side, SideStatus
 from identknee.identify.profile.walk import Point, Walk
-from identknee.identify.quantity import ParameterQuantity
 from identknee.runs.arrays import Array
 
 MOST_BRANCHES = 12
@@ -29,8 +30,6 @@ NARROW = 0.05
 OUTSIDE = 1.0
 # Of the way to the ends of the likely values: how far a constant is tried.
 ALMOST = 0.9
-# Of the largest: eigenvalues of the information below this are none.
-RANK_TOLERANCE = 1e-10
 
 Region = tuple[float, float]
 
@@ -107,7 +106,7 @@ def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
     parameters = walk.evaluator.parameters
     at = origin.evaluation
     scales = typical_steps(parameters)
-    inverse = np.linalg.pinv(at.information * np.outer(scales, scales), rcond=RANK_TOLERANCE)
+    inverse = np.linalg.pinv(at.information * np.outer(scales, scales), rcond=EIGENVALUE_TOLERANCE)
     covariance = inverse * np.outer(scales, scales)
     sd = np.sqrt(np.diag(covariance))
     known = sd > 0

@@ -9,10 +9,10 @@ import numpy as np
 import scipy.stats
 from numpy.typing import ArrayLike
 
+from identknee.calibrate.constrained import minimise, solve_constrained
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import Problem
-from identknee.identify.constrained import minimise, solve_constrained
-from identknee.identify.evaluation import Evaluator
-from identknee.identify.quantity import Quantity
+from identknee.calibrate.quantity import Quantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial, spawn_seeds

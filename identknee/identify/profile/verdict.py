@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 import scipy.stats
 
-from identknee.identify.constrained import conditional_sds
+from identknee.calibrate.constrained import conditional_sds
+from identknee.calibrate.tolerances import UNSEEN_TOLERANCE
 from identknee.identify.profile.hermite import cubic
 from identknee.identify.profile.march import AT_END, FLAT
 from identknee.identify.profile.result import Interval, Profile, Side, SideStatus, Verdict
@@ -15,9 +16,6 @@ from identknee.identify.profile.search import Branch
 from identknee.identify.profile.walk import Point, Walk
 from identknee.runs.arrays import Array
 
-# Singular values below this part of the largest are none, each parameter in steps that change the
-# deviance by one.
-RANK_TOLERANCE = 1e-9
 # Of the quantity's gradient: what may lie in directions that the data do not see.
 UNSEEN = 1e-3
 UNDECIDED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
@@ -183,7 +181,7 @@ def _is_unseen(walk: Walk, origin: Point) -> bool:
     matrix = origin.evaluation.jacobian * scales
     padded = np.vstack([matrix, np.zeros((matrix.shape[1], matrix.shape[1]))])
     _, values, directions = np.linalg.svd(padded, full_matrices=False)
-    unseen = directions[values <= RANK_TOLERANCE * max(values[0], 1e-300)] @ gradient
+    unseen = directions[values <= UNSEEN_TOLERANCE * max(values[0], 1e-300)] @ gradient
     return bool(np.linalg.norm(unseen) > UNSEEN * np.linalg.norm(gradient))
 
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.identify.constrained import MAX_STEPS, TOLERANCE, Constrained, solve_constrained
+from identknee.calibrate.constrained import MAX_STEPS, TOLERANCE, Constrained, solve_constrained
+from identknee.calibrate.evaluation import Evaluation, Evaluator
+from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.detours import fit_around, promised_reduction
-from identknee.identify.evaluation import Evaluation, Evaluator
-from identknee.identify.quantity import ParameterQuantity, Quantity
 from identknee.runs.arrays import Array, BoolArray
 
 # Of the threshold: a lower deviance than the optimum's by more than this starts a profile over.

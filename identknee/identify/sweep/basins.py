@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.calibrate.objective import half_sum_of_squares
+from identknee.calibrate.evaluation import sum_of_squares
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.shares import Share, share
@@ -18,8 +18,8 @@ TOLERANCE = 0.01
 # looked at.
 N_BETWEEN = 7
 N_NEIGHBOURS = 3
-# Parts of the objective, and the objective itself, below which a barrier is rounding.
-BARRIER_SHARE, BARRIER_FLOOR = 1e-6, 1e-9
+# Share of the deviance, and the deviance itself, below which a barrier is rounding.
+BARRIER_SHARE, BARRIER_FLOOR = 1e-6, 2e-9
 NONE = -1
 
 
@@ -123,12 +123,12 @@ def find_basins(problem: Problem, sweep: Sweep) -> Basins:
 
 
 def has_barrier(problem: Problem, first: Array, second: Array) -> bool:
-    """Whether the objective rises, or is lost, on the straight line between two points."""
-    ends = [half_sum_of_squares(problem.residuals(x)) for x in (first, second)]
+    """Whether the deviance rises, or is lost, on the straight line between two points."""
+    ends = [sum_of_squares(problem.residuals(x)) for x in (first, second)]
     highest = max(ends) * (1.0 + BARRIER_SHARE) + BARRIER_FLOOR
     for along in np.linspace(0.0, 1.0, N_BETWEEN + 2)[1:-1]:
         between = (1.0 - along) * first + along * second
-        if not half_sum_of_squares(problem.residuals(between)) <= highest:
+        if not sum_of_squares(problem.residuals(between)) <= highest:
             return True
     return False
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.objective import half_sum_of_squares
+from identknee.calibrate.evaluation import sum_of_squares
 from identknee.calibrate.problem import Problem
 from identknee.identify.sweep.starts_design import distance
 from identknee.model.parameters import Parameters
@@ -161,7 +161,7 @@ def plane(problem: Problem, center: Array, axes: tuple[int, int], n: int) -> tup
     for row, second in enumerate(values[1]):
         for column, first in enumerate(values[0]):
             theta[chosen] = first, second
-            objectives[row, column] = half_sum_of_squares(problem.residuals(theta))
+            objectives[row, column] = 0.5 * sum_of_squares(problem.residuals(theta))
     return values, objectives
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import BUDGET, METHODS, Fit, fit
 from identknee.calibrate.gauss_newton import gauss_newton
 from identknee.calibrate.problem import Problem
-from identknee.identify.evaluation import evaluate
+from identknee.calibrate.tolerances import KINK_SHARE
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
 from identknee.runs.executors import Executor, serial
@@ -30,8 +31,6 @@ OUTCOMES = (
 )
 # In typical steps (3 kN, 2 %): an end closer to the minimum than this is called that minimum.
 AT_MINIMUM = 0.01
-# Of the objective: what the linear model may still promise at a minimum on a kink.
-KINK_SHARE = 1e-6
 # Times the change that the derivatives promise over such a step: a larger one is a jump.
 JUMP = 10.0
 # Starts that one task goes through: enough to outweigh its way to a worker.
@@ -205,8 +204,8 @@ def kind_of_end(problem: Problem, end: Fit) -> Outcome:
     here = evaluate(problem, end.theta)
     if not here.is_finite:
         return Outcome.VALLEY
-    ahead = gauss_newton(here.theta, here.residuals, here.jacobian, problem.parameters)
-    if ahead.length <= AT_MINIMUM or ahead.reduction <= KINK_SHARE * end.objective:
+    ahead = gauss_newton(here, problem.parameters)
+    if ahead.length <= AT_MINIMUM or ahead.reduction <= KINK_SHARE * here.deviance:
         return Outcome.MINIMUM
     step = ahead.step * AT_MINIMUM / ahead.length
     expected = here.jacobian @ step

@@ -12,8 +12,8 @@ from problems import (
 
 from identknee.calibrate import least_squares
 from identknee.calibrate.cliff import way_around
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.fit import fit
-from identknee.calibrate.objective import Objective
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
@@ -43,21 +43,21 @@ def test_the_fit_goes_around_the_disc() -> None:
 
 def test_a_way_around_is_feasible_and_lower() -> None:
     cliff = disc_in_the_way()
-    objective = Objective(cliff, budget=500)
+    evaluator = Evaluator(cliff, budget=500)
     before = np.array([-2.0001, -0.1])
-    value = objective.value(before)
-    around = way_around(objective, before, np.random.default_rng(0))
+    value = evaluator.deviance(before)
+    around = way_around(evaluator, before, np.random.default_rng(0))
     assert around is not None
     assert cliff.beyond(around) <= 0
-    assert objective.value(around) < value
+    assert evaluator.deviance(around) < value
 
 
 def test_no_way_around_a_wall_at_its_lowest_point() -> None:
     cliff = wall_before_the_minimum()
     end = fit(cliff, cliff.problem.start)
-    objective = Objective(cliff, budget=500)
-    objective.value(end.theta)
-    assert way_around(objective, end.theta, np.random.default_rng(1)) is None
+    evaluator = Evaluator(cliff, budget=500)
+    evaluator.deviance(end.theta)
+    assert way_around(evaluator, end.theta, np.random.default_rng(1)) is None
 
 
 def test_no_way_from_a_point_without_slope() -> None:
@@ -71,9 +71,9 @@ def test_no_way_from_a_point_without_slope() -> None:
         def jacobian(self, theta: Array) -> Array:
             return flat
 
-    objective = Objective(Flat(), budget=5)
-    objective.value(problem.start)
-    assert way_around(objective, problem.start, np.random.default_rng(0)) is None
+    evaluator = Evaluator(Flat(), budget=5)
+    evaluator.deviance(problem.start)
+    assert way_around(evaluator, problem.start, np.random.default_rng(0)) is None
 
 
 def test_one_parameter_has_no_sideways() -> None:

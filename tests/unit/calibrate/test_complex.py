@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from problems import IG2, IG4, linear, sloppy_springs
 
 from identknee.calibrate.complex import Complex, minimise_by_complex
-from identknee.calibrate.objective import Objective
+from identknee.calibrate.evaluation import Evaluator
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
@@ -167,7 +167,7 @@ def test_follows_the_same_trail_as_a_plain_loop(start: Any) -> None:
             trail.append(np.array(theta))
             return problem.residuals(theta)
 
-    minimise_by_complex(Objective(Recorded(), budget=2500), start, np.random.default_rng(1))
+    minimise_by_complex(Evaluator(Recorded(), budget=2500), start, np.random.default_rng(1))
     expected = slow_complex(
         lambda theta: 0.5 * np.sum(problem.residuals(theta) ** 2),
         start,
@@ -182,9 +182,9 @@ def test_follows_the_same_trail_as_a_plain_loop(start: Any) -> None:
 
 def test_stops_by_spread_and_not_before() -> None:
     problem = linear()
-    objective = Objective(problem, budget=2500)
-    outcome = minimise_by_complex(objective, problem.start, np.random.default_rng(0))
+    evaluator = Evaluator(problem, budget=2500)
+    outcome = minimise_by_complex(evaluator, problem.start, np.random.default_rng(0))
     assert outcome is Outcome.SPREAD
     # All twenty candidates lie within 1e-3 in each parameter, hence the best one near the minimum.
-    assert objective.best_theta is not None
-    assert np.max(np.abs(objective.best_theta - problem.minimum)) < 1e-3
+    assert evaluator.best_theta is not None
+    assert np.max(np.abs(evaluator.best_theta - problem.minimum)) < 1e-3

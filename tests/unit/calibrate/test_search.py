@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from problems import linear
 
-from identknee.calibrate.objective import Ended, Objective
+from identknee.calibrate.evaluation import Ended, Evaluator
 from identknee.calibrate.search import run_search, uniform_box
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -30,21 +30,21 @@ class Shrinking:
 
 def test_ends_when_every_spread_is_below_a_thousandth() -> None:
     search = Shrinking(0.1)
-    assert run_search(search, Objective(linear(), budget=100)) is Outcome.SPREAD
+    assert run_search(search, Evaluator(linear(), budget=100)) is Outcome.SPREAD
     # 0.1^3 rounds to just above 1e-3, 0.1^4 is below it.
     assert search.rounds == 4
     assert all(values.shape == (2,) for values in search.told)
 
 
 def test_ends_when_nothing_is_asked() -> None:
-    assert run_search(Shrinking(1.0, last=2), Objective(linear(), budget=9)) is Outcome.SPREAD
+    assert run_search(Shrinking(1.0, last=2), Evaluator(linear(), budget=9)) is Outcome.SPREAD
 
 
 def test_budget_cuts_a_generation_short() -> None:
-    objective = Objective(linear(), budget=3)
+    evaluator = Evaluator(linear(), budget=3)
     with pytest.raises(Ended):
-        run_search(Shrinking(0.9), objective)
-    assert objective.n_simulations == 3
+        run_search(Shrinking(0.9), evaluator)
+    assert evaluator.n_simulations == 3
 
 
 def test_uniform_box_fills_its_box() -> None:

@@ -10,6 +10,7 @@ import pytest
 from diagnoses import FRAME, FRAME_DEG, SD, diagnosed, short_trials
 from scipy.stats import multivariate_normal
 
+from identknee.calibrate.evaluation import Evaluation
 from identknee.diagnosis.explanations import attribution as module
 from identknee.diagnosis.explanations.attribution import (
     MOST_AMPLITUDES,
@@ -28,7 +29,6 @@ from identknee.diagnosis.explanations.refit import (
     rivals_of,
     without_causes,
 )
-from identknee.identify.evaluation import Evaluation
 from identknee.laxity.noise import add_noise
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel

@@ -7,6 +7,8 @@ import pytest
 from scipy import integrate, stats
 from tolerances import CLOSED_FORM
 
+from identknee.calibrate.constrained import minimise
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import WithPriors
 from identknee.diagnosis.explanations.causes import Laplace, laplace
 from identknee.diagnosis.normal_in_box import (
@@ -14,8 +16,6 @@ from identknee.diagnosis.normal_in_box import (
     log_box_probability,
     log_interval_mass,
 )
-from identknee.identify.constrained import minimise
-from identknee.identify.evaluation import Evaluator
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, diagnosed
 
+from identknee.calibrate.evaluation import Evaluation
 from identknee.diagnosis.explanations import attribution as attribution_module
 from identknee.diagnosis.explanations import refit as refit_module
 from identknee.diagnosis.explanations.attribution import (
@@ -25,7 +26,6 @@ from identknee.diagnosis.explanations.verdict import (
     conclude,
 )
 from identknee.diagnosis.score.score import LEVEL
-from identknee.identify.evaluation import Evaluation
 from identknee.model import soundness
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import effect_named

@@ -7,11 +7,11 @@ import pytest
 from problems import ClosedForm, Linear, plain_parameters
 from trial_formulas import FormulaTrials, linear_trials
 
+from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.design.added_trials import WithTrials
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, directions_across
 from identknee.identify.design.design import Design, design
 from identknee.identify.profile.result import SideStatus
-from identknee.identify.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.arrays import Array
 from identknee.runs.executors import threads
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy_springs
 
+from identknee.calibrate.quantity import UserQuantity
 from identknee.identify.equivalents.equivalents import (
     SEPARATION,
     Completeness,
@@ -12,7 +13,6 @@ from identknee.identify.equivalents.equivalents import (
 )
 from identknee.identify.equivalents.extremum import INSIDE_TOLERANCE, End
 from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
-from identknee.identify.quantity import UserQuantity
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.resume import open_work

@@ -5,7 +5,7 @@ import pytest
 from problems import Cliff, linear
 from scipy.stats import norm
 
-from identknee.identify.evaluation import evaluate
+from identknee.calibrate.evaluation import evaluate
 from identknee.identify.feasibility import feasibility_findings, share_without_prediction
 from identknee.identify.posterior.density import newton_kernel
 from identknee.runs.findings import Severity

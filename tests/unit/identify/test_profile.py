@@ -8,14 +8,14 @@ import pytest
 from problems import Cliff, ClosedForm, linear, plain_parameters, sloppy_springs
 
 from identknee.calibrate.bounded import with_bounds
+from identknee.calibrate.constrained import minimise
+from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import Problem
-from identknee.identify.constrained import minimise
-from identknee.identify.evaluation import Evaluator
+from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.profile.profile import profile
 from identknee.identify.profile.result import Profile, SideStatus, Verdict
 from identknee.identify.profile.verdict import curve_slopes
 from identknee.identify.profile.walk import Walk
-from identknee.identify.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.arrays import Array
 
 Z_95 = 1.959963984540054

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from problems import ClosedForm, Linear, linear, plain_parameters
 
+from identknee.calibrate.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
 from identknee.identify.profile.profile import profile
 from identknee.identify.profile.profiles import (
     other_optima,
@@ -13,7 +14,6 @@ from identknee.identify.profile.profiles import (
     profile_quantities,
 )
 from identknee.identify.profile.result import Profile
-from identknee.identify.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
 from identknee.runs.plain_records import from_plain, to_plain
 from identknee.runs.resume import as_stored, open_work
 

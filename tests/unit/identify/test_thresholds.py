@@ -9,6 +9,7 @@ import scipy.stats
 from problems import Linear, plain_parameters
 
 from identknee.calibrate.problem import Problem
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.profile.thresholds import (
     BootstrapStatistics,
     bootstrap_statistics,
@@ -16,7 +17,6 @@ from identknee.identify.profile.thresholds import (
     f_threshold,
     threshold_below,
 )
-from identknee.identify.quantity import ParameterQuantity
 
 MATRIX = np.random.default_rng(3).normal(size=(7, 2))
 TRUTH = np.array([1.0, -0.5])

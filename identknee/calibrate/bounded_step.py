@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.calibrate.tolerances import STEP_RANK_TOLERANCE
 from identknee.runs.arrays import Array, BoolArray, IntArray
 
-# Singular values below this part of the largest one are rounding, not information.
-RANK_TOLERANCE = 1e-12
 # What is smaller has no inverse among floating-point numbers.
 SMALLEST = 1e-150
 ROUNDS_PER_PARAMETER = 10
@@ -143,7 +142,7 @@ class _ActiveSet:
         if basis.shape[1] == 0:
             return np.zeros(len(free))
         left, size, right = np.linalg.svd(matrix @ basis, full_matrices=False)
-        known = size > max(RANK_TOLERANCE * self._size, SMALLEST)
+        known = size > max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
         return np.asarray(basis @ (right[known].T @ (left[:, known].T @ -missing / size[known])))
 
     def _let_go(self) -> bool:
@@ -153,7 +152,7 @@ class _ActiveSet:
         inward[~self._held | (self._lower == self._upper)] = 0.0
         hardest = int(np.argmax(inward))
         size = float(np.max(np.abs(self._matrix.T @ self._data), initial=0.0))
-        if inward[hardest] <= RANK_TOLERANCE * size:
+        if inward[hardest] <= STEP_RANK_TOLERANCE * size:
             return False
         self._held[hardest] = False
         return True

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.calibrate.objective import Ended
+from identknee.calibrate.bounded_step import Step, attainable, bounded_step
+from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
+from identknee.calibrate.quantity import Quantity
 from identknee.calibrate.scales import typical_steps
-from identknee.identify.bounded_step import Step, attainable, bounded_step
-from identknee.identify.evaluation import Evaluation, Evaluator
-from identknee.identify.quantity import Quantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.outcome import Outcome

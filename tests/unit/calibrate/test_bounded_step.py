@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from identknee.identify.bounded_step import attainable, bounded_step, point_on_plane
+from identknee.calibrate.bounded_step import attainable, bounded_step, point_on_plane
 
 # Linear algebra of condition 100 at most.
 CLOSE = 1e-9

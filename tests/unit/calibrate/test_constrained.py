@@ -13,9 +13,9 @@ from problems import (
     sloppy_springs,
 )
 
-from identknee.identify.constrained import Constrained, minimise, solve_constrained
-from identknee.identify.evaluation import Evaluator
-from identknee.identify.quantity import ParameterQuantity, UserQuantity
+from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
+from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.outcome import Outcome
 
 # The deviance may be off by its tolerance of 1e-8; a difference over 1e-3 by 1e-5 of that.

@@ -1,0 +1,208 @@
+"""Residuals of a problem and their derivatives, counted, and the best of them remembered."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.calibrate.problem import Problem
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, frozen
+from identknee.runs.outcome import Outcome
+
+REMEMBERED = 4
+
+
+class Ended(Exception):  # noqa: N818 - not an error: it says how a search ended
+    """Raised inside a search to leave it, whichever library owns its loop."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__(outcome)
+        self.outcome = outcome
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evaluation:
+    """One simulation: residuals in units of their noise, and their exact derivatives.
+
+    Attributes
+    ----------
+    theta
+        Where, shape ``(n,)``.
+    residuals
+        Shape ``(m,)``; all infinite where the model has no prediction.
+    jacobian
+        d residuals / d theta, shape ``(m, n)``; NaN where the residuals are infinite.
+    """
+
+    theta: Array
+    residuals: Array
+    jacobian: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "theta", frozen(self.theta, None, name="theta"))
+        object.__setattr__(self, "residuals", frozen(self.residuals, None, name="residuals"))
+        shape = (self.residuals.size, self.theta.size)
+        object.__setattr__(self, "jacobian", frozen(self.jacobian, *shape, name="jacobian"))
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the model has a prediction with derivatives here."""
+        return bool(np.isfinite(self.residuals).all() and np.isfinite(self.jacobian).all())
+
+    @property
+    def deviance(self) -> float:
+        """Sum of squared residuals: minus twice the log likelihood, up to a constant."""
+        return float(self.residuals @ self.residuals) if self.is_finite else np.inf
+
+    @property
+    def gradient(self) -> Array:
+        """Derivatives of the deviance by theta, shape ``(n,)``."""
+        return np.asarray(2.0 * self.jacobian.T @ self.residuals)
+
+    @property
+    def information(self) -> Array:
+        """Fisher information of theta, shape ``(n, n)``."""
+        return np.asarray(self.jacobian.T @ self.jacobian)
+
+
+class Evaluator:
+    """Evaluations of a problem within a budget of simulations.
+
+    The residuals at a new theta are one simulation; their Jacobian there is not another. The last
+    few thetas and the best one are remembered and cost nothing when asked for again.
+
+    Parameters
+    ----------
+    problem
+        What to evaluate.
+    budget
+        Simulations allowed; one more raises `Ended`. No limit if None.
+    on_simulation
+        Told of every simulation, for a progress bar.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        budget: int | None = None,
+        on_simulation: Callable[[int], None] | None = None,
+    ) -> None:
+        self._problem = problem
+        self._on_simulation = on_simulation
+        self._recent: list[_Simulation] = []
+        self._best: _Simulation | None = None
+        self.budget = budget
+        self.n_simulations = 0
+        # Number of the simulation and deviance, at each improvement.
+        self.history: list[tuple[int, float]] = []
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the problem."""
+        return self._problem.parameters
+
+    @property
+    def best_theta(self) -> Array | None:
+        """Where the lowest finite deviance was seen, shape ``(n,)``; None before the first."""
+        return None if self._best is None else self._best.theta
+
+    @property
+    def best_deviance(self) -> float:
+        """The lowest deviance seen; inf before the first finite one."""
+        return np.inf if self._best is None else sum_of_squares(self._best.residuals)
+
+    def __call__(self, theta: Array) -> Evaluation:
+        """The evaluation at `theta`, shape ``(n,)``, with derivatives.
+
+        Raises
+        ------
+        Ended
+            If the budget does not allow another simulation.
+        """
+        simulation = self._simulated(theta)
+        if simulation.evaluation is None:
+            simulation.evaluation = _differentiated(
+                self._problem, simulation.theta, simulation.residuals
+            )
+        return simulation.evaluation
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals at `theta`, shape ``(m,)``, all infinite where one of them is not finite.
+
+        Raises
+        ------
+        Ended
+            If the budget does not allow another simulation.
+        """
+        return self._simulated(theta).residuals
+
+    def deviance(self, theta: Array) -> float:
+        """Sum of squared residuals at `theta`; inf where the model has no prediction.
+
+        Raises
+        ------
+        Ended
+            If the budget does not allow another simulation.
+        """
+        return sum_of_squares(self._simulated(theta).residuals)
+
+    def _simulated(self, theta: Array) -> "_Simulation":
+        for known in self._recent if self._best is None else (*self._recent, self._best):
+            if np.array_equal(known.theta, theta):
+                return known
+        if self.budget is not None and self.n_simulations >= self.budget:
+            raise Ended(Outcome.BUDGET)
+        theta = np.array(theta, dtype=np.float64)
+        self.n_simulations += 1
+        if self._on_simulation is not None:
+            self._on_simulation(1)
+        simulation = _Simulation(theta=theta, residuals=_residuals(self._problem, theta))
+        self._recent = [simulation, *self._recent[: REMEMBERED - 1]]
+        deviance = sum_of_squares(simulation.residuals)
+        if deviance < self.best_deviance:
+            self._best = simulation
+            self.history.append((self.n_simulations, deviance))
+        return simulation
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Simulation:
+    """Residuals at a theta, and the derivatives once they were asked for."""
+
+    theta: Array
+    residuals: Array
+    evaluation: Evaluation | None = None
+
+
+def evaluate(problem: Problem, theta: Array) -> Evaluation:
+    """Residuals of the problem and their derivatives at `theta`, shape ``(n,)``."""
+    theta = np.array(theta, dtype=np.float64)
+    return _differentiated(problem, theta, _residuals(problem, theta))
+
+
+def sum_of_squares(residuals: Array) -> float:
+    """The deviance of residuals: their sum of squares; inf where one of them is not finite.
+
+    Examples
+    --------
+    >>> sum_of_squares(np.array([3.0, 4.0]))
+    25.0
+    """
+    return float(residuals @ residuals) if np.isfinite(residuals).all() else np.inf
+
+
+def _residuals(problem: Problem, theta: Array) -> Array:
+    """Residuals, all infinite where their sum of squares is not finite."""
+    residuals = np.asarray(problem.residuals(theta), dtype=np.float64)
+    is_finite = np.isfinite(sum_of_squares(residuals))
+    return residuals if is_finite else np.full(residuals.shape, np.inf)
+
+
+def _differentiated(problem: Problem, theta: Array, residuals: Array) -> Evaluation:
+    if np.isfinite(residuals).all():
+        jacobian = np.asarray(problem.jacobian(theta), dtype=np.float64)
+    else:
+        jacobian = np.full((residuals.size, theta.size), np.nan)
+    return Evaluation(theta=theta, residuals=residuals, jacobian=jacobian)
