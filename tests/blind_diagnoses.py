@@ -9,7 +9,7 @@ from blind_axes import conditions_of
 from knees import knee
 
 from identknee.blind.case import BlindCase, blind_case
-from identknee.blind.score import score
+from identknee.blind.scoring import score
 from identknee.calibrate.starts import named_start
 from identknee.diagnosis.diagnose import Diagnosis, diagnose
 from identknee.diagnosis.explanations.verdict import Verdict

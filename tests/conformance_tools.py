@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
+from conformance.case import Answer, Case
 
 from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.conformance.case import Answer, Case
 from identknee.runs.arrays import Array
 
 N_STARTS = 16

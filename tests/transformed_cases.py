@@ -3,10 +3,10 @@
 import dataclasses
 
 import numpy as np
+from conformance.case import Case, Formula
+from conformance.score import conformance_cases
 
 from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.conformance.case import Case, Formula
-from identknee.identify.conformance.score import conformance_cases
 
 # Moved by a shift, a bound one rounding away would be somewhere else.
 SHIFTABLE = {

@@ -27,7 +27,7 @@ best = ik.fit(problem, problem.parameters.center)
 # ``identknee sweep``: searches from everywhere, each end with what stopped it. A failed start is
 # an end too: with these parameters the knee has no equilibrium in some trial.
 
-starts = ik.sobol_starts(problem.parameters, 24)
+starts = ik.identify.sobol_starts(problem.parameters, 24)
 sweep = ik.sweep(problem, starts)
 for kind in (ik.Outcome.MINIMUM, ik.Outcome.VALLEY, ik.Outcome.CLIFF, ik.Outcome.START_FAILED):
     print(f"{sweep.is_kind(kind).sum():3} {kind.value:12} {kind.sentence}")
@@ -60,7 +60,7 @@ figure = intervals_figure(profiles)
 # ``identknee equivalents``: sets whose predictions differ by less than one squared standard
 # deviation in all, as far from one another as can be.
 
-region = ik.noise_region(problem, best.theta)
+region = ik.identify.noise_region(problem, best.theta)
 found = ik.equivalents(region, n_sets=6, seed=0)
 names = problem.parameters.names
 stiffness = [i for i, name in enumerate(names) if name.endswith("_kN")]

@@ -18,7 +18,7 @@ knee = ik.reference_knee()
 laxity = ik.simulate(knee, ik.load_protocol("drawer")).laxity
 model = ik.LaxityModel(knee=knee, protocol=laxity.protocol)
 problem = ik.LaxityResiduals(model=model, laxity=laxity)
-starts = ik.sobol_starts(problem.parameters, 16)
+starts = ik.identify.sobol_starts(problem.parameters, 16)
 
 # %%
 # On one core, as a reference:

@@ -1,1 +1,5 @@
 """Calibration: an objective, optimizers and the one verb that runs them."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -45,7 +45,7 @@ def blind(
     case, seconds = timed(
         lambda: ik.blind_case(knee, seed=seed, effect=_chosen(effect), signal=signal)
     )
-    ik.write_blind(case, out)
+    ik.blind.write_blind(case, out)
     if signal is not None:
         _say_signal(case.truth, signal, is_secret=effect is None or "random" in effect)
     summary = {
@@ -58,7 +58,7 @@ def blind(
     show(summary, [f"{case.laxity.n} trials: {out / 'laxity.csv'}"], as_json=as_json)
 
 
-def _say_signal(truth: "ik.Truth", wanted: float, *, is_secret: bool) -> None:
+def _say_signal(truth: "ik.blind.Truth", wanted: float, *, is_secret: bool) -> None:
     """Where the signal asked for was not reached, say so; what is hidden stays hidden."""
     if is_secret:
         # Said whatever was drawn, so that it tells nothing about it.

@@ -73,7 +73,7 @@ def demo(
 class _Interruptible:
     """A problem that ends its fits once it is told to, so that Ctrl-C does not wait for threads."""
 
-    problem: "ik.Problem"
+    problem: "ik.calibrate.Problem"
     is_stopped: threading.Event = field(default_factory=threading.Event)
 
     @property
@@ -90,7 +90,7 @@ class _Interruptible:
 
 
 def _fit_all(
-    simulation: "ik.Simulation",
+    simulation: "ik.model.Simulation",
     method: str,
     runs: int,
     *,
@@ -105,7 +105,7 @@ def _fit_all(
     points = [ik.load_start(name, problem.parameters) for name in STARTS for _ in range(runs)]
     interruptible = _Interruptible(problem=problem)
     try:
-        fits = ik.fit_many(
+        fits = ik.calibrate.fit_many(
             interruptible, points, seed=seed, executor=executor, method=method, budget=budget
         )
     except BaseException:
@@ -119,14 +119,14 @@ def _fit_all(
 
 
 def _profile_all(
-    simulation: "ik.Simulation", *, seed: int, executor: Executor
+    simulation: "ik.model.Simulation", *, seed: int, executor: Executor
 ) -> "tuple[ik.Profile, ...]":
     """Profiles of all parameters from noisy data."""
     noisy = ik.add_noise(simulation.laxity, sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=seed)
     problem = ik.LaxityResiduals(model=simulation.model, laxity=noisy, weighting="noise")
     interruptible = _Interruptible(problem=problem)
     try:
-        best = ik.best_fit(interruptible, seed=seed, executor=executor)
+        best = ik.identify.best_fit(interruptible, seed=seed, executor=executor)
         return ik.profile_parameters(interruptible, best.theta, executor=executor)
     except BaseException:
         interruptible.is_stopped.set()
@@ -137,7 +137,7 @@ def _write(
     out: Path,
     rows: "Sequence[StartRow]",
     profiles: "Sequence[ik.Profile]",
-    simulation: "ik.Simulation",
+    simulation: "ik.model.Simulation",
     finished: Any,
 ) -> dict[str, Any]:
     from identknee.report.groups import simulation_groups

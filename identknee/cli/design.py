@@ -112,7 +112,7 @@ def design(
 
 def _designed(
     its: Identification,
-    offered: "ik.CandidateLaxity",
+    offered: "ik.model.CandidateLaxity",
     wanted: dict[str, Any],
     *,
     level: float,
@@ -121,9 +121,9 @@ def _designed(
 ) -> "tuple[ik.Design, tuple[Finding, ...]]":
     from identknee.runs.executors import process_pool
 
-    threshold = ik.chi2_threshold(level)
+    threshold = ik.identify.chi2_threshold(level)
     if its.degrees_of_freedom is not None:
-        threshold = ik.f_threshold(level, its.degrees_of_freedom)
+        threshold = ik.identify.f_threshold(level, its.degrees_of_freedom)
     with process_pool(workers) as executor:
         fits = best_fits(its, seed=seed, executor=executor)
         found = ik.design(
@@ -139,12 +139,12 @@ def _designed(
     return found, its.findings_at(best.optimum, best.deviance, fits)
 
 
-def _candidates(its: Identification, name: str | None) -> "ik.CandidateLaxity":
+def _candidates(its: Identification, name: str | None) -> "ik.model.CandidateLaxity":
     from identknee.laxity.candidates import candidate_trials
     from identknee.model.candidate_laxity import typical_errors
 
     protocol = candidate_trials(its.laxity.protocol) if name is None else ik.load_protocol(name)
-    return ik.CandidateLaxity(
+    return ik.model.CandidateLaxity(
         model=its.model,
         laxity=its.laxity,
         protocol=protocol,
@@ -166,18 +166,20 @@ def _with_errors(its: Identification) -> "ik.Laxity":
     return replace(its.laxity, sd=sd)
 
 
-def _target(its: Identification, name: str) -> "ik.Quantity":
+def _target(its: Identification, name: str) -> "ik.calibrate.Quantity":
     from identknee.calibrate.quantity import RestrictedQuantity
     from identknee.model.quantities import AT, quantity_named
 
     if AT not in name:
         its.free_index(name, "--target")
-        return ik.ParameterQuantity(parameters=its.problem.parameters, name=name)
+        return ik.calibrate.ParameterQuantity(parameters=its.problem.parameters, name=name)
     quantity = quantity_named(its.model, name)
     return RestrictedQuantity(quantity=quantity, free=its.free)
 
 
-def _advised(its: Identification, found: "ik.Design", offered: "ik.CandidateLaxity") -> "ik.Laxity":
+def _advised(
+    its: Identification, found: "ik.Design", offered: "ik.model.CandidateLaxity"
+) -> "ik.Laxity":
     """The trials to add as a table whose coordinates are blank."""
     from identknee.laxity.candidates import repeated
 

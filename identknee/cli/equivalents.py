@@ -165,7 +165,7 @@ def _region(
     if criterion == "noise":
         return noise_region(its.problem, theta, limit=limit)
     plain = ik.LaxityResiduals(model=its.model, laxity=its.laxity)
-    bounded = ik.with_bounds(plain, named_bounds(bounds or [], "--bounds"))
+    bounded = ik.calibrate.with_bounds(plain, named_bounds(bounds or [], "--bounds"))
     return Region(
         problem=restricted(bounded, fixed or (), its.free.fixed_values),
         center=theta,

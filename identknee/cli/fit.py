@@ -81,7 +81,7 @@ def fit(
     recording = record("fit", context.params, inputs, seed)
     model = ik.LaxityModel(knee=knee, protocol=laxity.protocol, continuation=continuation)
     residuals = ik.LaxityResiduals(model=model, laxity=laxity, weighting=weighting)
-    problem = ik.with_bounds(residuals, limits)
+    problem = ik.calibrate.with_bounds(residuals, limits)
     theta = ik.load_start(start, problem.parameters)
     warm_up(knee, laxity.protocol)
     found = ik.fit(
@@ -93,7 +93,9 @@ def fit(
         fixed=fixed or (),
         priors=priors,
     )
-    fitted = ik.Simulation(model=model, prediction=model.predict(found.theta, derivatives=False))
+    fitted = ik.model.Simulation(
+        model=model, prediction=model.predict(found.theta, derivatives=False)
+    )
     error = ik.laxity_rmse(fitted.laxity, laxity)
     from identknee.diagnosis.fit_findings import fit_findings, lost_trials
 
@@ -117,7 +119,7 @@ def fit(
 def _write(
     out: Path,
     summary: dict[str, Any],
-    results: "tuple[ik.Fit, ik.Simulation, ik.Laxity]",
+    results: "tuple[ik.Fit, ik.model.Simulation, ik.Laxity]",
     recording: Recording,
 ) -> dict[str, Any]:
     # xarray takes longer to load than most fits take.
@@ -127,7 +129,7 @@ def _write(
     return write_result(out, summary, fit_groups(*results), recording.finish())
 
 
-def _summary(found: "ik.Fit", error: "ik.LaxityError", start: str) -> dict[str, Any]:
+def _summary(found: "ik.Fit", error: "ik.laxity.LaxityError", start: str) -> dict[str, Any]:
     names = found.parameters.names
     return {
         "outcome": found.outcome.value,
@@ -149,7 +151,7 @@ def _summary(found: "ik.Fit", error: "ik.LaxityError", start: str) -> dict[str, 
 
 
 def _lines(
-    found: "ik.Fit", error: "ik.LaxityError", findings: Sequence[Finding], out: Path
+    found: "ik.Fit", error: "ik.laxity.LaxityError", findings: Sequence[Finding], out: Path
 ) -> list[str]:
     where = f"Results: {out}"
     if found.outcome is ik.Outcome.START_FAILED:

@@ -77,12 +77,12 @@ def _found(
 
     with process_pool(workers) as executor:
         fits = best_fits(its, seed=seed, executor=executor)
-        structure = ik.check_structure(its.problem, seed=seed, executor=executor)
+        structure = ik.identify.check_structure(its.problem, seed=seed, executor=executor)
     theta = fits[0].theta
     answer = (
         ik.information(its.problem, theta, scaling=scaling, seed=seed),
         structure,
-        ik.geodesics(its.problem, theta, scaling=scaling),
+        ik.identify.geodesics(its.problem, theta, scaling=scaling),
     )
     return answer, its.findings_at(theta, 2.0 * fits[0].objective, fits)
 

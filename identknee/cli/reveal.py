@@ -24,8 +24,8 @@ DiagnosisFolder = Annotated[
 def reveal(blind_dir: BlindFolder, diagnosis_dir: DiagnosisFolder, as_json: Json = False) -> None:
     """Reveal what is hidden in BLIND_DIR, and score the diagnosis in DIAGNOSIS_DIR."""
     _check_order(blind_dir, diagnosis_dir)
-    truth = ik.read_truth(blind_dir)
-    score = ik.score(truth, _diagnosis(diagnosis_dir / RESULT_FILE))
+    truth = ik.blind.read_truth(blind_dir)
+    score = ik.blind.score(truth, _diagnosis(diagnosis_dir / RESULT_FILE))
     summary = {**asdict(score), "truth": truth.to_dict()}
     show(summary, _lines(truth, score), as_json=as_json)
 
@@ -62,7 +62,7 @@ def _diagnosis(path: Path) -> dict[str, Any]:
     return dict(diagnosis)
 
 
-def _lines(truth: "ik.Truth", score: "ik.Score") -> list[str]:
+def _lines(truth: "ik.blind.Truth", score: "ik.blind.Score") -> list[str]:
     lines = [score.sentence]
     wanted = truth.facts.get("wanted_signal")
     if isinstance(wanted, int | float) and truth.effects and truth.is_largest:

@@ -87,7 +87,9 @@ def sample(
         **{name: value for name, value in context.params.items() if name in DECIDING},
     }
     found, seconds = timed(lambda: _sampled(its, optima, about, budget, (out, workers)))
-    opinion = ik.nested_posterior(its.problem, seed=seed) if nested and found.gates else None
+    opinion = (
+        ik.identify.nested_posterior(its.problem, seed=seed) if nested and found.gates else None
+    )
     assumptions = [*its.assumptions, *_about_noise(its)]
     findings = _findings(its, found)
     said = {
@@ -127,8 +129,8 @@ def _sampled(
         return ik.sample(
             its.problem,
             optima=optima,
-            ensembles=ik.Ensembles(n_ensembles=about["n_ensembles"], moves=about["moves"]),
-            rule=ik.StopRule(budget=budget),
+            ensembles=ik.identify.Ensembles(n_ensembles=about["n_ensembles"], moves=about["moves"]),
+            rule=ik.identify.StopRule(budget=budget),
             seed=about["seed"],
             executor=executor,
             store=store,
@@ -179,7 +181,9 @@ def _about_noise(its: Identification) -> list[str]:
     return ["The posterior takes this noise for known, which makes it a little too narrow."]
 
 
-def _opinion(found: "ik.Posterior", opinion: "ik.NestedPosterior | None") -> dict[str, Any]:
+def _opinion(
+    found: "ik.Posterior", opinion: "ik.identify.NestedPosterior | None"
+) -> dict[str, Any]:
     if opinion is None:
         return {}
     return {
@@ -188,7 +192,7 @@ def _opinion(found: "ik.Posterior", opinion: "ik.NestedPosterior | None") -> dic
             "log_evidence_error": opinion.log_evidence_error,
             "n_simulations": opinion.n_simulations,
             "effective_draws": opinion.effective_draws,
-            "quantile_differences_in_errors": ik.quantile_differences(found, opinion),
+            "quantile_differences_in_errors": ik.identify.quantile_differences(found, opinion),
         }
     }
 
@@ -218,6 +222,6 @@ def _written(
     sensitivity = None
     if found.gates:
         groups |= predictive_groups(found, its.model, its.laxity, whole=its.free.expand)
-        sensitivity = ik.prior_sensitivity(found)
+        sensitivity = ik.identify.prior_sensitivity(found)
     summary = {**sample_summary(found, sensitivity), **said}
     return write_result(out, summary, groups, recording.finish())

@@ -126,7 +126,7 @@ def simulate(
         raise NotComputed(f"none of the {trials.n} trials has an equilibrium; see {out}")
 
 
-def _summary(simulation: "ik.Simulation", seconds: float) -> dict[str, Any]:
+def _summary(simulation: "ik.model.Simulation", seconds: float) -> dict[str, Any]:
     model, prediction = simulation.model, simulation.prediction
     rows = zip(
         model.protocol.trials,
@@ -156,7 +156,7 @@ def _summary(simulation: "ik.Simulation", seconds: float) -> dict[str, Any]:
     }
 
 
-def _lines(simulation: "ik.Simulation", findings: Sequence[Finding], out: Path) -> list[str]:
+def _lines(simulation: "ik.model.Simulation", findings: Sequence[Finding], out: Path) -> list[str]:
     prediction = simulation.prediction
     n, converged = simulation.model.protocol.n, int(prediction.is_converged.sum())
     lines = [f"{converged} of {n} trials converged: {out / LAXITY_FILE}"]

@@ -76,7 +76,7 @@ def check(
         warm_up(knee, trials)
         model = ik.LaxityModel(knee=knee, protocol=trials)
         with threads(workers) as executor:
-            stability = ik.check_stability(
+            stability = ik.model.check_stability(
                 model, n_samples=samples, within_mm=within, seed=seed, executor=executor
             )
         findings += stability.findings
@@ -189,8 +189,8 @@ def _knee_summary(knee: "ik.Knee") -> dict[str, Any]:
 
 def _check_summary(
     knee: "ik.Knee",
-    findings: "Sequence[ik.Finding]",
-    stability: "ik.StabilityReport | None",
+    findings: "Sequence[ik.subject.GeometryFinding]",
+    stability: "ik.model.StabilityReport | None",
 ) -> dict[str, Any]:
     counts = Counter(x.severity for x in findings)
     summary: dict[str, Any] = {
@@ -224,8 +224,8 @@ def _check_summary(
 
 def _check_lines(
     knee: "ik.Knee",
-    findings: "Sequence[ik.Finding]",
-    stability: "ik.StabilityReport | None",
+    findings: "Sequence[ik.subject.GeometryFinding]",
+    stability: "ik.model.StabilityReport | None",
 ) -> list[str]:
     lines = [f"{knee.name} ({knee.side} knee, {len(knee.ligaments)} ligaments)"]
     for finding in findings:
@@ -236,5 +236,5 @@ def _check_lines(
     return lines
 
 
-def _has_error(findings: "Sequence[ik.Finding]") -> bool:
+def _has_error(findings: "Sequence[ik.subject.GeometryFinding]") -> bool:
     return any(x.severity == "error" for x in findings)

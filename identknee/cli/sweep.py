@@ -105,7 +105,7 @@ def sweep(
     }
     with open_work(out / WORK, about) as store, process_pool(workers) as executor:
         swept, seconds = timed(lambda: _swept(its, starts, about, executor, store))
-        found = ik.survey(its.problem, swept, within=within)
+        found = ik.identify.survey(its.problem, swept, within=within)
         cliffs = _cliffs(its, found, ways, executor, store)
     answer = (found, cliffs)
     findings = _findings(its, found)
@@ -126,7 +126,7 @@ def sweep(
 def _starts(its: Identification, design: str, distances: str, n_starts: int, seed: int) -> Any:
     parameters = its.problem.parameters
     if design == "sobol":
-        return ik.sobol_starts(parameters, n_starts, seed=seed)
+        return ik.identify.sobol_starts(parameters, n_starts, seed=seed)
     try:
         shells = [float(x) for x in distances.split(",")]
     except ValueError:
@@ -134,7 +134,9 @@ def _starts(its: Identification, design: str, distances: str, n_starts: int, see
             f"--distances {distances}: these are not numbers. Write for example 0.5,1,2"
         ) from None
     center = its.start
-    return ik.shell_starts(parameters, n_starts, center=center, distances=shells, seed=seed)
+    return ik.identify.shell_starts(
+        parameters, n_starts, center=center, distances=shells, seed=seed
+    )
 
 
 def _swept(
@@ -152,11 +154,11 @@ def _swept(
 
 
 def _cliffs(
-    its: Identification, found: "ik.Survey", ways: int, executor: Executor, store: Store
-) -> "ik.CliffMap | None":
+    its: Identification, found: "ik.identify.Survey", ways: int, executor: Executor, store: Store
+) -> "ik.identify.CliffMap | None":
     if found.target is None or ways == 0:
         return None
-    return ik.map_cliffs(
+    return ik.identify.map_cliffs(
         its.problem,
         found.sweep.starts[:ways],
         found.target,
@@ -166,7 +168,7 @@ def _cliffs(
     )
 
 
-def _findings(its: Identification, found: "ik.Survey") -> tuple[Finding, ...]:
+def _findings(its: Identification, found: "ik.identify.Survey") -> tuple[Finding, ...]:
     """What speaks against the best end, and whether others fit as well."""
     from identknee.calibrate.doubts import start_findings
 
@@ -189,7 +191,7 @@ def _lost(its: Identification, theta: Any) -> list[str]:
 
 def _written(
     out: Path,
-    answer: "tuple[ik.Survey, ik.CliffMap | None]",
+    answer: "tuple[ik.identify.Survey, ik.identify.CliffMap | None]",
     said: dict[str, Any],
     recording: Recording,
 ) -> dict[str, Any]:
@@ -201,7 +203,7 @@ def _written(
     return write_result(out, summary, sweep_groups(*answer), recording.finish())
 
 
-def _lines(found: "ik.Survey", cliffs: "ik.CliffMap | None") -> list[str]:
+def _lines(found: "ik.identify.Survey", cliffs: "ik.identify.CliffMap | None") -> list[str]:
     sweep = found.sweep
     lines = [f"{sweep}."]
     lines += [
@@ -230,7 +232,7 @@ def _lines(found: "ik.Survey", cliffs: "ik.CliffMap | None") -> list[str]:
     return lines
 
 
-def _radius(found: "ik.Survey", name: str, words: str) -> str:
+def _radius(found: "ik.identify.Survey", name: str, words: str) -> str:
     radius = found.radii[name]
     if radius.value == 0.0:
         return (

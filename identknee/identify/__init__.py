@@ -1,1 +1,5 @@
 """What a calibration can know: sweeps, profiles, posterior, sensitivity, equivalents, design."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

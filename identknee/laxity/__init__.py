@@ -1,1 +1,5 @@
 """Laxity protocols and tables, measured or simulated, and their noise."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -16,7 +16,7 @@ from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress
-from identknee.subject.check import Finding
+from identknee.subject.check import GeometryFinding
 
 STIFFNESS_SHARE = 0.5
 STRAIN_PCT = 3.0
@@ -66,7 +66,7 @@ class StabilityReport:
     box_margins: Array
     change: Array
     moves: tuple[InsertionMove, ...] = ()
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[GeometryFinding, ...] = ()
 
     def __post_init__(self) -> None:
         for name, length in (
@@ -196,7 +196,7 @@ def _lowest(values: Array) -> float:
     return float(values.min()) if values.size else float("nan")
 
 
-def _findings(report: StabilityReport, model: LaxityModel) -> tuple[Finding, ...]:
+def _findings(report: StabilityReport, model: LaxityModel) -> tuple[GeometryFinding, ...]:
     protocol = model.protocol.name
     return (
         _own_finding(report, protocol),
@@ -205,10 +205,10 @@ def _findings(report: StabilityReport, model: LaxityModel) -> tuple[Finding, ...
     )
 
 
-def _own_finding(report: StabilityReport, protocol: str) -> Finding:
+def _own_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
     n = len(report.trials)
     if report.n_converged < n:
-        return Finding(
+        return GeometryFinding(
             severity="error",
             subject="stability",
             sentence=(
@@ -224,7 +224,7 @@ def _own_finding(report: StabilityReport, protocol: str) -> Finding:
     converged = [i for i, x in enumerate(report.outcomes) if x is Outcome.CONVERGED]
     weakest = min(converged, key=lambda i: float(report.margins[i]))
     is_low = report.lowest_margin < ENOUGH_MARGIN
-    return Finding(
+    return GeometryFinding(
         severity="warning" if is_low else "info",
         subject="stability",
         sentence=(
@@ -266,7 +266,7 @@ def _worth_moving(moves: tuple[InsertionMove, ...]) -> str:
     return f"Move one insertion: {gains}; or several together: identknee subject settle."
 
 
-def _box_finding(report: StabilityReport, protocol: str) -> Finding:
+def _box_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
     share = report.converged_share
     failed: dict[Outcome, int] = {
         end: n for end, n in report.box_outcomes.items() if end is not Outcome.CONVERGED
@@ -274,7 +274,7 @@ def _box_finding(report: StabilityReport, protocol: str) -> Finding:
     n_failed = sum(bool(np.isnan(x)) for x in report.box_margins)
     is_low = share < ENOUGH_CONVERGED
     ended = f" ({_counted(failed)})" if failed else ""
-    return Finding(
+    return GeometryFinding(
         severity="warning" if is_low else "info",
         subject="stability",
         sentence=(
@@ -291,16 +291,16 @@ def _box_finding(report: StabilityReport, protocol: str) -> Finding:
     )
 
 
-def _points_finding(report: StabilityReport, protocol: str) -> Finding:
+def _points_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
     if np.isnan(report.change).any():
-        return Finding(
+        return GeometryFinding(
             severity="warning",
             subject="contact points",
             sentence="No trial converges both with the default contact points and all vertices.",
             remedy="Mend what stops the trials first.",
         )
     is_large = report.change_mm > ENOUGH_MM or report.change_deg > ENOUGH_DEG
-    return Finding(
+    return GeometryFinding(
         severity="warning" if is_large else "info",
         subject="contact points",
         sentence=(

@@ -1,1 +1,5 @@
 """Tables and figures; the only package that draws."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -46,7 +46,7 @@ FORWARD_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class GeometryFinding:
     """Something a check found.
 
     Attributes
@@ -67,7 +67,7 @@ class Finding:
     remedy: str
 
 
-def check_geometry(knee: Knee) -> tuple[Finding, ...]:
+def check_geometry(knee: Knee) -> tuple[GeometryFinding, ...]:
     """Everything found about surfaces, their contact, ligaments and frames; errors first."""
     findings = [
         *unusable(knee),
@@ -81,7 +81,7 @@ def check_geometry(knee: Knee) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda x: rank.index(x.severity)))
 
 
-def unusable(knee: Knee) -> tuple[Finding, ...]:
+def unusable(knee: Knee) -> tuple[GeometryFinding, ...]:
     """The errors that forbid any use of the knee; quick enough for every reading."""
     # Metres make the other tests meaningless, and so does a wrong side.
     return (
@@ -97,7 +97,7 @@ def _surfaces(knee: Knee) -> tuple[tuple[str, Surface], ...]:
     return (("femur", knee.femur), ("tibia_medial", medial), ("tibia_lateral", lateral))
 
 
-def _metres(knee: Knee) -> Iterator[Finding]:
+def _metres(knee: Knee) -> Iterator[GeometryFinding]:
     multiply = "If these are metres, multiply by 1000."
     for name, surface in _surfaces(knee):
         size = sheets.extent(surface)
@@ -123,7 +123,7 @@ def _metres(knee: Knee) -> Iterator[Finding]:
         )
 
 
-def _impossible(knee: Knee) -> Iterator[Finding]:
+def _impossible(knee: Knee) -> Iterator[GeometryFinding]:
     for ligament in knee.ligaments:
         if ligament.stiffness_kN > IMPOSSIBLE_STIFFNESS:
             yield _error(
@@ -139,7 +139,7 @@ def _impossible(knee: Knee) -> Iterator[Finding]:
             )
 
 
-def _wrong_side(knee: Knee) -> Iterator[Finding]:
+def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
     other = "left" if knee.side == "right" else "right"
     medial, lateral = knee.tibia
     across = (lateral.centroid - medial.centroid) @ knee.tibia_frame.axes[2]
@@ -179,7 +179,7 @@ def _facing_up(surface: Surface, others: Iterable[Surface], superior: Array) -> 
     return float(np.mean([sheets.facing_normals(surface, x) @ superior for x in others]))
 
 
-def _flipped(knee: Knee) -> Iterator[Finding]:
+def _flipped(knee: Knee) -> Iterator[GeometryFinding]:
     """Where the bones face each other, the femur looks down and the tibia up."""
     superior = knee.tibia_frame.axes[1]
     up = {"femur": -_facing_up(knee.femur, knee.tibia, superior)}
@@ -195,7 +195,7 @@ def _flipped(knee: Knee) -> Iterator[Finding]:
             )
 
 
-def _surface_findings(name: str, surface: Surface) -> Iterator[Finding]:
+def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:
     if surface.is_closed:
         yield _warning(
             name,
@@ -226,7 +226,7 @@ def _surface_findings(name: str, surface: Surface) -> Iterator[Finding]:
         )
 
 
-def _contact_findings(knee: Knee) -> Iterator[Finding]:
+def _contact_findings(knee: Knee) -> Iterator[GeometryFinding]:
     for name, surface in _surfaces(knee)[1:]:
         gap = sheets.gap_between(knee.femur, surface)
         if gap > WIDEST_GAP:
@@ -245,7 +245,7 @@ def _contact_findings(knee: Knee) -> Iterator[Finding]:
             )
         else:
             state = f"overlaps the femur by {depth:.2f} mm" if depth > 0 else f"is {gap:.2f} mm off"
-            yield Finding(
+            yield GeometryFinding(
                 severity="info",
                 subject=name,
                 sentence=f"In the scanned pose it {state}.",
@@ -260,7 +260,7 @@ def _depth(knee: Knee, surface: Surface) -> float:
     return sheets.overlap_of(surface, knee.femur)
 
 
-def _ligament_findings(knee: Knee) -> Iterator[Finding]:
+def _ligament_findings(knee: Knee) -> Iterator[GeometryFinding]:
     shortest, longest = LIGAMENT_LENGTH
     for ligament in knee.ligaments:
         subject = f"ligament {ligament.name}"
@@ -291,7 +291,7 @@ def _ligament_findings(knee: Knee) -> Iterator[Finding]:
         )
 
 
-def _frame_findings(knee: Knee) -> Iterator[Finding]:
+def _frame_findings(knee: Knee) -> Iterator[GeometryFinding]:
     size = sheets.extent(knee.femur)
     least, most = FEMUR_EXTENT
     if not least <= size <= most:
@@ -322,7 +322,7 @@ def _frame_findings(knee: Knee) -> Iterator[Finding]:
             )
 
 
-def _landmark_findings(knee: Knee) -> Iterator[Finding]:
+def _landmark_findings(knee: Knee) -> Iterator[GeometryFinding]:
     for bone, axis, angle in _landmark_angles(knee):
         if angle > LANDMARK_ANGLE:
             yield _warning(
@@ -357,9 +357,9 @@ def _long_axis_angles(
             yield bone, "superior", angle_between(frames[bone].axes[1], sign * (far - near))
 
 
-def _error(subject: str, sentence: str, remedy: str) -> Finding:
-    return Finding(severity="error", subject=subject, sentence=sentence, remedy=remedy)
+def _error(subject: str, sentence: str, remedy: str) -> GeometryFinding:
+    return GeometryFinding(severity="error", subject=subject, sentence=sentence, remedy=remedy)
 
 
-def _warning(subject: str, sentence: str, remedy: str) -> Finding:
-    return Finding(severity="warning", subject=subject, sentence=sentence, remedy=remedy)
+def _warning(subject: str, sentence: str, remedy: str) -> GeometryFinding:
+    return GeometryFinding(severity="warning", subject=subject, sentence=sentence, remedy=remedy)

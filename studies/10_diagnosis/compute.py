@@ -17,7 +17,7 @@ import platformdirs
 
 from identknee.blind.case import blind_case
 from identknee.blind.effects import LISTED, UNLISTED
-from identknee.blind.score import score
+from identknee.blind.scoring import score
 from identknee.blind.truth import Truth
 from identknee.diagnosis.diagnose import diagnose
 from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary

@@ -1,9 +1,8 @@
 """identknee's own profiles on the conformance suite: all right."""
 
 import pytest
-
-from identknee.identify.conformance.score import Grade, conformance_cases, run_conformance
-from identknee.identify.conformance.tool import identknee_tool
+from conformance.score import Grade, conformance_cases, run_conformance
+from conformance.tool import identknee_tool
 
 CASES = {case.name: case for case in conformance_cases()}
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import scipy.optimize
 from brute_force import deviance, lowest
+from conformance.case import Case, Formula
+from conformance.construction import plain_parameters
+from conformance.score import conformance_cases
 
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.conformance.case import Case, Formula
-from identknee.identify.conformance.construction import plain_parameters
-from identknee.identify.conformance.score import conformance_cases
 from identknee.runs.arrays import Array
 
 CASES = {case.name: case for case in conformance_cases()}

@@ -1,10 +1,9 @@
 """identknee's own profiles on the conformance suite in other units, shifted and mirrored."""
 
 import pytest
+from conformance.score import Grade, run_conformance
+from conformance.tool import identknee_tool
 from transformed_cases import SHIFTABLE, transformed
-
-from identknee.identify.conformance.score import Grade, run_conformance
-from identknee.identify.conformance.tool import identknee_tool
 
 
 @pytest.mark.parametrize("name", SHIFTABLE)

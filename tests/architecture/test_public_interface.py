@@ -1,9 +1,12 @@
-"""The public names: one explicit list, loaded when used."""
+"""The public names: one list in each stub, loaded when used."""
 
-import ast
+import re
 import subprocess
 import sys
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
+from types import FunctionType, ModuleType
 
 import pytest
 
@@ -12,28 +15,41 @@ import identknee as ik
 HEAVY = ("numba", "scipy", "matplotlib", "xarray", "trimesh", "pandas", "rich")
 
 
-def _imported_for_types() -> set[str]:
-    tree = ast.parse(Path(ik.__file__).read_text(encoding="utf-8"))
-    found = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    return {name.name for node in found for name in node.names} - {"TYPE_CHECKING", "Any"}
+PACKAGES = [name for name in dir(ik) if isinstance(getattr(ik, name), ModuleType)]
+MOST = 50
+STUB = Path(ik.__file__).with_suffix(".pyi")
 
 
-def test_the_list_the_types_and_the_table_agree() -> None:
-    assert len(ik.__all__) == len(set(ik.__all__))
-    assert set(ik.__all__) == set(ik._HOMES) == _imported_for_types()
+def _names() -> list[tuple[ModuleType, str]]:
+    """Every public name that is no package, with what it is a name of."""
+    places = [ik, *(getattr(ik, package) for package in PACKAGES)]
+    return [(place, name) for place in places for name in dir(place) if name not in PACKAGES]
 
 
-@pytest.mark.parametrize("name", ik.__all__)
-def test_every_public_name_is_there_with_a_docstring(name: str) -> None:
-    value = getattr(ik, name)
-    assert value.__doc__
-    assert value.__module__.startswith("identknee.")
+def test_the_front_door_is_one_page_and_shows_nothing_else() -> None:
+    assert len(dir(ik)) - len(PACKAGES) <= MOST
+    imported = re.findall(r"^from \.\S* import (\w+) as \1$", STUB.read_text("utf-8"), re.MULTILINE)
+    assert sorted(imported) == dir(ik)
+
+
+@pytest.mark.parametrize(("place", "name"), _names(), ids=lambda x: getattr(x, "__name__", x))
+def test_every_public_name_is_there_once_and_explained(place: ModuleType, name: str) -> None:
+    value = getattr(place, name)
+    if isinstance(value, type | FunctionType):
+        assert value.__doc__
+        assert value.__module__.startswith("identknee.")
+    # A module of the same name would take its place as soon as something imports it.
+    assert find_spec(f"{place.__name__}.{name}") is None
+    assert sum(other == name for _, other in _names()) == 1
+
+
+def test_the_version_is_that_of_the_installed_package() -> None:
+    assert ik.__version__ == version("identknee")
 
 
 def test_other_names_are_missed_in_the_usual_way() -> None:
-    with pytest.raises(AttributeError, match="has no attribute 'sweeep'"):
-        _ = ik.sweeep
-    assert set(ik.__all__) <= set(dir(ik))
+    with pytest.raises(AttributeError, match="identknee attribute sweeep"):
+        _ = ik.sweeep  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("module", ["identknee", "identknee.cli.app"])

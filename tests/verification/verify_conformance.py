@@ -5,13 +5,12 @@ import importlib.util
 from importlib.metadata import version
 
 import numpy as np
+from conformance.case import Tool
+from conformance.score import Grade, conformance_cases, run_conformance
+from conformance.tool import identknee_tool
 from conformance_tools import iminuit_tool, pypesto_tool
 from rows import Measure, Row
 from transformed_cases import SHIFTABLE, transformed
-
-from identknee.identify.conformance.case import Tool
-from identknee.identify.conformance.score import Grade, conformance_cases, run_conformance
-from identknee.identify.conformance.tool import identknee_tool
 
 TOOLS: dict[str, Tool] = {
     "identknee": identknee_tool,

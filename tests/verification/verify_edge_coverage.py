@@ -13,7 +13,7 @@ from rows import Measure, Row
 from scipy.stats import binomtest
 from work_store import work_store
 
-from identknee.identify.profile.result import SideStatus, Verdict
+from identknee.identify.profile.result import ProfileVerdict, SideStatus
 from identknee.runs.executors import process_pool
 from identknee.runs.resume import resumable_map
 
@@ -86,7 +86,7 @@ def _share(what: str, k: int, n: int, bar: float | None = None) -> Measure:
 def _false_certainty(knee: str, found: list[dict[str, list[str]]]) -> Measure:
     """How many parameters are called identifiable although an end is the model's."""
     n = sum(
-        verdict == Verdict.IDENTIFIABLE.value and AT_BOUNDARY in {low, high}
+        verdict == ProfileVerdict.IDENTIFIABLE.value and AT_BOUNDARY in {low, high}
         for one in found
         for verdict, low, high in zip(one["verdicts"], one["lower"], one["upper"], strict=True)
     )

@@ -30,7 +30,7 @@ class SideStatus(Enum):
 
 
 @unique
-class Verdict(Enum):
+class ProfileVerdict(Enum):
     """What the profile says about the quantity; the value is the word written to files."""
 
     IDENTIFIABLE = "identifiable"
@@ -58,12 +58,14 @@ _SIDES = {
     SideStatus.FAILED: "The constrained fits on this side failed before an end was found.",
 }
 _VERDICTS = {
-    Verdict.IDENTIFIABLE: "The data bound the value on both sides.",
-    Verdict.ONE_SIDED: "The data bound the value on one side only.",
-    Verdict.PRACTICALLY_NONIDENTIFIABLE: "These data bound the value on neither side.",
-    Verdict.STRUCTURALLY_SUSPECT: "No such data may bound the value: they do not depend on it.",
-    Verdict.MULTIMODAL: "The confidence set has several separate intervals.",
-    Verdict.UNDETERMINED: "A side was not finished, so nothing is claimed.",
+    ProfileVerdict.IDENTIFIABLE: "The data bound the value on both sides.",
+    ProfileVerdict.ONE_SIDED: "The data bound the value on one side only.",
+    ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "These data bound the value on neither side.",
+    ProfileVerdict.STRUCTURALLY_SUSPECT: (
+        "No such data may bound the value: they do not depend on it."
+    ),
+    ProfileVerdict.MULTIMODAL: "The confidence set has several separate intervals.",
+    ProfileVerdict.UNDETERMINED: "A side was not finished, so nothing is claimed.",
 }
 
 
@@ -112,7 +114,7 @@ class Profile:
     )
     lower_side: Side = entry("How the set ended below")
     upper_side: Side = entry("How the set ended above")
-    verdict: Verdict = entry("What that means for the quantity")
+    verdict: ProfileVerdict = entry("What that means for the quantity")
     level: float = entry("Confidence level of the set", unit="1")
     threshold: float = entry("Rise of the deviance that bounds the set", unit="1")
     practical_level: float = entry(

@@ -11,7 +11,7 @@ from identknee.calibrate.constrained import conditional_sds
 from identknee.calibrate.tolerances import UNSEEN_TOLERANCE
 from identknee.identify.profile.hermite import cubic
 from identknee.identify.profile.march import AT_END, FLAT
-from identknee.identify.profile.result import Interval, Profile, Side, SideStatus, Verdict
+from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
 from identknee.identify.profile.search import Branch
 from identknee.identify.profile.walk import Point, Walk
 from identknee.runs.arrays import Array
@@ -158,20 +158,20 @@ def _height(walk: Walk, branch: Branch, value: float) -> float:
 
 def _verdict(
     walk: Walk, origin: Point, sides: tuple[Side, Side], intervals: tuple[Interval, ...]
-) -> Verdict:
+) -> ProfileVerdict:
     if len(intervals) > 1:
-        return Verdict.MULTIMODAL
+        return ProfileVerdict.MULTIMODAL
     if any(x.status in UNDECIDED for x in sides):
-        return Verdict.UNDETERMINED
+        return ProfileVerdict.UNDETERMINED
     n_closed = sum(x.status is SideStatus.CLOSED for x in sides)
     if n_closed == 2:
-        return Verdict.IDENTIFIABLE
+        return ProfileVerdict.IDENTIFIABLE
     if n_closed == 1:
-        return Verdict.ONE_SIDED
+        return ProfileVerdict.ONE_SIDED
     is_flat = all(x.max_deviance <= FLAT * walk.threshold for x in sides)
     if is_flat and _is_unseen(walk, origin):
-        return Verdict.STRUCTURALLY_SUSPECT
-    return Verdict.PRACTICALLY_NONIDENTIFIABLE
+        return ProfileVerdict.STRUCTURALLY_SUSPECT
+    return ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE
 
 
 def _is_unseen(walk: Walk, origin: Point) -> bool:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from identknee.identify.profile.pairs import PairProfile
-from identknee.identify.profile.result import Profile, Side, SideStatus, Verdict
+from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import amount, between, capital, label, listed, parameter_words
@@ -76,10 +76,10 @@ def _one_by_one(profiles: Sequence[Profile]) -> str:
 def clause(profile: Profile) -> str:
     """What is known of a quantity, to follow its name."""
     low, high, unit = profile.lower, profile.upper, profile.unit
-    if profile.verdict is Verdict.MULTIMODAL:
+    if profile.verdict is ProfileVerdict.MULTIMODAL:
         parts = listed((between(x, unit) for x in profile.intervals), "or")
         return f"lies in one of several separate ranges ({parts})"
-    if profile.verdict is Verdict.UNDETERMINED:
+    if profile.verdict is ProfileVerdict.UNDETERMINED:
         return "is left undecided, as the computation of a limit was not finished"
     if low is not None and high is not None:
         half = amount(0.5 * (high - low), unit, 2)
@@ -88,7 +88,7 @@ def clause(profile: Profile) -> str:
         return f"is not known upwards (at least {amount(low, unit)}{_model_ends(profile)})"
     if high is not None:
         return f"is not known downwards (at most {amount(high, unit)}{_model_ends(profile)})"
-    if profile.verdict is Verdict.STRUCTURALLY_SUSPECT:
+    if profile.verdict is ProfileVerdict.STRUCTURALLY_SUSPECT:
         return "is not known, and more data of this kind may not help"
     return f"is not known: these data bound it on neither side{_model_ends(profile)}"
 

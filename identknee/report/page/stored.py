@@ -10,7 +10,7 @@ from identknee.diagnosis.explanations.causes import Estimate
 from identknee.diagnosis.score.localisation import CellScore, Localisation
 from identknee.identify.information.information import Information
 from identknee.identify.information.jacobian_noise import JacobianNoise
-from identknee.identify.profile.result import Profile, Side, SideStatus, Verdict
+from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
 from identknee.model.parameters import Parameters
 from identknee.report.page.results import Result
 from identknee.runs.arrays import Array
@@ -124,7 +124,7 @@ def _profile(name: str, entry: Mapping[str, Any], curve: xarray.Dataset) -> Prof
         intervals=tuple((low, high) for low, high in entry["intervals"]),
         lower_side=lower,
         upper_side=upper,
-        verdict=Verdict(entry["verdict"]),
+        verdict=ProfileVerdict(entry["verdict"]),
         practical_level=float(entry["practical_level"]),
         n_simulations=int(entry["n_simulations"]),
         better_optimum=None,

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from identknee.identify.profile.result import SideStatus, Verdict
+from identknee.identify.profile.result import ProfileVerdict, SideStatus
 from identknee.report.page.diagnosis_summaries import Diagnosis, Planned
 from identknee.report.page.summary_parts import (
     AGAIN,
@@ -45,7 +45,7 @@ class Profiled(Kept):
     unit: str
     lower: Open
     upper: Open
-    verdict: Annotated[str, word_of(Verdict)]
+    verdict: Annotated[str, word_of(ProfileVerdict)]
     intervals: list[Ends]
     level: Annotated[Number, Field(gt=0.0, lt=1.0)]
     n_simulations: Count

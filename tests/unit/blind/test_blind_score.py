@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.blind.score import score
+from identknee.blind.scoring import score
 from identknee.blind.truth import Truth, read_truth, write_truth
 from identknee.runs.errors import InputError
 

@@ -61,7 +61,7 @@ def test_a_signal_that_is_not_reached_is_said(tmp_path: Path) -> None:
     words = ["blind", "--effect", "toe_strain", "--signal", 20, "--seed", 1, "--out", tmp_path]
     result = run(*words)
     assert result.exit_code == 0, result.output
-    truth = ik.read_truth(tmp_path)
+    truth = ik.blind.read_truth(tmp_path)
     assert truth.is_largest
     assert truth.signal < 10.0
     assert f"The signal of toe_strain is {truth.signal:.2g}, not 20" in result.stderr
@@ -77,7 +77,7 @@ def test_what_a_random_case_says_of_its_signal_tells_nothing(tmp_path: Path) -> 
     for seed in (20, 6):
         result = run("blind", "--signal", 6, "--seed", seed, "--out", tmp_path / str(seed))
         said.append(result.stderr)
-    truths = [ik.read_truth(tmp_path / str(seed)) for seed in (20, 6)]
+    truths = [ik.blind.read_truth(tmp_path / str(seed)) for seed in (20, 6)]
     assert sorted(bool(x.effects) for x in truths) == [False, True]
     assert said[0] == said[1]
     assert "may be less than 6" in said[0]

@@ -66,7 +66,7 @@ def test_noise_that_is_not_stated_is_estimated(noisy: Path, tmp_path: Path) -> N
     assert summary["criterion"] == "c"
     assert any("estimated" in x for x in summary["assumptions"])
     threshold = summary["targets"]["LCL.stiffness_kN"]["before"]["threshold"]
-    assert threshold == pytest.approx(ik.f_threshold(0.95, summary["degrees_of_freedom"]))
+    assert threshold == pytest.approx(ik.identify.f_threshold(0.95, summary["degrees_of_freedom"]))
 
 
 @pytest.mark.parametrize(

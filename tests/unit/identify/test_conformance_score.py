@@ -5,9 +5,8 @@ import math
 
 import numpy as np
 import pytest
-
-from identknee.identify.conformance.case import Answer, Case
-from identknee.identify.conformance.score import (
+from conformance.case import Answer, Case
+from conformance.score import (
     ConformanceReport,
     Grade,
     conformance_cases,

@@ -13,7 +13,7 @@ from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.profile.profile import profile
-from identknee.identify.profile.result import Profile, SideStatus, Verdict
+from identknee.identify.profile.result import Profile, ProfileVerdict, SideStatus
 from identknee.identify.profile.verdict import curve_slopes
 from identknee.identify.profile.walk import Walk
 from identknee.runs.arrays import Array
@@ -66,7 +66,7 @@ def test_a_parabola_closes_at_1_96_standard_deviations() -> None:
     sd = _first_sd(problem)
     assert found.lower == pytest.approx(problem.minimum[0] - Z_95 * sd, abs=END * Z_95 * sd)
     assert found.upper == pytest.approx(problem.minimum[0] + Z_95 * sd, abs=END * Z_95 * sd)
-    assert found.verdict is Verdict.IDENTIFIABLE
+    assert found.verdict is ProfileVerdict.IDENTIFIABLE
     assert found.practical_level == 0.95
 
 
@@ -122,7 +122,7 @@ def test_an_open_side_has_no_end_and_says_why() -> None:
     found = profile(problem, linear().minimum, _first(problem))
     assert found.upper is None
     assert found.upper_status is SideStatus.OPEN_AT_BOUND
-    assert found.verdict is Verdict.ONE_SIDED
+    assert found.verdict is ProfileVerdict.ONE_SIDED
     assert found.upper_side.reached == problem.parameters.upper[0]
     assert 0.0 < found.practical_level < 0.95
     assert "upper" not in str(found)
@@ -155,7 +155,7 @@ def test_a_set_in_two_parts_is_two_intervals() -> None:
     near, far = np.sqrt(4 - Z_95), np.sqrt(4 + Z_95)
     ends = [end for interval in found.intervals for end in interval]
     np.testing.assert_allclose(np.array(ends, float), [-far, -near, near, far], atol=END)
-    assert found.verdict is Verdict.MULTIMODAL
+    assert found.verdict is ProfileVerdict.MULTIMODAL
     assert set(found.branches.tolist()) == {0, 1}
 
 
@@ -229,7 +229,7 @@ def test_where_the_model_ends_before_the_data_exclude_anything_the_set_is_open()
     assert found.upper is None
     assert found.upper_side.reached == pytest.approx(1.0, abs=1e-3)
     assert found.upper_side.max_deviance == pytest.approx(1.0, abs=2e-3)
-    assert found.verdict is Verdict.ONE_SIDED
+    assert found.verdict is ProfileVerdict.ONE_SIDED
 
 
 def test_a_path_that_runs_into_a_gap_goes_around_it() -> None:
@@ -242,7 +242,7 @@ def test_a_path_that_runs_into_a_gap_goes_around_it() -> None:
     found = profile(Cliff(problem=problem, beyond=hole), np.zeros(2), _first(problem))
     free = profile(problem, np.zeros(2), _first(problem))
     assert found.upper_status is SideStatus.CLOSED
-    assert found.verdict is Verdict.IDENTIFIABLE
+    assert found.verdict is ProfileVerdict.IDENTIFIABLE
     assert found.upper == pytest.approx(free.upper, rel=1e-3)
     assert len(found.intervals) == 1
     assert not any(hole(x) > 0 for x in found.thetas)
@@ -255,7 +255,7 @@ def test_values_without_prediction_do_not_part_a_set() -> None:
     found = profile(cut, np.zeros(2), _first(problem))
     assert len(found.intervals) == 1
     assert found.upper_status is SideStatus.CLOSED
-    assert found.verdict is Verdict.IDENTIFIABLE
+    assert found.verdict is ProfileVerdict.IDENTIFIABLE
 
 
 def test_an_end_that_only_the_boundary_raises_is_no_limit() -> None:
@@ -265,7 +265,7 @@ def test_an_end_that_only_the_boundary_raises_is_no_limit() -> None:
     found = profile(cut, np.zeros(2), _first(problem))
     assert found.lower_status is SideStatus.CLOSED
     assert found.upper_status is SideStatus.OPEN_AT_FEASIBILITY
-    assert found.verdict is Verdict.ONE_SIDED
+    assert found.verdict is ProfileVerdict.ONE_SIDED
 
 
 def test_a_fit_stopped_at_the_boundary_lends_the_curve_no_slope() -> None:
@@ -303,7 +303,7 @@ def test_the_budget_leaves_a_side_open_and_claims_nothing() -> None:
     found = profile(problem, best, _first(problem), budget=9)
     assert found.n_simulations <= 9
     assert found.upper_status is SideStatus.OPEN_BUDGET
-    assert found.verdict is Verdict.UNDETERMINED
+    assert found.verdict is ProfileVerdict.UNDETERMINED
 
 
 def test_a_fit_that_the_budget_did_not_allow_is_a_point_without_a_promise() -> None:
@@ -351,7 +351,7 @@ def test_an_optimum_without_a_prediction_is_refused() -> None:
 
 
 def test_all_sentences_are_there() -> None:
-    for word in (*SideStatus, *Verdict):
+    for word in (*SideStatus, *ProfileVerdict):
         assert word.sentence.endswith(".")
 
 
@@ -368,7 +368,7 @@ def test_a_constant_quantity_is_one_value() -> None:
     slack = UserQuantity(name="force", unit="N", function=lambda x: max(0.0, float(x[0]) - 9.0))
     found = profile(problem, problem.minimum, slack)
     assert found.intervals == ((0.0, 0.0),)
-    assert found.verdict is Verdict.IDENTIFIABLE
+    assert found.verdict is ProfileVerdict.IDENTIFIABLE
 
 
 def test_a_quantity_constant_at_the_optimum_only_has_an_upper_end() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from report_folders import straight_profiles, write_given, write_verb
 
-from identknee.identify.profile.result import Interval, Profile, Side, SideStatus, Verdict
+from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
 from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.diagnosis_sentences import diagnosis_findings
 from identknee.report.page.known_sentences import equivalents_findings
@@ -22,7 +22,7 @@ from identknee.report.statement import Question
 def profile(
     name: str,
     ends: Interval,
-    verdict: Verdict,
+    verdict: ProfileVerdict,
     *,
     intervals: tuple[Interval, ...] = (),
     upper: tuple[SideStatus, float] = (SideStatus.OPEN_FLAT, 99.0),
@@ -73,9 +73,9 @@ def said_of(*profiles: Profile) -> list[str]:
 
 def test_known_and_unknown_stand_in_one_sentence() -> None:
     (said,) = said_of(
-        profile("ACL.stiffness_kN", (8.8, 11.2), Verdict.IDENTIFIABLE),
-        profile("band.stiffness_kN", (6.0, None), Verdict.ONE_SIDED),
-        profile("LCL.stiffness_kN", (None, None), Verdict.PRACTICALLY_NONIDENTIFIABLE),
+        profile("ACL.stiffness_kN", (8.8, 11.2), ProfileVerdict.IDENTIFIABLE),
+        profile("band.stiffness_kN", (6.0, None), ProfileVerdict.ONE_SIDED),
+        profile("LCL.stiffness_kN", (None, None), ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE),
     )
     assert said == (
         "At 95 % confidence the data bound 1 of the 3 ligament parameters asked for on both "
@@ -89,7 +89,7 @@ def test_an_end_that_only_the_model_makes_is_said_to_be_open() -> None:
     cut = profile(
         "PCL.stiffness_kN",
         (14.9, None),
-        Verdict.ONE_SIDED,
+        ProfileVerdict.ONE_SIDED,
         upper=(SideStatus.OPEN_AT_FEASIBILITY, 25.438),
     )
     (statement,) = parameter_statements([cut])
@@ -103,7 +103,7 @@ def test_of_many_the_best_and_all_open_ones_are_named() -> None:
     ends: dict[int, Interval] = {i: (9.0 - i, 11.0) for i in range(5)}
     ends |= {5: (None, 11.0), 6: (9.0, None)}
     (said,) = said_of(
-        *(profile(f"line{i}.stiffness_kN", x, Verdict.ONE_SIDED) for i, x in ends.items())
+        *(profile(f"line{i}.stiffness_kN", x, ProfileVerdict.ONE_SIDED) for i, x in ends.items())
     )
     named = [f"line{i}" for i in range(7) if f"line{i}" in said]
     assert named == ["line0", "line5", "line6"]
@@ -112,13 +112,16 @@ def test_of_many_the_best_and_all_open_ones_are_named() -> None:
 @pytest.mark.parametrize(
     ("verdict", "words"),
     [
-        (Verdict.UNDETERMINED, "is left undecided"),
-        (Verdict.MULTIMODAL, "lies in one of several separate ranges (1 to 2 kN or 3 to 4 kN)"),
-        (Verdict.STRUCTURALLY_SUSPECT, "more data of this kind may not help"),
+        (ProfileVerdict.UNDETERMINED, "is left undecided"),
+        (
+            ProfileVerdict.MULTIMODAL,
+            "lies in one of several separate ranges (1 to 2 kN or 3 to 4 kN)",
+        ),
+        (ProfileVerdict.STRUCTURALLY_SUSPECT, "more data of this kind may not help"),
     ],
 )
-def test_every_verdict_has_its_words(verdict: Verdict, words: str) -> None:
-    several = verdict is Verdict.MULTIMODAL
+def test_every_verdict_has_its_words(verdict: ProfileVerdict, words: str) -> None:
+    several = verdict is ProfileVerdict.MULTIMODAL
     ends: Interval = (1.0, 4.0) if several else (None, None)
     parts: tuple[Interval, ...] = ((1.0, 2.0), (3.0, 4.0)) if several else ()
     (said,) = said_of(profile("ACL.stiffness_kN", ends, verdict, intervals=parts))

@@ -7,7 +7,7 @@ from posed_knees import posed_reference
 from scipy.spatial.transform import Rotation
 
 from identknee.runs.arrays import IntArray
-from identknee.subject.check import Finding, check_geometry, unusable
+from identknee.subject.check import GeometryFinding, check_geometry, unusable
 from identknee.subject.folder import example
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee, Landmark
@@ -20,7 +20,7 @@ def knee() -> Knee:
     return reference_knee(3.0, femur_edge_mm=2.0)
 
 
-def alarming(findings: tuple[Finding, ...]) -> list[Finding]:
+def alarming(findings: tuple[GeometryFinding, ...]) -> list[GeometryFinding]:
     for finding in findings:
         assert finding.sentence.endswith(".")
         assert finding.remedy.endswith(".") or finding.severity == "info"

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum, unique
 
-from identknee.identify.conformance import edges, several, single
-from identknee.identify.conformance.case import Answer, Case, Tool
+from conformance import edges, several, single
+from conformance.case import Answer, Case, Tool
 
 PARTS: tuple[Callable[[], list[Case]], ...] = (
     single.plain_cases,

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from identknee.identify.conformance.case import Case, Formula
-from identknee.identify.conformance.construction import (
+from conformance.case import Case, Formula
+from conformance.construction import (
     FLAT,
     INF,
     Z,

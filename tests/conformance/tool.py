@@ -2,8 +2,8 @@
 
 import math
 
+from conformance.case import Answer, Case
 from identknee.calibrate.problem import Problem
-from identknee.identify.conformance.case import Answer, Case
 from identknee.identify.profile.profiles import profile_quantities
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array

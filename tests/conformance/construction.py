@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.stats import chi2
 
+from conformance.case import Case, Formula, Intervals
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.identify.conformance.case import Case, Formula, Intervals
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 

@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.conformance.case import Case, Formula
-from identknee.identify.conformance.construction import (
+from conformance.case import Case, Formula
+from conformance.construction import (
     FLAT,
     INF,
     Z,
@@ -15,6 +14,7 @@ from identknee.identify.conformance.construction import (
     linear,
     plain_parameters,
 )
+from identknee.calibrate.quantity import ParameterQuantity
 from identknee.runs.arrays import Array
 
 STRUCTURALLY = {"lower": FLAT, "upper": FLAT, "verdict": "structurally_suspect"}

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.identify.conformance.case import Case, Formula
-from identknee.identify.conformance.construction import (
+from conformance.case import Case, Formula
+from conformance.construction import (
     FEASIBILITY,
     FLAT,
     INF,

@@ -1,0 +1,14 @@
+from .bounded import with_bounds as with_bounds
+from .constrained import Constrained as Constrained
+from .constrained import minimise as minimise
+from .constrained import solve_constrained as solve_constrained
+from .evaluation import Evaluator as Evaluator
+from .fit import BUDGET as BUDGET
+from .fit import METHODS as METHODS
+from .fit import fit_many as fit_many
+from .problem import Problem as Problem
+from .problem import WithPriors as WithPriors
+from .quantity import ParameterQuantity as ParameterQuantity
+from .quantity import Quantity as Quantity
+from .quantity import UserQuantity as UserQuantity
+from .starts import named_start as named_start

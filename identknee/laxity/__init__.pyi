@@ -1,0 +1,12 @@
+from .candidates import candidate_trials as candidate_trials
+from .protocol import LOADS as LOADS
+from .protocol import concatenate as concatenate
+from .protocol import trial_name as trial_name
+from .published import TABLE2 as TABLE2
+from .published import TABLE5 as TABLE5
+from .published import PublishedLaxity as PublishedLaxity
+from .published import table2_laxity as table2_laxity
+from .rmse import LaxityError as LaxityError
+from .table import COORDINATES as COORDINATES
+from .table import ROTATIONS as ROTATIONS
+from .table import TRANSLATIONS as TRANSLATIONS

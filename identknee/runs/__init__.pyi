@@ -1,0 +1,13 @@
+from .arrays import Array as Array
+from .dask_executor import dask_cluster as dask_cluster
+from .executors import Executor as Executor
+from .executors import process_pool as process_pool
+from .executors import serial as serial
+from .executors import threads as threads
+from .files import digest as digest
+from .files import prepare_folder as prepare_folder
+from .files import write_atomically as write_atomically
+from .findings import Severity as Severity
+from .resume import open_work as open_work
+from .resume import resumable_map as resumable_map
+from .store import Store as Store
