@@ -9,6 +9,7 @@ the command that gives it in full stands beside it.
 import numpy as np
 
 import identknee as ik
+from identknee.identify.information.information import information as fisher_information
 from identknee.report.equivalents_figures import ranges_figure
 from identknee.report.information_figures import spectrum_figure
 from identknee.report.profile_figures import intervals_figure
@@ -40,7 +41,7 @@ figure = waterfall_figure({"Least squares from 24 starts": ends})
 # -------------------------------------------
 # ``identknee information``: eigenvalues of the Fisher information above the solver's own noise.
 
-information = ik.information(problem, best.theta)
+information = fisher_information(problem, best.theta)
 print("best known: ", information.combination(0))
 print("least known:", information.combination(len(information.eigenvalues) - 1))
 figure = spectrum_figure({"reference": information})

@@ -7,6 +7,7 @@ from .equivalents.region import power_of_best_test as power_of_best_test
 from .information.geodesic import Boundary as Boundary
 from .information.geodesic import Geodesic as Geodesic
 from .information.geodesic import geodesics as geodesics
+from .information.information import Information as Information
 from .information.structure import Structure as Structure
 from .information.structure import StructureCheck as StructureCheck
 from .information.structure import check_structure as check_structure

@@ -24,12 +24,12 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
     figure = Figure(figsize=(1.6 + 2.0 * len(found), 4.4), layout="constrained")
     axes = figure.add_subplot()
     for k, (name, each) in enumerate(found.items()):
-        x = k + np.linspace(-0.3, 0.3, each.parameters.n)
+        x = k + np.linspace(-0.3, 0.3, each.theta.size)
         axes.plot(x, each.eigenvalues, MARKERS[k], color=COLOURS[k], label=name)
         axes.plot(x, each.floors, "_", color=GREY, markersize=9)
         for place, value, floor in zip(x, each.eigenvalues, each.floors, strict=True):
             axes.plot([place, place], [floor, value], color="0.88", linewidth=1.0, zorder=0)
-        sizes = f"{each.n_above_noise} of {each.parameters.n} above noise\ncondition"
+        sizes = f"{each.n_above_noise} of {each.theta.size} above noise\ncondition"
         axes.annotate(
             f"{sizes} {each.condition:.3g}",
             (k, float(each.eigenvalues[0])),
@@ -54,7 +54,7 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
 
 def eigenvectors_figure(found: Information) -> Figure:
     """Share of every parameter in every eigenvector, from stiff to sloppy, as a heat map."""
-    n = found.parameters.n
+    n = found.theta.size
     figure = Figure(figsize=(2.6 + 0.62 * n, 1.6 + 0.42 * n), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(found.eigenvectors, cmap="PuOr", vmin=-1.0, vmax=1.0, aspect="auto")
@@ -71,7 +71,7 @@ def eigenvectors_figure(found: Information) -> Figure:
                     fontsize=SMALL,
                     color="white" if abs(share) > 0.7 else "black",
                 )
-    axes.set_yticks(range(n), found.parameters.names)
+    axes.set_yticks(range(n), found.parameter_names)
     axes.set_xticks(range(n), [_brief(value) for value in found.eigenvalues])
     axes.set_xlabel("eigenvalue, stiff to sloppy")
     figure.colorbar(image, ax=axes, label="share of one scaled unit")
@@ -97,7 +97,7 @@ def geodesics_figure(paths: Sequence[Geodesic]) -> Figure:
             place = list(most).index(i) if i in most else None
             colour = "0.8" if place is None else COLOURS[place]
             style = "-" if place is None else STYLES[place]
-            label = None if place is None else path.parameters.names[i]
+            label = None if place is None else path.parameter_names[i]
             upper.plot(way, moves[:, i], style, color=colour, label=label)
         upper.legend(frameon=False, fontsize=SMALL)
         upper.set_title(

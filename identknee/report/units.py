@@ -23,7 +23,6 @@ SUFFIXES = {
 # Whatever it varies over.
 BY_NAME = {
     "loads": "N or N m, as the load's name says",
-    "information": "1 over the units of both parameters",
     "slope": "1 over the unit of the quantity",
     "edge_distance": DISTANCE,
     "seconds": "s",
@@ -38,7 +37,7 @@ BY_DIMENSION = {
         AS_PARAMETER,
         (
             *("theta", "theta_start", "theta_polished", "theta_edge", "extremum_theta", "target"),
-            *("optimum", "start", "fit", "farthest_pair", "lower", "upper", "sd", "scale", "step"),
+            *("optimum", "start", "fit", "farthest_pair", "lower", "upper", "sd", "step"),
         ),
     ),
     "member": (AS_PARAMETER, ("edge", "optimum", "reached")),

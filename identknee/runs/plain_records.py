@@ -89,9 +89,10 @@ def record_within(hint: Any) -> tuple[type | None, str]:
 
 
 def hints_of(cls: Any) -> dict[str, Any]:
-    """The types of a class's fields by name."""
+    """The types of a class's fields and declared properties by name."""
     if cls not in _HINTS:
-        _HINTS[cls] = get_type_hints(cls)
+        made = {x: get_type_hints(getattr(cls, x).fget)["return"] for x in derived_entries(cls)}
+        _HINTS[cls] = get_type_hints(cls) | made
     return _HINTS[cls]
 
 

@@ -22,7 +22,10 @@ from identknee.verbs.answer import Answer
 SUMMARY, ARRAYS = "result.json", "result.nc"
 AGAIN = "Run the command that made it again."
 # Where the class of each verb's answer is declared.
-ANSWERS = {"profile": "identknee.verbs.profile:Profiles"}
+ANSWERS = {
+    "profile": "identknee.verbs.profile:Profiles",
+    "information": "identknee.verbs.information:LocalIdentifiability",
+}
 Given = TypeVar("Given", bound=Answer)
 
 

@@ -1,6 +1,5 @@
 """Where the sloppiest direction leads: a geodesic on the model's surface, to the surface's edge."""
 
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -9,8 +8,8 @@ from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import floors
 from identknee.identify.information.information import Scaling, combination, scaled_units, spectrum
-from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 
 BUDGET = 3000
 # In scaled units of the parameters.
@@ -53,48 +52,30 @@ _SENTENCES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Geodesic:
-    """A straightest path on the surface of predictions, from a point along a direction.
+    """A straightest path on the surface of predictions, from a point along a direction."""
 
-    Attributes
-    ----------
-    parameters
-        The n parameters, in the order of theta.
-    scales
-        One scaled unit of each, shape ``(n,)``.
-    thetas
-        The k points of the path, the first where it starts, shape ``(k, n)``.
-    directions
-        Unit directions there in scaled units, shape ``(k, n)``.
-    speeds
-        How much the residuals change for each scaled unit of the path, shape ``(k,)``.
-    deviances
-        Shape ``(k,)``.
-    boundary
-        What ended it.
-    involved
-        The parameters that its sentence is about.
-    n_simulations
-        Simulations made.
-    """
-
-    parameters: Parameters
-    scales: Array
-    thetas: Array
-    directions: Array
-    speeds: Array
-    deviances: Array
-    boundary: Boundary
-    involved: tuple[str, ...]
-    n_simulations: int
-
-    def __post_init__(self) -> None:
-        k, n = len(self.thetas), self.parameters.n
-        shapes = {"scales": (n,), "thetas": (k, n), "directions": (k, n)}
-        shapes |= {"speeds": (k,), "deviances": (k,)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    boundary: Boundary = entry("What ended it")
+    involved: tuple[str, ...] = entry("Parameters that its sentence is about")
+    parameter_names: tuple[str, ...] = entry("Names of the parameters, in the order of theta")
+    scales: Array = array(
+        "One scaled unit of each parameter", "parameter", unit=OF_PARAMETER, key="scale"
+    )
+    thetas: Array = array(
+        "Points of the path, the first where it starts",
+        *("point", "parameter"),
+        unit=OF_PARAMETER,
+        key="theta",
+    )
+    directions: Array = array(
+        "Unit directions there in scaled units", "point", "parameter", key="direction"
+    )
+    speeds: Array = array(
+        "Change of the residuals for each scaled unit of the path", "point", key="speed"
+    )
+    deviances: Array = array("Deviance at each point", "point", key="deviance")
+    n_simulations: int = entry("Simulations made", unit="1")
 
     @property
     def lengths(self) -> Array:
@@ -105,10 +86,29 @@ class Geodesic:
         )
 
     @property
+    @derived("Where it goes and what ended it")
     def sentence(self) -> str:
         """Where it goes and what ended it."""
-        last = combination(self.parameters, self.directions[-1])
+        last = combination(self.parameter_names, self.directions[-1])
         return f"{self.boundary.sentence} ({', '.join(self.involved)}; going along {last})"
+
+    @property
+    @derived("Parameters where it ends, by name", unit=OF_PARAMETER)
+    def end(self) -> dict[str, float]:
+        """The last point by parameter."""
+        return dict(zip(self.parameter_names, self.thetas[-1].tolist(), strict=True))
+
+    @property
+    @derived("Length on the surface of predictions, in units of the noise", unit="1")
+    def length(self) -> float:
+        """Way from the start to the end on the surface, in units of the noise."""
+        return float(self.lengths[-1])
+
+    @property
+    @derived("Deviance at the end less that at the start", unit="1")
+    def rise_of_deviance(self) -> float:
+        """How much worse the end fits than the start."""
+        return float(self.deviances[-1] - self.deviances[0])
 
 
 def geodesics(
@@ -188,7 +188,7 @@ class _Walk:
             ended = (Boundary.BUDGET, self._most(along))
         thetas, directions, speeds, deviances = map(np.array, zip(*self._points, strict=True))
         return Geodesic(
-            parameters=self._parameters,
+            parameter_names=self._parameters.names,
             scales=self._scales,
             thetas=thetas,
             directions=directions,

@@ -1,7 +1,6 @@
 """What the data say about the parameters at one point: the Fisher information, taken apart."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
@@ -12,67 +11,76 @@ from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.information.jacobian_noise import JacobianNoise, jacobian_noise
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 
 Scaling = Literal["typical", "prior"]
+# Pairs and triples worth saying.
+MOST_COLLINEAR = 3
 # A share of a parameter in a direction that is not worth naming.
 NEGLIGIBLE_SHARE = 0.1
 # A share below this, squared, is rounding: the parameter has no part in an undetermined direction.
 ROUNDING = 1e-12
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
+class Eigenvalue:
+    """How well the data know one combination of parameters."""
+
+    value: float = entry("Eigenvalue of the information in scaled units", unit="1")
+    floor: float = entry("Value below which it is the solver's noise", unit="1")
+    above_noise: bool = entry("Whether it is larger than that")
+    combination: str = entry("Shares of the parameters in the combination, the largest first")
+
+
+@declared
+class Collinear:
+    """Parameters that can stand in for one another."""
+
+    parameters: tuple[str, ...] = entry("Names of the parameters")
+    collinearity: float = entry("Collinearity index of the set", unit="1")
+
+
+@declared
 class Information:
     """The Fisher information of n parameters at one theta, in scaled units.
 
     A scaled unit of a parameter is its entry in `scales`: moving one unit along eigenvector i
     raises the deviance by ``eigenvalues[i]`` (to second order), so that the data know the
     combination to ``1 / sqrt(eigenvalues[i])`` units.
-
-    Attributes
-    ----------
-    parameters
-        The parameters, in the order of theta.
-    theta
-        Where, shape ``(n,)``.
-    scaling
-        What a scaled unit is: ``"typical"`` for a typical step (3 kN, 2 %, a prior sd for other
-        units), ``"prior"`` for the prior's standard deviation, in which an eigenvalue of 1 means
-        that the data say as much as the prior.
-    scales
-        One scaled unit of each parameter, shape ``(n,)``.
-    jacobian
-        Derivatives of the residuals, in units of their noise, by the scaled parameters, ``(m, n)``.
-    eigenvalues
-        From large (stiff) to small (sloppy), shape ``(n,)``.
-    eigenvectors
-        One a column in the same order, shape ``(n, n)``; the largest component is positive.
-    floors
-        Eigenvalue that the error of the derivatives alone would give in each direction, ``(n,)``.
-    noise
-        How that error was measured.
-    n_simulations
-        Simulations made, most of them for the noise.
     """
 
-    parameters: Parameters
-    theta: Array
-    scaling: Scaling
-    scales: Array
-    jacobian: Array
-    eigenvalues: Array
-    eigenvectors: Array
-    floors: Array
-    noise: JacobianNoise
-    n_simulations: int
-
-    def __post_init__(self) -> None:
-        n = self.parameters.n
-        for name in ("theta", "scales", "eigenvalues", "floors"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, name=name))
-        object.__setattr__(self, "jacobian", frozen(self.jacobian, None, n, name="jacobian"))
-        vectors = frozen(self.eigenvectors, n, n, name="eigenvectors")
-        object.__setattr__(self, "eigenvectors", vectors)
+    parameter_names: tuple[str, ...] = array(
+        "Names of the parameters", "parameter", is_in_arrays=False
+    )
+    scaling: Scaling = entry(
+        "Scaled unit: typical for a typical step (3 kN, 2 %, a prior's sd for other units), prior "
+        "for the prior's standard deviation, in which an eigenvalue of 1 means that the data say "
+        "as much as the prior"
+    )
+    theta: Array = array("Parameters at which it was computed", "parameter", unit=OF_PARAMETER)
+    scales: Array = array(
+        "One scaled unit of each parameter", "parameter", unit=OF_PARAMETER, key="scale"
+    )
+    jacobian: Array = array(
+        "Derivatives of the residuals, in units of their noise, by the scaled parameters",
+        *("residual", "parameter"),
+    )
+    eigenvalues: Array = array(
+        "Eigenvalues in scaled units, from stiff to sloppy", "direction", key="eigenvalue"
+    )
+    eigenvectors: Array = array(
+        "Eigenvectors as columns in the same order, the largest component of each positive",
+        *("parameter", "direction"),
+        key="eigenvector",
+    )
+    floors: Array = array(
+        "Eigenvalue that the error of the derivatives alone would give in each direction",
+        "direction",
+        key="floor",
+    )
+    noise: JacobianNoise = entry("Errors of the derivatives")
+    n_simulations: int = entry("Simulations made, most of them for the noise", unit="1")
 
     @property
     def matrix(self) -> Array:
@@ -81,14 +89,32 @@ class Information:
         return np.asarray(plain.T @ plain)
 
     @property
+    @derived(
+        "Eigenvalues from stiff to sloppy, and the combinations they belong to", key="eigenvalues"
+    )
+    def spectrum(self) -> tuple[Eigenvalue, ...]:
+        """Each eigenvalue with its floor and its combination of parameters."""
+        return tuple(
+            Eigenvalue(
+                value=float(value),
+                floor=float(floor),
+                above_noise=bool(value > floor),
+                combination=self.combination(i),
+            )
+            for i, (value, floor) in enumerate(zip(self.eigenvalues, self.floors, strict=True))
+        )
+
+    @property
+    @derived("Number of eigenvalues above the noise", unit="1")
     def n_above_noise(self) -> int:
         """How many eigenvalues are larger than the errors of the derivatives would make them."""
         return int(np.sum(self.eigenvalues > self.floors))
 
     @property
+    @derived("Largest over smallest eigenvalue; null if the smallest is not above noise", unit="1")
     def condition(self) -> float:
         """Largest over smallest eigenvalue; infinite if the smallest is not above the noise."""
-        if self.n_above_noise < self.parameters.n:
+        if self.n_above_noise < len(self.eigenvalues):
             return np.inf
         return float(self.eigenvalues[0] / self.eigenvalues[-1])
 
@@ -121,7 +147,7 @@ class Information:
         For example ``"+0.80 PCL.stiffness_kN -0.57 PCL.reference_strain_pct"``; shares below 0.1
         are left out.
         """
-        return combination(self.parameters, self.eigenvectors[:, i])
+        return combination(self.parameter_names, self.eigenvectors[:, i])
 
     def collinearity(self, names: Sequence[str] | None = None) -> float:
         """How nearly a change of one of the parameters can be undone by the others named.
@@ -136,10 +162,10 @@ class Information:
         environmental simulation models, Water Resour. Res. 37 (2001) 1015-1030, equation 10,
         doi:10.1029/2000WR900350.
         """
-        chosen = range(self.parameters.n) if names is None else map(self.parameters.index, names)
-        return _collinearity(self.jacobian[:, list(chosen)])
+        chosen = [self.parameter_names.index(x) for x in names or self.parameter_names]
+        return _collinearity(self.jacobian[:, chosen])
 
-    def collinear_sets(self, size: int) -> tuple[tuple[tuple[str, ...], float], ...]:
+    def collinear_sets(self, size: int) -> tuple[Collinear, ...]:
         """All sets of `size` parameters with their collinearity, from large to small.
 
         Raises
@@ -147,17 +173,53 @@ class Information:
         ValueError
             If the size is not between 2 and the number of parameters.
         """
-        n = self.parameters.n
+        n = len(self.parameter_names)
         if not 2 <= size <= n:
             raise ValueError(f"a set must hold 2 to {n} parameters, got {size}")
         sets = [
-            (
-                tuple(self.parameters.names[i] for i in chosen),
-                _collinearity(self.jacobian[:, chosen]),
+            Collinear(
+                parameters=tuple(self.parameter_names[i] for i in chosen),
+                collinearity=_collinearity(self.jacobian[:, chosen]),
             )
             for chosen in map(list, combinations(range(n), size))
         ]
-        return tuple(sorted(sets, key=lambda pair: -pair[1]))
+        return tuple(sorted(sets, key=lambda x: -x.collinearity))
+
+    @property
+    @derived("Collinearity index of all parameters", unit="1", key="collinearity")
+    def collinearity_of_all(self) -> float:
+        """How nearly any parameter can be made up for by all others."""
+        return self.collinearity()
+
+    @property
+    @derived("Pairs and triples that stand in for one another best", key="collinear")
+    def most_collinear(self) -> tuple[Collinear, ...]:
+        """The three most collinear pairs, then the three most collinear triples."""
+        sizes = [x for x in (2, 3) if x <= len(self.parameter_names)]
+        return tuple(x for size in sizes for x in self.collinear_sets(size)[:MOST_COLLINEAR])
+
+    @property
+    @derived("Parameters at which it was computed, by name", unit=OF_PARAMETER, key="theta")
+    def theta_by_name(self) -> dict[str, float]:
+        """Theta by parameter."""
+        return dict(zip(self.parameter_names, self.theta.tolist(), strict=True))
+
+    @property
+    @derived("Scaled unit of each parameter", unit=OF_PARAMETER, key="scales")
+    def scale_by_name(self) -> dict[str, float]:
+        """Scaled unit by parameter."""
+        return dict(zip(self.parameter_names, self.scales.tolist(), strict=True))
+
+    @property
+    @derived(
+        "Standard deviation of each parameter if the model were linear; null where the data do "
+        "not determine it",
+        unit=OF_PARAMETER,
+        key="sd",
+    )
+    def sd_by_name(self) -> dict[str, float]:
+        """Standard deviation by parameter."""
+        return dict(zip(self.parameter_names, self.sd.tolist(), strict=True))
 
     def _spread(self) -> tuple[Array, Array]:
         """Scaled covariance within the directions above the noise, projector on the others."""
@@ -182,7 +244,7 @@ def information(
         What to count parameters in, which eigenvalues and eigenvectors depend on: ``"typical"``
         steps or ``"prior"`` standard deviations.
     seed
-        Of the perturbations that show the solver's noise.
+        Seed of the perturbations that show the solver's noise.
 
     Raises
     ------
@@ -206,7 +268,7 @@ def information(
     jacobian = evaluation.jacobian * scales
     eigenvalues, eigenvectors = spectrum(jacobian)
     return Information(
-        parameters=parameters,
+        parameter_names=parameters.names,
         theta=evaluation.theta,
         scaling=scaling,
         scales=scales,
@@ -253,16 +315,14 @@ def spectrum(jacobian: Array) -> tuple[Array, Array]:
     return sizes**2, vectors * np.sign(largest)
 
 
-def combination(parameters: Parameters, direction: Array) -> str:
+def combination(names: Sequence[str], direction: Array) -> str:
     """A direction of length 1 in scaled units by the names of the parameters.
 
     Shares below 0.1 are left out, the largest comes first.
     """
     order = np.argsort(-np.abs(direction), kind="stable")
     return " ".join(
-        f"{direction[i]:+.2f} {parameters.names[i]}"
-        for i in order
-        if abs(direction[i]) >= NEGLIGIBLE_SHARE
+        f"{direction[i]:+.2f} {names[i]}" for i in order if abs(direction[i]) >= NEGLIGIBLE_SHARE
     )
 
 

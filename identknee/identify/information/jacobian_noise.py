@@ -1,11 +1,10 @@
 """How wrong a Jacobian is: by rounding, seen by perturbing, and at all, seen by differences."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.calibrate.evaluation import Evaluation, Evaluator
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 
 # In scaled units. The perturbation must be small against any curvature and large against the
 # rounding of theta; the steps are tried from long to short.
@@ -14,30 +13,24 @@ N_PERTURBATIONS = 8
 STEPS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class JacobianNoise:
-    """Errors of the derivatives of m residuals by n scaled parameters.
+    """Errors of the derivatives of m residuals by n scaled parameters."""
 
-    Attributes
-    ----------
-    rounding
-        Largest singular value of the change of the Jacobian under perturbations of theta of 1e-8,
-        linear change taken out: what the solver's tolerance and rounding do.
-    errors
-        Differences of the residuals less the Jacobian, by the step that agrees best, one a column,
-        shape ``(m, n)``: bounds what is wrong with the Jacobian for any reason. Zero in columns
-        in which no step had a prediction.
-    steps
-        The step of each column, in scaled units, shape ``(n,)``; NaN where none had a prediction.
-    """
-
-    rounding: float
-    errors: Array
-    steps: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "errors", frozen(self.errors, None, None, name="errors"))
-        object.__setattr__(self, "steps", frozen(self.steps, None, name="steps"))
+    rounding: float = entry(
+        "Largest singular value of the change of the Jacobian under perturbations of theta of "
+        "1e-8, linear change taken out: what the solver's tolerance and rounding do",
+        unit="1",
+    )
+    errors: Array = array(
+        "Differences of the residuals less the Jacobian, by the step that agrees best: bounds what "
+        "is wrong with the Jacobian for any reason; zero in columns in which no step had a "
+        "prediction",
+        *("residual", "parameter"),
+    )
+    steps: Array = array(
+        "Step of each column, in scaled units; NaN where none had a prediction", "parameter"
+    )
 
     def floors(self, directions: Array) -> Array:
         """Square of the error along each of the unit `directions`, columns (n, k); ``(k,)``.
@@ -56,13 +49,13 @@ def jacobian_noise(
     Parameters
     ----------
     evaluator
-        Of the problem.
+        Evaluations of the problem.
     at
         The point, within the bounds, with a prediction.
     scales
         One scaled unit of each parameter, shape ``(n,)``.
     seed
-        Of the perturbations.
+        Seed of the perturbations.
 
     Raises
     ------

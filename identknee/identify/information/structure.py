@@ -11,7 +11,8 @@ from identknee.calibrate.problem import Problem
 from identknee.calibrate.tolerances import RANK_TOLERANCE
 from identknee.identify.information.information import scaled_units
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import progress
 
@@ -43,45 +44,33 @@ _SENTENCES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class StructureCheck:
-    """Ranks of the sensitivities at k random points for n parameters.
+    """Ranks of the sensitivities at random points of the box."""
 
-    Attributes
-    ----------
-    parameters
-        The parameters, in the order of theta.
-    seed
-        Of the points.
-    thetas
-        The points, shape ``(k, n)``.
-    ranks
-        Rank of the Jacobian at each, shape ``(k,)``; -1 where the model has no prediction.
-    singular_values
-        Of the Jacobian with columns of length 1, from large to small, shape ``(k, n)``; NaN where
-        the model has no prediction.
-    has_no_influence
-        Which parameters change no residual there at all, as those of a slack ligament, ``(k, n)``.
-    undetermined
-        Parameters that have a part in the undetermined directions of the points of largest rank;
-        empty if that rank is full.
-    """
-
-    parameters: Parameters
-    seed: int
-    thetas: Array
-    ranks: IntArray
-    singular_values: Array
-    has_no_influence: BoolArray
-    undetermined: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        n = self.parameters.n
-        object.__setattr__(self, "thetas", frozen(self.thetas, None, n, name="thetas"))
-        object.__setattr__(self, "ranks", frozen_integers(self.ranks))
-        values = frozen(self.singular_values, len(self.thetas), n, name="singular_values")
-        object.__setattr__(self, "singular_values", values)
-        self.has_no_influence.flags.writeable = False
+    seed: int = entry("Seed of the points", unit="1")
+    undetermined: tuple[str, ...] = entry(
+        "Parameters that have a part in the undetermined directions of the points of largest rank; "
+        "none if that rank is full"
+    )
+    thetas: Array = array("Points", "point", "parameter", unit=OF_PARAMETER, key="theta")
+    ranks: IntArray = array(
+        "Rank of the Jacobian at each point; -1 where the model has no prediction",
+        "point",
+        dtype=int,
+        key="rank",
+    )
+    singular_values: Array = array(
+        "Singular values of the Jacobian with columns of length 1, from large to small; NaN where "
+        "the model has no prediction",
+        *("point", "direction"),
+        key="singular_value",
+    )
+    has_no_influence: BoolArray = array(
+        "Whether a parameter changes no residual there at all, as those of a slack ligament",
+        *("point", "parameter"),
+        dtype=bool,
+    )
 
     @property
     def has_prediction(self) -> BoolArray:
@@ -89,17 +78,37 @@ class StructureCheck:
         return np.asarray(self.ranks != NO_RANK)
 
     @property
+    @derived("Points drawn", unit="1")
+    def n_points(self) -> int:
+        """Number of points drawn."""
+        return len(self.ranks)
+
+    @property
+    @derived("Points with a prediction", unit="1")
+    def n_with_prediction(self) -> int:
+        """Number of points with a prediction."""
+        return int(self.has_prediction.sum())
+
+    @property
+    @derived("Largest rank met; -1 where there is no prediction at any point", unit="1")
     def rank(self) -> int:
         """The largest rank met, that of almost all points where derivatives are analytic."""
         return int(self.ranks.max())
 
     @property
+    @derived("Whether data without noise would determine every parameter")
     def verdict(self) -> Structure:
         """What that says about the parameters."""
         if self.rank == NO_RANK:
             return Structure.UNKNOWN
-        full = self.rank == self.parameters.n
-        return Structure.FULL_RANK if full else Structure.RANK_DEFICIENT
+        is_full = self.rank == self.thetas.shape[1]
+        return Structure.FULL_RANK if is_full else Structure.RANK_DEFICIENT
+
+    @property
+    @derived("What the verdict means")
+    def sentence(self) -> str:
+        """What the verdict means, as a full sentence."""
+        return self.verdict.sentence
 
 
 def check_structure(
@@ -121,7 +130,7 @@ def check_structure(
     n_points
         How many scrambled Sobol points to try; those without a prediction are kept as data.
     seed
-        Of their scrambling.
+        Seed of their scrambling.
     executor
         Anything with an ordered ``map``.
 
@@ -143,7 +152,6 @@ def check_structure(
     best = [row for row in rows if row[0] == ranks.max() != NO_RANK]
     loose = np.any([row[3] for row in best], axis=0) if best else np.zeros(parameters.n, bool)
     return StructureCheck(
-        parameters=parameters,
         seed=seed,
         thetas=thetas,
         ranks=ranks,

@@ -3,12 +3,17 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from identknee.report.answers.information import information_statements
 from identknee.report.answers.profile import profile_statements
 from identknee.report.statement import Statement
 from identknee.verbs.answer import Answer
+from identknee.verbs.information import LocalIdentifiability
 from identknee.verbs.profile import Profiles
 
-_OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {Profiles: profile_statements}
+_OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
+    Profiles: profile_statements,
+    LocalIdentifiability: information_statements,
+}
 
 
 def statements_of(answer: Answer) -> tuple[Statement, ...]:

@@ -93,12 +93,6 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
         "coordinates": _wanted("number", "chain", "draw", "trial", "coordinate"),
         "tension_N": _wanted("number", "chain", "draw", "trial", "ligament"),
     },
-    "fisher": {
-        **_names("parameter"),
-        **dict.fromkeys(("eigenvalue", "floor"), _wanted("known", "direction")),
-        **dict.fromkeys(("theta", "scale"), _wanted("known", "parameter")),
-        "eigenvector": _wanted("known", "parameter", "direction"),
-    },
     "equivalent_sets": {
         **_names("parameter", "trial", "coordinate", "quantity"),
         "theta": _wanted("known", "set", "parameter"),

@@ -11,13 +11,14 @@ from identknee.report.information_figures import eigenvectors_figure, spectrum_f
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.model_drawings import design_drawings, diagnosis_drawings
 from identknee.report.page.results import Result
-from identknee.report.page.stored import stored_information, stored_profiles
+from identknee.report.page.stored import stored_profiles
 from identknee.report.profile_figures import intervals_figure, profiles_figure
 from identknee.report.sample_figures import corner_figure, forces_figure, prior_posterior_figure
 from identknee.report.sensitivity_figures import effects_figure, map_figure
 from identknee.report.starts_figure import starts_figure
 from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
 from identknee.report.words import label, listed
+from identknee.verbs.information import LocalIdentifiability
 
 MOST_DRAWS = 400
 MOST_FORCES = 16
@@ -122,21 +123,23 @@ def _forces(predictive: xarray.Dataset) -> Drawing:
 
 
 def _information(result: Result) -> Iterator[Drawing]:
-    found = stored_information(result)
+    if not isinstance(result.answer, LocalIdentifiability):
+        return
+    found = result.answer.fisher
     yield Drawing(
         name="spectrum",
         figure=spectrum_figure({result.subject: found}),
         caption="How well the data know each combination of parameters, from stiff to sloppy; a "
         "bar marks what rounding alone would give.",
         description=f"Eigenvalues of the information from {found.eigenvalues[0]:.3g} to "
-        f"{found.eigenvalues[-1]:.3g}; {found.n_above_noise} of {found.parameters.n} stand above "
+        f"{found.eigenvalues[-1]:.3g}; {found.n_above_noise} of {found.theta.size} stand above "
         "the solver's noise.",
     )
     yield Drawing(
         name="eigenvectors",
         figure=eigenvectors_figure(found),
         caption="Which parameters make up each of these combinations, a column each.",
-        description=f"The least known combination is {found.combination(found.parameters.n - 1)}.",
+        description=f"The least known combination is {found.combination(found.theta.size - 1)}.",
     )
 
 

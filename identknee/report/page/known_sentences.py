@@ -45,30 +45,6 @@ def _trusted(result: Result) -> str:
     return f"Do not rely on it yet: {summary['sentence']}"
 
 
-def information_findings(result: Result) -> Iterator[Statement]:
-    """Whether the data could determine every parameter, and which are alike."""
-    summary = result.summary
-    pairs = [x for x in summary["collinear"] if len(x["parameters"]) == 2]
-    alike = ""
-    if pairs:
-        words = listed(map(parameter_words, pairs[0]["parameters"]))
-        alike = f" Hardest to tell apart are {words}."
-    table = Table(
-        title="Combinations of parameters, from well to badly known",
-        columns=(
-            Column(name="combination, in scaled units"),
-            Column(name="eigenvalue", decimals=None),
-            Column(name="noise floor", decimals=None),
-        ),
-        rows=tuple((x["combination"], x["value"], x["floor"]) for x in summary["eigenvalues"]),
-    )
-    yield Statement(
-        question=Question.KNOWN,
-        sentence=f"{summary['structure']['sentence']}{alike}",
-        tables=(table,),
-    )
-
-
 def equivalents_findings(result: Result) -> Iterator[Statement]:
     """How different two knees may be that the measurement cannot tell apart."""
     summary = result.summary

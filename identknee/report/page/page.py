@@ -14,7 +14,6 @@ from identknee.report.page.drawings import drawings
 from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.known_sentences import (
     equivalents_findings,
-    information_findings,
     sample_findings,
 )
 from identknee.report.page.laxity_part import laxity_drawings
@@ -79,7 +78,6 @@ _SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
     "fit": fit_findings,
     "sweep": sweep_findings,
     "sample": sample_findings,
-    "information": information_findings,
     "equivalents": equivalents_findings,
     "sensitivity": sensitivity_findings,
     "diagnose": diagnosis_findings,

@@ -8,10 +8,7 @@ import xarray
 
 from identknee.diagnosis.explanations.causes import Estimate
 from identknee.diagnosis.score.localisation import CellScore, Localisation
-from identknee.identify.information.information import Information
-from identknee.identify.information.jacobian_noise import JacobianNoise
 from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
-from identknee.model.parameters import Parameters
 from identknee.report.page.results import Result
 from identknee.runs.arrays import Array
 from identknee.verbs.profile import Profiles
@@ -27,31 +24,6 @@ def stored_profiles(result: Result) -> tuple[Profile, ...]:
         return ()
     names = [str(x) for x in curves["quantity"].values]
     return tuple(_profile(name, entries[name], curves.sel(quantity=name)) for name in names)
-
-
-def stored_information(result: Result) -> Information:
-    """The Fisher information that an information left.
-
-    The Jacobian itself is not stored; this one has the same eigenvalues and eigenvectors.
-    """
-    fisher = result.groups["fisher"]
-    values = fisher["eigenvalue"].values
-    vectors = fisher["eigenvector"].transpose("parameter", "direction").values
-    n = len(values)
-    return Information(
-        parameters=_parameters([str(x) for x in fisher["parameter"].values]),
-        theta=fisher["theta"].values,
-        scaling=fisher.attrs["scaling"],
-        scales=fisher["scale"].values,
-        jacobian=np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T,
-        eigenvalues=values,
-        eigenvectors=vectors,
-        floors=fisher["floor"].values,
-        noise=JacobianNoise(
-            rounding=float(fisher.attrs["rounding"]), errors=np.zeros((n, n)), steps=np.zeros(n)
-        ),
-        n_simulations=int(result.summary["n_simulations"]),
-    )
 
 
 def stored_localisation(result: Result) -> Localisation:
@@ -142,17 +114,4 @@ def _side(entry: Mapping[str, Any], side: str) -> Side:
         reached=float(said["reached"]),
         max_deviance=float(said["max_deviance"]),
         at_bounds=tuple(said["at_bounds"]),
-    )
-
-
-def _parameters(names: list[str]) -> Parameters:
-    """Parameters of which only the names are known."""
-    n = len(names)
-    return Parameters(
-        names=tuple(names),
-        center=np.zeros(n),
-        lower=np.full(n, -np.inf),
-        upper=np.full(n, np.inf),
-        prior_sd=np.ones(n),
-        is_log=(False,) * n,
     )

@@ -179,29 +179,6 @@ class Sample(Sentence, Summary):
     parameters: dict[str, Probable]
 
 
-class Collinear(Kept):
-    """Parameters that stand in for one another."""
-
-    parameters: list[str]
-
-
-class Eigenvalue(Kept):
-    """How well a combination is known."""
-
-    combination: str
-    value: Open
-    floor: Open
-
-
-class Information(Summary):
-    """Of `information`."""
-
-    structure: Sentence
-    collinear: list[Collinear]
-    eigenvalues: list[Eigenvalue]
-    n_simulations: Count
-
-
 class Range(Kept):
     """The least and the largest value among equivalent sets."""
 
@@ -275,7 +252,6 @@ SCHEMAS: Mapping[str, type[Summary]] = {
     "fit": Fit,
     "sweep": Sweep,
     "sample": Sample,
-    "information": Information,
     "equivalents": Equivalents,
     "sensitivity": Sensitivity,
     "diagnose": Diagnosis,

@@ -39,7 +39,6 @@ RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
     "diagnose": ("diagnose", ["FRAMED"]),
 }
 SLOW_RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
-    "information": ("information", ["DATA", *FEW]),
     "design": (
         "design",
         ["DATA", *FEW, "--n-trials", "1", "--target", NAME, "--candidates", "drawer"],
@@ -157,7 +156,7 @@ def check_arrays(out: Path) -> None:
     with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
         assert set(tree.attrs) == {"verb", "started", "versions"}
         for group in tree.children:
-            title = group.replace("_1", "_0").removesuffix("_before").removesuffix("_after")
+            title = group.removesuffix("_before").removesuffix("_after")
             text = sections("result.nc")[title]
             said = {
                 (name, *(x.strip() for x in rest.split("|")[:2]))
@@ -208,4 +207,4 @@ def test_the_table_of_groups_names_every_section() -> None:
     listed = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"^\|[^|]+\|([^|]+)\|$", text, re.M))))
     described = set(sections("result.nc"))
     assert described <= listed
-    assert listed - described <= {"profile_before", "profile_after", "geodesic_1"}
+    assert listed - described <= {"profile_before", "profile_after"}

@@ -140,10 +140,10 @@ def test_collinearity_is_that_of_the_angle_between_columns() -> None:
     names = problem.parameters.names
     assert found.collinearity(names[:2]) == pytest.approx((1 - cosine) ** -0.5)
     assert found.collinearity([names[0], names[2]]) == pytest.approx(1.0)
-    most, index = found.collinear_sets(2)[0]
-    assert most == names[:2]
-    assert index == pytest.approx(10.0)
-    assert [pair[0] for pair in found.collinear_sets(3)] == [names]
+    most = found.collinear_sets(2)[0]
+    assert most.parameters == names[:2]
+    assert most.collinearity == pytest.approx(10.0)
+    assert [x.parameters for x in found.collinear_sets(3)] == [names]
     with pytest.raises(ValueError, match="a set must hold 2 to 3 parameters, got 4"):
         found.collinear_sets(4)
 
@@ -174,7 +174,7 @@ def test_prior_units_count_what_the_prior_says() -> None:
 
 def test_names_come_largest_first() -> None:
     parameters = ligament_parameters(["ACL", "PCL"], [1, 1], [1, 1])
-    text = combination(parameters, np.array([0.05, 0.8, -0.0, -0.59]))
+    text = combination(parameters.names, np.array([0.05, 0.8, -0.0, -0.59]))
     assert text == "+0.80 PCL.stiffness_kN -0.59 PCL.reference_strain_pct"
 
 

@@ -1,6 +1,4 @@
-"""Local geometry as datasets, summary and figures."""
-
-import json
+"""Figures of local geometry."""
 
 import numpy as np
 import pytest
@@ -14,8 +12,6 @@ from identknee.report.information_figures import (
     geodesics_figure,
     spectrum_figure,
 )
-from identknee.report.information_groups import information_groups, information_summary
-from identknee.runs.files import plain
 
 Answer = tuple[Information, StructureCheck, tuple[Geodesic, Geodesic]]
 
@@ -28,30 +24,6 @@ def answer() -> Answer:
         check_structure(problem, n_points=8),
         geodesics(problem, problem.minimum),
     )
-
-
-def test_datasets_name_parameters_and_directions(answer: Answer) -> None:
-    groups = information_groups(*answer)
-    assert set(groups) == {"fisher", "structure", "geodesic_0", "geodesic_1"}
-    fisher = groups["fisher"]
-    assert fisher["eigenvector"].sizes == {"parameter": 8, "direction": 8}
-    matrix = fisher["information"].to_numpy()
-    np.testing.assert_allclose(matrix, matrix.T)
-    assert groups["structure"]["rank"].sizes == {"point": 8}
-    for path, name in zip(answer[2], ("geodesic_0", "geodesic_1"), strict=True):
-        assert groups[name].attrs["boundary"] == path.boundary.value
-        assert groups[name]["theta"].shape == path.thetas.shape
-
-
-def test_the_summary_is_json(answer: Answer) -> None:
-    summary = json.loads(json.dumps(plain(information_summary(*answer)), allow_nan=False))
-    assert summary["n_above_noise"] == 8
-    assert len(summary["eigenvalues"]) == 8
-    assert all(x["above_noise"] for x in summary["eigenvalues"])
-    assert summary["structure"]["verdict"] == "full_rank"
-    assert len(summary["geodesics"]) == 2
-    assert len(summary["collinear"]) == 6
-    assert summary["n_simulations"] > answer[0].n_simulations
 
 
 def test_the_spectrum_stands_above_its_floors(answer: Answer) -> None:

@@ -4,28 +4,18 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from diagnoses import FRAME, diagnosed
-from problems import linear
-from report_folders import diagnosis_folder, profile_folder, straight_profiles, write_verb
+from report_folders import diagnosis_folder, profile_folder, straight_profiles
 
 from identknee.diagnosis.explanations.causes import ligament_estimates
-from identknee.identify.information.geodesic import geodesics
-from identknee.identify.information.information import information
-from identknee.identify.information.structure import check_structure
-from identknee.report.information_groups import information_groups, information_summary
 from identknee.report.page.results import found_results
 from identknee.report.page.stored import (
     stored_estimates,
-    stored_information,
     stored_localisation,
 )
 from identknee.runs.plain_records import to_plain
 from identknee.verbs.files import load
 from identknee.verbs.profile import Profiles
-
-# Of numbers that were summed in another order.
-ROUNDING = 1e-10
 
 
 def test_profiles_come_back(tmp_path: Path) -> None:
@@ -36,21 +26,6 @@ def test_profiles_come_back(tmp_path: Path) -> None:
         json.dumps(to_plain(replace(x, record=None))) for x in (stored, straight_profiles())
     )
     assert again == made
-
-
-def test_the_information_comes_back(tmp_path: Path) -> None:
-    problem = linear()
-    found = information(problem, problem.minimum, seed=0)
-    structure = check_structure(problem, seed=0)
-    paths = geodesics(problem, problem.minimum)
-    summary = information_summary(found, structure, paths)
-    write_verb(tmp_path, "information", summary, dict(information_groups(found, structure, paths)))
-    (result,) = found_results(tmp_path)
-    stored = stored_information(result)
-    np.testing.assert_array_equal(stored.eigenvalues, found.eigenvalues)
-    np.testing.assert_allclose(stored.matrix, found.matrix, rtol=1e-8, atol=ROUNDING)
-    assert stored.combination(0) == found.combination(0)
-    assert stored.n_above_noise == found.n_above_noise
 
 
 def test_a_diagnosis_comes_back(tmp_path: Path) -> None:

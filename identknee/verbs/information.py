@@ -1,0 +1,99 @@
+"""Which combinations of parameters the data determine around the best fit, and how well."""
+
+from collections.abc import Sequence
+
+from identknee.identify.information.geodesic import Geodesic, geodesics
+from identknee.identify.information.information import Information, Scaling, scaled_units
+from identknee.identify.information.information import information as fisher_information
+from identknee.identify.information.structure import StructureCheck, check_structure
+from identknee.runs.declare import declared, derived, entry
+from identknee.runs.files import PathLike
+from identknee.verbs.answer import Answer
+from identknee.verbs.identification import best_fits, identification
+from identknee.verbs.values import BoundsLike, NoiseLike
+from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+
+
+@declared
+class LocalIdentifiability(Answer):
+    """Which combinations of parameters the data determine around the best fit, and how well."""
+
+    fisher: Information = entry("Fisher information at the best fit", group="fisher")
+    structure: StructureCheck = entry(
+        "Ranks of the sensitivities at random points of the box", group="structure"
+    )
+    geodesics: tuple[Geodesic, ...] = entry(
+        "Straightest paths along the least known combination, and against it",
+        rows="geodesic",
+        group="geodesics",
+    )
+    degrees_of_freedom: int | None = entry(
+        "Degrees of freedom of the noise estimated from the fit; null where the noise is stated"
+    )
+
+    @property
+    @derived("Simulations made in all, each with its Jacobian", unit="1")
+    def n_simulations(self) -> int:
+        """Simulations made, each with its Jacobian."""
+        paths = sum(x.n_simulations for x in self.geodesics)
+        return self.fisher.n_simulations + self.structure.n_points + paths
+
+
+@verb
+def information(
+    run: Run,
+    subject: SubjectLike,
+    data: LaxityLike,
+    *,
+    scaling: Scaling = "typical",
+    noise: NoiseLike = None,
+    start: str = "subject",
+    fixed: Sequence[str] | None = None,
+    bounds: BoundsLike = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> LocalIdentifiability:
+    """Which combinations of parameters the data determine around the best fit, and how well.
+
+    Parameters
+    ----------
+    subject
+        A knee, its folder, or the name of one that comes with identknee.
+    data
+        Measured laxity, its CSV file, or the name of a subject that comes with one.
+    scaling
+        What directions are measured in: ``"typical"`` steps of 3 kN and 2 %, or ``"prior"``
+        standard deviations.
+    noise, start, fixed, bounds
+        As for `identknee.verbs.identification.identification`.
+    out
+        Folder for the results; nothing is written if None.
+    seed
+        Seed of all random numbers.
+    workers
+        Processes to work with; results are the same.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do.
+    NotComputed
+        If no parameters near the start have a prediction in every measured trial.
+    """
+    setup = identification(
+        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
+    )
+    # Refuses a scaling that is none before anything takes time.
+    scaled_units(setup.problem.parameters, scaling)
+    run.start_clock()
+    fits = best_fits(setup, seed=seed, executor=run.executor)
+    theta = fits[0].theta
+    return LocalIdentifiability(
+        fisher=fisher_information(setup.problem, theta, scaling=scaling, seed=seed),
+        structure=check_structure(setup.problem, seed=seed, executor=run.executor),
+        geodesics=geodesics(setup.problem, theta, scaling=scaling),
+        degrees_of_freedom=setup.degrees_of_freedom,
+        assumptions=setup.assumptions,
+        findings=setup.findings_at(theta, 2.0 * fits[0].objective, fits),
+    )

@@ -1,0 +1,46 @@
+"""A verb gives the same answer from Python, from the command line, and from its files."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_runs import run, short_protocol
+
+import identknee as ik
+from identknee.runs.plain_records import to_plain
+from identknee.verbs.answer import Answer
+from identknee.verbs.files import load
+
+# Two parameters stay free, so that searches take seconds.
+HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
+CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
+    "information": (ik.information, {"scaling": "prior"}),
+}
+
+
+def said(answer: Answer) -> str:
+    """All that an answer holds but when it was made, as text, because NaN differs from itself."""
+    return json.dumps(to_plain(replace(answer, record=None, seconds=0.0)))
+
+
+@pytest.fixture(scope="module")
+def laxity(tmp_path_factory: pytest.TempPathFactory) -> ik.Laxity:
+    """The reference knee under ten trials, with noise."""
+    folder = tmp_path_factory.mktemp("same")
+    knee, protocol = ik.reference_knee(), ik.load_protocol(short_protocol(folder))
+    return ik.add_noise(ik.simulate(knee, protocol).laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
+
+
+@pytest.mark.parametrize("verb", CALLS)
+def test_python_and_command_line_agree(verb: str, laxity: ik.Laxity, tmp_path: Path) -> None:
+    function, options = CALLS[verb]
+    data = ik.write_laxity(laxity, tmp_path / "data.csv")
+    made = function(ik.reference_knee(), laxity, fixed=HELD, **options)
+    words = [y for name, x in options.items() for y in (f"--{name.replace('_', '-')}", x)]
+    held = [y for x in HELD for y in ("--fix", x)]
+    result = run(verb, "reference", data, *held, *words, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert said(load(tmp_path / "out")) == said(made)
