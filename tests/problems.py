@@ -78,7 +78,7 @@ def plain_parameters(n: int, low: float = -10.0, high: float = 10.0) -> Paramete
         lower=np.full(n, low),
         upper=np.full(n, high),
         prior_sd=np.full(n, 2.0),
-        is_log=(False,) * n,
+        is_log=np.zeros(n, bool),
     )
 
 

@@ -230,6 +230,8 @@ def run_verb(context: typer.Context, function: "Callable[..., Answer]") -> None:
 
     lines = [] if as_json else terminal_lines(answer)
     show(summary_of(answer), [*lines, f"Results: {arguments['out']}"], as_json=as_json)
+    if answer.failure:
+        raise NotComputed(answer.failure)
 
 
 def nested(values: Mapping[str, float]) -> dict[str, dict[str, float]]:

@@ -152,6 +152,6 @@ def joined(parts: Sequence[Parameters]) -> Parameters:
         lower=np.concatenate([x.lower for x in parts]),
         upper=np.concatenate([x.upper for x in parts]),
         prior_sd=np.concatenate([x.prior_sd for x in parts]),
-        is_log=tuple(flag for x in parts for flag in x.is_log),
+        is_log=np.concatenate([x.is_log for x in parts]),
         own=None if all(x.own is None for x in parts) else np.concatenate([x.start for x in parts]),
     )

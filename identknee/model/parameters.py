@@ -6,50 +6,46 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.declare import OF_PARAMETER, array, declared
 from identknee.runs.errors import suggestion
 
 STIFFNESS = "stiffness_kN"
 STRAIN = "reference_strain_pct"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Parameters:
-    """Free parameters of a model, in the order of its parameter vector theta.
+    """Free parameters of a model, in the order of its parameter vector theta."""
 
-    Attributes
-    ----------
-    names
-        For example ``"ACL.stiffness_kN"``; the unit is the last word of the name.
-    center
-        Centre of the prior, shape ``(n,)``; also the subject's own values where `own` is None.
-    lower, upper
-        Bounds, shape ``(n,)``.
-    prior_sd
-        Prior standard deviation, shape ``(n,)``: of the natural logarithm where `is_log`, in the
-        parameter's own unit elsewhere.
-    is_log
-        Whether the prior is lognormal, shape ``(n,)``.
-    own
-        The subject's own values where they are not the centre of the prior, shape ``(n,)``.
-    """
-
-    names: tuple[str, ...]
-    center: Array
-    lower: Array
-    upper: Array
-    prior_sd: Array
-    is_log: tuple[bool, ...]
-    own: Array | None = None
+    names: tuple[str, ...] = array(
+        'Names such as "ACL.stiffness_kN", whose last word is the unit',
+        "parameter",
+        is_in_arrays=False,
+    )
+    center: Array = array(
+        "Centre of the prior; also the subject's own values where these are not there",
+        "parameter",
+        unit=OF_PARAMETER,
+    )
+    lower: Array = array("Lower bound", "parameter", unit=OF_PARAMETER)
+    upper: Array = array("Upper bound", "parameter", unit=OF_PARAMETER)
+    prior_sd: Array = array(
+        "Standard deviation of the prior; of the natural logarithm where that is normal",
+        "parameter",
+        unit=OF_PARAMETER,
+    )
+    is_log: BoolArray = array("Whether the prior is lognormal", "parameter", dtype=bool)
+    own: Array | None = array(
+        "The subject's own values where they are not the centre of the prior",
+        "parameter",
+        unit=OF_PARAMETER,
+        default=None,
+    )
 
     def __post_init__(self) -> None:
-        n = len(self.names)
-        if len(set(self.names)) != n:
+        if len(set(self.names)) != self.n:
             raise ValueError(f"parameter names must differ, got {self.names}")
-        for field in ("center", "lower", "upper", "prior_sd"):
-            object.__setattr__(self, field, frozen(getattr(self, field), n, name=field))
-        if self.own is not None:
-            object.__setattr__(self, "own", frozen(self.own, n, name="own"))
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low < high:
                 raise ValueError(
@@ -90,7 +86,7 @@ class Parameters:
             lower=self.lower[chosen],
             upper=self.upper[chosen],
             prior_sd=self.prior_sd[chosen],
-            is_log=tuple(self.is_log[i] for i in chosen),
+            is_log=self.is_log[chosen],
             own=None if self.own is None else self.own[chosen],
         )
 
@@ -195,5 +191,5 @@ def ligament_parameters(
         lower=np.r_[np.zeros(n), np.full(n, -15.0)],
         upper=np.r_[np.full(n, 40.0), np.full(n, 15.0)],
         prior_sd=np.r_[np.full(n, 0.35), np.full(n, 2.0)],
-        is_log=(True,) * n + (False,) * n,
+        is_log=np.arange(2 * n) < n,
     )

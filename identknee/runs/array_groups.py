@@ -68,10 +68,16 @@ def _variables(record: Any, group: str, prefix: str) -> Iterator[tuple[str, str,
             for column, variable in _columns(kind, rows, about.rows, "").items():
                 yield own_group, column, variable
         elif how == "one":
-            inner = "" if about.group else f"{prefix}{key}_"
-            yield from _variables(value, own_group, inner)
+            yield from _variables(value, own_group, _prefix_within(about, prefix, key))
         elif about.is_in_arrays:
             yield own_group, f"{prefix}{key}", (about.dims, _stored(value), _attributes(about))
+
+
+def _prefix_within(about: Entry, prefix: str, key: str) -> str:
+    """What stands before the names of the arrays of a record within another."""
+    if about.is_inline:
+        return prefix
+    return "" if about.group else f"{prefix}{key}_"
 
 
 def _columns(kind: type, records: Sequence[Any], rows: str, prefix: str) -> dict[str, Any]:
@@ -151,8 +157,13 @@ def _filler(values: np.ndarray) -> Any:
     return {"f": np.nan, "i": -1, "U": ""}.get(values.dtype.kind, 0)
 
 
-def _attributes(about: Entry) -> dict[str, str]:
-    return {"units": about.unit or "1", "long_name": about.meaning}
+def _attributes(about: Entry) -> dict[str, Any]:
+    """Unit and meaning; what codes mean is said as the CF conventions have it."""
+    said: dict[str, Any] = {"units": about.unit or "1", "long_name": about.meaning}
+    if about.words:
+        said["flag_values"] = list(range(len(about.words)))
+        said["flag_meanings"] = " ".join(about.words)
+    return said
 
 
 def _column(values: Sequence[Any]) -> Any:
@@ -174,13 +185,15 @@ def _filled(
         own_group, key = about.group or group, about.key or name
         kind, how = record_within(hints_of(cls)[name])
         value, dataset = plain.get(key), groups.get(own_group)
-        if kind is not None and about.rows and value is not None and dataset is not None:
-            arrays = {
-                str(x): y.values for x, y in dataset.variables.items() if about.rows in y.dims
-            }
-            filled[key] = _filled_rows(kind, value, arrays, "")
+        if how == "one" and (about.is_inline or not about.is_in_json):
+            value = plain if about.is_inline else {}
+        if kind is not None and about.rows and (value is not None or not about.is_in_json):
+            variables = {} if dataset is None else dataset.variables
+            arrays = {str(x): y.values for x, y in variables.items() if about.rows in y.dims}
+            rows = value if about.is_in_json else _rows_alone(kind, arrays)
+            filled[key] = _filled_rows(kind, rows, arrays, "")
         elif kind is not None and how == "one" and isinstance(value, dict):
-            inner = "" if about.group else f"{prefix}{key}_"
+            inner = _prefix_within(about, prefix, key)
             filled[key] = _filled(kind, value, groups, own_group, inner)
         elif not about.is_in_json and (found := _found(cls, name, groups, own_group, prefix)):
             filled[key] = found[0]
@@ -199,6 +212,24 @@ def _found(cls: type, name: str, groups: Groups, group: str, prefix: str) -> lis
         return []
     values = dataset[column].values
     return [values if about.dims else values.item()]
+
+
+def _rows_alone(kind: type, arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+    """The numbers and words of records that the groups alone have, one for each row."""
+    n = max((len(x) for x in arrays.values()), default=0)
+    return [_row_alone(kind, {key: x[row] for key, x in arrays.items()}, "") for row in range(n)]
+
+
+def _row_alone(kind: type, row: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    plain: dict[str, Any] = {}
+    for name, about in entries(kind).items():
+        column = f"{prefix}{about.key or name}"
+        inner, how = record_within(hints_of(kind)[name])
+        if how == "one" and inner is not None:
+            plain[about.key or name] = _row_alone(inner, row, f"{column}_")
+        elif not about.dims and column in row:
+            plain[about.key or name] = row[column].item()
+    return plain
 
 
 def _filled_rows(kind: type, records: Any, arrays: Mapping[str, np.ndarray], prefix: str) -> Any:

@@ -47,6 +47,10 @@ class Entry:
         Axis along which the records of a mapping or tuple are stacked in ``result.nc``.
     only
         When it is there, where that is not always.
+    is_inline
+        Whether the entries of a record stand among those of the record that holds it.
+    words
+        What the whole numbers of an array mean, as words; each number is a place among them.
     """
 
     meaning: str
@@ -59,6 +63,8 @@ class Entry:
     group: str = ""
     rows: str = ""
     only: str = ""
+    is_inline: bool = False
+    words: tuple[str, ...] = ()
 
 
 def entry(
@@ -86,8 +92,8 @@ def array(
 ) -> Any:
     """Field that holds a read-only array over named axes, stored in ``result.nc``.
 
-    Arrays of one record that share an axis must agree on its length. Where the default is None
-    the array may be missing.
+    Arrays of one record that share an axis must agree on its length, also with a tuple of names
+    along it. Where the default is None the array may be missing.
     """
     known = {"is_in_json": False, "is_in_arrays": True, **where}
     metadata = {ENTRY: Entry(meaning=meaning, unit=unit, dims=dims, dtype=dtype, **known)}
@@ -186,7 +192,9 @@ def _freeze(record: Any) -> None:
     for name, values in record.__dataclass_fields__.items():
         value = getattr(record, name)
         about = values.metadata.get(ENTRY)
-        if about is not None and about.dims and not isinstance(value, tuple):
+        if about is not None and about.dims and isinstance(value, tuple):
+            lengths[about.dims[0]] = len(value)
+        elif about is not None and about.dims:
             if value is None and values.default is None:
                 continue
             made = _array(name, value, about, lengths)
@@ -201,6 +209,8 @@ def _array(name: str, value: Any, about: Entry, lengths: Mapping[str, int]) -> n
     if about.dtype is float:
         return made
     converted: np.ndarray = made.astype(about.dtype)
+    if about.words and not np.all((converted >= 0) & (converted < len(about.words))):
+        raise ValueError(f"{name}: a code stands for none of {', '.join(about.words)}")
     converted.flags.writeable = False
     return converted
 

@@ -32,12 +32,13 @@ def plain_value(value: Any) -> Any:
 
 def summary_of(record: Any) -> dict[str, Any]:
     """What ``result.json`` says of a record: its fields but the arrays, and derived values."""
-    kinds = entries(type(record)) | derived_entries(type(record))
-    return {
-        about.key or name: _plain(getattr(record, name), summary_of)
-        for name, about in kinds.items()
-        if about.is_in_json
-    }
+    said: dict[str, Any] = {}
+    for name, about in (entries(type(record)) | derived_entries(type(record))).items():
+        if about.is_inline:
+            said |= summary_of(getattr(record, name))
+        elif about.is_in_json:
+            said[about.key or name] = _plain(getattr(record, name), summary_of)
+    return said
 
 
 def from_plain(

@@ -16,3 +16,8 @@ class Answer:
         "The call, its inputs, seed, versions and time; only what a verb gave back has one",
         default=None,
     )
+
+    @property
+    def failure(self) -> str:
+        """Why nothing could be computed; empty where something was."""
+        return ""

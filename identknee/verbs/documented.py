@@ -43,21 +43,26 @@ def _records(cls: type) -> Iterator[type]:
 
 
 def _table(cls: type) -> str:
+    return "\n".join([HEAD, *_lines(cls)])
+
+
+def _lines(cls: type) -> Iterator[str]:
     hints = hints_of(cls)
-    lines = [HEAD]
     for name, about in (entries(cls) | derived_entries(cls)).items():
         kind, how = record_within(hints.get(name))
+        if kind is not None and about.is_inline:
+            yield from _lines(kind)
+            continue
         many = {"dict": "by name, each a", "list": "in a list, each a", "one": "a"}
         meaning = about.meaning if kind is None else f"{about.meaning}: {many[how]} {kind.__name__}"
         unit = about.unit or ("" if not about.dims else "1")
         axes = ", ".join(about.dims) or about.rows
-        lines.append(f"| `{about.key or name}` | {unit} | {axes} | {_file(about)} | {meaning} |")
-    return "\n".join(lines)
+        yield f"| `{about.key or name}` | {unit} | {axes} | {_file(about)} | {meaning} |"
 
 
 def _file(about: Entry) -> str:
     """Which of the two files has it, and in which group."""
     group = f", group `{about.group}`" if about.group else ""
-    if about.dims and not about.is_in_json:
+    if not about.is_in_json:
         return f"nc{group}"
     return f"json and nc{group}" if about.is_in_arrays or about.rows else "json"

@@ -23,10 +23,14 @@ from identknee.verbs.knee_digest import knee_digest
 
 WORK = "unfinished.sqlite"
 # What cannot change a number; everything else decides whether stored work may be resumed.
-NOT_DECIDING = {"out", "workers"}
+NOT_DECIDING = frozenset({"out", "workers"})
+BESIDE = "__not_deciding__"
+# Files that a name is read from, and what a folder of results is known by.
+READ, SUMMARY = (".toml", ".json"), "result.json"
 SubjectLike = Knee | PathLike
 LaxityLike = Laxity | PathLike
 Arguments = ParamSpec("Arguments")
+Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result", bound=Answer)
 
 
@@ -106,7 +110,7 @@ def verb(
     def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         bound = called.__signature__.bind(*args, **kwargs)  # type: ignore[attr-defined]
         bound.apply_defaults()
-        with _run(function.__name__, bound.arguments) as (run, recording):
+        with _run(function, bound.arguments) as (run, recording):
             run.start_clock()
             result = function(run, *bound.args, **bound.kwargs)
             result = replace(result, seconds=run.seconds, record=recording.finish())
@@ -122,8 +126,22 @@ def verb(
     return called
 
 
+def not_deciding(*names: str) -> Callable[[Function], Function]:
+    """Decorator, below ``@verb``, that names options which cannot change a number in the store.
+
+    With another value of them the same work goes on, as with a larger budget.
+    """
+
+    def mark(function: Function) -> Function:
+        setattr(function, BESIDE, frozenset(names))
+        return function
+
+    return mark
+
+
 @contextmanager
-def _run(name: str, arguments: Mapping[str, Any]) -> Iterator[tuple[Run, Any]]:
+def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator[tuple[Run, Any]]:
+    name, beside = function.__name__, NOT_DECIDING | getattr(function, BESIDE, frozenset())
     out = arguments.get("out")
     folder = None if out is None else prepare_folder(out)
     data = arguments.get("data")
@@ -133,7 +151,7 @@ def _run(name: str, arguments: Mapping[str, Any]) -> Iterator[tuple[Run, Any]]:
     inputs = _inputs(arguments, knee, data)
     settings = {key: _setting(value) for key, value in arguments.items()}
     recording = record(name, settings, inputs, arguments.get("seed"))
-    deciding = {key: x for key, x in settings.items() if key not in NOT_DECIDING}
+    deciding = {key: x for key, x in settings.items() if key not in beside}
     with ExitStack() as stack:
         run = Run(
             knee=knee,
@@ -154,11 +172,16 @@ def _inputs(arguments: Mapping[str, Any], knee: Knee, data: Any) -> dict[str, st
     elif data is not None:
         inputs["data"] = digest(laxity_file(data))
     others = {k: x for k, x in arguments.items() if k not in ("subject", "data", "out")}
-    return inputs | {k: digest(x) for k, x in others.items() if _is_file(x)}
+    read = {k: path for k, x in others.items() if (path := _file_of(x)) is not None}
+    return inputs | {k: digest(path) for k, path in read.items()}
 
 
-def _is_file(value: Any) -> bool:
-    return isinstance(value, str | Path) and Path(value).suffix == ".toml" and Path(value).is_file()
+def _file_of(value: Any) -> Path | None:
+    """The file that an argument is read from; of a folder of results, that with its digests."""
+    if isinstance(value, Path) and value.is_dir():
+        value = value / SUMMARY
+    is_path = isinstance(value, str | Path) and Path(value).suffix in READ
+    return Path(value) if is_path and Path(value).is_file() else None
 
 
 def laxity_digest(laxity: Laxity) -> str:

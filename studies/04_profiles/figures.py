@@ -51,7 +51,7 @@ def figure_2(record: Row) -> Figure:
         lower=part["lower_bound"],
         upper=part["upper_bound"],
         prior_sd=np.ones(n),
-        is_log=(False,) * n,
+        is_log=np.zeros(n, bool),
     )
     return paths_figure(profiles_of(record), parameters)
 

@@ -33,7 +33,7 @@ def plain_parameters(*bounds: tuple[float, float]) -> Parameters:
         lower=lower,
         upper=upper,
         prior_sd=np.ones(n),
-        is_log=(False,) * n,
+        is_log=np.zeros(n, bool),
     )
 
 

@@ -126,7 +126,7 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
     )
 
 
-def _logs(values: Array, is_log: Array) -> Array:
+def _logs(values: Array, is_log: BoolArray) -> Array:
     """The logarithms where the prior is lognormal."""
     with np.errstate(divide="ignore"):
         return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)

@@ -109,5 +109,5 @@ def amplitudes(
         lower=np.array(low, float),
         upper=np.array(upper, float),
         prior_sd=np.array(prior_sd, float),
-        is_log=(False,) * n,
+        is_log=np.zeros(n, bool),
     )

@@ -31,7 +31,7 @@ def parameters() -> Parameters:
         lower=np.array([0.0, 0.0, -15.0]),
         upper=np.array([40.0, 40.0, 15.0]),
         prior_sd=np.array([0.3, 0.3, 3.0]),
-        is_log=(True, True, False),
+        is_log=np.array([True, True, False]),
     )
 
 

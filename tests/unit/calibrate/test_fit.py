@@ -67,7 +67,7 @@ def test_lognormal_prior_gives_the_mode_in_the_logarithm() -> None:
         lower=np.array([0.0]),
         upper=np.array([40.0]),
         prior_sd=np.array([0.35]),
-        is_log=(True,),
+        is_log=np.array([True]),
     )
     # A measurement of ln theta with sd 0.1 at ln 14: the mode is a weighted mean of logarithms.
     problem = ClosedForm(
@@ -194,7 +194,7 @@ def test_other_units_have_a_box_too() -> None:
         lower=np.array([0.5]),
         upper=np.array([2.0]),
         prior_sd=np.array([0.1]),
-        is_log=(True,),
+        is_log=np.array([True]),
     )
     problem = ClosedForm(
         name="gain",

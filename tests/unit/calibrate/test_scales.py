@@ -9,7 +9,7 @@ PARAMETERS = Parameters(
     lower=np.array([0.0, -15.0, 0.1, -5.0]),
     upper=np.array([40.0, 15.0, 3.0, 5.0]),
     prior_sd=np.array([0.35, 2.0, 0.1, 0.5]),
-    is_log=(True, False, True, False),
+    is_log=np.array([True, False, True, False]),
 )
 
 

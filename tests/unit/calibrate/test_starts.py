@@ -76,7 +76,7 @@ def test_a_file_may_name_parameters_that_are_no_ligaments(tmp_path: Path) -> Non
         lower=np.array([0.0, 0.5]),
         upper=np.array([0.1, 2.0]),
         prior_sd=np.array([0.01, 0.1]),
-        is_log=(False, True),
+        is_log=np.array([False, True]),
     )
     path = written(tmp_path, "gain = 1.5\n[toe]\nstrain = 0.02\n")
     np.testing.assert_array_equal(read_start(path, parameters), [0.02, 1.5])

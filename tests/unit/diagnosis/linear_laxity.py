@@ -77,7 +77,7 @@ class LinearLaxity:
             lower=np.full(n, self.lower),
             upper=np.full(n, 50.0),
             prior_sd=np.full(n, self.prior_sd),
-            is_log=(False,) * n,
+            is_log=np.zeros(n, bool),
         )
 
     def residuals(self, theta: Array) -> Array:

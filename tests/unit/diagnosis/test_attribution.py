@@ -376,7 +376,7 @@ def evidence_of(columns: Array, data: Array, *, lower: float) -> float:
         lower=np.full(n, lower),
         upper=np.full(n, 50.0),
         prior_sd=np.full(n, 2.0),
-        is_log=(False,) * n,
+        is_log=np.zeros(n, bool),
     )
     fitted: Any = SimpleNamespace(
         evaluation=evaluation, model=SimpleNamespace(parameters=parameters)

@@ -62,7 +62,7 @@ def line(
             lower=np.full(n, -np.inf) if lower is None else np.array(lower),
             upper=np.full(n, np.inf),
             prior_sd=np.linspace(1.0, 2.0, n),
-            is_log=(is_log,) * n,
+            is_log=np.full(n, is_log),
         ),
     )
 

@@ -36,7 +36,7 @@ def mixed() -> Parameters:
         lower=np.array([0.0, -1.0]),
         upper=np.array([15.0, 4.0]),
         prior_sd=np.array([0.35, 2.0]),
-        is_log=(True, False),
+        is_log=np.array([True, False]),
     )
 
 

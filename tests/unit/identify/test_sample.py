@@ -253,7 +253,7 @@ def test_an_optimum_at_a_bound_is_a_place_to_start_from() -> None:
         lower=np.array([low]),
         upper=np.array([30.0]),
         prior_sd=np.array([0.35]),
-        is_log=(True,),
+        is_log=np.array([True]),
     )
     problem = Linear(parameters=parameters, matrix=np.eye(1), data=np.array([15.0]))
     found = sample(problem, rule=StopRule(budget=1), seed=2)

@@ -24,7 +24,7 @@ def three_parameters() -> Parameters:
         lower=-np.ones(3),
         upper=np.ones(3),
         prior_sd=np.ones(3),
-        is_log=(False, False, False),
+        is_log=np.zeros(3, bool),
     )
 
 

@@ -57,7 +57,7 @@ def test_parameters_of_other_units_count_in_typical_steps() -> None:
         lower=np.array([0.0, -50.0]),
         upper=np.array([40.0, 50.0]),
         prior_sd=np.array([0.35, 4.0]),
-        is_log=(True, False),
+        is_log=np.array([True, False]),
     )
     assert distance_units(mixed).tolist() == [1.0, 4.0]
     assert unit_groups(mixed).tolist() == [0, 1]

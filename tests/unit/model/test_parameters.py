@@ -25,7 +25,7 @@ def test_stiffnesses_come_first(parameters: Parameters) -> None:
 def test_box_and_prior_are_those_of_the_design(parameters: Parameters) -> None:
     assert parameters.lower.tolist() == [0.0, 0.0, -15.0, -15.0]
     assert parameters.upper.tolist() == [40.0, 40.0, 15.0, 15.0]
-    assert parameters.is_log == (True, True, False, False)
+    assert parameters.is_log.tolist() == [True, True, False, False]
     assert parameters.prior_sd.tolist() == [0.35, 0.35, 2.0, 2.0]
 
 
@@ -40,7 +40,7 @@ def test_some_can_be_chosen_in_any_order(parameters: Parameters) -> None:
     chosen = parameters.select(["ACL.reference_strain_pct", "ACL.stiffness_kN"])
     assert chosen.names == ("ACL.reference_strain_pct", "ACL.stiffness_kN")
     assert chosen.center.tolist() == [8.0, 10.0]
-    assert chosen.is_log == (False, True)
+    assert chosen.is_log.tolist() == [False, True]
 
 
 def test_bounds_can_be_narrowed(parameters: Parameters) -> None:

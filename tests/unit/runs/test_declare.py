@@ -3,6 +3,7 @@
 import json
 import pickle
 from collections.abc import Mapping
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -41,6 +42,32 @@ class Group:
 
 
 @declared
+class Box:
+    """A record of arrays and names alone."""
+
+    sides: tuple[str, ...] = array("Names of the sides", "side", is_in_arrays=False)
+    lower: Array = array("Lower bound", "side", unit="mm")
+
+
+@declared
+class Search:
+    """A record whose entries stand among those of the result that holds it."""
+
+    method: str = entry("How it was searched")
+    kinds: IntArray = array("What is at each end", "search", dtype=int, words=("minimum", "valley"))
+    ends: tuple[Part, ...] = entry(
+        "The ends, in the arrays alone", rows="part", group="ends", is_in_json=False
+    )
+    own: Group | None = entry("Parts of its own", default=None)
+
+    @property
+    @derived("How many ends are listed", key="ends")
+    def n_ends(self) -> int:
+        """Number of ends."""
+        return len(self.ends)
+
+
+@declared
 class Whole:
     """A result with everything that a result may hold."""
 
@@ -49,6 +76,8 @@ class Whole:
     parts: Mapping[str, Part] = entry("Parts by name", rows="part", group="parts")
     groups: tuple[Group, ...] = entry("Groups of parts", rows="group", group="groups")
     inner: Part = entry("A part of its own", group="inner")
+    box: Box = entry("Bounds, in the arrays alone", group="box", is_in_json=False)
+    search: Search = entry("How it was found", is_inline=True)
     remark: str = entry("A remark", default="none")
     unknown: float = entry("A number that may be unknown", unit="1", default=np.nan)
 
@@ -76,6 +105,8 @@ def whole() -> Whole:
             Group(first=part(2), rest=(part(1), part(1))),
         ),
         inner=part(3),
+        box=Box(sides=("left", "right"), lower=[0.0, 1.0]),  # type: ignore[arg-type]
+        search=Search(method="newton", kinds=[0, 1, 0], ends=(part(1), part(3))),  # type: ignore[arg-type]
     )
 
 
@@ -95,6 +126,16 @@ def test_arrays_and_mappings_are_read_only(whole: Whole) -> None:
 def test_arrays_along_one_axis_have_one_length() -> None:
     with pytest.raises(ValueError, match="steps must have shape 2"):
         Part(size=1.0, colour=Colour.RED, path=[0.0, 1.0], steps=[0])  # type: ignore[arg-type]
+
+
+def test_names_and_arrays_along_one_axis_have_one_length(whole: Whole) -> None:
+    with pytest.raises(ValueError, match="weights must have shape 3"):
+        replace(whole, names=("a", "b", "c"))
+
+
+def test_a_code_that_means_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="kinds: a code stands for none of minimum, valley"):
+        Search(method="newton", kinds=np.array([0, 2]), ends=())
 
 
 def test_meanings_units_and_axes_are_in_the_docstring() -> None:
@@ -120,6 +161,10 @@ def test_a_record_comes_back_from_its_summary_and_its_groups(whole: Whole) -> No
     assert groups["parts"]["path"].dims == ("part", "point")
     assert groups["groups"]["rest_path"].dims == ("group", "rest", "point")
     assert groups["parts"]["colour"].values.tolist() == ["blue", "blue"]
+    assert summary["method"] == "newton"
+    assert summary["ends"] == 2
+    assert "search" not in summary
+    assert groups["result"]["kinds"].attrs["flag_meanings"] == "minimum valley"
     again = from_plain(Whole, with_arrays(Whole, summary, groups))
     assert same(again, whole)
 
