@@ -8,8 +8,8 @@ from knees import model
 from scipy.stats import binom
 
 from identknee.calibrate.problem import Problem
+from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.density import prior_draws
-from identknee.identify.posterior.gate import StopRule
 from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.laxity.noise import add_noise
 from identknee.model.residuals import LaxityResiduals
@@ -81,10 +81,10 @@ def ranked(problem: Problem, truth: Array, seed: int) -> dict[str, Any]:
         "ranks": None,
         "rhat": None,
     }
-    if not found.gates:
+    if not found.checks:
         return row
     places = found.independent(N_DRAWS, or_fewer=True)
-    row["rhat"] = float(np.max(found.gate.rhat))
+    row["rhat"] = float(np.max(found.last_check.rhat))
     if len(places) == N_DRAWS:
         row["ranks"] = np.sum(found.kept[tuple(places.T)] < truth, axis=0)
     return row

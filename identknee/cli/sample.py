@@ -73,8 +73,9 @@ def sample(
 ) -> None:
     """Sample the posterior of the parameters given the data.
 
-    Walkers go on until one gate of written conditions is passed; its numbers go to result.json.
-    result.nc has all draws, with laxity and ligament forces at some of them. A stopped run resumes.
+    Walkers go on until the written conditions of convergence are met; result.json has their
+    numbers, result.nc all draws, with laxity and ligament forces at some of them. A stopped run
+    resumes.
     """
     prepare_folder(out)
     its = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
@@ -88,7 +89,7 @@ def sample(
     }
     found, seconds = timed(lambda: _sampled(its, optima, about, budget, (out, workers)))
     opinion = (
-        ik.identify.nested_posterior(its.problem, seed=seed) if nested and found.gates else None
+        ik.identify.nested_posterior(its.problem, seed=seed) if nested and found.checks else None
     )
     assumptions = [*its.assumptions, *_about_noise(its)]
     findings = _findings(its, found)
@@ -110,7 +111,7 @@ def sample(
     ]
     finish_work(out / WORK)
     show(summary, lines, as_json=as_json)
-    if not found.gates:
+    if not found.checks:
         raise no_prediction(its)
 
 
@@ -151,7 +152,7 @@ def _optima(path: Path, parameters: "ik.Parameters") -> Any:
 
 
 def _findings(its: Identification, found: "ik.Posterior") -> tuple[Finding, ...]:
-    if not found.gates:
+    if not found.checks:
         return ()
     best = int(np.argmax(found.kept_log_likelihood))
     deviance = -2.0 * float(found.kept_log_likelihood.ravel()[best])
@@ -161,18 +162,18 @@ def _findings(its: Identification, found: "ik.Posterior") -> tuple[Finding, ...]
 
 def _verdict(found: "ik.Posterior") -> list[str]:
     """Whether the numbers below can be used, before them."""
-    from identknee.identify.posterior.gate import SampleOutcome
+    from identknee.identify.posterior.convergence import SampleOutcome
 
-    if not found.gates:
+    if not found.checks:
         return []
-    if found.gate.is_passed:
-        return ["The gate is passed: the sample can be used."]
-    unmet = sum(not met for _, _, met in found.gate.conditions.values())
+    if found.last_check.is_passed:
+        return ["The sample has converged and can be used."]
+    unmet = sum(not met for _, _, met in found.last_check.conditions.values())
     remedy = ""
     if found.outcome is SampleOutcome.BUDGET:
         remedy = " The same command with a larger --budget goes on from here."
-    n = len(found.gate.conditions)
-    return [f"A first look only: {unmet} of {n} conditions of the gate are not met.{remedy}"]
+    n = len(found.last_check.conditions)
+    return [f"A first look only: {unmet} of {n} conditions of convergence are not met.{remedy}"]
 
 
 def _about_noise(its: Identification) -> list[str]:
@@ -220,7 +221,7 @@ def _written(
 
     groups = sample_groups(found)
     sensitivity = None
-    if found.gates:
+    if found.checks:
         groups |= predictive_groups(found, its.model, its.laxity, whole=its.free.expand)
         sensitivity = ik.identify.prior_sensitivity(found)
     summary = {**sample_summary(found, sensitivity), **said}

@@ -12,9 +12,9 @@ from .information.structure import Structure as Structure
 from .information.structure import StructureCheck as StructureCheck
 from .information.structure import check_structure as check_structure
 from .optimum import best_fit as best_fit
+from .posterior.convergence import SampleOutcome as SampleOutcome
+from .posterior.convergence import StopRule as StopRule
 from .posterior.density import LogPosterior as LogPosterior
-from .posterior.gate import SampleOutcome as SampleOutcome
-from .posterior.gate import StopRule as StopRule
 from .posterior.nested import NestedPosterior as NestedPosterior
 from .posterior.nested import nested_posterior as nested_posterior
 from .posterior.nested import quantile_differences as quantile_differences

@@ -19,16 +19,16 @@ CHAIN = ("chain", "draw")
 
 
 def sample_groups(posterior: Posterior) -> dict[str, xarray.Dataset]:
-    """Groups posterior, sample_stats, log_likelihood, log_prior, prior, and gate.
+    """Groups posterior, sample_stats, log_likelihood, log_prior, prior, and latest.
 
     A chain is a walker and its draws are the steps after burn-in, as ArviZ has it for ensembles;
     the coordinates ``ensemble`` and ``walker`` say which. ArviZ's own R-hat and effective draws
-    then count walkers as independent; those of the gate do not. Group ``gate`` holds the numbers
-    of every check.
+    then count walkers as independent; those of the convergence check do not. Group ``gate`` holds
+    the numbers of every check.
     """
     names = list(posterior.parameters.names)
     groups = {"prior": _prior(posterior), "gate": _gate(posterior)}
-    if not posterior.gates:
+    if not posterior.checks:
         return groups
     n_ensembles, n_walkers, n_steps = posterior.kept.shape[:3]
     number = np.arange(n_ensembles * n_walkers)
@@ -41,7 +41,7 @@ def sample_groups(posterior: Posterior) -> dict[str, xarray.Dataset]:
     theta = posterior.kept.reshape(-1, n_steps, len(names))
     likelihood = posterior.kept_log_likelihood.reshape(-1, n_steps)
     prior = posterior.kept_log_prior.reshape(-1, n_steps)
-    acceptance = posterior.gate.acceptance.ravel()
+    acceptance = posterior.last_check.acceptance.ravel()
     variables: dict[str, dict[str, Any]] = {
         "posterior": {"theta": ((*CHAIN, "parameter"), theta)},
         "sample_stats": {
@@ -135,10 +135,10 @@ def sample_summary(
         "excluded_prior": _fields(posterior.excluded),
         "optima": posterior.optima,
     }
-    if not posterior.gates:
+    if not posterior.checks:
         return {**summary, "rhat_max": None, "ess_min": None, "parameters": {}}
-    gate = posterior.gate
-    conditions = gate.conditions
+    latest = posterior.last_check
+    conditions = latest.conditions
     return {
         **summary,
         "rhat_max": conditions["rhat"][0],
@@ -147,10 +147,10 @@ def sample_summary(
             name: {"value": value, "bar": bar, "met": met}
             for name, (value, bar, met) in conditions.items()
         },
-        "steps": gate.steps,
-        "burn_in": gate.burn_in,
-        "acceptance": {"mean": gate.acceptance.mean(), "lowest": gate.acceptance.min()},
-        "stuck_walkers": np.argwhere(gate.stuck),
+        "steps": latest.steps,
+        "burn_in": latest.burn_in,
+        "acceptance": {"mean": latest.acceptance.mean(), "lowest": latest.acceptance.min()},
+        "stuck_walkers": np.argwhere(latest.stuck),
         "parameters": _parameters(posterior, sensitivity),
     }
 
@@ -158,7 +158,7 @@ def sample_summary(
 def _parameters(
     posterior: Posterior, sensitivity: PriorSensitivity | None
 ) -> dict[str, dict[str, Any]]:
-    gate = posterior.gate
+    latest = posterior.last_check
     quantiles, errors = posterior.quantiles(), posterior.quantile_errors()
     found: dict[str, dict[str, Any]] = {}
     for i, name in enumerate(posterior.parameters.names):
@@ -166,12 +166,12 @@ def _parameters(
             "mean": posterior.mean[i],
             "sd": posterior.sd[i],
             **_by_quantile("q", quantiles[i]),
-            "mcse_mean": gate.mean_error[i] * posterior.sd[i],
+            "mcse_mean": latest.mean_error[i] * posterior.sd[i],
             **_by_quantile("mcse_q", errors[i]),
-            "tau": gate.tau[i],
-            "rhat": gate.rhat[i],
-            "ess_bulk": gate.bulk[i].sum(),
-            "ess_tail": gate.tail[i].sum(),
+            "tau": latest.tau[i],
+            "rhat": latest.rhat[i],
+            "ess_bulk": latest.bulk[i].sum(),
+            "ess_tail": latest.tail[i].sum(),
         }
         if sensitivity is not None:
             found[name] |= {
@@ -205,14 +205,14 @@ def _prior(posterior: Posterior) -> xarray.Dataset:
 
 def _gate(posterior: Posterior) -> xarray.Dataset:
     names = list(posterior.parameters.names)
-    gates = posterior.gates
-    shape = (len(gates), len(names))
+    checks = posterior.checks
+    shape = (len(checks), len(names))
     by_parameter = {
-        "tau": [x.tau for x in gates],
-        "rhat": [x.rhat for x in gates],
-        "ess_bulk": [x.bulk.sum(axis=1) for x in gates],
-        "ess_tail": [x.tail.sum(axis=1) for x in gates],
-        "mcse_mean_over_sd": [x.mean_error for x in gates],
+        "tau": [x.tau for x in checks],
+        "rhat": [x.rhat for x in checks],
+        "ess_bulk": [x.bulk.sum(axis=1) for x in checks],
+        "ess_tail": [x.tail.sum(axis=1) for x in checks],
+        "mcse_mean_over_sd": [x.mean_error for x in checks],
     }
     return xarray.Dataset(
         {
@@ -220,11 +220,11 @@ def _gate(posterior: Posterior) -> xarray.Dataset:
                 name: (("check", "parameter"), np.array(values, float).reshape(shape))
                 for name, values in by_parameter.items()
             },
-            "steps": ("check", np.array([x.steps for x in gates], int)),
-            "burn_in": ("check", np.array([x.burn_in for x in gates], int)),
-            "tau_drift": ("check", np.array([x.drift for x in gates], float)),
-            "lowest_acceptance": ("check", np.array([x.acceptance.min() for x in gates], float)),
+            "steps": ("check", np.array([x.steps for x in checks], int)),
+            "burn_in": ("check", np.array([x.burn_in for x in checks], int)),
+            "tau_drift": ("check", np.array([x.drift for x in checks], float)),
+            "lowest_acceptance": ("check", np.array([x.acceptance.min() for x in checks], float)),
         },
-        coords={"check": np.arange(len(gates)), "parameter": names},
+        coords={"check": np.arange(len(checks)), "parameter": names},
         attrs={"outcome": posterior.outcome.value, "sentence": posterior.outcome.sentence},
     )

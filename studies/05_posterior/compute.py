@@ -15,7 +15,7 @@ import platformdirs
 
 from identknee.calibrate.starts import named_start
 from identknee.identify.optimum import best_fit
-from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.nested import nested_posterior, quantile_differences
 from identknee.identify.posterior.posterior import Posterior
 from identknee.identify.posterior.power_scaling import prior_sensitivity
@@ -112,7 +112,7 @@ def parts(name: str, knee: Knee, options: argparse.Namespace, executor: Executor
             "parameters": model.parameters.names,
             "truth": truth,
             "sample": {**sample_summary(found), "seconds": time.perf_counter() - began},
-            "tau": {"kept": [x.kept for x in found.gates], "tau": [x.tau for x in found.gates]},
+            "tau": {"kept": [x.kept for x in found.checks], "tau": [x.tau for x in found.checks]},
             **draws(found),
         }
         yield {"predictions": predictions(found, model, problem, truth)}

@@ -133,7 +133,7 @@ def gate_table(knees: Row) -> Table:
         for name, x in part["sample"]["gate"].items()
     ]
     return Table(
-        title="The gate",
+        title="The convergence check",
         columns=(
             Column(name="knee"),
             Column(name="condition"),

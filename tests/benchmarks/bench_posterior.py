@@ -27,12 +27,12 @@ def measure(options: argparse.Namespace) -> Row:
         measures.append(
             Measure(
                 what=f"{knee}, conditions of the gate not met",
-                value=sum(not met for _, _, met in found.gate.conditions.values()),
+                value=sum(not met for _, _, met in found.last_check.conditions.values()),
                 unit="",
                 bar=0,
             )
         )
-        numbers = ", ".join(f"{k} {v:.4g}" for k, (v, _, _) in found.gate.conditions.items())
+        numbers = ", ".join(f"{k} {v:.4g}" for k, (v, _, _) in found.last_check.conditions.items())
         notes.append(
             f"{knee}: {found.outcome.value} after {found.n_simulations} simulations; {numbers}"
         )

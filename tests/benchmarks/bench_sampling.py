@@ -9,7 +9,7 @@ from problems import sloppy_springs
 from rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.posterior import Posterior
 from identknee.identify.posterior.sample import Ensembles, sample
 
@@ -41,8 +41,9 @@ def measure(options: argparse.Namespace) -> Row:
                 Measure(what=f"{where}, {moves}, tails", value=tail, unit="effective draws"),
             ]
             notes.append(
-                f"{where}, {moves}: tau {found.gate.tau.max():.1f} of {found.gate.kept} kept "
-                f"steps, acceptance {found.gate.acceptance.mean():.2f}"
+                f"{where}, {moves}: tau {found.last_check.tau.max():.1f} of "
+                f"{found.last_check.kept} kept "
+                f"steps, acceptance {found.last_check.acceptance.mean():.2f}"
             )
     return Row(
         line="effective draws from 1,000 simulations, 8 parameters: >= 20, with gradients >= 60 "
@@ -63,7 +64,7 @@ def _springs() -> Problem:
 
 def _draws(found: Posterior) -> tuple[float, float]:
     """From 1,000 simulations of the steps kept."""
-    gate = found.gate
+    gate = found.last_check
     spent = found.n_walk_simulations * gate.kept / gate.steps
     bulk, tail = (float(x.sum(axis=1).min()) for x in (gate.bulk, gate.tail))
     return 1000.0 * bulk / spent, 1000.0 * tail / spent

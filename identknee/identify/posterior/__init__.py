@@ -1,1 +1,1 @@
-"""The posterior: its density, ensembles of walkers, one gate to stop at, a second opinion."""
+"""The posterior: density, ensembles of walkers, the check to stop at, a second opinion."""

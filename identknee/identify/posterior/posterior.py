@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.identify.posterior.chains import quantile_error
+from identknee.identify.posterior.convergence import ConvergenceCheck, SampleOutcome
 from identknee.identify.posterior.density import ExcludedMass, log_prior
-from identknee.identify.posterior.gate import Gate, SampleOutcome
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.record import Record
@@ -32,7 +32,7 @@ class Posterior:
         ``(ensembles, walkers, steps, n)``.
     log_likelihood
         Minus half the deviance, shape ``(ensembles, walkers, steps)``.
-    gates
+    checks
         The numbers of every check, in their order; the last one decided.
     outcome
         How sampling ended.
@@ -55,7 +55,7 @@ class Posterior:
     parameters: Parameters
     samples: Array
     log_likelihood: Array
-    gates: tuple[Gate, ...]
+    checks: tuple[ConvergenceCheck, ...]
     outcome: SampleOutcome
     prior: Array
     excluded: ExcludedMass
@@ -75,7 +75,7 @@ class Posterior:
         object.__setattr__(self, "optima", frozen(self.optima, None, n, name="optima"))
 
     @property
-    def gate(self) -> Gate:
+    def last_check(self) -> ConvergenceCheck:
         """The last check.
 
         Raises
@@ -83,19 +83,19 @@ class Posterior:
         ValueError
             If sampling never began.
         """
-        if not self.gates:
+        if not self.checks:
             raise ValueError(f"there is no sample: {self.outcome.sentence}")
-        return self.gates[-1]
+        return self.checks[-1]
 
     @property
     def kept(self) -> Array:
         """Samples after burn-in, shape ``(ensembles, walkers, steps, n)``."""
-        return self.samples[:, :, self.gate.burn_in :]
+        return self.samples[:, :, self.last_check.burn_in :]
 
     @property
     def kept_log_likelihood(self) -> Array:
         """Minus half the deviance after burn-in, shape ``(ensembles, walkers, steps)``."""
-        return self.log_likelihood[:, :, self.gate.burn_in :]
+        return self.log_likelihood[:, :, self.last_check.burn_in :]
 
     @property
     def kept_log_prior(self) -> Array:
@@ -141,7 +141,7 @@ class Posterior:
         """
         kept = self.kept
         n_ensembles, n_walkers, n_steps = kept.shape[:3]
-        apart = math.ceil(min(APART * float(np.max(self.gate.tau)), n_steps))
+        apart = math.ceil(min(APART * float(np.max(self.last_check.tau)), n_steps))
         steps = np.arange(n_steps - 1, -1, -apart)
         places = np.array(
             [
@@ -162,8 +162,8 @@ class Posterior:
 
     # typing.override came with Python 3.12.
     def __str__(self) -> str:  # type: ignore[explicit-override]
-        """A table of the parameters, how sampling ended, and the numbers of the gate."""
-        if not self.gates:
+        """A table of the parameters, how sampling ended, and the last convergence check."""
+        if not self.checks:
             return self.outcome.sentence
         width = max(len(name) for name in self.parameters.names)
         lines = [f"{'':{width}}  {'mean':>9}  {'sd':>8}  {'2.5 %':>9}  {'97.5 %':>9}"]
@@ -175,7 +175,7 @@ class Posterior:
             [
                 *lines,
                 self.outcome.sentence,
-                str(self.gate),
+                str(self.last_check),
                 str(self.excluded),
                 f"{self.n_simulations} simulations.",
             ]

@@ -1,4 +1,4 @@
-"""The posterior by sampling: independent ensembles of walkers, until one gate is passed."""
+"""The posterior by sampling: independent ensembles of walkers, until they have converged."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +10,12 @@ from numpy.typing import ArrayLike
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
+from identknee.identify.posterior.convergence import (
+    ConvergenceCheck,
+    SampleOutcome,
+    StopRule,
+    check_convergence,
+)
 from identknee.identify.posterior.density import (
     ExcludedMass,
     LogPosterior,
@@ -26,7 +32,6 @@ from identknee.identify.posterior.ensembles import (
     optimum_near_prior,
     started,
 )
-from identknee.identify.posterior.gate import Gate, SampleOutcome, StopRule, check
 from identknee.identify.posterior.moves import MOVES
 from identknee.identify.posterior.posterior import Posterior
 from identknee.model.parameters import Parameters
@@ -108,7 +113,7 @@ def sample(
     executor: Executor = serial,
     store: Store | None = None,
 ) -> Posterior:
-    """The posterior of a problem's parameters, sampled until the gate is passed.
+    """The posterior of a problem's parameters, sampled until all conditions of convergence are met.
 
     Independent ensembles of walkers start overdispersed around the optima and go on in blocks of
     steps. After each block one stop rule looks at all of them. Interrupted, the same call with the
@@ -157,7 +162,7 @@ def sample(
     return Posterior(
         parameters=density.parameters,
         **run.arrays(),
-        gates=tuple(run.gates),
+        checks=tuple(run.checks),
         outcome=outcome,
         prior=prior,
         excluded=excluded,
@@ -184,7 +189,7 @@ class _Run:
         self._chain = np.empty((*shape, task.density.parameters.n))
         self._log_density = np.empty(shape)
         self._moved = np.empty(shape, bool)
-        self.gates: list[Gate] = []
+        self.checks: list[ConvergenceCheck] = []
         self.n_simulations = 0
         self.n_walk_simulations = 0
 
@@ -224,12 +229,12 @@ class _Run:
 
     def walk(self, rule: StopRule) -> SampleOutcome:
         while True:
-            self._advance(len(self.gates))
-            gate = check(self._chain, self._moved, rule, self.gates)
-            self.gates.append(gate)
-            if gate.is_passed:
+            self._advance(len(self.checks))
+            latest = check_convergence(self._chain, self._moved, rule, self.checks)
+            self.checks.append(latest)
+            if latest.is_passed:
                 return SampleOutcome.CONVERGED
-            if gate.stuck.any():
+            if latest.stuck.any():
                 return SampleOutcome.STUCK
             if self.n_simulations >= rule.budget:
                 return SampleOutcome.BUDGET

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import Linear, disc_in_the_way, plain_parameters
 
-from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.nested import nested_posterior, quantile_differences
 from identknee.identify.posterior.sample import sample
 

@@ -18,7 +18,7 @@ from problems import (
 from scipy.integrate import quad
 
 from identknee.calibrate.problem import restricted
-from identknee.identify.posterior.gate import SampleOutcome, StopRule
+from identknee.identify.posterior.convergence import SampleOutcome, StopRule
 from identknee.identify.posterior.posterior import Posterior
 from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.model.parameters import Parameters
@@ -62,7 +62,7 @@ def bent(power: int) -> ClosedForm:
 
 
 def assert_mean_and_sd(found: Posterior, mean: Any, sd: Any) -> None:
-    errors = found.gate.mean_error * np.asarray(sd)
+    errors = found.last_check.mean_error * np.asarray(sd)
     assert np.all(np.abs(found.mean - mean) < SIGMAS * errors)
     assert np.all(np.abs(found.sd - sd) < SIGMAS * errors)
 
@@ -73,7 +73,7 @@ def test_a_linear_problem_gives_its_normal_posterior_and_passes_the_gate() -> No
     precision = problem.matrix.T @ problem.matrix + np.eye(3) / 4.0
     mean = np.linalg.solve(precision, problem.matrix.T @ problem.data)
     assert found.outcome is SampleOutcome.CONVERGED
-    assert found.gate.is_passed
+    assert found.last_check.is_passed
     sd = np.sqrt(np.asarray(np.diag(np.linalg.inv(precision)), dtype=np.float64))
     assert_mean_and_sd(found, mean, sd)
     assert found.samples.shape[:2] == (4, 8)
@@ -104,14 +104,14 @@ def test_walkers_go_from_one_basin_to_the_other() -> None:
     found = sample(bent(2), optima=optima, rule=rule, seed=3)
     assert found.outcome is SampleOutcome.CONVERGED
     positive = float((found.kept > 0).mean())
-    assert abs(positive - 0.5) < SIGMAS * 0.5 * found.gate.mean_error.max()
+    assert abs(positive - 0.5) < SIGMAS * 0.5 * found.last_check.mean_error.max()
 
 
 def test_a_sloppy_problem_gets_60_effective_draws_from_1000_simulations() -> None:
     rule = StopRule(drift=np.inf)
     found = sample(IN_NOISE, rule=rule, seed=4)
     assert found.outcome is SampleOutcome.CONVERGED
-    fewest = min(found.gate.bulk.sum(axis=1).min(), found.gate.tail.sum(axis=1).min())
+    fewest = min(found.last_check.bulk.sum(axis=1).min(), found.last_check.tail.sum(axis=1).min())
     assert 1000 * fewest / found.n_walk_simulations > 60
 
 
@@ -151,7 +151,7 @@ def test_without_any_prediction_there_is_no_sample_and_no_traceback() -> None:
     assert found.excluded.without_prediction == 1.0
     assert "no prediction" in str(found)
     with pytest.raises(ValueError, match="there is no sample"):
-        _ = found.gate
+        _ = found.last_check
 
 
 def test_log_likelihood_is_minus_half_the_deviance() -> None:
@@ -166,7 +166,7 @@ def same(one: Posterior, other: Posterior) -> bool:
         np.array_equal(one.samples, other.samples)
         and np.array_equal(one.log_likelihood, other.log_likelihood)
         and one.n_simulations == other.n_simulations
-        and str(one.gate) == str(other.gate)
+        and str(one.last_check) == str(other.last_check)
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 from problems import Cliff, Linear, linear, plain_parameters
 
-from identknee.identify.posterior.gate import StopRule
+from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.posterior import Posterior
 from identknee.identify.posterior.power_scaling import prior_sensitivity
 from identknee.identify.posterior.sample import sample
@@ -43,7 +43,7 @@ def test_groups_keep_ensembles_walkers_and_steps_apart(posterior: Posterior) -> 
         )
     lp = groups["sample_stats"]["lp"] - groups["log_prior"]["theta"]
     np.testing.assert_allclose(lp, groups["log_likelihood"]["laxity"], rtol=1e-9)
-    assert groups["gate"].sizes["check"] == len(posterior.gates)
+    assert groups["gate"].sizes["check"] == len(posterior.checks)
 
 
 def test_arviz_reads_the_groups(posterior: Posterior) -> None:
@@ -53,7 +53,7 @@ def test_arviz_reads_the_groups(posterior: Posterior) -> None:
     for i in range(2):
         theirs = float(np.ravel(arviz.ess(theta[..., i]))[0])
         # It takes walkers for independent, and its truncation of the sum over lags differs.
-        assert posterior.gate.bulk[i].sum() == pytest.approx(theirs, rel=0.2)
+        assert posterior.last_check.bulk[i].sum() == pytest.approx(theirs, rel=0.2)
 
 
 def test_the_summary_has_the_keys_that_checks_read(posterior: Posterior) -> None:
@@ -77,14 +77,14 @@ def test_without_a_sample_there_is_still_a_summary() -> None:
 def test_every_figure_is_drawn(posterior: Posterior) -> None:
     names = ["ACL.stiffness_kN", "x"]
     draws = posterior.kept[tuple(posterior.independent(200).T)]
-    tau = np.array([x.tau for x in posterior.gates])
-    steps = [x.kept for x in posterior.gates]
+    tau = np.array([x.tau for x in posterior.checks])
+    steps = [x.kept for x in posterior.checks]
     truth = np.zeros(2)
     quantiles = np.sort(np.random.default_rng(0).normal(size=(3, 2, 5)), axis=2)
     figures = [
         prior_posterior_figure(names, posterior.prior, {"one": draws}, truth=truth),
         corner_figure(names, draws, truth=truth),
-        trace_figure(names, posterior.samples, posterior.gate.burn_in),
+        trace_figure(names, posterior.samples, posterior.last_check.burn_in),
         tau_figure(names, steps, tau),
         forces_figure(["a", "b", "c"], ["ACL", "PCL"], quantiles, truth=np.zeros((3, 2))),
     ]
@@ -96,7 +96,7 @@ def test_every_figure_is_drawn(posterior: Posterior) -> None:
 
 
 def test_a_budget_that_ran_out_is_in_the_summary(posterior: Posterior) -> None:
-    from identknee.identify.posterior.gate import SampleOutcome
+    from identknee.identify.posterior.convergence import SampleOutcome
 
     stopped = replace(posterior, outcome=SampleOutcome.BUDGET)
     assert sample_summary(stopped)["sentence"] == SampleOutcome.BUDGET.sentence

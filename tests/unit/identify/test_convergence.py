@@ -1,11 +1,16 @@
-"""The gate at which sampling stops: every condition alone can keep it shut."""
+"""The convergence check at which sampling stops: every condition alone can fail it."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from identknee.identify.posterior.gate import Gate, SampleOutcome, StopRule, check
+from identknee.identify.posterior.convergence import (
+    ConvergenceCheck,
+    SampleOutcome,
+    StopRule,
+    check_convergence,
+)
 from identknee.runs.arrays import Array
 
 RULE = StopRule()
@@ -19,33 +24,33 @@ def moved(samples: Array) -> np.ndarray:
     return np.ones(samples.shape[:3], bool)
 
 
-def passed() -> Gate:
+def passed() -> ConvergenceCheck:
     samples = independent(2000)
-    before = [check(samples[:, :, :1990], moved(samples[:, :, :1990]), RULE, [])]
-    return check(samples, moved(samples), RULE, before)
+    before = [check_convergence(samples[:, :, :1990], moved(samples[:, :, :1990]), RULE, [])]
+    return check_convergence(samples, moved(samples), RULE, before)
 
 
 def test_independent_draws_pass() -> None:
-    gate = passed()
-    assert gate.is_passed
-    assert all(met for _, _, met in gate.conditions.values())
-    assert gate.burn_in == 400
-    assert gate.kept == 1600
+    found = passed()
+    assert found.is_passed
+    assert all(met for _, _, met in found.conditions.values())
+    assert found.burn_in == 400
+    assert found.kept == 1600
 
 
 def test_the_first_check_never_passes_because_nothing_is_known_of_drift() -> None:
     samples = independent(2000)
-    gate = check(samples, moved(samples), RULE, [])
-    assert gate.drift == np.inf
-    assert not gate.is_passed
+    found = check_convergence(samples, moved(samples), RULE, [])
+    assert found.drift == np.inf
+    assert not found.is_passed
 
 
 def test_drift_is_counted_from_a_check_one_autocorrelation_time_back() -> None:
     samples = independent(2000)
-    first = check(samples[:, :, :1000], moved(samples[:, :, :1000]), RULE, [])
+    first = check_convergence(samples[:, :, :1000], moved(samples[:, :, :1000]), RULE, [])
     near = replace(first, steps=2000, tau=first.tau * 100.0)
-    gate = check(samples, moved(samples), RULE, [first, near])
-    assert gate.drift == pytest.approx(np.max(np.abs(gate.tau / first.tau - 1.0)))
+    found = check_convergence(samples, moved(samples), RULE, [first, near])
+    assert found.drift == pytest.approx(np.max(np.abs(found.tau / first.tau - 1.0)))
 
 
 @pytest.mark.parametrize(
@@ -60,19 +65,19 @@ def test_drift_is_counted_from_a_check_one_autocorrelation_time_back() -> None:
     ],
 )
 def test_each_condition_alone_keeps_it_shut(change: dict[str, object], condition: str) -> None:
-    gate = replace(passed(), **change)  # type: ignore[arg-type]
-    assert not gate.conditions[condition][2]
-    assert not gate.is_passed
-    assert "not met" in str(gate)
+    found = replace(passed(), **change)  # type: ignore[arg-type]
+    assert not found.conditions[condition][2]
+    assert not found.is_passed
+    assert "not met" in str(found)
 
 
 def test_a_walker_that_never_moves_is_stuck_once_that_is_no_bad_luck() -> None:
     samples = independent(400)
     has_moved = moved(samples)
     has_moved[2, 7] = False
-    gate = check(samples, has_moved, RULE, [])
-    assert np.argwhere(gate.stuck).tolist() == [[2, 7]]
-    early = check(samples[:, :, :100], has_moved[:, :, :100], RULE, [])
+    found = check_convergence(samples, has_moved, RULE, [])
+    assert np.argwhere(found.stuck).tolist() == [[2, 7]]
+    early = check_convergence(samples[:, :, :100], has_moved[:, :, :100], RULE, [])
     assert not early.stuck.any()
 
 

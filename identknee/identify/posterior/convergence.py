@@ -1,4 +1,4 @@
-"""The one gate at which sampling stops, every number of it kept."""
+"""The convergence check at which sampling stops, every number of it kept."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -38,8 +38,8 @@ class SampleOutcome(Enum):
 
 
 _SENTENCES = {
-    SampleOutcome.CONVERGED: "Every condition of the gate is met.",
-    SampleOutcome.BUDGET: "The budget of simulations was used up before the gate was reached.",
+    SampleOutcome.CONVERGED: "Every condition of convergence is met.",
+    SampleOutcome.BUDGET: "The budget of simulations was used up before the sample converged.",
     SampleOutcome.STUCK: "A walker hardly ever moves, so the sample cannot be trusted.",
     SampleOutcome.START_FAILED: "The model has no prediction around the places to start from.",
 }
@@ -82,7 +82,7 @@ class StopRule:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Gate:
+class ConvergenceCheck:
     """The numbers the stop rule looks at, after some steps.
 
     Attributes
@@ -193,8 +193,10 @@ _WORDS = {
 }
 
 
-def check(samples: Array, moved: BoolArray, rule: StopRule, before: Sequence[Gate]) -> Gate:
-    """The numbers of the gate for the steps so far; the first fifth counts as burn-in.
+def check_convergence(
+    samples: Array, moved: BoolArray, rule: StopRule, before: Sequence[ConvergenceCheck]
+) -> ConvergenceCheck:
+    """The convergence check of the steps so far; the first fifth counts as burn-in.
 
     Parameters
     ----------
@@ -211,7 +213,7 @@ def check(samples: Array, moved: BoolArray, rule: StopRule, before: Sequence[Gat
     burn_in = int(BURN_IN * steps)
     kept = [samples[:, :, burn_in:, i] for i in range(samples.shape[3])]
     tau = _each(autocorrelation_time, kept)
-    return Gate(
+    return ConvergenceCheck(
         rule=rule,
         steps=steps,
         burn_in=burn_in,
@@ -230,10 +232,10 @@ def _each(function: Callable[[Array], Array | float], values: Sequence[Array]) -
     return np.array([function(one) for one in values])
 
 
-def _drift(tau: Array, steps: int, before: Sequence[Gate]) -> float:
+def _drift(tau: Array, steps: int, before: Sequence[ConvergenceCheck]) -> float:
     """Largest change since the latest check that is one autocorrelation time back or more."""
     longest = float(np.max(tau))
-    for gate in reversed(before):
-        if steps - gate.steps >= longest:
-            return float(np.max(np.abs(tau / gate.tau - 1.0)))
+    for check in reversed(before):
+        if steps - check.steps >= longest:
+            return float(np.max(np.abs(tau / check.tau - 1.0)))
     return np.inf
