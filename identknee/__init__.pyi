@@ -24,8 +24,6 @@ from .identify.profile.profiles import profile_parameters as profile_parameters
 from .identify.profile.result import Profile as Profile
 from .identify.sensitivity.sensitivity import Sensitivity as Sensitivity
 from .identify.sensitivity.sensitivity import sensitivity as sensitivity
-from .identify.sweep.sweep import Sweep as Sweep
-from .identify.sweep.sweep import sweep as sweep
 from .laxity.examples import example_laxity as example_laxity
 from .laxity.noise import add_noise as add_noise
 from .laxity.protocol import Protocol as Protocol
@@ -54,5 +52,7 @@ from .verbs.information import LocalIdentifiability as LocalIdentifiability
 from .verbs.information import information as information
 from .verbs.profile import Profiles as Profiles
 from .verbs.profile import profile as profile
+from .verbs.sweep import Sweep as Sweep
+from .verbs.sweep import sweep as sweep
 
 __version__: str

@@ -28,12 +28,11 @@ best = ik.fit(problem, problem.parameters.center)
 # ``identknee sweep``: searches from everywhere, each end with what stopped it. A failed start is
 # an end too: with these parameters the knee has no equilibrium in some trial.
 
-starts = ik.identify.sobol_starts(problem.parameters, 24)
-sweep = ik.sweep(problem, starts)
+searches = ik.sweep(knee, laxity, n_starts=24, paths=0).searches
 for kind in (ik.Outcome.MINIMUM, ik.Outcome.VALLEY, ik.Outcome.CLIFF, ik.Outcome.START_FAILED):
-    print(f"{sweep.is_kind(kind).sum():3} {kind.value:12} {kind.sentence}")
-number = np.arange(1, sweep.n + 1)
-ends = {"end": (number, np.sort(sweep.objectives))}
+    print(f"{searches.is_kind(kind).sum():3} {kind.value:12} {kind.sentence}")
+number = np.arange(1, searches.n + 1)
+ends = {"end": (number, np.sort(searches.objectives))}
 figure = waterfall_figure({"Least squares from 24 starts": ends})
 
 # %%

@@ -11,6 +11,7 @@ import numpy as np
 from distributed import LocalCluster
 
 import identknee as ik
+from identknee.identify.sweep.sweep import sweep
 from identknee.report.sweep_figures import waterfall_figure
 from identknee.runs.dask_executor import dask_cluster
 
@@ -23,7 +24,7 @@ starts = ik.identify.sobol_starts(problem.parameters, 16)
 # %%
 # On one core, as a reference:
 
-serial = ik.sweep(problem, starts)
+serial = sweep(problem, starts)
 
 # %%
 # ``dask_cluster`` takes the address of a scheduler, wherever its workers are. Here it is a cluster
@@ -34,7 +35,7 @@ with (
     LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as it,
     dask_cluster(it.scheduler_address) as executor,
 ):
-    scaled_out = ik.sweep(problem, starts, executor=executor)
+    scaled_out = sweep(problem, starts, executor=executor)
 
 # %%
 # The same, bit for bit:

@@ -46,5 +46,6 @@ from .sweep.starts_design import unit_groups as unit_groups
 from .sweep.survey import Survey as Survey
 from .sweep.survey import survey as survey
 from .sweep.sweep import OUTCOMES as OUTCOMES
+from .sweep.sweep import Searches as Searches
 from .sweep.sweep import kind_of_end as kind_of_end
 from .sweep.sweep import search_seed as search_seed

@@ -1,30 +1,27 @@
 """A share counted in a sample, with its exact confidence limits."""
 
-from dataclasses import dataclass
-
 from scipy.stats import binomtest
+
+from identknee.runs.declare import declared, derived, entry
 
 LEVEL = 0.95
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Share:
-    """A share of a sample, with Clopper-Pearson limits of the share of all.
+    """A share of a sample, with Clopper-Pearson limits of the share of all."""
 
-    Attributes
-    ----------
-    count, n
-        How many of how many.
-    lower, upper
-        Limits at 95 % confidence; 0 and 1 where the sample is empty.
-    """
-
-    count: int
-    n: int
-    lower: float
-    upper: float
+    count: int = entry("How many", unit="1")
+    n: int = entry("Of how many", unit="1")
+    lower: float = entry(
+        "Lower limit of the share at 95 % confidence; 0 where the sample is empty", unit="1"
+    )
+    upper: float = entry(
+        "Upper limit of the share at 95 % confidence; 1 where the sample is empty", unit="1"
+    )
 
     @property
+    @derived("Share in the sample; null where that is empty", unit="1", key="share")
     def value(self) -> float:
         """The share in the sample; NaN where that is empty."""
         return self.count / self.n if self.n else float("nan")

@@ -7,7 +7,6 @@ import xarray
 AS_PARAMETER = "kN or %, as the parameter's name says"
 AS_COORDINATE = "mm or deg, as the coordinate's name says"
 AS_QUANTITY = "the unit of the quantity, beside it as `unit`"
-DISTANCE = "kN and %"
 PLAIN = "1"
 NUMERIC = "fiu"
 
@@ -24,8 +23,6 @@ SUFFIXES = {
 BY_NAME = {
     "loads": "N or N m, as the load's name says",
     "slope": "1 over the unit of the quantity",
-    "edge_distance": DISTANCE,
-    "seconds": "s",
     "diameter": "typical steps: 3 kN, 2 % or the prior's sd",
     "pair_search": "typical steps: 3 kN, 2 % or the prior's sd",
     "best_objective": "1, or mm2 and deg2 where the weighting is unit",
@@ -36,8 +33,8 @@ BY_DIMENSION = {
     "parameter": (
         AS_PARAMETER,
         (
-            *("theta", "theta_start", "theta_polished", "theta_edge", "extremum_theta", "target"),
-            *("optimum", "start", "fit", "farthest_pair", "lower", "upper", "sd", "step"),
+            *("theta", "extremum_theta", "optimum", "start", "fit", "farthest_pair"),
+            *("lower", "upper", "sd", "step"),
         ),
     ),
     "member": (AS_PARAMETER, ("edge", "optimum", "reached")),
@@ -80,8 +77,6 @@ def unit(name: str, dimensions: tuple[object, ...]) -> str:
     """
     if name in BY_NAME:
         return BY_NAME[name]
-    if dimensions == ("distance",) and name == "distance":
-        return DISTANCE
     for dimension, (its_unit, names) in BY_DIMENSION.items():
         if dimension in dimensions and name in names:
             return its_unit

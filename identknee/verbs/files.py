@@ -24,6 +24,7 @@ AGAIN = "Run the command that made it again."
 # Where the class of each verb's answer is declared.
 ANSWERS = {
     "profile": "identknee.verbs.profile:Profiles",
+    "sweep": "identknee.verbs.sweep:Sweep",
     "information": "identknee.verbs.information:LocalIdentifiability",
 }
 Given = TypeVar("Given", bound=Answer)

@@ -248,6 +248,12 @@ def no_prediction(setup: Identification) -> NotComputed:
     return _no_prediction(setup.model, setup.laxity, setup.free.fixed_values)
 
 
+def no_prediction_finding(setup: Identification) -> Finding:
+    """The same as what an answer says against itself."""
+    sentence = str(no_prediction(setup))
+    return Finding(severity=Severity.ERROR, sentence=sentence, where="trials")
+
+
 def _no_prediction(model: LaxityModel, laxity: Laxity, start: Array) -> NotComputed:
     prediction = model.predict(start, derivatives=False)
     used = np.any(laxity.is_measured, axis=1).tolist()

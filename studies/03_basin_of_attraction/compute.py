@@ -20,7 +20,7 @@ from identknee.identify.sweep.cliffs import map_cliffs, plane
 from identknee.identify.sweep.recovery import Recovery, is_recovered, radius, recovery
 from identknee.identify.sweep.starts_design import distance, shell_starts, sobol_starts, unit_groups
 from identknee.identify.sweep.survey import survey
-from identknee.identify.sweep.sweep import OUTCOMES, Sweep, sweep
+from identknee.identify.sweep.sweep import OUTCOMES, Searches, sweep
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN
@@ -32,13 +32,14 @@ from identknee.report.study_records import (
     study_knee,
     write_record,
 )
-from identknee.report.sweep_groups import sweep_summary, trials_lost
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.files import digest
 from identknee.runs.outcome import Outcome
+from identknee.runs.plain_records import summary_of
 from identknee.runs.resume import open_work
 from identknee.subject.knee import Knee
+from identknee.verbs.sweep import trials_lost
 
 HERE = Path(__file__).parent
 RECORD = HERE / "records" / "basin_of_attraction.json"
@@ -170,7 +171,7 @@ def swept(
     wanted: Part,
     options: argparse.Namespace,
     executor: Executor,
-) -> Sweep:
+) -> Searches:
     """The sweep of a part on a knee, from its store as far as it is there."""
     n = wanted.numbers[knee]
     n = max(1, n // 100) if options.quick else n
@@ -212,11 +213,11 @@ def described(problem: LaxityResiduals) -> Row:
     return row
 
 
-def part_row(problem: LaxityResiduals, found: Sweep, wanted: Part) -> Row:
+def part_row(problem: LaxityResiduals, found: Searches, wanted: Part) -> Row:
     """What the record keeps of a sweep."""
     truth = named_start(TRUTH, problem.parameters)
     read = survey(problem, found, target=truth)
-    summary = sweep_summary(read, None)
+    summary = summary_of(read)
     away = distance(found.starts, truth, found.parameters)
     places = np.linspace(0, found.n - 1, min(found.n, N_QUANTILES)).astype(int)
     row: Row = {
@@ -247,7 +248,7 @@ def part_row(problem: LaxityResiduals, found: Sweep, wanted: Part) -> Row:
     return checked
 
 
-def crossed(found: Sweep) -> Row:
+def crossed(found: Searches) -> Row:
     """How many ends of each kind, by how their polishing ended."""
     rows: Row = {}
     for kind in OUTCOMES:
@@ -257,7 +258,7 @@ def crossed(found: Sweep) -> Row:
     return rows
 
 
-def recovered_row(found: Sweep, truth: Array, away: Array, within: float, polished: bool) -> Row:  # noqa: FBT001
+def recovered_row(found: Searches, truth: Array, away: Array, within: float, polished: bool) -> Row:  # noqa: FBT001
     """Shares recovered by distance, and the radii for nine of ten and every second."""
     shares = recovery(away, is_recovered(found, truth, within=within, polished=polished))
     radii = {str(p): radius(shares, probability=p) for p in (0.9, 0.5)}
@@ -275,7 +276,7 @@ def shares_row(found: Recovery) -> Row:
     }
 
 
-def guess_rows(found: Sweep, truth: Array) -> Row:
+def guess_rows(found: Searches, truth: Array) -> Row:
     """Of each guess: kinds of its ends, where polishing leads, errors as the paper's Table 3."""
     groups = unit_groups(found.parameters)
     guess_of = np.repeat(GUESSES, found.n // len(GUESSES))
@@ -319,8 +320,8 @@ def cliff_row(
             "share_lost": float(found.share_lost.mean()),
             "edge_distances": np.sort(found.edge_distances[found.has_cliff]),
             "start_distances": np.sort(distance(starts, truth, problem.parameters)),
-            "trials_lost": dict(list(found.counts().items())[:12]),
-            "n_trials_lost": len(found.counts()),
+            "trials_lost": dict(list(found.trials_lost.items())[:12]),
+            "n_trials_lost": len(found.trials_lost),
         },
         4,
     )

@@ -40,7 +40,7 @@ WORDS: dict[str, tuple[object, ...]] = {
     "information": (),
     "profile": ("--forces", "flexion0_varus4Nm"),
     "equivalents": ("--n-sets", 3, "--forces", "none"),
-    "sweep": ("--n-starts", 4, "--ways", 2),
+    "sweep": ("--n-starts", 4, "--paths", 2),
 }
 Summaries = Callable[[str], tuple[dict[str, Any], dict[str, Any]]]
 

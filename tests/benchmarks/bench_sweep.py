@@ -10,8 +10,7 @@ from rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
 from identknee.identify.sweep.starts_design import shell_starts
-from identknee.identify.sweep.sweep import Sweep, sweep
-from identknee.report.sweep_groups import tenths
+from identknee.identify.sweep.sweep import Searches, sweep, tenths
 from identknee.runs.executors import process_pool
 
 WORKERS = 2
@@ -63,7 +62,7 @@ def measure(options: argparse.Namespace) -> Row:
     return Row(line=f"{line}; cost per start constant", measures=measures, notes=notes)
 
 
-def timed(problem: Problem, method: str, n: int) -> tuple[Sweep, float]:
+def timed(problem: Problem, method: str, n: int) -> tuple[Searches, float]:
     """A sweep on shells around the subject's own values, and its seconds."""
     parameters = problem.parameters
     starts = shell_starts(parameters, n, center=parameters.center, distances=DISTANCES)

@@ -422,7 +422,7 @@ QUICK: Sequence[str] = (
     "fit SMALL DATA --start subject --budget 5 --weighting noise",
     "fit SMALL DATA --method complex --budget 5 --fix front.stiffness_kN",
     "fit SMALL DATA --bounds front.stiffness_kN=1:5 --budget 3",
-    "sweep SMALL DATA --n-starts 2 --budget 3 --ways 0",
+    "sweep SMALL DATA --n-starts 2 --budget 3 --paths 0",
     "subject check SMALL --protocol TINY --samples 2",
     "subject export SMALL",
     "sensitivity SMALL --protocol TINY --method morris --samples 2",
@@ -466,7 +466,7 @@ KINDS: Mapping[str, Sequence[str]] = {
     "--bounds": tuple(f"{x}={y}:{z}" for x in _NAMES[:2] for y in _NUMBERS for z in _NUMBERS),
     **dict.fromkeys(("--fix", "--parameter", "--target"), _NAMES),
     **dict.fromkeys(
-        ("--seed", "--budget", "--n-starts", "--ways", "--samples", "--n-sets", "--n-trials"),
+        ("--seed", "--budget", "--n-starts", "--paths", "--samples", "--n-sets", "--n-trials"),
         _COUNTS,
     ),
     "": ("SMALL", "DATA", "RESULT", "BLIND", "TINY", "nothing", "/dev/null", "s192803", "SUBJECT"),

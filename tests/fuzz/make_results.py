@@ -46,7 +46,7 @@ VERBS = {
     "simulate": ["simulate", "reference", "--protocol", "PROTOCOL", "--noise", "0.3mm,0.3deg"],
     "check": ["subject", "check", "reference", "--protocol", "PROTOCOL", "--samples", "2"],
     "fit": ["fit", "reference", "DATA"],
-    "sweep": ["sweep", "reference", "DATA", "--n-starts", "4", "--ways", "2"],
+    "sweep": ["sweep", "reference", "DATA", "--n-starts", "4", "--paths", "2"],
     "profile": ["profile", "reference", "DATA", *FEW, "--parameter", NAME],
     "sample": ["sample", "reference", "DATA", *FEW, "--ensembles", "2", "--budget", "1000"],
     "information": ["information", "reference", "DATA", *FEW],

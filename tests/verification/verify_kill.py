@@ -23,7 +23,7 @@ from identknee.runs.resume import as_stored, resumable_map
 KILLS, SEED = 50, 0
 # Each is to take about half a minute on two slow cores, most of it in work that is resumed.
 VERBS = {
-    "sweep": ["--n-starts", "200", "--ways", "10"],
+    "sweep": ["--n-starts", "200", "--paths", "10"],
     "profile": [],
     "sample": ["--budget", "3000"],
 }

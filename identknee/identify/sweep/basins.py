@@ -1,6 +1,7 @@
-"""Basins of attraction: polished ends of a sweep that are one minimum."""
+"""Basins of attraction: polished ends of searches that are one minimum."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -8,9 +9,9 @@ from identknee.calibrate.evaluation import sum_of_squares
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.shares import Share, share
-from identknee.identify.sweep.sweep import Sweep
-from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.identify.sweep.sweep import Searches
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 
 # In typical steps (3 kN, 2 %): ends closer than this in every parameter are one minimum.
 TOLERANCE = 0.01
@@ -21,51 +22,60 @@ N_NEIGHBOURS = 3
 # Share of the deviance, and the deviance itself, below which a barrier is rounding.
 BARRIER_SHARE, BARRIER_FLOOR = 1e-6, 2e-9
 NONE = -1
+# Minima in the summary; all are among the arrays.
+MOST_LISTED = 20
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Basin:
-    """A minimum and the starts that lead to it.
+    """A minimum and the starts that lead to it."""
 
-    Attributes
-    ----------
-    theta
-        The minimum, shape ``(p,)``.
-    objective
-        Half the sum of squares there.
-    share
-        Of all starts, failed ones included, those whose polished end it is: the volume of the basin
-        as a part of the volume that the starts fill evenly.
-    """
-
-    theta: Array
-    objective: float
-    share: Share
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", frozen(self.theta, None, name="theta"))
+    theta: Array = array("The minimum", "parameter", unit=OF_PARAMETER)
+    objective: float = entry("Half the sum of squares there", unit="1")
+    share: Share = entry(
+        "Share of all starts, failed ones included, whose polished end it is: the volume of the "
+        "basin as a part of the volume that the starts fill evenly"
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Basins:
-    """The minima that the polished ends of a sweep show, the lowest first.
+    """The minima that the polished ends of searches show, the lowest first."""
 
-    Attributes
-    ----------
-    parameters
-        Those of the problem.
-    basins
-        One for each minimum.
-    labels
-        Place in `basins` of each start, shape ``(N,)``; -1 where its polishing ended at no minimum.
-    """
+    parameter_names: tuple[str, ...] = array(
+        "Names of the parameters", "parameter", is_in_arrays=False
+    )
+    basins: tuple[Basin, ...] = entry(
+        "The minima, the lowest first", rows="basin", group="basins", is_in_json=False
+    )
+    labels: IntArray = array(
+        "Place among the basins of each start; -1 where its polishing ended at no minimum",
+        "start",
+        dtype=int,
+        key="basin",
+    )
 
-    parameters: Parameters
-    basins: tuple[Basin, ...]
-    labels: IntArray
+    @property
+    @derived("Minima found", unit="1")
+    def n_basins(self) -> int:
+        """Number of basins."""
+        return len(self.basins)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "labels", frozen_integers(self.labels))
+    @property
+    @derived("The first twenty minima, with their starts and parameters", key="basins")
+    def listed(self) -> list[Mapping[str, Any]]:
+        """The first twenty minima in JSON types."""
+        return [
+            {
+                "objective": x.objective,
+                "n_starts": x.share.count,
+                "share": x.share.value,
+                "share_lower": x.share.lower,
+                "share_upper": x.share.upper,
+                "parameters": dict(zip(self.parameter_names, x.theta.tolist(), strict=True)),
+            }
+            for x in self.basins[:MOST_LISTED]
+        ]
 
     # typing.override came with Python 3.12.
     def __str__(self) -> str:  # type: ignore[explicit-override]
@@ -76,8 +86,8 @@ class Basins:
         return "\n".join(lines or ["no basin was found"])
 
 
-def find_basins(problem: Problem, sweep: Sweep) -> Basins:
-    """The basins among the polished ends of a sweep.
+def find_basins(problem: Problem, searches: Searches) -> Basins:
+    """The basins among the polished ends of searches.
 
     Ends that polishing calls minima are gathered from the lowest up: those within 0.01 typical
     steps (0.03 kN, 0.02 %) of one in every parameter are that minimum. Two minima with no barrier
@@ -87,21 +97,21 @@ def find_basins(problem: Problem, sweep: Sweep) -> Basins:
     Parameters
     ----------
     problem
-        That of the sweep, to look for barriers; each pair of minima costs seven simulations, the
+        That of the searches, to look for barriers; each pair of minima costs seven simulations, the
         starts cost none.
-    sweep
+    searches
         The ends.
     """
-    scales = typical_steps(sweep.parameters)
-    labels = np.full(sweep.n, NONE, dtype=np.int64)
+    scales = typical_steps(searches.parameters)
+    labels = np.full(searches.n, NONE, dtype=np.int64)
     leaders: list[int] = []
-    left = np.flatnonzero(sweep.is_polished)
-    left = left[np.argsort(sweep.polished_objectives[left], kind="stable")]
+    left = np.flatnonzero(searches.is_polished)
+    left = left[np.argsort(searches.polished_objectives[left], kind="stable")]
     while left.size:
         leader = int(left[0])
-        away = np.abs(sweep.polished[left] - sweep.polished[leader]) / scales
+        away = np.abs(searches.polished[left] - searches.polished[leader]) / scales
         near = away.max(axis=1) <= TOLERANCE
-        joined = _joined(problem, sweep, leader, leaders)
+        joined = _joined(problem, searches, leader, leaders)
         if joined is None:
             joined = len(leaders)
             leaders.append(leader)
@@ -109,12 +119,12 @@ def find_basins(problem: Problem, sweep: Sweep) -> Basins:
         left = left[~near]
     counts = np.bincount(labels[labels != NONE], minlength=len(leaders))
     return Basins(
-        parameters=sweep.parameters,
+        parameter_names=searches.parameters.names,
         basins=tuple(
             Basin(
-                theta=sweep.polished[leader],
-                objective=float(sweep.polished_objectives[leader]),
-                share=share(int(count), sweep.n),
+                theta=searches.polished[leader],
+                objective=float(searches.polished_objectives[leader]),
+                share=share(int(count), searches.n),
             )
             for leader, count in zip(leaders, counts, strict=True)
         ),
@@ -133,11 +143,11 @@ def has_barrier(problem: Problem, first: Array, second: Array) -> bool:
     return False
 
 
-def _joined(problem: Problem, sweep: Sweep, end: int, leaders: list[int]) -> int | None:
+def _joined(problem: Problem, searches: Searches, end: int, leaders: list[int]) -> int | None:
     """Place of the leader that `end` is one minimum with, None if it is one of its own."""
-    scales = typical_steps(sweep.parameters)
-    away = np.max(np.abs(sweep.polished[leaders] - sweep.polished[end]) / scales, axis=1)
+    scales = typical_steps(searches.parameters)
+    away = np.max(np.abs(searches.polished[leaders] - searches.polished[end]) / scales, axis=1)
     for place in np.argsort(away, kind="stable")[:N_NEIGHBOURS]:
-        if not has_barrier(problem, sweep.polished[leaders[place]], sweep.polished[end]):
+        if not has_barrier(problem, searches.polished[leaders[place]], searches.polished[end]):
             return int(place)
     return None

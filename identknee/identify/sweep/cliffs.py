@@ -1,7 +1,6 @@
-"""The cliffs of a landscape: where the prediction is lost on the ways from starts to a target."""
+"""The cliffs of a landscape: where the prediction is lost on the paths from starts to a target."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -10,74 +9,88 @@ from numpy.typing import ArrayLike
 
 from identknee.calibrate.evaluation import sum_of_squares
 from identknee.calibrate.problem import Problem
-from identknee.identify.sweep.starts_design import distance
-from identknee.model.parameters import Parameters
+from identknee.identify.sweep.starts_design import DISTANCE, distance
 from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.declare import OF_PARAMETER, array, declared, derived
 from identknee.runs.executors import Executor, serial
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
 
-# Of a way: how fine it is looked at, and how well the edge of a cliff is known.
+# How finely a path is looked at, and how well the edge of a cliff is known along it.
 N_STEPS = 32
 EDGE = 1e-4
 
 LostAt = Callable[[Array], Sequence[str]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class CliffMap:
-    """Straight ways from N starts to a target, and the cliffs on them.
+    """Straight paths from N starts to a target, and the cliffs on them."""
 
-    Attributes
-    ----------
-    parameters
-        Those of the problem.
-    target
-        Where all ways lead, shape ``(p,)``.
-    starts
-        Where they begin, shape ``(N, p)``.
-    share_lost
-        Share of each way without a prediction, shape ``(N,)``, from 32 points on it.
-    edges
-        The cliff nearest to the target: the last theta with a prediction on the way out from it,
-        shape ``(N, p)``; NaN where the way has no cliff.
-    edge_distances
-        How far it is from the target, as `identknee.identify.sweep.starts_design.distance` counts,
-        shape ``(N,)``; NaN likewise.
-    lost
-        What is lost beyond that edge, by name (trials of a protocol), for each way; empty where
-        there is no cliff or it was not asked.
-    """
-
-    parameters: Parameters
-    target: Array
-    starts: Array
-    share_lost: Array
-    edges: Array
-    edge_distances: Array
-    lost: tuple[tuple[str, ...], ...]
-
-    def __post_init__(self) -> None:
-        n, p = len(self.lost), self.parameters.n
-        for name, shape in (
-            ("target", (p,)),
-            ("starts", (n, p)),
-            ("share_lost", (n,)),
-            ("edges", (n, p)),
-            ("edge_distances", (n,)),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    target: Array = array("Where all paths lead", "parameter", unit=OF_PARAMETER)
+    starts: Array = array(
+        "Where they begin", *("path", "parameter"), unit=OF_PARAMETER, key="theta_start"
+    )
+    share_lost: Array = array(
+        "Share of each path without a prediction, from 32 points on it", "path"
+    )
+    edges: Array = array(
+        "The cliff nearest to the target: last theta with a prediction on the way out from it; "
+        "NaN where the path has no cliff",
+        *("path", "parameter"),
+        unit=OF_PARAMETER,
+        key="theta_edge",
+    )
+    edge_distances: Array = array(
+        "Distance of that cliff from the target; NaN likewise",
+        "path",
+        unit=DISTANCE,
+        key="edge_distance",
+    )
+    trials: tuple[str, ...] = array(
+        "Names of what is lost beyond an edge, such as trials", "lost_trial", is_in_arrays=False
+    )
+    is_lost: BoolArray = array(
+        "Whether each of them is lost beyond the edge of a path", "path", "lost_trial", dtype=bool
+    )
 
     @property
     def has_cliff(self) -> BoolArray:
-        """Which ways have a cliff on them, shape ``(N,)``."""
+        """Which paths have a cliff on them, shape ``(N,)``."""
         return np.isfinite(self.edge_distances)
 
-    def counts(self) -> dict[str, int]:
-        """On how many ways each trial is lost at the cliff nearest to the target, most first."""
-        names = [name for way in self.lost for name in way]
-        found = {name: names.count(name) for name in dict.fromkeys(names)}
-        return dict(sorted(found.items(), key=lambda pair: -pair[1]))
+    @property
+    @derived("Straight paths from starts to the target", unit="1")
+    def n_paths(self) -> int:
+        """Number of paths."""
+        return len(self.starts)
+
+    @property
+    @derived("Paths with a cliff on them", unit="1")
+    def n_paths_with_cliff(self) -> int:
+        """Number of paths with a cliff."""
+        return int(self.has_cliff.sum())
+
+    @property
+    @derived("Least distance of a cliff from the target; null without one", unit=DISTANCE)
+    def nearest_distance(self) -> float | None:
+        """Distance of the cliff nearest to the target; None without one."""
+        distances = self.edge_distances[self.has_cliff]
+        return float(distances.min()) if distances.size else None
+
+    @property
+    @derived("Median distance of the nearest cliffs; null without one", unit=DISTANCE)
+    def median_distance(self) -> float | None:
+        """Median distance of the nearest cliff of each path; None without one."""
+        distances = self.edge_distances[self.has_cliff]
+        return float(np.median(distances)) if distances.size else None
+
+    @property
+    @derived("Paths on which each trial is lost at the nearest cliff, most first", unit="1")
+    def trials_lost(self) -> dict[str, int]:
+        """On how many paths each trial is lost at the cliff nearest to the target, most first."""
+        numbers = dict(zip(self.trials, self.is_lost.sum(axis=0).tolist(), strict=True))
+        return dict(sorted(numbers.items(), key=lambda pair: -pair[1]))
 
 
 def map_cliffs(
@@ -89,14 +102,14 @@ def map_cliffs(
     executor: Executor = serial,
     store: Store | None = None,
 ) -> CliffMap:
-    """The cliffs on the straight ways from `starts` to `target`.
+    """The cliffs on the straight paths from `starts` to `target`.
 
     Parameters
     ----------
     problem
         Its residuals are infinite where the model has no prediction.
     starts
-        Shape ``(N, p)``; each way costs about fifty simulations.
+        Shape ``(N, p)``; each path costs about fifty simulations.
     target
         Truth or best fit, shape ``(p,)``, where the model has a prediction.
     lost_at
@@ -105,7 +118,7 @@ def map_cliffs(
     executor
         Anything with an ordered ``map``.
     store
-        Where finished ways are kept.
+        Where finished paths are kept.
 
     Raises
     ------
@@ -117,19 +130,22 @@ def map_cliffs(
     to = frozen(target, parameters.n, name="the target")
     if not _is_predicted(problem, to):
         raise ValueError("the model has no prediction at the target; choose another one")
-    task = partial(_way, problem, to, lost_at)
-    ways = resumable_map(
-        task, points.tolist(), executor=executor, store=store, name="ways", description="cliffs"
+    task = partial(_path, problem, to, lost_at)
+    paths = resumable_map(
+        task, points.tolist(), executor=executor, store=store, name="paths", description="cliffs"
     )
-    edges = np.array([way["edge"] for way in ways]).reshape(len(ways), parameters.n)
+    edges = np.array([path["edge"] for path in paths]).reshape(len(paths), parameters.n)
+    trials = tuple(dict.fromkeys(name for path in paths for name in path["lost"]))
     return CliffMap(
-        parameters=parameters,
         target=to,
         starts=points,
-        share_lost=np.array([way["share_lost"] for way in ways]),
+        share_lost=np.array([path["share_lost"] for path in paths]),
         edges=edges,
         edge_distances=distance(edges, to, parameters),
-        lost=tuple(tuple(way["lost"]) for way in ways),
+        trials=trials,
+        is_lost=np.reshape(
+            [x in path["lost"] for path in paths for x in trials], (len(paths), len(trials))
+        ),
     )
 
 
@@ -165,7 +181,7 @@ def plane(problem: Problem, center: Array, axes: tuple[int, int], n: int) -> tup
     return values, objectives
 
 
-def _way(problem: Problem, target: Array, lost_at: LostAt | None, start: Any) -> dict[str, Any]:
+def _path(problem: Problem, target: Array, lost_at: LostAt | None, start: Any) -> dict[str, Any]:
     way = np.asarray(start) - target
     along = np.linspace(0.0, 1.0, N_STEPS + 1)[1:]
     is_lost = np.array([not _is_predicted(problem, target + x * way) for x in along])

@@ -1,14 +1,13 @@
 """How close an initial guess must be: the probability of recovery against its distance."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.optimize
 
 from identknee.identify.shares import Share, share
-from identknee.identify.sweep.starts_design import distance
-from identknee.identify.sweep.sweep import Sweep
-from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.identify.sweep.starts_design import DISTANCE, distance
+from identknee.identify.sweep.sweep import Searches
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import array, declared, derived, entry
 
 MAX_SHELLS = 20
 N_BINS = 10
@@ -16,55 +15,49 @@ N_BINS = 10
 OFTEN = 0.9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Recovery:
-    """Shares of starts that recovered a target, by their distance from it.
-
-    Attributes
-    ----------
-    distances
-        Mean distance of the starts in each group, ascending, shape ``(k,)``.
-    shares
-        Of those, the ones that recovered.
-    """
-
-    distances: Array
-    shares: tuple[Share, ...]
-
-    def __post_init__(self) -> None:
-        values = frozen(self.distances, len(self.shares), name="distances")
-        object.__setattr__(self, "distances", values)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Radius:
-    """The distance within which a start recovers with a stated probability.
+    """The distance within which a start recovers with a stated probability."""
 
-    Attributes
-    ----------
-    probability
-        The one stated.
-    value
-        Where a falling curve through the shares crosses it; 0 where even the nearest starts recover
-        less often, infinite where the farthest ones still recover as often.
-    lower, upper
-        Where the curves through the limits of the shares (95 % each) do.
-    """
+    probability: float = entry("Probability stated", unit="1")
+    value: float = entry(
+        "Distance at which a falling curve through the shares crosses it; 0 where even the nearest "
+        "starts recover less often, null where the farthest ones still recover as often",
+        unit=DISTANCE,
+    )
+    lower: float = entry("The same of the lower limits of the shares, 95 % each", unit=DISTANCE)
+    upper: float = entry("The same of their upper limits", unit=DISTANCE)
 
-    probability: float
-    value: float
-    lower: float
-    upper: float
+
+@declared
+class Recovery:
+    """Shares of starts that recovered a target, by their distance from it."""
+
+    distances: Array = array(
+        "Mean distance from the target of the starts in each group, ascending",
+        "distance",
+        unit=DISTANCE,
+        is_in_json=True,
+    )
+    shares: tuple[Share, ...] = entry(
+        "Share of the starts in each group that recovered it", rows="distance"
+    )
+
+    @property
+    @derived("Distance within which nine of ten starts recover it")
+    def radius(self) -> Radius:
+        """The radius for a probability of 0.9."""
+        return radius(self)
 
 
 def is_recovered(
-    sweep: Sweep, target: Array, *, within: float, polished: bool = False
+    searches: Searches, target: Array, *, within: float, polished: bool = False
 ) -> BoolArray:
     """Which searches ended near the target, shape ``(N,)``.
 
     Parameters
     ----------
-    sweep
+    searches
         The searches.
     target
         Truth or best fit, shape ``(p,)``.
@@ -74,9 +67,9 @@ def is_recovered(
     polished
         Whether the polished end is meant, and not that of the optimizer.
     """
-    ends = sweep.polished if polished else sweep.ends
-    objectives = sweep.polished_objectives if polished else sweep.objectives
-    near = distance(ends, target, sweep.parameters) <= within
+    ends = searches.polished if polished else searches.ends
+    objectives = searches.polished_objectives if polished else searches.objectives
+    near = distance(ends, target, searches.parameters) <= within
     return np.asarray(near & np.isfinite(objectives))
 
 

@@ -8,6 +8,8 @@ from identknee.calibrate.scales import STIFFNESS_UNIT, STRAIN_UNIT, typical_step
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray
 
+# Unit of `distance`.
+DISTANCE = "kN and %"
 # Draws of one start before it is said that the bounds leave no room at its distance.
 MAX_DRAWS = 10_000
 

@@ -1,96 +1,94 @@
-"""What a sweep says of the landscape: its basins, what is unseen, and how close to start."""
+"""What searches say of the landscape: its basins, what is unseen, and how close to start."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem
 from identknee.identify.sweep.basins import Basins, find_basins
-from identknee.identify.sweep.recovery import Radius, Recovery, is_recovered, radius, recovery
-from identknee.identify.sweep.starts_design import distance
-from identknee.identify.sweep.sweep import Sweep
+from identknee.identify.sweep.recovery import Recovery, is_recovered, recovery
+from identknee.identify.sweep.starts_design import DISTANCE, distance
+from identknee.identify.sweep.sweep import Searches
 from identknee.identify.sweep.unseen import Unseen, unseen_mass
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 
 END, POLISHED = "end", "polished"
 WITHIN = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Survey:
-    """A sweep and what is read from it.
+    """Searches and what is read from them."""
 
-    Attributes
-    ----------
-    sweep
-        The searches.
-    basins, unseen
-        What the polished ends gather to, and how much no start has shown.
-    target
-        Truth, or the lowest polished end, shape ``(p,)``; None where no search had a prediction.
-    within
-        How close to the target an end has to be to have recovered it, in kN and %.
-    recoveries, radii
-        How often that happens by the distance of the start, and how close a start must be for it
-        to happen nine times of ten: of the optimizer's own ``"end"`` and of the ``"polished"`` one.
-        Empty without a target.
-    """
+    searches: Searches = entry("The searches", group="optimization", is_inline=True)
+    basins: Basins = entry(
+        "What their polished ends gather to", group="optimization", is_inline=True
+    )
+    target: Array | None = array(
+        "Truth, or the lowest polished end; not there where no search had a prediction",
+        "parameter",
+        unit=OF_PARAMETER,
+        default=None,
+    )
+    within: float = entry(
+        "How close to the target an end has to be to have recovered it", unit=DISTANCE
+    )
+    recoveries: Mapping[str, Recovery] = entry(
+        "How often that happens by the distance of the start, of the search itself (end) and of "
+        "its polished end (polished); none without a target",
+        rows="end",
+        group="recovery",
+        key="recovery",
+    )
 
-    sweep: Sweep
-    basins: Basins
-    unseen: Unseen
-    target: Array | None
-    within: float
-    recoveries: Mapping[str, Recovery]
-    radii: Mapping[str, Radius]
+    @property
+    @derived("Part of the start volume that leads to basins not seen yet", key="unseen_mass")
+    def unseen(self) -> Unseen:
+        """The unseen mass."""
+        return unseen_mass(self.basins.labels)
 
 
 def survey(
     problem: Problem,
-    sweep: Sweep,
+    searches: Searches,
     *,
     target: ArrayLike | None = None,
     within: float = WITHIN,
 ) -> Survey:
-    """What a sweep says of the landscape of its problem.
+    """What searches say of the landscape of their problem.
 
     Parameters
     ----------
     problem
-        That of the sweep.
-    sweep
-        From `identknee.sweep`.
+        That of the searches.
+    searches
+        From `identknee.identify.sweep.sweep.sweep`.
     target
         The truth where it is known, shape ``(p,)``; the lowest polished end if None.
     within
-        How close an end has to be, as `identknee.distance` counts: in kN and %.
+        How close an end has to be, as `identknee.identify.distance` counts: in kN and %.
     """
-    basins = find_basins(problem, sweep)
-    middle = _target(sweep, target)
+    basins = find_basins(problem, searches)
+    middle = _target(searches, target)
     recoveries: dict[str, Recovery] = {}
-    radii: dict[str, Radius] = {}
     if middle is not None:
-        away = distance(sweep.starts, middle, sweep.parameters)
+        away = distance(searches.starts, middle, searches.parameters)
         for name in (END, POLISHED):
-            is_back = is_recovered(sweep, middle, within=within, polished=name == POLISHED)
+            is_back = is_recovered(searches, middle, within=within, polished=name == POLISHED)
             recoveries[name] = recovery(away, is_back)
-            radii[name] = radius(recoveries[name])
     return Survey(
-        sweep=sweep,
+        searches=searches,
         basins=basins,
-        unseen=unseen_mass(basins.labels),
         target=middle,
         within=within,
-        recoveries=MappingProxyType(recoveries),
-        radii=MappingProxyType(radii),
+        recoveries=recoveries,
     )
 
 
-def _target(sweep: Sweep, target: ArrayLike | None) -> Array | None:
+def _target(searches: Searches, target: ArrayLike | None) -> Array | None:
     if target is not None:
-        return frozen(target, sweep.parameters.n, name="the target")
-    best = sweep.best
-    return sweep.polished[best] if np.isfinite(sweep.polished_objectives[best]) else None
+        return frozen(target, searches.parameters.n, name="the target")
+    best = searches.best
+    return searches.polished[best] if np.isfinite(searches.polished_objectives[best]) else None

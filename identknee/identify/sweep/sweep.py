@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -15,7 +14,8 @@ from identknee.calibrate.gauss_newton import gauss_newton
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.tolerances import KINK_SHARE
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
+from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.outcome import Outcome
 from identknee.runs.resume import resumable_map
@@ -29,6 +29,8 @@ OUTCOMES = (
     Outcome.SPREAD,
     Outcome.START_FAILED,
 )
+WORDS = tuple(x.value for x in OUTCOMES)
+BY_START = ("start", "parameter")
 # In typical steps (3 kN, 2 %): an end closer to the minimum than this is called that minimum.
 AT_MINIMUM = 0.01
 # Times the change that the derivatives promise over such a step: a larger one is a jump.
@@ -41,8 +43,8 @@ CHUNK = 10_000
 N_NUMBERS = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sweep:
+@declared
+class Searches:
     """The ends of N searches in p parameters, failed ones included.
 
     An *end* is what the optimizer gave back, whatever it is. Its *kind* says what is there:
@@ -51,57 +53,98 @@ class Sweep:
     ``valley`` if the way down is open and the optimizer stopped all the same, ``start_failed`` if
     it saw no prediction at all. From the end least squares with exact derivatives goes on to the
     *polished* end.
-
-    Attributes
-    ----------
-    method, budget, seed
-        The optimizer, the simulations it was allowed, and what the seed of each search follows
-        from.
-    parameters
-        Those of the problem.
-    starts, ends, polished
-        Theta, shape ``(N, p)``; an end is its start where nothing had a prediction.
-    objectives, polished_objectives
-        Half the sum of squares there, shape ``(N,)``; inf without a prediction.
-    n_simulations, n_polishing
-        Simulations of the search, and of what follows it, shape ``(N,)``.
-    outcome_codes, kind_codes, polished_codes
-        How the search ended, what is at its end, how the polishing ended: places in `OUTCOMES`,
-        shape ``(N,)``.
-    seconds
-        Time of each search and its polishing [s], shape ``(N,)``. Alone of all these it differs
-        when the sweep is repeated.
     """
 
-    method: str
-    budget: int
-    seed: int
-    parameters: Parameters
-    starts: Array
-    ends: Array
-    polished: Array
-    objectives: Array
-    polished_objectives: Array
-    n_simulations: IntArray
-    n_polishing: IntArray
-    outcome_codes: IntArray
-    kind_codes: IntArray
-    polished_codes: IntArray
-    seconds: Array
-
-    def __post_init__(self) -> None:
-        n, p = len(self.starts), self.parameters.n
-        for name in ("starts", "ends", "polished"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, p, name=name))
-        for name in ("objectives", "polished_objectives", "seconds"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, name=name))
-        for name in _INTEGERS:
-            object.__setattr__(self, name, frozen_integers(getattr(self, name)))
+    method: str = entry("Optimizer")
+    budget: int = entry("Simulations that a search may make", unit="1")
+    seed: int = entry("Seed that the seed of each search follows from")
+    parameters: Parameters = entry(
+        "Parameters of the problem, their bounds and priors", group="parameters", is_in_json=False
+    )
+    starts: Array = array("Theta begun at", *BY_START, unit=OF_PARAMETER, key="theta_start")
+    ends: Array = array(
+        "Theta at the end; the start where nothing had a prediction",
+        *BY_START,
+        unit=OF_PARAMETER,
+        key="theta",
+    )
+    polished: Array = array(
+        "Theta of the polished end", *BY_START, unit=OF_PARAMETER, key="theta_polished"
+    )
+    objectives: Array = array(
+        "Half the sum of squares at the end; infinite without a prediction",
+        "start",
+        key="objective",
+    )
+    polished_objectives: Array = array(
+        "Half the sum of squares at the polished end", "start", key="objective_polished"
+    )
+    n_simulations: IntArray = array("Simulations of the search", "start", dtype=int)
+    n_polishing: IntArray = array("Simulations of what follows it", "start", dtype=int)
+    outcome_codes: IntArray = array(
+        "How the search ended", "start", dtype=int, key="outcome", words=WORDS
+    )
+    kind_codes: IntArray = array("What is at its end", "start", dtype=int, key="kind", words=WORDS)
+    polished_codes: IntArray = array(
+        "How the polishing ended", "start", dtype=int, key="outcome_polished", words=WORDS
+    )
+    seconds: Array = array(
+        "Time of each search and its polishing, which alone differs when they are repeated",
+        "start",
+        unit="s",
+        group="timing",
+    )
 
     @property
+    @derived("Searches made", unit="1", key="n_starts")
     def n(self) -> int:
         """How many searches there are."""
         return len(self.starts)
+
+    @property
+    @derived("Simulations of all searches", unit="1", key="n_simulations")
+    def total_simulations(self) -> int:
+        """Simulations of all searches."""
+        return int(self.n_simulations.sum())
+
+    @property
+    @derived("Simulations of polishing all ends", unit="1", key="n_polishing")
+    def total_polishing(self) -> int:
+        """Simulations of polishing all ends."""
+        return int(self.n_polishing.sum())
+
+    @property
+    @derived("Ends of each kind, of those that occur")
+    def kinds(self) -> dict[str, int]:
+        """How many ends there are of each kind."""
+        return self.counts(self.kind_codes)
+
+    @property
+    @derived("Searches by how they ended")
+    def outcomes(self) -> dict[str, int]:
+        """How many searches ended in each way."""
+        return self.counts(self.outcome_codes)
+
+    @property
+    @derived("Polished ends by how the polishing ended")
+    def polished_outcomes(self) -> dict[str, int]:
+        """How many polishings ended in each way."""
+        return self.counts(self.polished_codes)
+
+    @property
+    @derived("Half the sum of squares at the lowest polished end", unit="1", key="objective")
+    def lowest_objective(self) -> float:
+        """The lowest of all polished objectives; infinite where nothing had a prediction."""
+        return float(self.polished_objectives[self.best])
+
+    @property
+    @derived("Mean time by tenth of the starts, in their order, and deciles of the time", unit="s")
+    def seconds_per_start(self) -> dict[str, list[float]]:
+        """Whether a start costs the same when there are more."""
+        return {
+            "by_tenth_of_starts": [float(x.mean()) for x in tenths(self.seconds)],
+            "deciles": np.quantile(self.seconds, np.linspace(0.0, 1.0, 11)).tolist(),
+        }
 
     @property
     def best(self) -> int:
@@ -125,12 +168,20 @@ class Sweep:
     # typing.override came with Python 3.12.
     def __str__(self) -> str:  # type: ignore[explicit-override]
         """What is at the ends, and where they go on to."""
-        kinds = ", ".join(f"{k} {x}" for x, k in self.counts(self.kind_codes).items())
-        polished = ", ".join(f"{k} {x}" for x, k in self.counts(self.polished_codes).items())
+        kinds = ", ".join(f"{k} {x}" for x, k in self.kinds.items())
+        polished = ", ".join(f"{k} {x}" for x, k in self.polished_outcomes.items())
         return f"{self.n} searches by {self.method}: {kinds}; polished: {polished}"
 
 
-_INTEGERS = ("n_simulations", "n_polishing", "outcome_codes", "kind_codes", "polished_codes")
+def tenths(values: Array) -> list[Array]:
+    """`values` in ten parts in their order, fewer where there are fewer values.
+
+    Examples
+    --------
+    >>> [x.tolist() for x in tenths(np.arange(3.0))]
+    [[0.0], [1.0], [2.0]]
+    """
+    return [part for part in np.array_split(values, 10) if part.size]
 
 
 def sweep(
@@ -142,7 +193,7 @@ def sweep(
     seed: int = 0,
     executor: Executor = serial,
     store: Store | None = None,
-) -> Sweep:
+) -> Searches:
     """The end of a search from each start, what it is, and the end polished by least squares.
 
     Parameters
@@ -187,7 +238,7 @@ def sweep(
             description=f"sweeping by {method}",
         )
         rows[first : first + len(chunk)] = np.concatenate(blocks)
-    return _sweep(problem.parameters, points, rows, method=method, budget=allowed, seed=seed)
+    return _searches(problem.parameters, points, rows, method=method, budget=allowed, seed=seed)
 
 
 def search_seed(seed: int, number: int) -> int:
@@ -251,12 +302,12 @@ def _end(
     ]
 
 
-def _sweep(
+def _searches(
     parameters: Parameters, starts: Array, rows: Array, *, method: str, budget: int, seed: int
-) -> Sweep:
+) -> Searches:
     p = parameters.n
     numbers = rows[:, 2 * p :]
-    return Sweep(
+    return Searches(
         method=method,
         budget=budget,
         seed=seed,

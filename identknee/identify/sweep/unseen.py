@@ -1,36 +1,26 @@
 """How much of the start volume leads to basins that no start has shown yet."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.identify.shares import share
 from identknee.identify.sweep.basins import NONE
 from identknee.runs.arrays import IntArray
+from identknee.runs.declare import declared, entry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Unseen:
-    """The mass of basins not seen, among starts that lead to any.
+    """The mass of basins not seen, among starts that lead to any."""
 
-    Attributes
-    ----------
-    n
-        Starts that ended in a basin.
-    n_basins, n_once
-        Basins seen, and those seen by one start only.
-    estimate
-        Good and Turing's estimate of the share of starts that would show a new basin: basins seen
-        once over starts. NaN without a start.
-    upper
-        Limit at 95 % confidence.
-    """
-
-    n: int
-    n_basins: int
-    n_once: int
-    estimate: float
-    upper: float
+    n: int = entry("Starts that ended in a basin", unit="1", key="n_starts")
+    n_basins: int = entry("Basins seen", unit="1")
+    n_once: int = entry("Basins seen by one start only", unit="1", key="n_basins_seen_once")
+    estimate: float = entry(
+        "Good and Turing's estimate of the share of starts that would show a new basin: basins "
+        "seen once over starts; null without a start",
+        unit="1",
+    )
+    upper: float = entry("Upper limit of that share at 95 % confidence", unit="1")
 
 
 def unseen_mass(labels: IntArray) -> Unseen:

@@ -5,13 +5,16 @@ from typing import Any
 
 from identknee.report.answers.information import information_statements
 from identknee.report.answers.profile import profile_statements
+from identknee.report.answers.sweep import sweep_statements
 from identknee.report.statement import Statement
 from identknee.verbs.answer import Answer
 from identknee.verbs.information import LocalIdentifiability
 from identknee.verbs.profile import Profiles
+from identknee.verbs.sweep import Sweep
 
 _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
     Profiles: profile_statements,
+    Sweep: sweep_statements,
     LocalIdentifiability: information_statements,
 }
 

@@ -7,7 +7,6 @@ import numpy as np
 import xarray
 from pydantic import ValidationError
 
-from identknee.identify.sweep.sweep import OUTCOMES
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.report.page.summaries import Drawn
 
@@ -24,7 +23,7 @@ def disagreement(summary: Mapping[str, Any], groups: Groups) -> tuple[str, str] 
     groups
         The arrays, as theirs wants them.
     """
-    checks = (_profiles, _targets, _kinds, _parameters, _draws, _effects)
+    checks = (_profiles, _targets, _parameters, _draws, _effects)
     return next((found for check in checks for found in check(summary, groups)), None)
 
 
@@ -58,13 +57,6 @@ def _targets(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, 
     chosen = data["chosen"].values
     if chosen.min() < 0 or chosen.max() >= data.sizes["candidate"]:
         yield "group design, variable chosen", "a number is of no candidate"
-
-
-def _kinds(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
-    if "optimization" in groups and "kind" in groups["optimization"]:
-        kinds = groups["optimization"]["kind"].values
-        if kinds.min() < 0 or kinds.max() >= len(OUTCOMES):
-            yield "group optimization, variable kind", "a code stands for no outcome"
 
 
 def _draws(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:

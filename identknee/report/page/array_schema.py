@@ -101,14 +101,6 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
         "extremum": _wanted("number", "quantity", "side"),
         "at_fit": _wanted("number", "quantity"),
     },
-    "optimization": {
-        **_names("parameter"),
-        **dict.fromkeys(
-            ("theta_start", "theta", "theta_polished"), _wanted("number", "start", "parameter")
-        ),
-        **dict.fromkeys(("objective", "objective_polished"), _wanted("number", "start")),
-        "kind": _wanted("whole", "start"),
-    },
     "sensitivity": {
         **_names("parameter", "group"),
         **{
@@ -128,20 +120,18 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
         "chosen": _wanted("whole", "added"),
     },
 }
-# A fit's group of this name has no starts and is not drawn.
-NOT_DRAWN = {"fit": ("optimization",)}
 # These must name the same things in the same order as another group's.
 FIXED_NAMES = {"coordinate": COORDINATES}
 
 
-def array_fault(verb: str, groups: Groups) -> tuple[str, str] | None:
+def array_fault(groups: Groups) -> tuple[str, str] | None:
     """The first place in the arrays that is wrong, and why; None where there is none."""
-    return next(_faults(verb, groups), None)
+    return next(_faults(groups), None)
 
 
-def _faults(verb: str, groups: Groups) -> Iterator[tuple[str, str]]:
+def _faults(groups: Groups) -> Iterator[tuple[str, str]]:
     for name, variables in SCHEMA.items():
-        if name not in groups or name in NOT_DRAWN.get(verb, ()):
+        if name not in groups:
             continue
         data = groups[name]
         for key, wanted in variables.items():

@@ -19,6 +19,7 @@ from identknee.report.starts_figure import starts_figure
 from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
 from identknee.report.words import label, listed
 from identknee.verbs.information import LocalIdentifiability
+from identknee.verbs.sweep import Sweep
 
 MOST_DRAWS = 400
 MOST_FORCES = 16
@@ -178,31 +179,33 @@ def _equivalents(result: Result) -> Iterator[Drawing]:
 
 
 def _sweep(result: Result) -> Iterator[Drawing]:
-    data = result.groups["optimization"]
-    curves = {}
-    for name, variable in (("end", "objective"), ("polished", "objective_polished")):
-        values = np.sort(data[variable].values.astype(float))
-        curves[name] = (np.arange(1.0, len(values) + 1.0), values)
-    kinds = [OUTCOMES[code].value for code in data["kind"].values]
-    counts = {word: kinds.count(kind) for kind, word in KIND_WORDS.items() if kind in kinds}
-    told = listed(f"{n} {word}" for word, n in counts.items())
-    if np.isfinite(curves["end"][1]).any():
+    if not isinstance(result.answer, Sweep):
+        return
+    searches = result.answer.searches
+    number = np.arange(1.0, searches.n + 1.0)
+    curves = {
+        "end": (number, np.sort(searches.objectives)),
+        "polished": (number, np.sort(searches.polished_objectives)),
+    }
+    told = listed(f"{n} {KIND_WORDS[kind]}" for kind, n in searches.kinds.items())
+    if np.isfinite(searches.objectives).any():
         yield Drawing(
             name="waterfall",
-            figure=waterfall_figure({f"{len(kinds)} starts": curves}),
+            figure=waterfall_figure({f"{searches.n} starts": curves}),
             caption="How low every search ended, best first; steps are places where searches "
             "gather.",
-            description=f"Objectives of {len(kinds)} searches in ascending order: {told}.",
+            description=f"Objectives of {searches.n} searches in ascending order: {told}.",
         )
-    names = [str(x) for x in data["parameter"].values]
-    best = data["theta_polished"].values[int(np.nanargmin(data["objective_polished"].values))]
-    panels = {"": (data["theta_start"].values, data["theta"].values, kinds)}
+    kinds = [OUTCOMES[code].value for code in searches.kind_codes]
+    names, best = searches.parameters.names, searches.polished[searches.best]
     yield Drawing(
         name="basins",
-        figure=start_end_figure(panels, names, best, mark="best end"),
+        figure=start_end_figure(
+            {"": (searches.starts, searches.ends, kinds)}, names, best, mark="best end"
+        ),
         caption="Where searches began (by colour how they ended) and where they ended (black), in "
         "the plane of each ligament's two parameters.",
-        description=f"Starts and ends of {len(kinds)} searches: {told}.",
+        description=f"Starts and ends of {searches.n} searches: {told}.",
     )
 
 

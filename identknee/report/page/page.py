@@ -33,7 +33,6 @@ from identknee.report.page.search_sentences import (
     fit_findings,
     sensitivity_findings,
     simulate_findings,
-    sweep_findings,
 )
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
@@ -76,7 +75,6 @@ _SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
     "demo": demo_findings,
     "simulate": simulate_findings,
     "fit": fit_findings,
-    "sweep": sweep_findings,
     "sample": sample_findings,
     "equivalents": equivalents_findings,
     "sensitivity": sensitivity_findings,

@@ -167,7 +167,7 @@ def _read(path: Path) -> Result | None:
     validated(schema, summary, lambda fault: _error(path, fault))
     arrays = path.with_name(ARRAYS)
     groups = _groups(arrays, record.get("arrays")) if arrays.is_file() else {}
-    if (fault := array_fault(verb, groups)) is not None:
+    if (fault := array_fault(groups)) is not None:
         raise InputError(arrays, *fault, AGAIN)
     if fault := disagreement(summary, groups):
         raise InputError(arrays, *fault, AGAIN)

@@ -20,13 +20,6 @@ from identknee.runs.outcome import Outcome
 # Below this a parameter error is rounding [kN].
 EXACT_KN = 1e-6
 METHODS = {"morris": "Morris's elementary effects", "sobol": "Sobol's total index"}
-SHARES = "share of all starts"
-ENDED = {
-    "minimum": "ended at a minimum",
-    "valley": "stopped early in a valley",
-    "cliff": "ended at a cliff where the knee snaps",
-    "start_failed": "began where the model has no prediction",
-}
 
 
 def demo_findings(result: Result) -> Iterator[Statement]:
@@ -113,33 +106,6 @@ def fit_findings(result: Result) -> Iterator[Statement]:
         sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
         f"(RMSE). {summary['sentence']} A good fit does not show that its parameters are right.",
         tables=(Table(title="Fitted parameters", columns=columns, rows=rows),),
-        is_answer=True,
-    )
-
-
-def sweep_findings(result: Result) -> Iterator[Statement]:
-    """Where searches from many starts ended, and how many ends there are."""
-    summary = result.summary
-    ends = listed(f"{n} {ENDED[kind]}" for kind, n in summary["kinds"].items() if n)
-    n = int(summary["n_basins"])
-    places = "one and the same set of parameters" if n == 1 else f"{n} different sets of parameters"
-    basins = tuple(
-        (f"{k}", x["objective"], int(x["n_starts"]), 100 * x["share"], *x["parameters"].values())
-        for k, x in enumerate(summary["basins"], 1)
-    )
-    names = list(summary["basins"][0]["parameters"]) if basins else []
-    columns = (
-        Column(name="basin"),
-        Column(name="objective", decimals=None),
-        Column(name="starts"),
-        Column(name=SHARES, unit="%", decimals=0),
-        *(Column(name=label(x), decimals=None) for x in names),
-    )
-    yield Statement(
-        question=Question.SEARCH,
-        sentence=f"Of {summary['n_starts']} searches from different starts {ends}. Those that "
-        f"ended at a minimum found {places}.",
-        tables=(Table(title="Where searches ended", columns=columns, rows=basins),),
         is_answer=True,
     )
 

@@ -20,13 +20,10 @@ from identknee.report.page.summary_parts import (
     Trial,
     Values,
     same_keys,
-    word_in,
     word_of,
 )
 from identknee.runs.outcome import Outcome
 from identknee.runs.schema import refusal
-
-ENDS = ("minimum", "valley", "cliff", "start_failed")
 
 
 class Side(Kept):
@@ -137,30 +134,6 @@ class Failed(Sentence, Summary):
     """Of `fit` where the model has no prediction at the start."""
 
 
-class Basin(Kept):
-    """A minimum found by a sweep."""
-
-    objective: Number
-    n_starts: Count
-    share: Number
-    parameters: dict[str, Number]
-
-
-class Sweep(Summary):
-    """Of `sweep`."""
-
-    n_starts: Count
-    kinds: dict[Annotated[str, word_in(ENDS)], Count]
-    n_basins: Count
-    basins: list[Basin]
-
-    @model_validator(mode="after")
-    def _is_whole(self) -> Self:
-        if any(x.parameters.keys() != self.basins[0].parameters.keys() for x in self.basins):
-            raise refusal("its basins do not name the same parameters", AGAIN)
-        return self
-
-
 class Probable(Kept):
     """The posterior of one parameter."""
 
@@ -250,7 +223,6 @@ SCHEMAS: Mapping[str, type[Summary]] = {
     "demo": Demo,
     "simulate": Simulation,
     "fit": Fit,
-    "sweep": Sweep,
     "sample": Sample,
     "equivalents": Equivalents,
     "sensitivity": Sensitivity,

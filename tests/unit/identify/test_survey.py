@@ -21,7 +21,7 @@ def test_recovery_falls_where_the_other_basin_begins() -> None:
     # Within a mean distance of 1 no start can be left of 0; farther out some are.
     assert [x.value for x in shares[:2]] == [1.0, 1.0]
     assert shares[-1].value < 0.9
-    assert 0.5 < found.radii["end"].value < 2.5
+    assert 0.5 < found.recoveries["end"].radius.value < 2.5
     assert len(found.basins.basins) == 2
     assert found.unseen.n_once == 0
 

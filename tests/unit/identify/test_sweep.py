@@ -19,16 +19,16 @@ from identknee.calibrate.fit import METHODS, fit
 from identknee.calibrate.problem import Problem
 from identknee.identify.sweep import sweep as module
 from identknee.identify.sweep.starts_design import shell_starts, sobol_starts
-from identknee.identify.sweep.sweep import Sweep, kind_of_end, search_seed, sweep
+from identknee.identify.sweep.sweep import Searches, kind_of_end, search_seed, sweep
 from identknee.runs.executors import process_pool
 from identknee.runs.outcome import Outcome
 from identknee.runs.resume import open_work
 
 LEAST_SQUARES = 1e-5
-REPEATED = tuple(x for x in Sweep.__dataclass_fields__ if x not in {"seconds", "parameters"})
+REPEATED = tuple(x for x in Searches.__dataclass_fields__ if x not in {"seconds", "parameters"})
 
 
-def assert_equal(first: Sweep, second: Sweep) -> None:
+def assert_equal(first: Searches, second: Searches) -> None:
     for name in REPEATED:
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
 

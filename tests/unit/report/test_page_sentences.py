@@ -14,7 +14,7 @@ from identknee.report.page.diagnosis_sentences import diagnosis_findings
 from identknee.report.page.known_sentences import equivalents_findings
 from identknee.report.page.page import report_html
 from identknee.report.page.results import Result, found_results
-from identknee.report.page.search_sentences import exact_fit, fit_findings, sweep_findings
+from identknee.report.page.search_sentences import exact_fit, fit_findings
 from identknee.report.page.warnings import warnings
 from identknee.report.statement import Question
 
@@ -176,21 +176,6 @@ def test_an_equivalent_set_without_an_end_is_not_ranked(tmp_path: Path) -> None:
     (found,) = equivalents_findings(result(tmp_path, "equivalents", summary))
     assert "may differ by 5 kN in the anterior cruciate's stiffness" in found.sentence
     assert len(found.tables[0].rows) == 2
-
-
-def test_searches_are_told_by_how_they_ended(tmp_path: Path) -> None:
-    summary = {
-        "kinds": {"minimum": 7, "cliff": 2, "start_failed": 1},
-        "n_basins": 1,
-        "n_starts": 10,
-        "basins": [],
-    }
-    (found,) = sweep_findings(result(tmp_path, "sweep", summary))
-    assert found.sentence == (
-        "Of 10 searches from different starts 7 ended at a minimum, 2 ended at a cliff where the "
-        "knee snaps and 1 began where the model has no prediction. Those that ended at a minimum "
-        "found one and the same set of parameters."
-    )
 
 
 def test_least_squares_that_missed_says_by_how_much() -> None:

@@ -1,0 +1,117 @@
+"""What searches from many starts say: where they ended, and what that does not show."""
+
+import math
+from collections.abc import Iterator
+
+from identknee.identify.sweep.cliffs import CliffMap
+from identknee.identify.sweep.recovery import Recovery
+from identknee.identify.sweep.survey import END, POLISHED, Survey
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import label, listed
+from identknee.runs.outcome import Outcome
+from identknee.verbs.sweep import Sweep
+
+SHARES = "share of all starts"
+MOST_LOST = 3
+ENDED = {
+    "minimum": "ended at a minimum",
+    "valley": "stopped early in a valley",
+    "cliff": "ended at a cliff where the knee snaps through",
+    "start_failed": "began where the model has no prediction",
+}
+SEARCHES = {END: "the search itself", POLISHED: "the polished search"}
+
+
+def sweep_statements(answer: Sweep) -> Iterator[Statement]:
+    """Where searches ended, what they may have missed, and how near one must start."""
+    survey = answer.survey
+    yield _statement(_ends(survey), _kinds(survey), _basins(survey), is_answer=True)
+    if survey.unseen.n:
+        yield _statement(
+            f"Basins that no start has shown: {_pct(survey.unseen.estimate)} % of the starts that "
+            f"end in one (at most {_pct(survey.unseen.upper)} %)."
+        )
+    for name, recovery in survey.recoveries.items():
+        yield _statement(_radius(recovery, SEARCHES[name], survey.within))
+    if answer.cliffs is not None:
+        yield _statement(_cliffs(answer.cliffs))
+
+
+def _statement(sentence: str, *tables: Table, is_answer: bool = False) -> Statement:
+    return Statement(
+        question=Question.SEARCH, sentence=sentence, tables=tables, is_answer=is_answer
+    )
+
+
+def _ends(survey: Survey) -> str:
+    searches, n = survey.searches, survey.basins.n_basins
+    ends = listed(f"{number} {ENDED[kind]}" for kind, number in searches.kinds.items())
+    places = "one and the same set of parameters" if n == 1 else f"{n} different sets of parameters"
+    found = f" Those that ended at a minimum found {places}." if n else ""
+    return f"Of {searches.n} searches by {searches.method} from different starts {ends}.{found}"
+
+
+def _kinds(survey: Survey) -> Table:
+    searches = survey.searches
+    return Table(
+        title="What stopped the searches",
+        columns=(*(Column(name=x) for x in ("end", "searches", "after polishing", "meaning")),),
+        rows=tuple(
+            (
+                kind.replace("_", " "),
+                searches.kinds.get(kind, 0),
+                searches.polished_outcomes.get(kind, 0),
+                Outcome(kind).sentence,
+            )
+            for kind in dict.fromkeys([*searches.kinds, *searches.polished_outcomes])
+        ),
+    )
+
+
+def _basins(survey: Survey) -> Table:
+    names = survey.basins.parameter_names
+    return Table(
+        title="Where searches ended",
+        columns=(
+            Column(name="basin"),
+            Column(name="objective", decimals=None),
+            Column(name="starts"),
+            Column(name=SHARES, unit="%", decimals=0),
+            *(Column(name=label(x), decimals=None) for x in names),
+        ),
+        rows=tuple(
+            (f"{k}", x["objective"], x["n_starts"], 100 * x["share"], *x["parameters"].values())
+            for k, x in enumerate(survey.basins.listed, 1)
+        ),
+    )
+
+
+def _radius(recovery: Recovery, searches: str, within: float) -> str:
+    radius = recovery.radius
+    if radius.value == 0.0:
+        return (
+            f"At no distance are nine of ten starts known to lead {searches} back to within "
+            f"{within:g} kN and % of the best end: they are too few, or it is not so."
+        )
+    return (
+        f"Nine of ten starts within {_kN_and_pct(radius.value)} of the best end (95 %: "
+        f"{_kN_and_pct(radius.lower)} to {_kN_and_pct(radius.upper)}) lead {searches} back to "
+        f"within {within:g} of it."
+    )
+
+
+def _cliffs(cliffs: CliffMap) -> str:
+    lost = ", ".join(f"{name} ({n})" for name, n in list(cliffs.trials_lost.items())[:MOST_LOST])
+    return (
+        f"{cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best end have a "
+        f"cliff{f'; most often lost there: {lost}' if lost else ''}."
+    )
+
+
+def _pct(share: float) -> str:
+    return f"{100 * share:.2g}" if share < 0.995 else "100"
+
+
+def _kN_and_pct(distance: float) -> str:  # noqa: N802 - the unit
+    return "any distance tried" if math.isinf(distance) else f"{distance:.2g} kN and %"

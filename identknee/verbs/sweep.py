@@ -1,0 +1,185 @@
+"""Where searches from many starts end, and why there."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Literal
+
+from identknee.calibrate.doubts import start_findings
+from identknee.identify.sweep.cliffs import CliffMap, map_cliffs
+from identknee.identify.sweep.starts_design import shell_starts, sobol_starts
+from identknee.identify.sweep.survey import WITHIN, Survey
+from identknee.identify.sweep.survey import survey as surveyed
+from identknee.identify.sweep.sweep import Searches
+from identknee.identify.sweep.sweep import sweep as searched
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import FreeParameters
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
+from identknee.runs.files import PathLike
+from identknee.runs.findings import Finding
+from identknee.verbs.answer import Answer
+from identknee.verbs.identification import Identification, identification, no_prediction_finding
+from identknee.verbs.values import BoundsLike, NoiseLike
+from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
+
+Design = Literal["sobol", "shells"]
+DISTANCES = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
+
+
+@declared
+class Sweep(Answer):
+    """Where searches from many starts end: basins, recovery of the best end, and cliffs."""
+
+    design: str = entry("Design of the starts, sobol or shells")
+    survey: Survey = entry("The searches and what is read from them", is_inline=True)
+    cliffs: CliffMap | None = entry(
+        "Cliffs on straight paths from starts to the best end; null where none was looked for",
+        group="cliffs",
+    )
+
+    @property
+    def searches(self) -> Searches:
+        """Every search."""
+        return self.survey.searches
+
+    @property
+    def failure(self) -> str:  # type: ignore[explicit-override]
+        """That no search had a prediction; empty where one had."""
+        return self.findings[0].sentence if self.survey.target is None else ""
+
+
+@verb
+@not_deciding("within", "paths")
+def sweep(
+    run: Run,
+    subject: SubjectLike,
+    data: LaxityLike,
+    *,
+    n_starts: int = 1000,
+    method: str = "least-squares",
+    design: Design = "sobol",
+    distances: str | Sequence[float] = DISTANCES,
+    budget: int | None = None,
+    within: float = WITHIN,
+    paths: int = 100,
+    noise: NoiseLike = None,
+    start: str = "subject",
+    fixed: Sequence[str] | None = None,
+    bounds: BoundsLike = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> Sweep:
+    """Where searches from many starts end, and why there.
+
+    Parameters
+    ----------
+    subject
+        A knee, its folder, or the name of one that comes with identknee.
+    data
+        Measured laxity, its CSV file, or the name of a subject that comes with one.
+    n_starts
+        Searches to make.
+    method, budget
+        Optimizer, and the simulations that a search may make; 2,500 if None.
+    design
+        ``"sobol"``: starts evenly over the bounds; ``"shells"``: at `distances` from the start.
+    distances
+        Mean differences in kN and in %, as numbers or as a text such as ``0.5,1,2``.
+    within
+        Mean distance in kN and in % from the best end at which it counts as recovered.
+    paths
+        Starts whose straight path to the best end is searched for cliffs.
+    noise, start, fixed, bounds
+        As for `identknee.verbs.identification.identification`.
+    out
+        Folder for the results, and for the work of a run that was stopped, which the same call
+        resumes; nothing is written if None.
+    seed
+        Seed of all random numbers.
+    workers
+        Processes to work with; results are the same.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do. That no search has a
+        prediction is no error: the answer says it in `failure`.
+    """
+    setup = identification(
+        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
+    )
+    parameters = setup.problem.parameters
+    if design == "sobol":
+        starts = sobol_starts(parameters, n_starts, seed=seed)
+    else:
+        shells = _numbers(distances)
+        starts = shell_starts(parameters, n_starts, center=setup.start, distances=shells, seed=seed)
+    run.start_clock()
+    searches = searched(
+        setup.problem,
+        starts,
+        method=method,
+        budget=budget,
+        seed=seed,
+        executor=run.executor,
+        store=run.store,
+    )
+    survey = surveyed(setup.problem, searches, within=within)
+    return Sweep(
+        design=design,
+        survey=survey,
+        cliffs=_cliffs(run, setup, survey, paths),
+        assumptions=setup.assumptions,
+        findings=_findings(setup, survey),
+    )
+
+
+def trials_lost(model: LaxityModel, theta: Array) -> list[str]:
+    """Names of the trials without an equilibrium at theta."""
+    converged = model.predict(theta, derivatives=False).is_converged
+    return [
+        name
+        for name, is_there in zip(model.protocol.trials, converged, strict=True)
+        if not is_there
+    ]
+
+
+def _numbers(distances: str | Sequence[float]) -> list[float]:
+    if not isinstance(distances, str):
+        return [float(x) for x in distances]
+    try:
+        return [float(x) for x in distances.split(",")]
+    except ValueError:
+        raise ValueError(
+            f"--distances {distances}: these are not numbers. Write for example 0.5,1,2"
+        ) from None
+
+
+def _cliffs(run: Run, setup: Identification, survey: Survey, paths: int) -> CliffMap | None:
+    if survey.target is None or paths == 0:
+        return None
+    return map_cliffs(
+        setup.problem,
+        survey.searches.starts[:paths],
+        survey.target,
+        lost_at=partial(_lost, setup.model, setup.free),
+        executor=run.executor,
+        store=run.store,
+    )
+
+
+def _lost(model: LaxityModel, free: FreeParameters, theta: Array) -> list[str]:
+    return trials_lost(model, free.expand(theta))
+
+
+def _findings(setup: Identification, survey: Survey) -> tuple[Finding, ...]:
+    """What speaks against the best end, and whether others fit as well."""
+    searches = survey.searches
+    if survey.target is None:
+        return (no_prediction_finding(setup),)
+    deviances = 2.0 * searches.polished_objectives
+    return (
+        *setup.findings_at(survey.target, float(deviances[searches.best])),
+        *start_findings(searches.polished, deviances, searches.parameters),
+    )
