@@ -8,8 +8,8 @@ import numpy as np
 from diagnoses import FRAME, diagnosed
 from problems import linear
 
-from identknee.calibrate.bounded import with_bounds
 from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.noise import add_noise

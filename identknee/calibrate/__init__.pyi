@@ -1,4 +1,3 @@
-from .bounded import with_bounds as with_bounds
 from .constrained import Constrained as Constrained
 from .constrained import minimise as minimise
 from .constrained import solve_constrained as solve_constrained
@@ -8,6 +7,7 @@ from .fit import METHODS as METHODS
 from .fit import fit_many as fit_many
 from .problem import Problem as Problem
 from .problem import WithPriors as WithPriors
+from .problem import with_bounds as with_bounds
 from .quantity import ParameterQuantity as ParameterQuantity
 from .quantity import Quantity as Quantity
 from .quantity import UserQuantity as UserQuantity

@@ -1,11 +1,10 @@
 """The linear least-squares step within bounds and across one linear constraint."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.calibrate.tolerances import STEP_RANK_TOLERANCE
 from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared
 
 # What is smaller has no inverse among floating-point numbers.
 SMALLEST = 1e-150
@@ -13,7 +12,7 @@ ROUNDS_PER_PARAMETER = 10
 NEGLIGIBLE = 1e-14
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Step:
     """The lowest point of a linear model, and what holds it there.
 

@@ -1,7 +1,5 @@
 """The best fit among the parameter sets that give a quantity a wanted value."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.calibrate.bounded_step import Step, attainable, bounded_step
@@ -10,6 +8,7 @@ from identknee.calibrate.quantity import Quantity
 from identknee.calibrate.scales import typical_steps
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import declared
 from identknee.runs.outcome import Outcome
 
 # Of the deviance: at a signed root of 2 this is 2.5e-9 of the root.
@@ -28,7 +27,7 @@ SHORTEST = 1e-7
 PENALTY = 2.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Constrained:
     """Where a constrained fit ended, and how.
 
@@ -134,7 +133,7 @@ def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
     return np.where(known, 1.0 / np.where(known, size, 1.0), typical)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class _Point:
     """An evaluation with the quantity there."""
 
@@ -149,7 +148,7 @@ class _Point:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class _Plan:
     """The step the linear model wants, and what it promises."""
 

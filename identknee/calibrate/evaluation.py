@@ -7,7 +7,8 @@ import numpy as np
 
 from identknee.calibrate.problem import Problem
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_PARAMETER, array, declared
 from identknee.runs.outcome import Outcome
 
 REMEMBERED = 4
@@ -21,29 +22,17 @@ class Ended(Exception):  # noqa: N818 - not an error: it says how a search ended
         self.outcome = outcome
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Evaluation:
-    """One simulation: residuals in units of their noise, and their exact derivatives.
+    """One simulation: residuals in units of their noise, and their exact derivatives."""
 
-    Attributes
-    ----------
-    theta
-        Where, shape ``(n,)``.
-    residuals
-        Shape ``(m,)``; all infinite where the model has no prediction.
-    jacobian
-        d residuals / d theta, shape ``(m, n)``; NaN where the residuals are infinite.
-    """
-
-    theta: Array
-    residuals: Array
-    jacobian: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", frozen(self.theta, None, name="theta"))
-        object.__setattr__(self, "residuals", frozen(self.residuals, None, name="residuals"))
-        shape = (self.residuals.size, self.theta.size)
-        object.__setattr__(self, "jacobian", frozen(self.jacobian, *shape, name="jacobian"))
+    theta: Array = array("Where", "parameter", unit=OF_PARAMETER)
+    residuals: Array = array(
+        "Residuals; all infinite where the model has no prediction", "residual"
+    )
+    jacobian: Array = array(
+        "d residuals / d theta; NaN where the residuals are infinite", "residual", "parameter"
+    )
 
     @property
     def is_finite(self) -> bool:

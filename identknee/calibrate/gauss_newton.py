@@ -1,7 +1,5 @@
 """The Gauss-Newton step within bounds, and what it says about a point."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.calibrate.bounded_step import bounded_step
@@ -9,12 +7,13 @@ from identknee.calibrate.evaluation import Evaluation
 from identknee.calibrate.scales import typical_steps
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared
 
 STEP_TOLERANCE = 1e-6
 ROUNDING = 1e-14
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class GaussNewton:
     """The best step within the bounds by the linear model of the residuals.
 

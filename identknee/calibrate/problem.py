@@ -1,13 +1,14 @@
 """What a calibration works on: residuals and their Jacobian as functions of theta."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
+from identknee.calibrate.scales import floors
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared
 
 
 class Problem(Protocol):
@@ -27,7 +28,7 @@ class Problem(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Restricted:
     """A problem in which only some parameters move.
 
@@ -56,7 +57,52 @@ class Restricted:
         return self.free.restrict(self.problem.jacobian(self.free.expand(theta)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
+class Bounded:
+    """A problem whose parameters have bounds of their own.
+
+    Attributes
+    ----------
+    problem
+        The problem.
+    parameters
+        Its parameters with the bounds wanted.
+    """
+
+    problem: Problem
+    parameters: Parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals of the problem, shape ``(m,)``."""
+        return self.problem.residuals(theta)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Their derivatives, shape ``(m, n)``."""
+        return self.problem.jacobian(theta)
+
+
+@declared
+class Scaled:
+    """A problem whose residuals are divided by the standard deviation of their noise."""
+
+    problem: Problem
+    sd: Array = array("Standard deviation of every residual", "residual")
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the problem."""
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals in units of their noise, shape ``(m,)``."""
+        return np.asarray(self.problem.residuals(theta) / self.sd)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Their derivatives, shape ``(m, n)``."""
+        return np.asarray(self.problem.jacobian(theta) / self.sd[:, None])
+
+
+@declared
 class WithPriors:
     """A problem with one more residual for each parameter: its distance from the prior's centre.
 
@@ -79,7 +125,7 @@ class WithPriors:
         All are infinite where a parameter with a lognormal prior is not positive.
         """
         parameters = self.parameters
-        is_log = np.array(parameters.is_log)
+        is_log = parameters.is_log
         data = self.problem.residuals(theta)
         if np.any(theta[is_log] <= 0):
             return np.full(data.size + parameters.n, np.inf)
@@ -106,3 +152,21 @@ def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> Restric
     if not free.free_indices:
         raise ValueError("all parameters are fixed; leave at least one free")
     return Restricted(problem=problem, free=free)
+
+
+def with_bounds(problem: Problem, bounds: Mapping[str, tuple[float, float]]) -> Problem:
+    """The same problem with other bounds for the parameters named.
+
+    Raises
+    ------
+    ValueError
+        If a name is no parameter's, or a lower bound is not below its upper bound or allows
+        negative values of a parameter that cannot have them.
+    """
+    parameters = problem.parameters.with_bounds(bounds)
+    for name, low, floor in zip(
+        parameters.names, parameters.lower, floors(parameters), strict=True
+    ):
+        if low < floor:
+            raise ValueError(f"the lower bound of {name} must be {floor:g} or more, got {low:g}")
+    return Bounded(problem=problem, parameters=parameters)

@@ -1,13 +1,13 @@
 """Numbers that follow from the parameters: a parameter itself or any function of them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared
 
 # The cube root of the rounding error: the best step of central differences.
 DIFFERENCE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
@@ -32,7 +32,7 @@ class Quantity(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ParameterQuantity:
     """One of the parameters as a quantity.
 
@@ -72,7 +72,7 @@ class ParameterQuantity:
         return float(theta[self.index]), gradient
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class UserQuantity:
     """Any function of theta as a quantity.
 
@@ -119,7 +119,7 @@ class UserQuantity:
         return float((values[high] - values[low]) / (places[high] - places[low]))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class RestrictedQuantity:
     """A quantity of all parameters where only some of them move.
 

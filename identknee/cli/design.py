@@ -157,7 +157,7 @@ def _with_errors(its: Identification) -> "ik.Laxity":
     """The data with the errors that the problem takes them to have."""
     from dataclasses import replace
 
-    from identknee.identify.noise import Scaled
+    from identknee.calibrate.problem import Scaled
 
     if not isinstance(its.problem, Scaled):
         return its.laxity

@@ -1,73 +1,29 @@
 """Noise of unknown size: one standard deviation for each group of residuals, from the fit."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Problem
+from identknee.calibrate.problem import Problem, Scaled
 from identknee.calibrate.tolerances import RANK_TOLERANCE
-from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared, entry
 
 TOLERANCE = 1e-10
 MAX_ROUNDS = 50
-# Of the largest residual that can be told from rounding.
+# Largest residual that cannot be told from rounding.
 SMALLEST_SD = 1e-9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scaled:
-    """A problem whose residuals are divided by the standard deviation of their noise.
-
-    Attributes
-    ----------
-    problem
-        The problem in the units of its data.
-    sd
-        Standard deviation of every residual, shape ``(m,)``.
-    """
-
-    problem: Problem
-    sd: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sd", frozen(self.sd, None, name="sd"))
-
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the problem."""
-        return self.problem.parameters
-
-    def residuals(self, theta: Array) -> Array:
-        """Residuals in units of their noise, shape ``(m,)``."""
-        return np.asarray(self.problem.residuals(theta) / self.sd)
-
-    def jacobian(self, theta: Array) -> Array:
-        """Their derivatives, shape ``(m, n)``."""
-        return np.asarray(self.problem.jacobian(theta) / self.sd[:, None])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class EstimatedNoise:
-    """A problem with the noise that its best fit leaves.
+    """A problem with the noise that its best fit leaves."""
 
-    Attributes
-    ----------
-    problem
-        The problem, its residuals in units of that noise.
-    sds
-        Standard deviation of each group, shape ``(k,)``, in the units of the data.
-    degrees_of_freedom
-        Residuals less parameters they determine: the denominator of an F threshold.
-    theta
-        The best fit, shape ``(n,)``.
-    """
-
-    problem: Problem
-    sds: Array
-    degrees_of_freedom: int
-    theta: Array
+    problem: Problem = entry("The problem, its residuals in units of that noise")
+    sds: Array = array("Standard deviation of each group, in the units of the data", "group")
+    degrees_of_freedom: int = entry(
+        "Residuals less parameters they determine: the denominator of an F threshold"
+    )
+    theta: Array = array("The best fit", "parameter")
 
 
 def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> EstimatedNoise:
@@ -102,13 +58,13 @@ def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> Es
     theta = np.asarray(start, dtype=np.float64)
     for _ in range(MAX_ROUNDS):
         scaled = Scaled(problem=problem, sd=sds[groups])
-        found = fit(scaled, theta)
-        if not np.isfinite(found.objective):
+        best = fit(scaled, theta)
+        if not np.isfinite(best.objective):
             raise ValueError(
                 "the noise cannot be estimated because the model has no prediction at the start; "
                 "start elsewhere with --start, or see: identknee subject check"
             )
-        theta = found.theta
+        theta = best.theta
         shares, rank = _parameters_determined(scaled.jacobian(theta), groups)
         new = _sds(problem.residuals(theta), groups, sizes - shares)
         settled = bool(np.all(np.abs(new - sds) <= TOLERANCE * new))
@@ -117,9 +73,9 @@ def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> Es
             break
     return EstimatedNoise(
         problem=Scaled(problem=problem, sd=sds[groups]),
-        sds=frozen(sds, None, name="sds"),
+        sds=sds,
         degrees_of_freedom=int(sizes.sum()) - rank,
-        theta=frozen(theta, None, name="theta"),
+        theta=theta,
     )
 
 

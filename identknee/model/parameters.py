@@ -1,13 +1,13 @@
 """The calibrated parameters: names, bounds, priors, and which of them are free or fixed."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, BoolArray, frozen
-from identknee.runs.declare import OF_PARAMETER, array, declared
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.errors import suggestion
 
 STIFFNESS = "stiffness_kN"
@@ -104,6 +104,13 @@ class Parameters:
         ------
         ValueError
             If a name is not a parameter's.
+
+        Examples
+        --------
+        >>> everything = ligament_parameters(["ACL"], [10.0], [8.0])
+        >>> free = everything.with_fixed(["ACL.stiffness_kN"], everything.start)
+        >>> free.parameters.names, free.expand(np.array([7.0])).tolist()
+        (('ACL.reference_strain_pct',), [10.0, 7.0])
         """
         fixed = {self.index(name) for name in names}
         return FreeParameters(
@@ -124,34 +131,22 @@ class Parameters:
         return replace(self, own=self.vector(values)) if values else self
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class FreeParameters:
-    """Which of a model's parameters are free, and what the others are fixed at.
+    """Which of a model's parameters are free, and what the others are fixed at."""
 
-    Attributes
-    ----------
-    everything
-        All p parameters of the model, in the order of its theta.
-    free_indices
-        Places of the n free ones in that theta.
-    fixed_values
-        Values of all p parameters, of which the fixed ones keep theirs, shape ``(p,)``.
-
-    Examples
-    --------
-    >>> everything = ligament_parameters(["ACL"], [10.0], [8.0])
-    >>> free = everything.with_fixed(["ACL.stiffness_kN"], everything.start)
-    >>> free.parameters.names, free.expand(np.array([7.0])).tolist()
-    (('ACL.reference_strain_pct',), [10.0, 7.0])
-    """
-
-    everything: Parameters
-    free_indices: tuple[int, ...]
-    fixed_values: Array
+    everything: Parameters = entry("All parameters of the model, in the order of its theta")
+    free_indices: tuple[int, ...] = entry("Places of the free ones in that theta")
+    fixed_values: Array = array(
+        "Values of all parameters, of which the fixed ones keep theirs", "parameter"
+    )
 
     def __post_init__(self) -> None:
-        values = frozen(self.fixed_values, self.everything.n, name="fixed_values")
-        object.__setattr__(self, "fixed_values", values)
+        if self.fixed_values.size != self.everything.n:
+            raise ValueError(
+                f"there must be a value for each of {self.everything.n} parameters, "
+                f"got {self.fixed_values.size}"
+            )
 
     @property
     def parameters(self) -> Parameters:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identknee.calibrate.bounded import with_bounds
 from identknee.calibrate.doubts import (
     bound_findings,
     misfit_findings,
@@ -13,7 +12,7 @@ from identknee.calibrate.doubts import (
     unstated_misfit_findings,
 )
 from identknee.calibrate.fit import Fit
-from identknee.calibrate.problem import Problem, Restricted, restricted
+from identknee.calibrate.problem import Problem, Restricted, restricted, with_bounds
 from identknee.calibrate.starts import load_start
 from identknee.identify.feasibility import feasibility_findings
 from identknee.identify.noise import EstimatedNoise, with_estimated_noise

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, linear, plain_parameters, sloppy_springs
 
-from identknee.calibrate.bounded import with_bounds
 from identknee.calibrate.constrained import minimise
 from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.problem import Problem
+from identknee.calibrate.problem import Problem, with_bounds
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.profile.profile import profile
 from identknee.identify.profile.result import Profile, ProfileVerdict, SideStatus

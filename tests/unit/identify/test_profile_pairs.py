@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import ClosedForm, linear, plain_parameters
 
-from identknee.calibrate.bounded import with_bounds
+from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.pairs import profile_pair
 from identknee.identify.profile.result import SideStatus
 from identknee.identify.profile.thresholds import chi2_threshold

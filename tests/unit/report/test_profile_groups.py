@@ -7,7 +7,7 @@ import pytest
 import xarray
 from problems import ClosedForm, linear, plain_parameters
 
-from identknee.calibrate.bounded import with_bounds
+from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.pairs import PairProfile, profile_pair
 from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile

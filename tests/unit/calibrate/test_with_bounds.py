@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from identknee.calibrate.bounded import with_bounds
 from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import with_bounds
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.runs.arrays import Array
 
