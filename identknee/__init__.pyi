@@ -16,8 +16,6 @@ from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.explanations.verdict import Verdict as Verdict
 from .identify.design.design import Design as Design
 from .identify.design.design import design as design
-from .identify.equivalents.equivalents import Equivalents as Equivalents
-from .identify.equivalents.equivalents import equivalents as equivalents
 from .identify.posterior.posterior import Posterior as Posterior
 from .identify.posterior.sample import sample as sample
 from .identify.profile.profiles import profile_parameters as profile_parameters
@@ -48,6 +46,8 @@ from .subject.folder import write_subject as write_subject
 from .subject.knee import Knee as Knee
 from .subject.opensim import import_opensim as import_opensim
 from .subject.reference import reference_knee as reference_knee
+from .verbs.equivalents import Equivalents as Equivalents
+from .verbs.equivalents import equivalents as equivalents
 from .verbs.information import LocalIdentifiability as LocalIdentifiability
 from .verbs.information import information as information
 from .verbs.profile import Profiles as Profiles

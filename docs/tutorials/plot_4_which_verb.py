@@ -9,6 +9,7 @@ the command that gives it in full stands beside it.
 import numpy as np
 
 import identknee as ik
+from identknee.identify.equivalents.equivalents import equivalents
 from identknee.identify.information.information import information as fisher_information
 from identknee.report.equivalents_figures import ranges_figure
 from identknee.report.information_figures import spectrum_figure
@@ -61,7 +62,7 @@ figure = intervals_figure(profiles)
 # deviation in all, as far from one another as can be.
 
 region = ik.identify.noise_region(problem, best.theta)
-found = ik.equivalents(region, n_sets=6, seed=0)
+found = equivalents(region, n_sets=6, seed=0)
 names = problem.parameters.names
 stiffness = [i for i, name in enumerate(names) if name.endswith("_kN")]
 spread = np.array([[found.sets[:, i].min(), found.sets[:, i].max()] for i in stiffness])

@@ -70,13 +70,6 @@ def best_fits(setup: Any, **options: Any) -> Any:
     return shared.best_fits(setup, **options)
 
 
-def check_start(setup: Any) -> None:
-    """As `identknee.verbs.identification.check_start`."""
-    from identknee.verbs import identification as shared
-
-    shared.check_start(setup)
-
-
 def no_prediction(setup: Any) -> Exception:
     """As `identknee.verbs.identification.no_prediction`."""
     from identknee.verbs import identification as shared

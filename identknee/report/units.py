@@ -23,8 +23,6 @@ SUFFIXES = {
 BY_NAME = {
     "loads": "N or N m, as the load's name says",
     "slope": "1 over the unit of the quantity",
-    "diameter": "typical steps: 3 kN, 2 % or the prior's sd",
-    "pair_search": "typical steps: 3 kN, 2 % or the prior's sd",
     "best_objective": "1, or mm2 and deg2 where the weighting is unit",
 }
 EFFECTS = ("mu_star", "mu", "sigma")
@@ -32,10 +30,7 @@ EFFECTS = ("mu_star", "mu", "sigma")
 BY_DIMENSION = {
     "parameter": (
         AS_PARAMETER,
-        (
-            *("theta", "extremum_theta", "optimum", "start", "fit", "farthest_pair"),
-            *("lower", "upper", "sd", "step"),
-        ),
+        (*("theta", "optimum", "start", "fit", "lower", "upper", "sd", "step"),),
     ),
     "member": (AS_PARAMETER, ("edge", "optimum", "reached")),
     "coordinate": (
@@ -46,7 +41,7 @@ BY_DIMENSION = {
         AS_QUANTITY,
         (
             *("value", "optimum_value", "interval", "nested", "lower", "upper", "at_fit"),
-            *("lower_error", "upper_error", "lower_reached", "upper_reached", "extremum"),
+            *("lower_error", "upper_error", "lower_reached", "upper_reached"),
         ),
     ),
     "target": (AS_QUANTITY, ("before", "after", "predicted", "sd")),

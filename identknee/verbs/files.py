@@ -26,6 +26,7 @@ ANSWERS = {
     "profile": "identknee.verbs.profile:Profiles",
     "sweep": "identknee.verbs.sweep:Sweep",
     "information": "identknee.verbs.information:LocalIdentifiability",
+    "equivalents": "identknee.verbs.equivalents:Equivalents",
 }
 Given = TypeVar("Given", bound=Answer)
 

@@ -18,7 +18,9 @@ from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 class LocalIdentifiability(Answer):
     """Which combinations of parameters the data determine around the best fit, and how well."""
 
-    fisher: Information = entry("Fisher information at the best fit", group="fisher")
+    fisher: Information = entry(
+        "Fisher information at the best fit", group="fisher", is_inline=True
+    )
     structure: StructureCheck = entry(
         "Ranks of the sensitivities at random points of the box", group="structure"
     )

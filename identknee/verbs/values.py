@@ -32,6 +32,18 @@ def bounds_of(bounds: BoundsLike) -> dict[str, tuple[float, float]]:
     return named_bounds(bounds or [], "--bounds")
 
 
+def check_word(option: str, word: str, words: Sequence[str]) -> None:
+    """Refuse a word that is none of those an option knows.
+
+    Raises
+    ------
+    ValueError
+        Naming them.
+    """
+    if word not in words:
+        raise ValueError(f"{option} {word}: it is none of {', '.join(words)}")
+
+
 def named_values(texts: Sequence[str], option: str) -> dict[str, float]:
     """Values by parameter name from texts such as ``ACL.stiffness_kN=9.5``.
 

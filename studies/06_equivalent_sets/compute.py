@@ -6,6 +6,7 @@ outside the checkout, so that the same command resumes where it was stopped.
 
 import argparse
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 import platformdirs
 
 from identknee.calibrate.starts import named_start
-from identknee.identify.equivalents.equivalents import Equivalents, Extrema, equivalents
+from identknee.identify.equivalents.equivalents import EquivalentSets, Extrema, equivalents
 from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
@@ -108,8 +109,12 @@ def main() -> None:
             for case in CASES[:1] if options.quick else CASES:
                 about = {"knee": inputs[name], "case": case.name, "n_sets": options.n_sets}
                 path = options.store / f"{name} {case.name}.sqlite".replace(" ", "_")
+                began = time.perf_counter()
                 found = searched(model, case, options, executor, (path, about))
-                part["cases"][case.name] = described(model, case, found, quick=options.quick)
+                part["cases"][case.name] = {
+                    **described(model, case, found, quick=options.quick),
+                    "seconds": round(time.perf_counter() - began, 1),
+                }
                 write_record(options.record, record)
                 say(f"{name}, {case.name}: {found.n_simulations} simulations")
     say(f"written: {options.record.name}")
@@ -154,7 +159,7 @@ def searched(
     options: argparse.Namespace,
     executor: Executor,
     work: tuple[Path, Row],
-) -> Equivalents:
+) -> EquivalentSets:
     """The sets and extrema of one case."""
     path, about = work
     with open_work(path, {**about, "quick": options.quick, "seed": SEED}) as store:
@@ -185,9 +190,8 @@ def setting(model: LaxityModel) -> Row:
     return row
 
 
-def described(model: LaxityModel, case: Case, found: Equivalents, *, quick: bool) -> Row:
+def described(model: LaxityModel, case: Case, found: EquivalentSets, *, quick: bool) -> Row:
     """One case as the record keeps it."""
-    n = found.parameters.n
     truth = found.fit
     predictions = np.array([model.simulate(x).coordinates for x in [truth, *found.sets]])
     differences = predictions[1:] - predictions[0]
@@ -204,11 +208,12 @@ def described(model: LaxityModel, case: Case, found: Equivalents, *, quick: bool
             "largest_distance": found.distances.max() / found.limit,
             "pair_searches": found.pair_searches,
             "n_simulations": found.n_simulations,
-            "seconds": found.seconds,
-            "parameters": {x.name: sides(x) for x in found.extrema[:n]},
+            "parameters": {name: sides(x) for name, x in found.parameters.items()},
             "forces": force_tables(model, found, force_trials(model, quick=quick)),
-            "chosen_forces": {x.name: sides(x) for x in found.extrema[n:] if is_shown(x.name)},
-            "ends": counted(found.extrema[n:]),
+            "chosen_forces": {
+                name: sides(x) for name, x in found.quantities.items() if is_shown(name)
+            },
+            "ends": counted(found.quantities.values()),
             "sets": found.sets,
             "bands": {
                 name: np.vstack(
@@ -244,7 +249,7 @@ def is_shown(name: str) -> bool:
     return name.endswith(("internal10Nm", "internal-10Nm"))
 
 
-def counted(extrema: tuple[Extrema, ...]) -> Row:
+def counted(extrema: Iterable[Extrema]) -> Row:
     """How many extrema of forces ended in which way, and were found by one search only."""
     both = [side for x in extrema for side in (x.lower, x.upper)]
     words = sorted({side.end.value for side in both})
@@ -254,14 +259,11 @@ def counted(extrema: tuple[Extrema, ...]) -> Row:
     }
 
 
-def force_tables(model: LaxityModel, found: Equivalents, protocol: Protocol) -> Row:
+def force_tables(model: LaxityModel, found: EquivalentSets, protocol: Protocol) -> Row:
     """Largest difference of every ligament's force from the truth, by flexion and by scenario."""
     n_ligaments = len(model.knee.ligaments)
     farthest = np.array(
-        [
-            max(x.upper.value - x.at_fit, x.at_fit - x.lower.value)
-            for x in found.extrema[found.parameters.n :]
-        ]
+        [max(x.upper.value - x.at_fit, x.at_fit - x.lower.value) for x in found.quantities.values()]
     ).reshape(-1, n_ligaments)
     return {
         "by_flexion_N": largest_by(farthest, protocol.flexion_deg.tolist(), angles(model)),
@@ -269,7 +271,7 @@ def force_tables(model: LaxityModel, found: Equivalents, protocol: Protocol) -> 
     }
 
 
-def errors_of(model: LaxityModel, found: Equivalents) -> Row:
+def errors_of(model: LaxityModel, found: EquivalentSets) -> Row:
     """Largest kinematic error of any set by flexion angle, in mm and deg, as the paper counts."""
     at_truth = model.simulate(found.fit)
     errors: Array = np.array(

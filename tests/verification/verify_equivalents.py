@@ -12,7 +12,7 @@ from scipy.spatial.distance import pdist
 from identknee.calibrate.constrained import solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.equivalents.equivalents import Equivalents, equivalents
+from identknee.identify.equivalents.equivalents import EquivalentSets, equivalents
 from identknee.identify.equivalents.rays import longest_axes, points_along
 from identknee.identify.equivalents.region import Region, RegionView, noise_region
 from identknee.laxity.noise import add_noise
@@ -65,7 +65,7 @@ def regions(subject: LaxityModel) -> dict[str, Region]:
     }
 
 
-def of_sets(found: Equivalents, say: "partial[str]") -> list[Measure]:
+def of_sets(found: EquivalentSets, say: "partial[str]") -> list[Measure]:
     """How many sets, and how different."""
     farthest, closest = found.farthest / found.diameter, found.closest / found.diameter
     return [
@@ -76,7 +76,7 @@ def of_sets(found: Equivalents, say: "partial[str]") -> list[Measure]:
 
 
 def resimulated(
-    found: Equivalents, region: Region, subject: LaxityModel, say: "partial[str]"
+    found: EquivalentSets, region: Region, subject: LaxityModel, say: "partial[str]"
 ) -> Measure:
     """The largest block at any set or extremum, simulated by a model that knows none of them."""
     assert isinstance(region.problem, LaxityResiduals)
@@ -88,7 +88,7 @@ def resimulated(
     return largest_of(what, np.array(largest), "", bar=1.0 + TOLERANCE)
 
 
-def random_points(found: Equivalents, region: Region, say: "partial[str]") -> list[Measure]:
+def random_points(found: EquivalentSets, region: Region, say: "partial[str]") -> list[Measure]:
     """Whether points inside on further random rays go beyond what the searches found."""
     view = RegionView(region)
     generator = np.random.default_rng(RAYS_SEED)
@@ -98,7 +98,7 @@ def random_points(found: Equivalents, region: Region, say: "partial[str]") -> li
         turn = generator.standard_normal(found.fit.size)
         turn /= np.linalg.norm(turn)
         points += points_along(view, origin, turn @ longest_axes(view, origin), 0.5)
-    parameters = found.extrema[: found.fit.size]
+    parameters = tuple(found.parameters.values())
     low = np.array([x.lower.value for x in parameters])
     high = np.array([x.upper.value for x in parameters])
     inside = np.array(points)
@@ -115,12 +115,11 @@ def random_points(found: Equivalents, region: Region, say: "partial[str]") -> li
     ]
 
 
-def profile_ends(found: Equivalents, region: Region, say: "partial[str]") -> Measure:
+def profile_ends(found: EquivalentSets, region: Region, say: "partial[str]") -> Measure:
     """How far the least deviance at the extrema of the parameters is from the limit."""
     errors: list[float] = []
-    names = found.parameters.names
-    for name, extrema in zip(names, found.extrema, strict=False):
-        quantity = ParameterQuantity(parameters=found.parameters, name=name)
+    for name, extrema in found.parameters.items():
+        quantity = ParameterQuantity(parameters=region.problem.parameters, name=name)
         for side in (extrema.lower, extrema.upper):
             evaluator = Evaluator(region.problem)
             held = solve_constrained(evaluator, found.fit, quantity=quantity, target=side.value)
@@ -129,7 +128,7 @@ def profile_ends(found: Equivalents, region: Region, say: "partial[str]") -> Mea
     return largest_of(what, np.array(errors), "of the limit", bar=1e-4)
 
 
-def told(found: Equivalents) -> str:
+def told(found: EquivalentSets) -> str:
     """What it took, and how the extrema ended."""
     sides = [side for x in found.extrema for side in (x.lower, x.upper)]
     ends = sorted({side.end.value for side in sides})
@@ -138,7 +137,7 @@ def told(found: Equivalents) -> str:
     searches: Array = found.pair_searches
     agreeing = int(np.sum(searches > 0.999 * found.diameter))
     return (
-        f"{found.n_simulations} simulations, {found.seconds:.0f} s, diameter {found.diameter:.3g} "
+        f"{found.n_simulations} simulations, diameter {found.diameter:.3g} "
         f"typical steps ({agreeing} of {len(searches)} searches within 0.1 %), {len(sides)} "
         f"extrema: {counts}; {alone} found by one search only"
     )

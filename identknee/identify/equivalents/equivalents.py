@@ -1,8 +1,6 @@
 """Parameter sets that a measurement could not tell apart, and what follows wrongly from them."""
 
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum, unique
 
 import numpy as np
@@ -11,9 +9,9 @@ from scipy.spatial.distance import pdist
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.equivalents.rays import farthest_first
 from identknee.identify.equivalents.region import Region
-from identknee.identify.equivalents.search import Searches, Side
-from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.identify.equivalents.search import Extremum, Searches
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial, spawn_seeds
 from identknee.runs.store import Store
 
@@ -41,102 +39,118 @@ _SENTENCES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Extrema:
-    """What could be concluded wrongly about one quantity.
+    """What could be concluded wrongly about one quantity: its range over a region."""
 
-    Attributes
-    ----------
-    name, unit
-        Of the quantity.
-    at_fit
-        Its value at the fit.
-    lower, upper
-        Its smallest and largest value over the region.
-    """
-
-    name: str
-    unit: str
-    at_fit: float
-    lower: Side
-    upper: Side
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Equivalents:
-    """Parameter sets equivalent to a fit, as different from one another as they come.
-
-    Attributes
-    ----------
-    parameters
-        The parameters.
-    fit
-        Theta of the fit, shape ``(n,)``.
-    limit, blocks
-        The largest value of a block, and the blocks' names.
-    sets
-        Theta of each set, shape ``(n_sets, n)``, in the order chosen: the two farthest apart, then
-        always the one farthest from all before it.
-    distances
-        Value of every block at every set, simulated, shape ``(n_sets, n_blocks)``.
-    quantities
-        Value of every quantity but the parameters at every set, shape ``(n_sets, n_quantities)``.
-    steps
-        What distances between sets are counted in: typical steps, 3 kN, 2 % or the prior's sd,
-        shape ``(n,)``.
-    diameter
-        The largest distance of two points of the region, by constrained maximisation.
-    pair
-        These two points, shape ``(2, n)``.
-    pair_searches
-        Where the searches for it ended, from the largest down, shape ``(n_searches,)``.
-    extrema
-        Of every parameter, then of every other quantity.
-    outcome
-        Whether there are as many sets as asked for.
-    n_simulations, seconds
-        Simulations made, and time taken by this run [s].
-    seed
-        Of the random rays.
-    """
-
-    parameters: Parameters
-    fit: Array
-    limit: float
-    blocks: tuple[str, ...]
-    sets: Array
-    distances: Array
-    quantities: Array
-    steps: Array
-    diameter: float
-    pair: Array
-    pair_searches: Array
-    extrema: tuple[Extrema, ...]
-    outcome: Completeness
-    n_simulations: int
-    seconds: float
-    seed: int
-
-    def __post_init__(self) -> None:
-        n, n_sets = self.parameters.n, len(self.sets)
-        shapes: Mapping[str, tuple[int | None, ...]] = {
-            "fit": (n,),
-            "sets": (n_sets, n),
-            "distances": (n_sets, len(self.blocks)),
-            "quantities": (n_sets, len(self.extrema) - n),
-            "steps": (n,),
-            "pair": (2, n),
-            "pair_searches": (None,),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    name: str = entry("Name of the quantity")
+    unit: str = entry("Unit of the quantity")
+    at_fit: float = entry("Value at the fit", unit=OF_QUANTITY, key="fit")
+    lower: Extremum = entry("What was found of the smallest value", key="lower_side")
+    upper: Extremum = entry("What was found of the largest value", key="upper_side")
 
     @property
+    @derived("Smallest value over the region", unit=OF_QUANTITY, key="lower")
+    def smallest(self) -> float:
+        """The smallest value."""
+        return self.lower.value
+
+    @property
+    @derived("Largest value over the region", unit=OF_QUANTITY, key="upper")
+    def largest(self) -> float:
+        """The largest value."""
+        return self.upper.value
+
+
+@declared
+class EquivalentSets:
+    """Parameter sets equivalent to a fit, as different from one another as they come."""
+
+    outcome: Completeness = entry("Whether there are as many sets as asked for")
+    limit: float = entry("Largest value of a block", unit="1")
+    blocks: tuple[str, ...] = array("Names of the blocks", "block", is_in_arrays=False)
+    parameter_names: tuple[str, ...] = array(
+        "Names of the parameters", "parameter", is_in_arrays=False
+    )
+    parameters: Mapping[str, Extrema] = entry(
+        "Range of each parameter by its name", rows="quantity", group="parameter_ranges"
+    )
+    quantities: Mapping[str, Extrema] = entry(
+        "Range of each other quantity by its name", rows="quantity", group="quantity_ranges"
+    )
+    diameter: float = entry(
+        "Largest distance of two points of the region, by constrained maximisation",
+        unit="typical steps",
+    )
+    n_simulations: int = entry("Simulations made, each with its Jacobian", unit="1")
+    seed: int = entry("Seed of the random rays", unit="1")
+    fit: Array = array("Theta of the fit", "parameter", unit=OF_PARAMETER)
+    sets: Array = array(
+        "Theta of each set, in the order chosen: the two farthest apart, then always the one "
+        "farthest from all before it",
+        *("set", "parameter"),
+        unit=OF_PARAMETER,
+        key="theta",
+    )
+    distances: Array = array(
+        "Value of every block at every set, simulated", "set", "block", key="distance"
+    )
+    quantity_values: Array = array(
+        "Value of every quantity but the parameters at every set",
+        *("set", "quantity"),
+        unit=OF_QUANTITY,
+    )
+    steps: Array = array(
+        "Typical step of each parameter, in which distances between sets are counted: 3 kN, 2 % or "
+        "the prior's sd",
+        "parameter",
+        unit=OF_PARAMETER,
+        key="step",
+    )
+    pair: Array = array(
+        "The two points that far apart",
+        *("end", "parameter"),
+        unit=OF_PARAMETER,
+        key="farthest_pair",
+    )
+    pair_searches: Array = array(
+        "Distances at which the searches for them ended, from the largest down",
+        "search",
+        unit="typical steps",
+        key="pair_search",
+    )
+
+    @property
+    def extrema(self) -> tuple[Extrema, ...]:
+        """All ranges, those of parameters first."""
+        return (*self.parameters.values(), *self.quantities.values())
+
+    @property
+    @derived("What the outcome means")
+    def sentence(self) -> str:
+        """What the outcome means, as a full sentence."""
+        return self.outcome.sentence
+
+    @property
+    @derived("Parameter sets found", unit="1")
+    def n_sets(self) -> int:
+        """Number of sets."""
+        return len(self.sets)
+
+    @property
+    @derived("Largest value of a block at any set", unit="1")
+    def largest_distance(self) -> float:
+        """The largest value of a block at any set."""
+        return float(self.distances.max())
+
+    @property
+    @derived("Largest distance of two sets", unit="typical steps")
     def farthest(self) -> float:
         """The largest distance of two sets, in typical steps."""
         return float(pdist(self.sets / self.steps).max())
 
     @property
+    @derived("Smallest distance of two sets", unit="typical steps")
     def closest(self) -> float:
         """The smallest distance of two sets, in typical steps."""
         return float(pdist(self.sets / self.steps).min())
@@ -150,7 +164,7 @@ def equivalents(
     seed: int = 0,
     executor: Executor = serial,
     store: Store | None = None,
-) -> Equivalents:
+) -> EquivalentSets:
     """Maximally different parameter sets of a region, and the extrema of quantities over it.
 
     Constrained searches with exact derivatives find the smallest and largest value of every
@@ -167,7 +181,7 @@ def equivalents(
     n_sets
         How many sets, at least 2.
     seed
-        Of the random rays.
+        Seed of the random rays.
     executor
         Anything with an ordered ``map``; the result is the same whichever it is.
     store
@@ -180,7 +194,6 @@ def equivalents(
     """
     if n_sets < 2:
         raise ValueError(f"the number of sets must be at least 2, got {n_sets}")
-    began = time.perf_counter()
     parameters = region.problem.parameters
     own = [ParameterQuantity(parameters=parameters, name=name) for name in parameters.names]
     searches = Searches(region, [*own, *quantities], executor, store)
@@ -205,22 +218,22 @@ def equivalents(
             break
     blocks, values = searches.measured(chosen, "sets")
     diameter, pair = searches.farthest_pair
-    return Equivalents(
-        parameters=parameters,
+    return EquivalentSets(
+        parameter_names=parameters.names,
+        parameters=_extrema(searches, own, at_fit[0]),
+        quantities=_extrema(searches, quantities, at_fit[0], parameters.n),
         fit=region.center,
         limit=region.limit,
         blocks=tuple(region.blocks),
         sets=chosen,
         distances=blocks,
-        quantities=values[:, parameters.n :],
+        quantity_values=values[:, parameters.n :],
         steps=searches.steps,
         diameter=diameter,
         pair=pair,
         pair_searches=searches.pair_distances,
-        extrema=_extrema(searches, [*own, *quantities], at_fit[0]),
         outcome=Completeness.COMPLETE if len(chosen) == n_sets else Completeness.FEWER,
         n_simulations=searches.n_simulations,
-        seconds=time.perf_counter() - began,
         seed=seed,
     )
 
@@ -235,15 +248,16 @@ def _spread(searches: Searches, n: int) -> Array:
 
 
 def _extrema(
-    searches: Searches, quantities: Sequence[Quantity], at_fit: Array
-) -> tuple[Extrema, ...]:
-    return tuple(
-        Extrema(
+    searches: Searches, quantities: Sequence[Quantity], at_fit: Array, first: int = 0
+) -> dict[str, Extrema]:
+    """Ranges by name of quantities that stand together among those searched."""
+    return {
+        quantity.name: Extrema(
             name=quantity.name,
             unit=quantity.unit,
             at_fit=float(at_fit[i]),
             lower=searches.side(i, -1.0),
             upper=searches.side(i, 1.0),
         )
-        for i, quantity in enumerate(quantities)
-    )
+        for i, quantity in enumerate(quantities, first)
+    }

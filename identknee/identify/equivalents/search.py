@@ -1,7 +1,6 @@
 """The searches behind a set of equivalents: each a task that can be resumed, all feeding a pool."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -19,7 +18,8 @@ from identknee.identify.equivalents.extremum import (
 )
 from identknee.identify.equivalents.rays import longest_axes, points_along
 from identknee.identify.equivalents.region import Region, RegionView
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, entry
 from identknee.runs.executors import Executor
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
@@ -33,38 +33,27 @@ AGREEMENT = 1e-4
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Side:
-    """The smallest or the largest value of a quantity over a region.
+@declared
+class Extremum:
+    """The smallest or the largest value of a quantity over a region."""
 
-    Attributes
-    ----------
-    value
-        The value.
-    theta
-        Where, shape ``(n,)``.
-    distance
-        The largest block there, in the units of the limit: simulated, and at most a millionth
-        above the limit.
-    end
-        What keeps the quantity from going farther.
-    at_bounds
-        Names of the parameters on their bounds there: the value holds for this box.
-    n_searches, n_agreeing
-        Searches from different starts, and those that ended at this value within 0.01 % of the
-        quantity's range. One of many agreeing is a warning: there may be more beyond.
-    """
-
-    value: float
-    theta: Array
-    distance: float
-    end: End
-    at_bounds: tuple[str, ...]
-    n_searches: int
-    n_agreeing: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", frozen(self.theta, None, name="theta"))
+    value: float = entry("Value there", unit=OF_QUANTITY)
+    end: End = entry("What keeps the quantity from going farther")
+    at_bounds: tuple[str, ...] = entry(
+        "Parameters on their bounds there: the value holds for this box"
+    )
+    distance: float = entry(
+        "Largest block there, in the units of the limit: simulated, and at most a millionth above "
+        "the limit",
+        unit="1",
+    )
+    n_searches: int = entry("Searches from different starts", unit="1")
+    n_agreeing: int = entry(
+        "Searches that ended at this value within 0.01 % of the quantity's range; one of many is a "
+        "warning: there may be more beyond",
+        unit="1",
+    )
+    theta: Array = array("Parameters there", "parameter", unit=OF_PARAMETER)
 
 
 class Searches:
@@ -214,7 +203,7 @@ class Searches:
             if any(self.side(i, sign).n_agreeing < 2 for sign in SIGNS)
         ]
 
-    def side(self, quantity: int, sign: float) -> Side:
+    def side(self, quantity: int, sign: float) -> Extremum:
         """The smallest (sign -1) or largest (1) value that the searches found."""
         ends = self._ends[quantity, sign]
         best = max(ends, key=lambda end: sign * float(end["value"]))
@@ -222,7 +211,7 @@ class Searches:
         scale = abs(best["value"] - (min(others) if sign > 0 else max(others)))
         theta = np.array(best["theta"])
         names = np.array(self._region.problem.parameters.names)
-        return Side(
+        return Extremum(
             value=best["value"],
             theta=theta,
             distance=best["largest"] * self._region.limit,

@@ -80,7 +80,12 @@ class Information:
         key="floor",
     )
     noise: JacobianNoise = entry("Errors of the derivatives")
-    n_simulations: int = entry("Simulations made, most of them for the noise", unit="1")
+    n_simulations: int = entry(
+        "Simulations made, most of them for the noise",
+        unit="1",
+        is_in_json=False,
+        is_in_arrays=True,
+    )
 
     @property
     def matrix(self) -> Array:

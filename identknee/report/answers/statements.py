@@ -3,11 +3,13 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from identknee.report.answers.equivalents import equivalents_statements
 from identknee.report.answers.information import information_statements
 from identknee.report.answers.profile import profile_statements
 from identknee.report.answers.sweep import sweep_statements
 from identknee.report.statement import Statement
 from identknee.verbs.answer import Answer
+from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.information import LocalIdentifiability
 from identknee.verbs.profile import Profiles
 from identknee.verbs.sweep import Sweep
@@ -16,6 +18,7 @@ _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
     Profiles: profile_statements,
     Sweep: sweep_statements,
     LocalIdentifiability: information_statements,
+    Equivalents: equivalents_statements,
 }
 
 

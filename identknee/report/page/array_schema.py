@@ -93,14 +93,6 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
         "coordinates": _wanted("number", "chain", "draw", "trial", "coordinate"),
         "tension_N": _wanted("number", "chain", "draw", "trial", "ligament"),
     },
-    "equivalent_sets": {
-        **_names("parameter", "trial", "coordinate", "quantity"),
-        "theta": _wanted("known", "set", "parameter"),
-        "fit": _wanted("known", "parameter"),
-        "coordinates": _wanted("number", "set", "trial", "coordinate"),
-        "extremum": _wanted("number", "quantity", "side"),
-        "at_fit": _wanted("number", "quantity"),
-    },
     "sensitivity": {
         **_names("parameter", "group"),
         **{

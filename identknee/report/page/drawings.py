@@ -18,6 +18,7 @@ from identknee.report.sensitivity_figures import effects_figure, map_figure
 from identknee.report.starts_figure import starts_figure
 from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
 from identknee.report.words import label, listed
+from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.information import LocalIdentifiability
 from identknee.verbs.sweep import Sweep
 
@@ -145,36 +146,31 @@ def _information(result: Result) -> Iterator[Drawing]:
 
 
 def _equivalents(result: Result) -> Iterator[Drawing]:
-    data = result.groups["equivalent_sets"]
-    names = [str(x) for x in data["parameter"].values]
-    fit = data["fit"].values
-    laxity = data["coordinates"].transpose("coordinate", "set", "trial")
-    middle = laxity.mean("set")
-    bands = {
-        label(str(x)): (laxity.sel(coordinate=x) - middle.sel(coordinate=x)).values
-        for x in laxity["coordinate"].values
-    }
+    answer = result.answer
+    if not isinstance(answer, Equivalents):
+        return
+    region, names = answer.region, answer.region.parameter_names
+    apart = answer.coordinates - answer.coordinates.mean(axis=0)
+    bands = {label(x): apart[:, :, j] for j, x in enumerate(answer.coordinate_names)}
     yield Drawing(
         name="sets",
-        figure=sets_figure(names, data["theta"].values, fit, bands, origin="their mean"),
+        figure=sets_figure(names, region.sets, region.fit, bands, origin="their mean"),
         caption="Above, parameter sets that this measurement cannot tell apart, a line each; "
         "below, how little their laxity differs, trial by trial.",
-        description=f"{len(data['theta'])} equivalent sets of {listed(map(label, names))}, and the "
+        description=f"{region.n_sets} equivalent sets of {listed(map(label, names))}, and the "
         "spread of their laxity.",
     )
-    forces = [i for i, x in enumerate(data["quantity"].values) if ".tension_N@" in str(x)]
-    ends, at_fit = data["extremum"].values, data["at_fit"].values
-    widest = sorted(forces, key=lambda i: -float(ends[i, 1] - ends[i, 0]))[:MOST_FORCES]
-    if widest:
-        shown = [str(data["quantity"].values[i]).replace(".tension_N@", ", ") for i in widest]
+    forces = sorted(region.quantities.values(), key=lambda x: x.smallest - x.largest)
+    if widest := forces[:MOST_FORCES]:
+        shown = [x.name.replace(".tension_N@", ", ") for x in widest]
+        ends = np.array([(x.smallest, x.largest) for x in widest])
+        at_fit = np.array([x.at_fit for x in widest])
         yield Drawing(
             name="force-ranges",
-            figure=ranges_figure(
-                shown, at_fit[widest], {"equivalent sets": ends[widest]}, unit="tension [N]"
-            ),
+            figure=ranges_figure(shown, at_fit, {"equivalent sets": ends}, unit="tension [N]"),
             caption="Smallest and largest ligament force among these sets, where they differ most.",
-            description=f"Force ranges; the widest is {shown[0]}, {ends[widest[0], 0]:.0f} to "
-            f"{ends[widest[0], 1]:.0f} N.",
+            description=f"Force ranges; the widest is {shown[0]}, {ends[0, 0]:.0f} to "
+            f"{ends[0, 1]:.0f} N.",
         )
 
 

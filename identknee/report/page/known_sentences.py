@@ -6,7 +6,7 @@ from typing import Any
 from identknee.report.page.results import Result
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import amount, between, label, listed, parameter_words
+from identknee.report.words import between, label, listed, parameter_words
 
 STIFFNESS = "stiffness_kN"
 # More of them in one sentence are no answer any more.
@@ -45,48 +45,6 @@ def _trusted(result: Result) -> str:
     return f"Do not rely on it yet: {summary['sentence']}"
 
 
-def equivalents_findings(result: Result) -> Iterator[Statement]:
-    """How different two knees may be that the measurement cannot tell apart."""
-    summary = result.summary
-    stiffness = {n: x for n, x in summary["parameters"].items() if n.endswith(STIFFNESS)}
-    for name, entry in _widest_first(stiffness)[:1]:
-        yield Statement(
-            question=Question.KNOWN,
-            sentence="Two knees that this measurement cannot tell apart may differ by "
-            f"{amount(entry['upper'] - entry['lower'], entry['unit'])} in "
-            f"{parameter_words(name)}: {between(_range(entry), entry['unit'])}.",
-            tables=(_range_table(summary["parameters"], "Ranges over all equivalent sets"),),
-            is_answer=True,
-        )
-    forces = _widest_first(summary["quantities"])[:MOST_FORCES]
-    for name, entry in forces[:1]:
-        limits = between(_range(entry), entry["unit"])
-        yield Statement(
-            question=Question.KNOWN,
-            sentence=f"Among them {parameter_words(name)} is anywhere {limits}.",
-            tables=(_range_table(dict(forces), "Forces that differ most"),),
-        )
-
-
-def _widest_first(entries: Entries) -> list[tuple[str, Mapping[str, Any]]]:
-    """By the size of their ranges; without those of which an end was not found."""
-    known = [x for x in entries.items() if None not in (x[1]["lower"], x[1]["upper"])]
-    return sorted(known, key=lambda x: float(x[1]["lower"] - x[1]["upper"]))
-
-
-def _range_table(entries: Entries, title: str) -> Table:
-    return Table(
-        title=title,
-        columns=(
-            Column(name="quantity"),
-            Column(name="lowest", decimals=None),
-            Column(name="fit", decimals=None),
-            Column(name="highest", decimals=None),
-        ),
-        rows=tuple((label(n), x["lower"], x["fit"], x["upper"]) for n, x in entries.items()),
-    )
-
-
 def _probable(entries: Entries) -> str:
     """Of at most so many parameters, the widest stiffnesses where there are any."""
     names = [x for x in entries if x.endswith(STIFFNESS)] or list(entries)
@@ -96,7 +54,3 @@ def _probable(entries: Entries) -> str:
         low, high = entries[name]["q025"], entries[name]["q975"]
         parts.append(f"{parameter_words(name)} is {between((low, high), unit)}")
     return f"with 95 % probability {listed(parts)}"
-
-
-def _range(entry: Mapping[str, Any]) -> tuple[float, float]:
-    return float(entry["lower"]), float(entry["upper"])

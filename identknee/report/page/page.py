@@ -13,7 +13,6 @@ from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
 from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.known_sentences import (
-    equivalents_findings,
     sample_findings,
 )
 from identknee.report.page.laxity_part import laxity_drawings
@@ -76,7 +75,6 @@ _SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
     "simulate": simulate_findings,
     "fit": fit_findings,
     "sample": sample_findings,
-    "equivalents": equivalents_findings,
     "sensitivity": sensitivity_findings,
     "diagnose": diagnosis_findings,
     "design": design_findings,

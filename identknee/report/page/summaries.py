@@ -152,22 +152,6 @@ class Sample(Sentence, Summary):
     parameters: dict[str, Probable]
 
 
-class Range(Kept):
-    """The least and the largest value among equivalent sets."""
-
-    unit: str
-    fit: Open
-    lower: Open
-    upper: Open
-
-
-class Equivalents(Summary):
-    """Of `equivalents`."""
-
-    parameters: dict[str, Range]
-    quantities: dict[str, Range]
-
-
 class Largest(Kept):
     """The laxity that a parameter moves most."""
 
@@ -224,7 +208,6 @@ SCHEMAS: Mapping[str, type[Summary]] = {
     "simulate": Simulation,
     "fit": Fit,
     "sample": Sample,
-    "equivalents": Equivalents,
     "sensitivity": Sensitivity,
     "diagnose": Diagnosis,
     "design": Design,

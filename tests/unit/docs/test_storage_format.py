@@ -33,7 +33,6 @@ RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
     "subject check": ("subject check", ["--protocol", "drawer", "--samples", "2"]),
     "subject export": ("subject check", []),
     "fit": ("fit", ["DATA"]),
-    "equivalents": ("equivalents", ["DATA", *FEW, "--n-sets", "2", "--forces", "none"]),
     "sensitivity": ("sensitivity", ["DATA", "--method", "morris", "--samples", "4"]),
     "diagnose": ("diagnose", ["FRAMED"]),
 }

@@ -8,7 +8,7 @@ from identknee.calibrate.quantity import UserQuantity
 from identknee.identify.equivalents.equivalents import (
     SEPARATION,
     Completeness,
-    Equivalents,
+    EquivalentSets,
     equivalents,
 )
 from identknee.identify.equivalents.extremum import INSIDE_TOLERANCE, End
@@ -35,7 +35,7 @@ def ellipsoid(low: float = -10.0, high: float = 10.0) -> tuple[Region, Array]:
     return noise_region(problem, center), matrix
 
 
-def check(found: Equivalents, n_sets: int = N_SETS) -> None:
+def check(found: EquivalentSets, n_sets: int = N_SETS) -> None:
     """What every result must keep."""
     assert len(found.sets) == n_sets
     assert found.outcome is Completeness.COMPLETE

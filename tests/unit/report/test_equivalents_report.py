@@ -1,26 +1,9 @@
-"""Groups, summary and figures of equivalent sets."""
+"""Figures of equivalent sets."""
 
 import numpy as np
-from problems import linear
 
-from identknee.identify.equivalents.equivalents import equivalents
-from identknee.identify.equivalents.region import noise_region
 from identknee.report.equivalents_figures import ranges_figure, sets_figure
-from identknee.report.equivalents_groups import equivalents_summary
 from identknee.report.picture import png
-
-
-def test_the_summary_tells_how_each_side_ended() -> None:
-    problem = linear()
-    found = equivalents(noise_region(problem, problem.minimum), n_sets=4)
-    summary = equivalents_summary(found)
-    assert summary["n_sets"] == 4
-    assert summary["quantities"] == {}
-    one = summary["parameters"]["x0.value_pct"]
-    assert one["unit"] == "%"
-    assert one["lower"] < one["fit"] < one["upper"]
-    assert one["lower_end"] == "limit"
-    assert one["upper_agreeing"].endswith(f"of {found.extrema[0].upper.n_searches}")
 
 
 def test_figures_are_drawn() -> None:

@@ -11,7 +11,6 @@ from report_folders import straight_profiles, write_given, write_verb
 from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
 from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.diagnosis_sentences import diagnosis_findings
-from identknee.report.page.known_sentences import equivalents_findings
 from identknee.report.page.page import report_html
 from identknee.report.page.results import Result, found_results
 from identknee.report.page.search_sentences import exact_fit, fit_findings
@@ -162,20 +161,6 @@ def test_a_start_that_failed_is_not_called_a_fit(tmp_path: Path) -> None:
     summary = {"outcome": "start_failed", "sentence": "The model has no prediction at the start."}
     (found,) = fit_findings(result(tmp_path, "fit", summary))
     assert found.sentence == "The model has no prediction at the start."
-
-
-def test_an_equivalent_set_without_an_end_is_not_ranked(tmp_path: Path) -> None:
-    row = {"unit": "kN", "fit": 10.0, "lower": 8.0, "upper": 13.0}
-    summary = {
-        "parameters": {
-            "ACL.stiffness_kN": row,
-            "PCL.stiffness_kN": row | {"upper": None},
-        },
-        "quantities": {},
-    }
-    (found,) = equivalents_findings(result(tmp_path, "equivalents", summary))
-    assert "may differ by 5 kN in the anterior cruciate's stiffness" in found.sentence
-    assert len(found.tables[0].rows) == 2
 
 
 def test_least_squares_that_missed_says_by_how_much() -> None:
