@@ -5,9 +5,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from identknee.calibrate.bounded import with_bounds
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import restricted
+from identknee.calibrate.problem import restricted, with_bounds
 from identknee.calibrate.quantity import Quantity, RestrictedQuantity
 from identknee.identify.equivalents.equivalents import EquivalentSets
 from identknee.identify.equivalents.equivalents import equivalents as equivalent_sets
