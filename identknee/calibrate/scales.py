@@ -1,6 +1,7 @@
 """How far a search looks in each parameter, by the parameter's unit."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
@@ -15,12 +16,12 @@ def half_widths(parameters: Parameters) -> Array:
     They are 2 kN and 3 % as in the paper (section 2.5), and two prior standard deviations for
     parameters in other units.
     """
-    return _by_unit(parameters, 2.0, 3.0, 2.0)
+    return by_unit(parameters, 2.0, 3.0, 2.0 * parameters.prior_sd_in_own_units)
 
 
 def typical_steps(parameters: Parameters) -> Array:
     """A typical uncertainty of each parameter, shape ``(n,)``: 3 kN, 2 % or the prior's sd."""
-    return _by_unit(parameters, 3.0, 2.0, 1.0)
+    return by_unit(parameters, 3.0, 2.0, parameters.prior_sd_in_own_units)
 
 
 def floors(parameters: Parameters) -> Array:
@@ -35,13 +36,12 @@ def floors(parameters: Parameters) -> Array:
     return np.where(positive, 0.0, -np.inf)
 
 
-def _by_unit(parameters: Parameters, stiffness: float, strain: float, prior_sds: float) -> Array:
-    values = prior_sds * np.where(
-        parameters.is_log, parameters.prior_sd * np.abs(parameters.center), parameters.prior_sd
+def by_unit(
+    parameters: Parameters, stiffness: ArrayLike, strain: ArrayLike, others: Array
+) -> Array:
+    """Values for stiffnesses in kN, strains in % and all others, shape ``(n,)`` each or numbers."""
+    is_stiffness, is_strain = (
+        np.array([name.endswith(unit) for name in parameters.names])
+        for unit in (STIFFNESS_UNIT, STRAIN_UNIT)
     )
-    for i, name in enumerate(parameters.names):
-        if name.endswith(STIFFNESS_UNIT):
-            values[i] = stiffness
-        elif name.endswith(STRAIN_UNIT):
-            values[i] = strain
-    return values
+    return np.where(is_stiffness, stiffness, np.where(is_strain, strain, others))

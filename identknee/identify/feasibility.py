@@ -4,7 +4,7 @@ import numpy as np
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
-from identknee.identify.posterior.density import from_working, newton_kernel, to_working
+from identknee.identify.posterior.density import newton_kernel
 from identknee.identify.shares import Share, share
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity
@@ -45,7 +45,7 @@ def share_without_prediction(
     kernel = newton_kernel(evaluation, parameters)
     draws = np.random.default_rng(seed).standard_normal((n_draws, parameters.n))
     steps = np.linalg.solve(kernel.factor.T, draws.T).T
-    thetas = from_working(to_working(evaluation.theta, parameters) + steps, parameters)
+    thetas = parameters.from_working(parameters.to_working(evaluation.theta) + steps)
     inside = np.clip(thetas, parameters.lower, parameters.upper)
     lost = sum(not np.isfinite(problem.residuals(x)).all() for x in inside)
     return share(lost, n_draws)

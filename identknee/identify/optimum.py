@@ -27,7 +27,7 @@ def best_fit(
         Where the first fit begins and what the others lie around (Sobol points within two prior
         standard deviations), shape ``(n,)``; the subject's own values if None.
     seed
-        Of the Sobol points' scrambling and of the fits.
+        Seed of the Sobol points' scrambling and of the fits.
     executor
         Anything with an ordered ``map``.
 
@@ -46,8 +46,9 @@ def best_fits(
     parameters = problem.parameters
     first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
     check_inside(first, parameters)
-    around = fit_many(problem, _around(first, parameters, seed), seed=seed, executor=executor)
-    fits = sorted([fit(problem, first, seed=seed), *around], key=lambda found: found.objective)
+    points = sobol_around(parameters, first, N_STARTS, reach=REACH, seed=seed)
+    around = fit_many(problem, points, seed=seed, executor=executor)
+    fits = sorted([fit(problem, first, seed=seed), *around], key=lambda one: one.objective)
     if not np.isfinite(fits[0].objective):
         raise ValueError(
             f"the model has no prediction at any of {N_STARTS + 1} starts; "
@@ -74,9 +75,26 @@ def check_inside(theta: Array, parameters: Parameters) -> None:
             )
 
 
-def _around(first: Array, parameters: Parameters, seed: int) -> Array:
-    """Sobol points within two prior standard deviations of `first`, and within the bounds."""
-    unit = 2.0 * qmc.Sobol(parameters.n, seed=seed).random(N_STARTS) - 1.0
-    steps = REACH * parameters.prior_sd * unit
-    points = np.where(parameters.is_log, first * np.exp(steps), first + steps)
+def sobol_around(
+    parameters: Parameters, center: Array, n: int, *, reach: float, seed: int
+) -> Array:
+    """Sobol points around a center, within the bounds, shape ``(n, p)``.
+
+    Parameters
+    ----------
+    parameters
+        For the bounds and the priors.
+    center
+        Shape ``(p,)``.
+    n
+        Number of points.
+    reach
+        How far they lie at most, in prior standard deviations.
+    seed
+        Seed of the scrambling.
+    """
+    # Sobol points are balanced in powers of two only; the rest of such a set is left out.
+    drawn = qmc.Sobol(parameters.n, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]
+    steps = reach * parameters.prior_sd * (2.0 * drawn - 1.0)
+    points = np.where(parameters.is_log, center * np.exp(steps), center + steps)
     return np.asarray(np.clip(points, parameters.lower, parameters.upper))

@@ -70,6 +70,24 @@ class Parameters:
             message = f"there is no parameter {name!r}. {suggestion(name, self.names)}"
             raise ValueError(message) from None
 
+    @property
+    def prior_sd_in_own_units(self) -> Array:
+        """Standard deviation of the prior around its centre, in the parameters' units."""
+        return np.where(self.is_log, self.prior_sd * np.abs(self.center), self.prior_sd)
+
+    def to_working(self, theta: Array) -> Array:
+        """Thetas, shape ``(..., n)``, with the logarithm of those whose prior is lognormal.
+
+        In these coordinates every prior is normal, and the posterior is nearer to a normal one.
+        """
+        return np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
+
+    def from_working(self, working: Array) -> Array:
+        """Thetas from their working coordinates, shape ``(..., n)``."""
+        # Beyond e^700 a number overflows; such a theta is out of any bounds.
+        logs = np.minimum(np.where(self.is_log, working, 0.0), 700.0)
+        return np.where(self.is_log, np.exp(logs), working)
+
     def vector(self, values: Mapping[str, float]) -> Array:
         """Theta with `values` by name and the subject's own for the rest."""
         theta = np.array(self.start)

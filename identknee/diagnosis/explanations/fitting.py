@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from identknee.calibrate.constrained import Constrained, minimise
 from identknee.calibrate.evaluation import Evaluation, Evaluator
@@ -13,6 +12,7 @@ from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
 from identknee.diagnosis.noise.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.noise.nuisances import nuisance_changes
 from identknee.diagnosis.score.misfit import Projector, base_projector
+from identknee.identify.optimum import sobol_around
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.contact_law import CONTACT_LAW, contact_nuisance
@@ -273,9 +273,6 @@ def fitted_to_low_loads(
 
 def _around(model: LaxityModel, start: Array, seed: int) -> list[Array]:
     """Points within a prior standard deviation of the subject's values around `start`."""
-    n = model.n_ligament_parameters
     p = model.parameters
-    unit = 2.0 * qmc.Sobol(n, seed=seed).random(N_STARTS + 1)[:N_STARTS] - 1.0
-    steps = REACH * p.prior_sd[:n] * unit
-    points = np.where(p.is_log[:n], start * np.exp(steps), start + steps)
-    return list(np.clip(points, p.lower[:n], p.upper[:n]))
+    ligaments = p.select(p.names[: model.n_ligament_parameters])
+    return list(sobol_around(ligaments, start, N_STARTS, reach=REACH, seed=seed))

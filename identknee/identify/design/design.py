@@ -12,8 +12,8 @@ from identknee.calibrate.problem import Problem
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.design.added_trials import Candidates, WithTrials
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, Loss, WidthLoss
+from identknee.identify.design.predictions import Excluded, paths_of, predict_candidates
 from identknee.identify.design.search import choose
-from identknee.identify.design.survey import Excluded, paths_of, survey
 from identknee.identify.profile.profiles import ProfileSettings, profile_quantities
 from identknee.identify.profile.result import Profile
 from identknee.runs.arrays import Array, frozen
@@ -142,7 +142,7 @@ def design(
         before = profiles_of(problem, optimum_theta, quantities)
     else:
         quantities, before = _needy(problem, optimum_theta, profiles_of)
-    points = survey(problem, before, candidates, executor)
+    points = predict_candidates(problem, before, candidates, executor)
     excluded = points.excluded(candidates.names)
     allowed = ~np.isin(candidates.names, [x.name for x in excluded])
     if not allowed.any():

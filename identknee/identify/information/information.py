@@ -297,8 +297,7 @@ def scaled_units(parameters: Parameters, scaling: Scaling) -> Array:
     if scaling == "typical":
         return typical_steps(parameters)
     if scaling == "prior":
-        relative = np.where(parameters.is_log, np.abs(parameters.center), 1.0)
-        return np.asarray(parameters.prior_sd * relative)
+        return parameters.prior_sd_in_own_units
     raise ValueError(f"there is no scaling {scaling!r}; the scalings are typical, prior")
 
 

@@ -1,7 +1,5 @@
 """The posterior density of the parameters, in their own units and in those it is sampled in."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import norm
 
@@ -10,9 +8,10 @@ from identknee.calibrate.problem import Problem
 from identknee.identify.shares import share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import array, declared, entry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LogPosterior:
     """Natural logarithm of the posterior density of a problem's parameters.
 
@@ -31,7 +30,7 @@ class LogPosterior:
 
     def __post_init__(self) -> None:
         parameters = self.problem.parameters
-        is_log = np.array(parameters.is_log)
+        is_log = parameters.is_log
         if np.any(parameters.prior_sd <= 0) or np.any(parameters.center[is_log] <= 0):
             raise ValueError(
                 "a prior needs a standard deviation above 0, and a lognormal one a centre above 0; "
@@ -62,10 +61,10 @@ def log_prior(theta: Array, parameters: Parameters) -> Array:
     """
     theta = np.asarray(theta, dtype=np.float64)
     is_inside = inside(theta, parameters)
-    working = to_working(np.where(is_inside[..., None], theta, parameters.center), parameters)
+    working = parameters.to_working(np.where(is_inside[..., None], theta, parameters.center))
     log_density = (
         log_prior_working(working, parameters)
-        - np.sum(working[..., np.array(parameters.is_log)], axis=-1)
+        - np.sum(working[..., parameters.is_log], axis=-1)
         - np.sum(_log_masses(parameters))
     )
     return np.where(is_inside, log_density, -np.inf)
@@ -78,25 +77,8 @@ def mass_within_bounds(parameters: Parameters) -> float:
 
 def inside(theta: Array, parameters: Parameters) -> BoolArray:
     """Whether thetas, shape ``(..., n)``, are within the bounds and lognormal ones above 0."""
-    is_log = np.array(parameters.is_log)
     within = (theta >= parameters.lower) & (theta <= parameters.upper)
-    return np.asarray(np.all(within & ((theta > 0) | ~is_log), axis=-1))
-
-
-def to_working(theta: Array, parameters: Parameters) -> Array:
-    """Thetas, shape ``(..., n)``, with the logarithm of those whose prior is lognormal.
-
-    In these coordinates every prior is normal, and the density is nearer to a normal one.
-    """
-    is_log = np.array(parameters.is_log)
-    return np.where(is_log, np.log(np.where(is_log, theta, 1.0)), theta)
-
-
-def from_working(working: Array, parameters: Parameters) -> Array:
-    """Thetas from their working coordinates, shape ``(..., n)``."""
-    is_log = np.array(parameters.is_log)
-    # Beyond e^700 a number overflows; such a theta is out of any bounds.
-    return np.where(is_log, np.exp(np.minimum(np.where(is_log, working, 0.0), 700.0)), working)
+    return np.asarray(np.all(within & ((theta > 0) | ~parameters.is_log), axis=-1))
 
 
 def log_prior_working(working: Array, parameters: Parameters) -> Array:
@@ -106,7 +88,7 @@ def log_prior_working(working: Array, parameters: Parameters) -> Array:
 
 def working_center(parameters: Parameters) -> Array:
     """Centre of the normal priors in working coordinates, shape ``(n,)``."""
-    return to_working(parameters.center, parameters)
+    return parameters.to_working(parameters.center)
 
 
 def prior_quantiles(parameters: Parameters, probabilities: Array) -> Array:
@@ -115,7 +97,7 @@ def prior_quantiles(parameters: Parameters, probabilities: Array) -> Array:
     center, sd = working_center(parameters), parameters.prior_sd
     first, last = norm.cdf((low - center) / sd), norm.cdf((high - center) / sd)
     working = center + sd * norm.ppf(first + probabilities * (last - first))
-    theta = from_working(working, parameters)
+    theta = parameters.from_working(working)
     return np.asarray(np.clip(theta, parameters.lower, parameters.upper))
 
 
@@ -124,7 +106,7 @@ def prior_draws(parameters: Parameters, n: int, generator: np.random.Generator) 
     return prior_quantiles(parameters, generator.uniform(size=(n, parameters.n)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ExcludedMass:
     """How much of the prior the posterior cannot reach.
 
@@ -170,23 +152,18 @@ def excluded_mass(parameters: Parameters, is_predicted: BoolArray) -> ExcludedMa
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class NewtonKernel:
-    """The density at a point and the normal density that a Gauss-Newton step from there proposes.
+    """The density at a point, and the normal one that a Gauss-Newton step from it proposes."""
 
-    Attributes
-    ----------
-    log_density
-        Of the posterior in working coordinates, without a constant; -inf where there is none.
-    center
-        End of the Gauss-Newton step, shape ``(n,)``.
-    factor
-        Lower Cholesky factor of the precision there, shape ``(n, n)``.
-    """
-
-    log_density: float
-    center: Array
-    factor: Array
+    log_density: float = entry(
+        "Log density of the posterior in working coordinates, without a constant; -inf where "
+        "there is none"
+    )
+    center: Array = array("End of the Gauss-Newton step", "parameter")
+    factor: Array = array(
+        "Lower Cholesky factor of the precision there", "parameter", "other parameter"
+    )
 
 
 def newton_kernel(evaluation: Evaluation, parameters: Parameters) -> NewtonKernel:
@@ -198,7 +175,7 @@ def newton_kernel(evaluation: Evaluation, parameters: Parameters) -> NewtonKerne
     n = parameters.n
     if not evaluation.is_finite:
         return NewtonKernel(log_density=-np.inf, center=np.zeros(n), factor=np.zeros((n, n)))
-    working = to_working(evaluation.theta, parameters)
+    working = parameters.to_working(evaluation.theta)
     slope = np.where(parameters.is_log, evaluation.theta, 1.0)
     jacobian = evaluation.jacobian * slope
     precision = 1.0 / parameters.prior_sd**2
@@ -219,7 +196,7 @@ def _log_normal(working: Array, parameters: Parameters) -> Array:
 
 
 def _working_bounds(parameters: Parameters) -> tuple[Array, Array]:
-    is_log = np.array(parameters.is_log)
+    is_log = parameters.is_log
     bounds = (parameters.lower, parameters.upper)
     with np.errstate(divide="ignore"):
         low, high = (np.where(is_log, np.log(np.maximum(x, 0.0)), x) for x in bounds)

@@ -12,11 +12,9 @@ from identknee.calibrate.fit import fit
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.posterior.density import (
     LogPosterior,
-    from_working,
     inside,
     newton_kernel,
     prior_draws,
-    to_working,
 )
 from identknee.identify.posterior.moves import MOVES
 from identknee.model.parameters import Parameters
@@ -170,7 +168,7 @@ class _Walk:
 
     def row(self, working: Array) -> Array:
         parameters = self._density.parameters
-        theta = from_working(working, parameters)
+        theta = parameters.from_working(working)
         if not inside(theta, parameters):
             return _joined(-np.inf, np.zeros(parameters.n * (parameters.n + 1)))
         self.n_simulations += 1
@@ -199,7 +197,7 @@ def _within(optimum: Array, parameters: Parameters) -> Array:
     """The optimum in working coordinates; one at a bound is moved so far that it stays inside."""
     margin = EDGE * typical_steps(parameters)
     inner = np.clip(optimum, parameters.lower + margin, parameters.upper - margin)
-    return to_working(inner, parameters)
+    return parameters.to_working(inner)
 
 
 def _joined(*parts: float | Array) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.identify.posterior.density import log_prior_working, to_working
+from identknee.identify.posterior.density import log_prior_working
 from identknee.identify.posterior.posterior import Posterior
 from identknee.runs.arrays import Array, frozen
 
@@ -57,7 +57,7 @@ def prior_sensitivity(posterior: Posterior) -> PriorSensitivity:
     power-scaling, Stat. Comput. 34 (2024) 57, doi:10.1007/s11222-023-10366-5.
     """
     parameters = posterior.parameters
-    working = to_working(posterior.kept, parameters)
+    working = parameters.to_working(posterior.kept)
     draws = working.reshape(-1, parameters.n)
     likelihood = posterior.kept_log_likelihood.ravel()
     prior = log_prior_working(draws, parameters)

@@ -20,7 +20,6 @@ from identknee.identify.posterior.density import (
     ExcludedMass,
     LogPosterior,
     excluded_mass,
-    from_working,
     inside,
     log_prior_working,
     prior_draws,
@@ -242,7 +241,7 @@ class _Run:
     def arrays(self) -> dict[str, Array]:
         parameters = self._task.density.parameters
         return {
-            "samples": from_working(self._chain, parameters),
+            "samples": parameters.from_working(self._chain),
             "log_likelihood": self._log_density - log_prior_working(self._chain, parameters),
         }
 

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.calibrate.scales import STIFFNESS_UNIT
+from identknee.calibrate.scales import by_unit
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 
 STIFFNESS_SHARE, STRAIN_PCT, PRIOR_SDS = 0.5, 3.0, 1.5
-STRAIN_UNIT = "_pct"
 # An even number of levels and steps over half of them: every level is met equally often.
 MORRIS_LEVELS = 4
 
@@ -63,14 +62,8 @@ def box_around(parameters: Parameters, center: Array) -> Box:
     center
         Its middle, shape ``(n,)``.
     """
-    reach = PRIOR_SDS * np.where(
-        parameters.is_log, parameters.prior_sd * np.abs(center), parameters.prior_sd
-    )
-    for i, name in enumerate(parameters.names):
-        if name.endswith(STIFFNESS_UNIT):
-            reach[i] = STIFFNESS_SHARE * abs(center[i])
-        elif name.endswith(STRAIN_UNIT):
-            reach[i] = STRAIN_PCT
+    sd = np.where(parameters.is_log, parameters.prior_sd * np.abs(center), parameters.prior_sd)
+    reach = by_unit(parameters, STIFFNESS_SHARE * np.abs(center), STRAIN_PCT, PRIOR_SDS * sd)
     return Box(
         lower=np.maximum(center - reach, parameters.lower),
         upper=np.minimum(center + reach, parameters.upper),
@@ -90,7 +83,7 @@ def saltelli_blocks(box: Box, n: int, seed: int) -> Array:
     n
         Number of blocks, a power of 2.
     seed
-        Of the scrambling.
+        Seed of the scrambling.
 
     Raises
     ------
@@ -122,7 +115,7 @@ def morris_trajectories(box: Box, n: int, seed: int) -> Array:
     n
         Number of trajectories, at least 2.
     seed
-        Of their starts and orders.
+        Seed of their starts and orders.
 
     Raises
     ------

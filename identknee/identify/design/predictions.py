@@ -23,7 +23,7 @@ class Excluded:
     Attributes
     ----------
     name
-        Of the trial.
+        Name of the trial.
     failures, tried
         At how many of the parameter sets that the data allow it has no prediction, of how many.
     at_fit
@@ -47,7 +47,7 @@ class Excluded:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Survey:
+class CandidatePredictions:
     """The candidates at the best fit and along the profiles: q points, k trials, n parameters.
 
     Attributes
@@ -104,20 +104,20 @@ class Survey:
         return loss.of_made(self.information), trials
 
 
-def survey(
+def predict_candidates(
     problem: Problem, before: Sequence[Profile], candidates: Candidates, executor: Executor
-) -> Survey:
+) -> CandidatePredictions:
     """The candidates predicted at the best fit and along the profiles."""
     scales = scaled_units(problem.parameters, "typical")
     thetas = np.vstack([before[0].optimum, *(profile.thetas for profile in before)])
     likely = [profile.deltas <= profile.threshold for profile in before]
-    found = list(executor.map(_PointPrediction(problem=problem, candidates=candidates), thetas))
-    return Survey(
+    rows = list(executor.map(_PointPrediction(problem=problem, candidates=candidates), thetas))
+    return CandidatePredictions(
         thetas=thetas,
         is_likely=np.concatenate([[True], *likely]),
-        values=np.array([x[1] for x in found]),
-        jacobians=np.array([x[2] for x in found]) * scales,
-        information=np.array([x[0] for x in found]) * np.outer(scales, scales),
+        values=np.array([x[1] for x in rows]),
+        jacobians=np.array([x[2] for x in rows]) * scales,
+        information=np.array([x[0] for x in rows]) * np.outer(scales, scales),
         scales=scales,
     )
 
@@ -140,7 +140,7 @@ class _PointPrediction:
 def paths_of(
     before: Sequence[Profile], quantities: Sequence[Quantity], scales: Array
 ) -> tuple[Path, ...]:
-    """The profiles as `WidthLoss` takes them, their points in the order of the survey's."""
+    """The profiles as `WidthLoss` takes them, their points in the order of the predictions."""
     paths, first = [], 1
     for profile, quantity in zip(before, quantities, strict=True):
         places = np.arange(first, first + len(profile.values))
