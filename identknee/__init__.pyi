@@ -8,8 +8,6 @@ from . import report as report
 from . import runs as runs
 from . import subject as subject
 from .blind.case import blind_case as blind_case
-from .calibrate.fit import Fit as Fit
-from .calibrate.fit import fit as fit
 from .calibrate.starts import load_start as load_start
 from .diagnosis.diagnose import Diagnosis as Diagnosis
 from .diagnosis.diagnose import diagnose as diagnose
@@ -34,7 +32,6 @@ from .model.effects.library import effect_named as effect_named
 from .model.laxity_model import LaxityModel as LaxityModel
 from .model.parameters import Parameters as Parameters
 from .model.residuals import LaxityResiduals as LaxityResiduals
-from .model.simulate import simulate as simulate
 from .report.scene import scene as scene
 from .runs.errors import InputError as InputError
 from .runs.findings import Finding as Finding
@@ -46,12 +43,18 @@ from .subject.folder import write_subject as write_subject
 from .subject.knee import Knee as Knee
 from .subject.opensim import import_opensim as import_opensim
 from .subject.reference import reference_knee as reference_knee
+from .verbs.demo import demo as demo
 from .verbs.equivalents import Equivalents as Equivalents
 from .verbs.equivalents import equivalents as equivalents
+from .verbs.files import load as load
+from .verbs.fit import Calibration as Calibration
+from .verbs.fit import fit as fit
 from .verbs.information import LocalIdentifiability as LocalIdentifiability
 from .verbs.information import information as information
 from .verbs.profile import Profiles as Profiles
 from .verbs.profile import profile as profile
+from .verbs.simulate import Simulation as Simulation
+from .verbs.simulate import simulate as simulate
 from .verbs.sweep import Sweep as Sweep
 from .verbs.sweep import sweep as sweep
 

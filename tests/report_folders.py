@@ -8,24 +8,20 @@ import numpy as np
 from diagnoses import FRAME, diagnosed
 from problems import linear
 
-from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.simulate import simulate
 from identknee.report.diagnosis_groups import diagnosis_groups
 from identknee.report.diagnosis_summary import diagnosis_summary
-from identknee.report.groups import fit_groups
 from identknee.report.result_files import write_result
 from identknee.runs.record import record
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.files import write_answer
+from identknee.verbs.fit import fit
 from identknee.verbs.profile import Profiles
+from identknee.verbs.simulate import simulate
 
 KNEE = "0" * 64
 OPEN_BELOW = "x0.value_pct"
@@ -103,19 +99,9 @@ def few_trials() -> Protocol:
 
 def fit_folder(folder: Path, knee: Knee, **named: str) -> Path:
     """What `identknee fit` leaves of a knee under a few trials, fitted to its own noisy laxity."""
-    simulation = simulate(knee, few_trials())
-    laxity = add_noise(simulation.laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
-    model = LaxityModel(knee=knee, protocol=laxity.protocol)
-    found = fit(LaxityResiduals(model=model, laxity=laxity), model.parameters.center, budget=3)
-    values = {f"{x.name}": {"stiffness_kN": 1.0} for x in knee.ligaments}
-    summary = {
-        "outcome": found.outcome.value,
-        "sentence": found.outcome.sentence,
-        "rmse": {"mm": 0.25, "deg": 0.5},
-        "parameters": values,
-        "start_parameters": values,
-    }
-    return write_verb(folder, "fit", summary, dict(fit_groups(found, simulation, laxity)), **named)
+    laxity = simulate(knee, few_trials(), noise="0.3mm,0.3deg", seed=1).noisy
+    assert laxity is not None
+    return write_given(folder, "fit", fit(knee, laxity, budget=3), **named)
 
 
 def diagnosis_folder(folder: Path, **named: str) -> Path:

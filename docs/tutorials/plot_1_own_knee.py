@@ -9,8 +9,6 @@ hold them. Here the files of the analytic knee ``reference`` stand in for yours.
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
 import identknee as ik
 from identknee.subject.surface import write_surface
 
@@ -74,19 +72,16 @@ figure = ik.scene(knee)
 # %%
 # How lax is it? Each trial follows its load from the unloaded knee, and says how it ended.
 
-protocol = ik.load_protocol("drawer")
-simulation = ik.simulate(knee, protocol)
+simulation = ik.simulate(knee, "drawer")
 drawer = simulation.laxity.coordinates[:, 1]
-for name, outcome, value in zip(
-    protocol.trials, simulation.prediction.outcomes, drawer, strict=True
-):
-    print(f"{name:24} {outcome.value:10} anterior drawer {value:6.2f} mm")
+for trial, value in zip(simulation.trials, drawer, strict=True):
+    print(f"{trial.trial:24} {trial.outcome.value:10} anterior drawer {value:6.2f} mm")
 
 # %%
 # The stability margin says how far from a snap each pose is. A knee should have a good one over
 # its whole protocol before anyone calibrates on it.
 
-print(f"smallest margin: {np.min(simulation.prediction.margins):.1f} N/mm")
+print(f"smallest margin: {min(x.margin_N_per_mm for x in simulation.trials):.1f} N/mm")
 
 # %%
 # The same on the command line: ``identknee subject check FOLDER``, ``identknee subject show

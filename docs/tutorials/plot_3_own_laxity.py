@@ -50,7 +50,7 @@ problem = ik.LaxityResiduals(model=model, laxity=laxity, weighting="noise")
 # %%
 # The fit begins far off, at the worst of the paper's four initial guesses.
 
-found = ik.fit(problem, ik.load_start("IG4", problem.parameters))
+found = ik.fit(knee, laxity, start="IG4", weighting="noise")
 print(found)
 
 # %%

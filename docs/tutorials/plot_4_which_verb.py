@@ -9,6 +9,7 @@ the command that gives it in full stands beside it.
 import numpy as np
 
 import identknee as ik
+from identknee.calibrate.fit import fit
 from identknee.identify.equivalents.equivalents import equivalents
 from identknee.identify.information.information import information as fisher_information
 from identknee.report.equivalents_figures import ranges_figure
@@ -21,7 +22,7 @@ truth = ik.simulate(knee, ik.load_protocol("seed63"))
 laxity = ik.add_noise(truth.laxity, sd_mm=0.5, sd_deg=0.5, seed=2)
 model = ik.LaxityModel(knee=knee, protocol=laxity.protocol)
 problem = ik.LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-best = ik.fit(problem, problem.parameters.center)
+best = fit(problem, problem.parameters.center)
 
 # %%
 # Do all starts lead to the same parameters?

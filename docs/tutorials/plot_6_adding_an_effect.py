@@ -9,6 +9,7 @@ part of the library: a goniometer that is mounted askew reads a share of varus a
 import numpy as np
 
 import identknee as ik
+from identknee.calibrate.fit import fit
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.effect import amplitudes
 from identknee.report.diagnosis_figures import scores_figure
@@ -48,7 +49,7 @@ laxity = ik.add_noise(extended.simulate(truth), sd_mm=0.3, sd_deg=0.3, seed=3)
 # Does a fit find it? So many parameters, and this one well known:
 
 problem = ik.LaxityResiduals(model=extended, laxity=laxity, weighting="noise")
-fitted = ik.fit(problem, problem.parameters.center)
+fitted = fit(problem, problem.parameters.center)
 (profile,) = ik.profile_parameters(problem, fitted.theta, ["crosstalk.share"])
 print(f"{profile.optimum_value:.3f}, {profile.lower:.3f} to {profile.upper:.3f}")
 

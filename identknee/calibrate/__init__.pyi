@@ -4,6 +4,7 @@ from .constrained import solve_constrained as solve_constrained
 from .evaluation import Evaluator as Evaluator
 from .fit import BUDGET as BUDGET
 from .fit import METHODS as METHODS
+from .fit import Fit as Fit
 from .fit import fit_many as fit_many
 from .problem import Problem as Problem
 from .problem import WithPriors as WithPriors

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import TypedDict, Unpack
@@ -23,6 +22,7 @@ from identknee.calibrate.population import (
 from identknee.calibrate.problem import Problem, WithPriors, restricted
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.executors import Executor, serial, spawn_seeds
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress, progress_bar
@@ -52,63 +52,40 @@ class Settings(TypedDict, total=False):
     priors: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Fit:
-    """Where an optimizer ended, and how.
+    """Where an optimizer ended, and how."""
 
-    Attributes
-    ----------
-    method
-        Name of the optimizer.
-    parameters
-        All parameters of the problem, fixed ones included.
-    fixed
-        Names of those held at their start.
-    priors
-        Whether the priors were part of the objective.
-    start, theta
-        Where it began and the best point it saw, shape ``(n,)``, in kN and %. They are equal where
-        no simulation had a prediction.
-    objective
-        Half the sum of squares at `theta`, with the priors' where they were used; inf if no
-        simulation had a prediction.
-    outcome, message
-        How it ended, and that in a sentence.
-    n_simulations, budget
-        Simulations made and allowed.
-    seconds
-        Time taken [s].
-    seed
-        Of the random numbers.
-    history
-        Simulation number and best objective so far, at each improvement, shape ``(k, 2)``.
-    gradient_norm
-        Largest derivative of the objective at `theta` by a free parameter, each times its typical
-        step (3 kN, 2 %), leaving out those that only lead out of the bounds. None where the model
-        has no derivatives.
-    """
-
-    method: str
-    parameters: Parameters
-    fixed: tuple[str, ...]
-    priors: bool
-    start: Array
-    theta: Array
-    objective: float
-    outcome: Outcome
-    message: str
-    n_simulations: int
-    budget: int
-    seconds: float
-    seed: int
-    history: Array
-    gradient_norm: float | None
-
-    def __post_init__(self) -> None:
-        for field in ("start", "theta"):
-            values = frozen(getattr(self, field), self.parameters.n, name=field)
-            object.__setattr__(self, field, values)
-        object.__setattr__(self, "history", frozen(self.history, None, 2, name="history"))
+    method: str = entry("Name of the optimizer")
+    parameters: Parameters = entry("All parameters of the problem, fixed ones included")
+    fixed: tuple[str, ...] = entry("Names of those held at their start")
+    priors: bool = entry("Whether the priors were part of the objective")
+    start: Array = array("Theta where the search began", "parameter", unit=OF_PARAMETER)
+    theta: Array = array(
+        "Best theta seen; the start where no simulation had a prediction",
+        "parameter",
+        unit=OF_PARAMETER,
+    )
+    objective: float = entry(
+        "Half the sum of squares at `theta`, with the priors' where they were used; null where no "
+        "simulation had a prediction",
+        unit="mm2 and deg2 with unit weighting, else 1",
+    )
+    outcome: Outcome = entry("How the search ended")
+    message: str = entry("How the search ended, as a sentence", key="sentence")
+    n_simulations: int = entry("Simulations made", unit="1")
+    budget: int = entry("Simulations allowed", unit="1")
+    seconds: float = entry("Time taken by the search", unit="s")
+    seed: int = entry("Seed of the random numbers")
+    history: Array = array(
+        "Simulation number and best objective so far, at each improvement", "improvement", "member"
+    )
+    gradient_norm: float | None = entry(
+        "Largest derivative of the objective at `theta` by a free parameter, times its typical "
+        "step (3 kN, 2 %), leaving out those that only lead out of the bounds; null where the "
+        "model has no derivatives",
+        unit="unit of the objective",
+    )
 
     @property
     def at_bounds(self) -> tuple[str, ...]:

@@ -22,6 +22,8 @@ from identknee.subject.examples import named_subject
 if TYPE_CHECKING:
     from identknee.verbs.answer import Answer
 
+    Given = TypeVar("Given", bound=Answer)
+
 Result = TypeVar("Result")
 
 # Of a path or a value that is absurdly long.
@@ -219,8 +221,8 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
-def run_verb(context: typer.Context, function: "Callable[..., Answer]") -> None:
-    """Call a verb of the library with the options of the command, and print its answer."""
+def run_verb(context: typer.Context, function: "Callable[..., Given]") -> "Given":
+    """The answer of a verb of the library to the options of the command, now printed."""
     arguments = dict(context.params)
     as_json = arguments.pop("as_json")
     answer = function(**arguments)
@@ -232,6 +234,7 @@ def run_verb(context: typer.Context, function: "Callable[..., Answer]") -> None:
     show(summary_of(answer), [*lines, f"Results: {arguments['out']}"], as_json=as_json)
     if answer.failure:
         raise NotComputed(answer.failure)
+    return answer
 
 
 def nested(values: Mapping[str, float]) -> dict[str, dict[str, float]]:

@@ -236,10 +236,12 @@ def _derivatives(model: "ik.LaxityModel", stored: "ik.Laxity") -> tuple[bool, st
 
 
 def _fit(model: "ik.LaxityModel", _: "ik.Laxity") -> tuple[bool, str]:
+    from identknee.calibrate.fit import fit
+
     full = model.with_protocol(ik.load_protocol("seed63"))
     truth = full.parameters.center
     problem = ik.LaxityResiduals(model=full, laxity=full.simulate(truth))
-    ended = ik.fit(problem, ik.load_start("IG2", full.parameters))
+    ended = fit(problem, ik.load_start("IG2", full.parameters))
     largest = float(abs(ended.theta - truth).max())
     found = f"from IG2 it ends {largest:.1g} kN or % from the parameters of its data"
     return largest <= SAME_KN_OR_PCT, found

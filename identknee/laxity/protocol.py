@@ -3,7 +3,6 @@
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
@@ -11,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.laxity.protocol_file import ProtocolTables, Ramp, Trial, read_tables
-from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import array, declared, entry, name_axis
 from identknee.runs.errors import InputError, suggestion
 
 LOADS = (
@@ -21,6 +21,7 @@ LOADS = (
     "distraction_force_N",
     "lateral_force_N",
 )
+name_axis("load", LOADS)
 FLEXION = "flexion_deg"
 BUILT_IN = ("seed63", "table2", "drawer")
 MOMENT_LIMIT_NM = 50.0
@@ -30,22 +31,11 @@ FLEXION_LIMITS_DEG = (-10.0, 160.0)
 MOST_TRIALS = 100_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Protocol:
     """Trials of a laxity test.
 
-    Attributes
-    ----------
-    name
-        What the protocol is called.
-    trials
-        Name of each trial, no two alike.
-    flexion_deg
-        Flexion angle of each trial [deg], shape ``(n,)``, from -10 to 160.
-    loads
-        Loads of each trial, shape ``(n, 5)``, in the order and units of `LOADS`: internal and varus
-        moment [N·m], anterior, distraction and lateral force [N]. Opposite loads are negative:
-        external, valgus, posterior, compression, medial.
+    Opposite loads are negative: external, valgus, posterior, compression, medial.
 
     Raises
     ------
@@ -53,16 +43,16 @@ class Protocol:
         If two trials share a name, or an angle or a load is out of range.
     """
 
-    name: str
-    trials: tuple[str, ...]
-    flexion_deg: Array
-    loads: Array
+    name: str = entry("Name of the protocol")
+    trials: tuple[str, ...] = array("Name of each trial", "trial", is_in_arrays=False)
+    flexion_deg: Array = array("Flexion angle, from -10 to 160", "trial", unit="deg")
+    loads: Array = array(
+        "Internal and varus moment [N m], anterior, distraction and lateral force [N]",
+        *("trial", "load"),
+        unit="N or N m, as the load's name says",
+    )
 
     def __post_init__(self) -> None:
-        n = len(self.trials)
-        object.__setattr__(self, "trials", tuple(self.trials))
-        object.__setattr__(self, "flexion_deg", frozen(self.flexion_deg, n, name=FLEXION))
-        object.__setattr__(self, "loads", frozen(self.loads, n, len(LOADS), name="loads"))
         seen: set[str] = set()
         for trial, flexion, loads in zip(self.trials, self.flexion_deg, self.loads, strict=True):
             if fault := name_fault(trial):

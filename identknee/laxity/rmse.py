@@ -1,52 +1,33 @@
 """How far a simulated laxity is from a measured one."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.laxity.unloaded import relative_to_unloaded
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_COORDINATE, array, declared, entry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LaxityError:
-    """Root-mean-square differences of two laxities; NaN where nothing was compared.
+    """Root-mean-square differences of two laxities; NaN where nothing was compared."""
 
-    Attributes
-    ----------
-    mm
-        Over the three translations [mm].
-    deg
-        Over varus and internal rotation [deg].
-    by_coordinate
-        In the order and units of `COORDINATES` [mm, deg], shape ``(5,)``.
-    flexion_deg
-        The flexion angles, ascending [deg], shape ``(n_angles,)``.
-    by_flexion
-        At each flexion angle, shape ``(n_angles, 5)``.
-    n_compared
-        How many cells were compared.
-    n_missing
-        How many cells were measured and have no simulated value. They are left out, so that any
-        number but 0 here makes the others too good.
-    """
-
-    mm: float
-    deg: float
-    by_coordinate: Array
-    flexion_deg: Array
-    by_flexion: Array
-    n_compared: int
-    n_missing: int
-
-    def __post_init__(self) -> None:
-        for name, shape in (
-            ("by_coordinate", (len(COORDINATES),)),
-            ("flexion_deg", (None,)),
-            ("by_flexion", (len(self.flexion_deg), len(COORDINATES))),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    mm: float = entry("Error of the three translations", unit="mm")
+    deg: float = entry("Error of varus and internal rotation", unit="deg")
+    by_coordinate: Array = array(
+        "Error of each coordinate", "coordinate", unit=OF_COORDINATE, group="errors"
+    )
+    flexion_deg: Array = array("Flexion angles, ascending", "flexion", unit="deg", group="errors")
+    by_flexion: Array = array(
+        "Error at each flexion angle",
+        *("flexion", "coordinate"),
+        unit=OF_COORDINATE,
+        group="errors",
+    )
+    n_compared: int = entry("Measured values with a prediction", unit="1")
+    n_missing: int = entry(
+        "Measured values without one; they are left out, which makes the errors too good", unit="1"
+    )
 
 
 def laxity_rmse(simulated: Laxity, measured: Laxity) -> LaxityError:

@@ -2,7 +2,6 @@
 
 import math
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -12,7 +11,8 @@ from numpy.typing import ArrayLike
 from identknee.laxity.cells import CellFile, Row, written
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, chosen_rows, name_fault, range_fault
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, write_atomically
 
@@ -23,6 +23,7 @@ COORDINATES = (
     "varus_deg",
     "internal_deg",
 )
+name_axis("coordinate", COORDINATES)
 TRANSLATIONS = slice(0, 3)
 ROTATIONS = slice(3, 5)
 PHASES = ("loading", "unloading")
@@ -41,58 +42,57 @@ _COLUMNS = ("trial", FLEXION, *LOADS, *COORDINATES, *_SD, "order", "phase")
 _STATEMENT = re.compile(r"(within_trial_correlation|zero)\s*:\s*(.*)", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Laxity:
     """Pose of the tibia in each trial of a protocol, measured or simulated.
 
-    Attributes
-    ----------
-    protocol
-        The trials, n of them.
-    coordinates
-        Coordinates in the order and units of `COORDINATES` [mm, deg], shape ``(n, 5)``; NaN where
-        not measured.
-    sd
-        Standard deviation of their errors [mm, deg], shape ``(n, 5)``, > 0; None where none is
-        stated. A coordinate states it for all its measured trials or, with NaN, for none.
-    within_trial_correlation
-        Correlation that the five errors of a trial share, above -0.25 and below 1.
-    order
-        When each trial was made, shape ``(n,)``; None where unknown.
-    phase
-        ``"loading"``, ``"unloading"`` or, where it is neither, ``""`` for each trial; None where
-        unknown.
-    comments
-        Free text that goes with the table, a line each.
-    zero
-        ``"absolute"`` for Grood-Suntay coordinates, ``"unloaded"`` where they are changes from the
-        unloaded pose of the same flexion angle.
+    A coordinate states the standard deviation of its errors for all its measured trials or, with
+    NaN, for none.
 
     Raises
     ------
     ValueError
-        If shapes differ, or a value breaks a rule above.
+        If shapes differ, or a value breaks a rule.
     """
 
-    protocol: Protocol
-    coordinates: Array
-    sd: Array | None = None
-    within_trial_correlation: float = 0.0
-    order: IntArray | None = None
-    phase: tuple[str, ...] | None = None
-    comments: tuple[str, ...] = ()
-    zero: Zero = "absolute"
+    protocol: Protocol = entry("The trials", group="constant_data")
+    coordinates: Array = array(
+        "Lateral shift, anterior drawer, distraction, varus, internal rotation; NaN where not "
+        "measured",
+        *("trial", "coordinate"),
+        unit=OF_COORDINATE,
+    )
+    sd: Array | None = array(
+        "Standard deviation of their errors; None where none is stated",
+        *("trial", "coordinate"),
+        unit=OF_COORDINATE,
+        default=None,
+    )
+    within_trial_correlation: float = entry(
+        "Correlation that the five errors of a trial share, above -0.25 and below 1",
+        unit="1",
+        default=0.0,
+    )
+    order: IntArray | None = array(
+        "When each trial was made; None where unknown", "trial", dtype=int, default=None
+    )
+    phase: tuple[str, ...] | None = entry(
+        "loading, unloading or neither (empty) for each trial; None where unknown", default=None
+    )
+    comments: tuple[str, ...] = entry("Free text that goes with the table", default=())
+    zero: Zero = entry(
+        "absolute for Grood-Suntay coordinates, unloaded where they are changes from the unloaded "
+        "pose of the same flexion angle",
+        default="absolute",
+    )
 
     def __post_init__(self) -> None:
-        coordinates = frozen(self.coordinates, self.n, len(COORDINATES), name="coordinates")
+        coordinates = self.coordinates
         if np.isinf(coordinates).any():
             raise ValueError("coordinates must be finite, or NaN where not measured")
-        object.__setattr__(self, "coordinates", coordinates)
         object.__setattr__(self, "sd", _checked_sd(self.sd, coordinates))
         if fault := correlation_fault(self.within_trial_correlation):
             raise ValueError(". ".join(fault))
-        if self.order is not None:
-            object.__setattr__(self, "order", _checked_order(self.order, self.n))
         if self.phase is not None:
             object.__setattr__(self, "phase", tuple(self.phase))
             if len(self.phase) != self.n or not set(self.phase) <= {*PHASES, ""}:
@@ -243,7 +243,6 @@ def noise_fault(sd: float) -> tuple[str, str] | None:
 def _checked_sd(sd: Array | None, coordinates: Array) -> Array | None:
     if sd is None or np.isnan(sd).all():
         return None
-    sd = frozen(sd, *coordinates.shape, name="sd")
     if not (np.isnan(sd) | ((sd > 0) & (sd < np.inf))).all():
         raise ValueError("a standard deviation must be greater than 0 and finite, or NaN")
     for column, values, measured in zip(COORDINATES, sd.T, coordinates.T, strict=True):
@@ -253,13 +252,6 @@ def _checked_sd(sd: Array | None, coordinates: Array) -> Array | None:
                 f"{column} has a standard deviation in some trials only: give all or none"
             )
     return sd
-
-
-def _checked_order(order: ArrayLike, n: int) -> IntArray:
-    given = frozen(order, n, name="order")
-    if not np.array_equal(given, np.floor(given)):
-        raise ValueError("order must hold whole numbers")
-    return frozen_integers(given)
 
 
 def _check_coordinates(file: CellFile) -> None:

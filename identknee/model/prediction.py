@@ -78,6 +78,18 @@ class Prediction:
         return tuple(OUTCOMES[code] for code in self.codes)
 
     @property
+    def reasons(self) -> tuple[str, ...]:
+        """How each trial ended, as sentences."""
+        return tuple(
+            outcome.sentence
+            if converged
+            else f"{outcome.sentence} {100 * reached:.0f} % of the last load step was reached."
+            for outcome, converged, reached in zip(
+                self.outcomes, self.is_converged, self.reached, strict=True
+            )
+        )
+
+    @property
     def is_converged(self) -> BoolArray:
         """Which trials have an equilibrium, shape ``(n,)``."""
         return np.asarray(self.codes == CONVERGED)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.laxity.protocol import LOADS, Protocol
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
 
 BOOTSTRAP_DRAWS = 9999
 # Load column: its name where positive and where negative.
@@ -19,68 +19,6 @@ _DIRECTIONS = (
     ("lateral force", "medial force"),
 )
 UNLOADED = "unloaded"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ParameterError:
-    """Absolute differences of a parameter set from another, over the ligaments.
-
-    Attributes
-    ----------
-    stiffness_kN, strain_pct
-        Of each ligament [kN, %], shape ``(n_ligaments,)``.
-    """
-
-    stiffness_kN: Array  # noqa: N815 - the unit
-    strain_pct: Array
-
-    def __post_init__(self) -> None:
-        for name in ("stiffness_kN", "strain_pct"):
-            object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
-
-    @property
-    def mean_kN(self) -> float:  # noqa: N802 - the unit
-        """Mean over the ligaments [kN]."""
-        return float(self.stiffness_kN.mean())
-
-    @property
-    def sd_kN(self) -> float:  # noqa: N802 - the unit
-        """Sample standard deviation over the ligaments [kN]."""
-        return float(self.stiffness_kN.std(ddof=1))
-
-    @property
-    def mean_pct(self) -> float:
-        """Mean over the ligaments [%]."""
-        return float(self.strain_pct.mean())
-
-    @property
-    def sd_pct(self) -> float:
-        """Sample standard deviation over the ligaments [%]."""
-        return float(self.strain_pct.std(ddof=1))
-
-
-def parameter_error(theta: ArrayLike, truth: ArrayLike) -> ParameterError:
-    """Absolute differences of `theta` from `truth`, both stiffnesses first, shape ``(2 m,)``.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ or the length is odd.
-
-    Examples
-    --------
-    >>> error = parameter_error([10.5, 18.0, 8.0, -4.5], [10.0, 18.0, 8.0, -4.0])
-    >>> error.mean_kN, error.mean_pct
-    (0.25, 0.25)
-    """
-    difference = np.abs(np.asarray(theta, float) - np.asarray(truth, float))
-    if difference.ndim != 1 or difference.size % 2:
-        raise ValueError(
-            "theta must hold a stiffness and a reference strain for every ligament, "
-            f"got shape {difference.shape}"
-        )
-    half = difference.size // 2
-    return ParameterError(stiffness_kN=difference[:half], strain_pct=difference[half:])
 
 
 def load_scenarios(protocol: Protocol) -> tuple[str, ...]:

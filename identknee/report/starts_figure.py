@@ -1,23 +1,25 @@
 """The figure of fits from several starts: how wrong the parameters, how good the laxity."""
 
+from collections.abc import Sequence
+
 import numpy as np
-import xarray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identknee.report.figures import COLOURS, MARKERS
+from identknee.verbs.demo import StartFits
 
 # What is below this is exact for every purpose and would stretch the axis.
 FLOOR = 1e-3
 
 
-def starts_figure(fits: xarray.Dataset) -> Figure:
+def starts_figure(fits: Sequence[StartFits]) -> Figure:
     """Figure with parameter errors on the left and laxity errors on the right, one dot a run.
 
     Parameters
     ----------
     fits
-        As `identknee.report.starts.starts_dataset` gives them.
+        By method and start.
     """
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -32,14 +34,14 @@ def starts_figure(fits: xarray.Dataset) -> Figure:
     return figure
 
 
-def _dots(axes: Axes, fits: xarray.Dataset, quantity: str) -> None:
-    starts = list(dict.fromkeys(str(x) for x in fits["start"].values))
-    methods = list(dict.fromkeys(str(x) for x in fits["method"].values))
+def _dots(axes: Axes, fits: Sequence[StartFits], quantity: str) -> None:
+    starts = list(dict.fromkeys(x.start for x in fits))
+    methods = list(dict.fromkeys(x.method for x in fits))
     for k, method in enumerate(methods):
-        chosen = fits["method"].values == method
-        places = np.array([starts.index(str(x)) for x in fits["start"].values[chosen]])
+        own = [x for x in fits if x.method == method]
+        places = np.repeat([starts.index(x.start) for x in own], [x.n_runs for x in own])
         across = places + 0.16 * (k - 0.5 * (len(methods) - 1))
-        values = fits[quantity].values[chosen]
+        values = np.concatenate([getattr(x, quantity) for x in own])
         axes.plot(
             across,
             np.maximum(values, FLOOR),

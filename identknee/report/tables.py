@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.laxity.published import PublishedError, PublishedLaxity
-from identknee.report.comparison import Spread, parameter_error
+from identknee.model.parameter_error import parameter_error
+from identknee.report.comparison import Spread
 from identknee.runs.arrays import Array
 
 Cell = str | float | int | None

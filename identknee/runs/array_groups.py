@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.runs.declare import Entry, entries
+from identknee.runs.declare import AXIS_NAMES, Entry, entries, names_within
 from identknee.runs.plain_records import hints_of, record_within
 
 Groups = Mapping[str, xarray.Dataset]
@@ -27,13 +27,14 @@ def groups_of(result: Any) -> dict[str, xarray.Dataset]:
     (-1 for whole numbers) and ``n_<axis>`` says how long each is.
     """
     variables: dict[str, dict[str, Any]] = {}
-    labels = dict(_labels(result))
+    kinds = entries(type(result)).items()
+    labels = dict(x for name, about in kinds for x in names_within(about, getattr(result, name)))
     for group, name, variable in _variables(result, MAIN, ""):
         own = variables.setdefault(group, {})
-        if name in own:
+        if name in own and not np.array_equal(own[name][1], variable[1]):
             raise ValueError(f"two fields are stored as {name} in the group {group}")
         own[name] = variable
-    return {name: _dataset(own, labels) for name, own in variables.items()}
+    return {name: _dataset(own, AXIS_NAMES | labels) for name, own in variables.items()}
 
 
 def with_arrays(cls: type, plain: dict[str, Any], groups: Groups) -> dict[str, Any]:
@@ -44,14 +45,31 @@ def with_arrays(cls: type, plain: dict[str, Any], groups: Groups) -> dict[str, A
     return _filled(cls, plain, groups, MAIN, "")
 
 
-def _labels(record: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """The names along axes, wherever in a result they are declared."""
-    for name, about in entries(type(record)).items():
-        value = getattr(record, name)
-        if about.dims and isinstance(value, tuple):
-            yield about.dims[0], value
-        elif record_within(hints_of(type(record))[name])[1] == "one" and value is not None:
-            yield from _labels(value)
+def axis_fault(cls: type, groups: Groups) -> tuple[str, str] | None:
+    """The first axis whose names are not what they must be: its group and why; None without.
+
+    Names that a result declares along an axis are the same in all groups and differ from one
+    another; an axis that always has the same names has these.
+    """
+    known, named = dict(AXIS_NAMES), {*AXIS_NAMES, *_named_axes(cls)}
+    for group, dataset in groups.items():
+        for dim in named & set(map(str, dataset.coords)):
+            names = tuple(map(str, dataset[dim].values))
+            if len(set(names)) < len(names):
+                return group, f"its axis {dim} names something twice"
+            if known.setdefault(dim, names) != names:
+                return group, f"its axis {dim} has other names than elsewhere"
+    return None
+
+
+def _named_axes(cls: type) -> Iterator[str]:
+    """Axes whose names a result holds."""
+    for name, about in entries(cls).items():
+        kind, _ = record_within(hints_of(cls)[name])
+        if about.dims and not about.is_in_arrays:
+            yield about.dims[0]
+        elif kind is not None:
+            yield from _named_axes(kind)
 
 
 def _variables(record: Any, group: str, prefix: str) -> Iterator[tuple[str, str, Any]]:
@@ -59,7 +77,7 @@ def _variables(record: Any, group: str, prefix: str) -> Iterator[tuple[str, str,
     for name, about in entries(type(record)).items():
         value, own_group, key = getattr(record, name), about.group or group, about.key or name
         kind, how = record_within(hints[name])
-        if value is None or (about.dims and isinstance(value, tuple)):
+        if value is None or (about.dims and not about.is_in_arrays):
             continue
         if about.rows and kind is not None:
             rows = tuple(value.values()) if how == "dict" else value
@@ -135,7 +153,7 @@ def _dataset(variables: Mapping[str, Any], labels: Mapping[str, Sequence[str]]) 
     for dims, values, _ in made.values():
         for dim, length in zip(dims, values.shape, strict=True):
             longest[dim] = max(length, longest.get(dim, 0))
-    coords = {dim: list(labels[dim]) for dim in longest if dim in labels}
+    coords = {x: list(labels[x]) for x in longest if x in labels and x not in made}
     whole = {
         name: (dims, _lengthened(values, [longest[x] for x in dims]), attributes)
         for name, (dims, values, attributes) in made.items()

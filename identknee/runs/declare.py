@@ -4,7 +4,7 @@ Read-only copies of arrays, ``result.json``, ``result.nc``, the way back from bo
 result files all follow from these declarations.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from types import MappingProxyType
 from typing import Any, TypeVar, dataclass_transform
@@ -17,8 +17,8 @@ ENTRY, DERIVED = "entry", "__entry__"
 OF_PARAMETER = "kN or %, as the parameter's name says"
 OF_COORDINATE = "mm or deg, as the coordinate's name says"
 OF_QUANTITY = "unit of the quantity"
-# Lengths of axes that never differ.
-LENGTHS = {"axis": 3, "end": 2, "member": 2}
+# Names along axes that never differ; packages add theirs with `name_axis`.
+AXIS_NAMES: dict[str, tuple[str, ...]] = {"axis": ("x", "y", "z")}
 Getter = TypeVar("Getter", bound=Callable[..., Any])
 Made = TypeVar("Made")
 
@@ -172,6 +172,11 @@ def derived_entries(cls: type) -> dict[str, Entry]:
     return found
 
 
+def name_axis(dim: str, names: Sequence[str]) -> None:
+    """State the names along an axis that are the same in all records."""
+    AXIS_NAMES[dim] = tuple(names)
+
+
 def is_declared(cls: Any) -> bool:
     """Whether a type is a class of declared fields."""
     return isinstance(cls, type) and hasattr(cls, "__dataclass_fields__") and bool(entries(cls))
@@ -188,12 +193,13 @@ def _made(cls: Callable[..., Any], values: Mapping[str, Any]) -> Any:
 
 
 def _freeze(record: Any) -> None:
-    lengths: dict[str, int] = dict(LENGTHS)
+    lengths = {dim: len(names) for dim, names in AXIS_NAMES.items()}
     for name, values in record.__dataclass_fields__.items():
         value = getattr(record, name)
         about = values.metadata.get(ENTRY)
-        if about is not None and about.dims and isinstance(value, tuple):
-            lengths[about.dims[0]] = len(value)
+        if about is not None and about.dims and not about.is_in_arrays:
+            value = tuple(value)
+            object.__setattr__(record, name, value)
         elif about is not None and about.dims:
             if value is None and values.default is None:
                 continue
@@ -202,6 +208,20 @@ def _freeze(record: Any) -> None:
             object.__setattr__(record, name, made)
         elif type(value) is dict:
             object.__setattr__(record, name, MappingProxyType(value.copy()))
+        lengths |= {dim: len(x) for dim, x in names_within(about, value)}
+
+
+def names_within(about: Entry | None, value: Any) -> list[tuple[str, tuple[str, ...]]]:
+    """Names along axes that a field's value holds: the value itself, or those of a record."""
+    if about is not None and about.dims and not about.is_in_arrays:
+        return [(about.dims[0], value)]
+    if not is_declared(type(value)):
+        return []
+    return [
+        found
+        for name, inner in entries(type(value)).items()
+        for found in names_within(inner, getattr(value, name))
+    ]
 
 
 def _array(name: str, value: Any, about: Entry, lengths: Mapping[str, int]) -> np.ndarray:
@@ -209,6 +229,8 @@ def _array(name: str, value: Any, about: Entry, lengths: Mapping[str, int]) -> n
     if about.dtype is float:
         return made
     converted: np.ndarray = made.astype(about.dtype)
+    if not np.array_equal(converted, made):
+        raise ValueError(f"{name} must hold whole numbers")
     if about.words and not np.all((converted >= 0) & (converted < len(about.words))):
         raise ValueError(f"{name}: a code stands for none of {', '.join(about.words)}")
     converted.flags.writeable = False

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import xarray
 
-from identknee.runs.array_groups import groups_of, with_arrays
+from identknee.runs.array_groups import axis_fault, groups_of, with_arrays
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, digest, part_beside, plain, write_atomically, write_json
 from identknee.runs.plain_records import from_plain, summary_of
@@ -27,6 +27,9 @@ ANSWERS = {
     "sweep": "identknee.verbs.sweep:Sweep",
     "information": "identknee.verbs.information:LocalIdentifiability",
     "equivalents": "identknee.verbs.equivalents:Equivalents",
+    "demo": "identknee.verbs.demo:Demonstration",
+    "simulate": "identknee.verbs.simulate:Simulation",
+    "fit": "identknee.verbs.fit:Calibration",
 }
 Given = TypeVar("Given", bound=Answer)
 
@@ -77,6 +80,8 @@ def loaded(file: Path, summary: Mapping[str, Any]) -> Answer:
     cls = answer_class(summary["record"]["verb"])
     arrays = file.with_name(ARRAYS)
     groups = _groups(arrays, summary["record"].get("arrays"))
+    if fault := axis_fault(cls, groups):
+        raise InputError(arrays, f"group {fault[0]}", fault[1], AGAIN)
 
     def refuse(fault: Fault) -> InputError:
         where = "/".join(str(x) for x in (*fault.place, *([fault.key] * bool(fault.key))))

@@ -8,6 +8,7 @@ _NOISE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg)\s*")
 
 
 NoiseLike = str | tuple[float, float] | None
+ValuesLike = Sequence[str] | Mapping[str, float] | None
 BoundsLike = Sequence[str] | Mapping[str, tuple[float, float]] | None
 
 
@@ -23,6 +24,28 @@ def noise_of(noise: str | tuple[float, float]) -> tuple[float, float]:
         return noise_sizes(noise)
     mm, deg = noise
     return noise_sizes(f"{mm}mm,{deg}deg")
+
+
+def values_of(values: ValuesLike) -> dict[str, float]:
+    """Values by parameter name, however they were given."""
+    if isinstance(values, Mapping):
+        return {name: float(value) for name, value in values.items()}
+    return named_values(values or [], "--set")
+
+
+def by_ligament(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Values by parameter name as ligament, then quantity.
+
+    Examples
+    --------
+    >>> by_ligament({"ACL.stiffness_kN": 10.0, "ACL.reference_strain_pct": 8.0})
+    {'ACL': {'stiffness_kN': 10.0, 'reference_strain_pct': 8.0}}
+    """
+    tree: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        owner, _, quantity = name.rpartition(".")
+        tree.setdefault(owner, {})[quantity] = float(value)
+    return tree
 
 
 def bounds_of(bounds: BoundsLike) -> dict[str, tuple[float, float]]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from identknee.laxity.named_tables import laxity_file
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.files import PathLike, digest, prepare_folder
@@ -42,8 +43,8 @@ class Run:
     ----------
     knee, measured
         The subject and the data, read and digested; None for no data.
-    executor
-        Anything with an ordered ``map``, of as many workers as asked for.
+    workers
+        Processes to work with.
     out
         Folder of the results; None where nothing is written.
     deciding
@@ -52,10 +53,11 @@ class Run:
 
     knee: Knee
     measured: Laxity | None
-    executor: Executor
+    workers: int
     out: Path | None
     deciding: Mapping[str, Any]
     _stack: ExitStack
+    _executor: Executor | None = None
     _store: Store | None = None
     _began: float = 0.0
 
@@ -71,6 +73,13 @@ class Run:
         if self.measured is None:
             raise ValueError("there are no data; give a laxity table")
         return self.measured
+
+    @property
+    def executor(self) -> Executor:
+        """Anything with an ordered ``map``, its processes started when it is first asked for."""
+        if self._executor is None:
+            self._executor = self._stack.enter_context(process_pool(self.workers))
+        return self._executor
 
     @property
     def store(self) -> Store | None:
@@ -146,7 +155,7 @@ def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator
     folder = None if out is None else prepare_folder(out)
     data = arguments.get("data")
     laxity = data if data is None or isinstance(data, Laxity) else read_laxity(data)
-    subject = arguments["subject"]
+    subject = arguments.get("subject", "reference")
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     inputs = _inputs(arguments, knee, data)
     settings = {key: _setting(value) for key, value in arguments.items()}
@@ -156,7 +165,7 @@ def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator
         run = Run(
             knee=knee,
             measured=laxity,
-            executor=stack.enter_context(process_pool(arguments.get("workers", 1))),
+            workers=arguments.get("workers", 1),
             out=folder,
             deciding={"verb": name, "inputs": inputs, **deciding},
             _stack=stack,
@@ -172,6 +181,7 @@ def _inputs(arguments: Mapping[str, Any], knee: Knee, data: Any) -> dict[str, st
     elif data is not None:
         inputs["data"] = digest(laxity_file(data))
     others = {k: x for k, x in arguments.items() if k not in ("subject", "data", "out")}
+    inputs |= {k: _protocol_digest(x) for k, x in others.items() if isinstance(x, Protocol)}
     read = {k: path for k, x in others.items() if (path := _file_of(x)) is not None}
     return inputs | {k: digest(path) for k, path in read.items()}
 
@@ -187,13 +197,17 @@ def _file_of(value: Any) -> Path | None:
 def laxity_digest(laxity: Laxity) -> str:
     """SHA-256 of all numbers of a laxity table."""
     sd = b"" if laxity.sd is None else laxity.sd.tobytes()
-    words = repr((laxity.protocol.trials, laxity.zero, laxity.within_trial_correlation))
-    protocol = laxity.protocol.flexion_deg.tobytes() + laxity.protocol.loads.tobytes()
-    return digest(words.encode() + protocol + laxity.coordinates.tobytes() + sd)
+    words = repr((_protocol_digest(laxity.protocol), laxity.zero, laxity.within_trial_correlation))
+    return digest(words.encode() + laxity.coordinates.tobytes() + sd)
+
+
+def _protocol_digest(protocol: Protocol) -> str:
+    words = repr((protocol.name, protocol.trials)).encode()
+    return digest(words + protocol.flexion_deg.tobytes() + protocol.loads.tobytes())
 
 
 def _setting(value: Any) -> Any:
     """An argument as the record keeps it: a knee by its name, a table by what it is."""
-    if isinstance(value, Knee):
+    if isinstance(value, Knee | Protocol):
         return value.name
     return "a table in memory" if isinstance(value, Laxity) else value

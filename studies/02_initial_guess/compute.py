@@ -23,11 +23,12 @@ from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.rmse import laxity_rmse
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameter_error import parameter_error
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.stability import box_sample
 from identknee.model.tensions import tensions_of
-from identknee.report.comparison import largest_by, load_scenarios, parameter_error
+from identknee.report.comparison import largest_by, load_scenarios
 from identknee.report.study_records import (
     knee_digest,
     record_head,

@@ -20,9 +20,10 @@ from identknee.laxity.protocol import LOADS
 from identknee.laxity.rmse import laxity_rmse
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.model.effects.contact_law import Cartilage
+from identknee.model.parameter_error import parameter_error
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.tensions import tensions_of
-from identknee.report.comparison import largest_by, load_scenarios, parameter_error
+from identknee.report.comparison import largest_by, load_scenarios
 from identknee.report.study_records import (
     knee_digest,
     record_head,

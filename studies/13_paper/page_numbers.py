@@ -24,7 +24,7 @@ from page_tables import (
 
 from identknee.laxity.published import TABLE2
 from identknee.laxity.table import COORDINATES
-from identknee.report.comparison import parameter_error
+from identknee.model.parameter_error import parameter_error
 
 VERDICT = Path(__file__).parents[2] / "tests" / "verification" / "verdict.json"
 NOT_YET = "(not computed yet)"

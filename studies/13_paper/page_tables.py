@@ -10,7 +10,8 @@ from other_studies import module_of
 
 from identknee.laxity.published import TABLE2
 from identknee.laxity.table import COORDINATES
-from identknee.report.comparison import parameter_error, spread
+from identknee.model.parameter_error import parameter_error
+from identknee.report.comparison import spread
 from identknee.report.tables import Column, Table, median_range
 from identknee.runs.arrays import Array
 

@@ -13,7 +13,7 @@ SIMULATE = """
 import json
 import identknee as ik
 found = ik.simulate(ik.reference_knee(), ik.load_protocol("seed63"))
-print(json.dumps({"all_converged": found.prediction.all_converged}))
+print(json.dumps({"all_converged": found.n_converged == found.n_trials}))
 """
 COMMAND = """
 import json, sys, tempfile

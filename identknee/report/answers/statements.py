@@ -3,15 +3,21 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from identknee.report.answers.demo import demo_statements
 from identknee.report.answers.equivalents import equivalents_statements
+from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.information import information_statements
 from identknee.report.answers.profile import profile_statements
+from identknee.report.answers.simulate import simulate_statements
 from identknee.report.answers.sweep import sweep_statements
 from identknee.report.statement import Statement
 from identknee.verbs.answer import Answer
+from identknee.verbs.demo import Demonstration
 from identknee.verbs.equivalents import Equivalents
+from identknee.verbs.fit import Calibration
 from identknee.verbs.information import LocalIdentifiability
 from identknee.verbs.profile import Profiles
+from identknee.verbs.simulate import Simulation
 from identknee.verbs.sweep import Sweep
 
 _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
@@ -19,6 +25,9 @@ _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
     Sweep: sweep_statements,
     LocalIdentifiability: information_statements,
     Equivalents: equivalents_statements,
+    Demonstration: demo_statements,
+    Simulation: simulate_statements,
+    Calibration: fit_statements,
 }
 
 

@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 import xarray
-from pydantic import ValidationError
 
 from identknee.model.parameters import STIFFNESS, STRAIN
-from identknee.report.page.summaries import Drawn
 
 Groups = Mapping[str, xarray.Dataset]
 
@@ -23,28 +21,8 @@ def disagreement(summary: Mapping[str, Any], groups: Groups) -> tuple[str, str] 
     groups
         The arrays, as theirs wants them.
     """
-    checks = (_profiles, _targets, _parameters, _draws, _effects)
+    checks = (_targets, _parameters, _draws, _effects)
     return next((found for check in checks for found in check(summary, groups)), None)
-
-
-def _profiles(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
-    if "profile" not in groups:
-        return
-    entries = summary.get("profiles") or {
-        **summary.get("parameters", {}),
-        **(summary.get("quantities") or {}),
-    }
-    data = groups["profile"]
-    for name in map(str, data["quantity"].values):
-        if name not in entries:
-            yield "group profile, variable quantity", f"{name} is not in result.json"
-            continue
-        try:
-            Drawn.model_validate(entries[name])
-        except ValidationError:
-            yield "group profile", f"what result.json says of {name} is not all there"
-        if not np.isfinite(data["value"].sel(quantity=name).values).any():
-            yield "group profile, variable value", f"{name} has no points"
 
 
 def _targets(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:

@@ -56,11 +56,6 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
         "coordinates": _BY_COORDINATE,
         "sd": _wanted("number", "trial", "coordinate", is_optional=True),
     },
-    "predictions": {
-        **_names("trial", "coordinate", "parameter"),
-        "coordinates": _BY_COORDINATE,
-        "theta": _wanted("known", "parameter"),
-    },
     "residuals": {
         **_names("trial", "coordinate"),
         **dict.fromkeys(("before", "after", "sd"), _BY_COORDINATE),
@@ -75,10 +70,6 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
     "isolability": {
         **_names("effect", "rival"),
         "distance": _wanted("number", "effect", "rival"),
-    },
-    "fits": {
-        **dict.fromkeys(("method", "start"), _wanted("text", "fit")),
-        **dict.fromkeys(("error_kN", "rmse_deg"), _wanted("known", "fit")),
     },
     "profile": {
         **_names("quantity", "parameter"),
@@ -173,6 +164,6 @@ def _different_trials(groups: Groups) -> Iterator[tuple[str, str]]:
         return
     if set(constant["load"].values) != set(LOADS):
         yield "group constant_data, variable load", f"it is not {', '.join(LOADS)}"
-    for name in ("observed_data", "predictions", "residuals", "posterior_predictive"):
+    for name in ("observed_data", "residuals", "posterior_predictive"):
         if name in groups and not np.array_equal(groups[name]["trial"], constant["trial"]):
             yield f"group {name}, variable trial", "its trials are not those of constant_data"

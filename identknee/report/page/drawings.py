@@ -1,25 +1,27 @@
 """The figures of each verb's results, drawn from what the verb stored."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import xarray
 
+from identknee.identify.profile.result import Profile
 from identknee.identify.sweep.sweep import OUTCOMES
 from identknee.report.equivalents_figures import ranges_figure, sets_figure
 from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.model_drawings import design_drawings, diagnosis_drawings
 from identknee.report.page.results import Result
-from identknee.report.page.stored import stored_profiles
 from identknee.report.profile_figures import intervals_figure, profiles_figure
 from identknee.report.sample_figures import corner_figure, forces_figure, prior_posterior_figure
 from identknee.report.sensitivity_figures import effects_figure, map_figure
 from identknee.report.starts_figure import starts_figure
 from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
 from identknee.report.words import label, listed
+from identknee.verbs.demo import Demonstration
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.information import LocalIdentifiability
+from identknee.verbs.profile import Profiles
 from identknee.verbs.sweep import Sweep
 
 MOST_DRAWS = 400
@@ -30,30 +32,31 @@ INDICES = {"mu_star": "mean absolute effect, mu*", "ST": "total Sobol index, ST"
 
 def drawings(result: Result) -> tuple[Drawing, ...]:
     """All figures of a result, the most telling first; none of a verb whose answer is a table."""
+    answer = result.answer
+    if isinstance(answer, Demonstration):
+        return tuple(_demo(answer))
+    if isinstance(answer, Profiles):
+        return tuple(_profiles(answer.profiles))
     draw = _BY_VERB.get(result.verb)
-    has_numbers = bool(result.groups) or result.answer is not None
+    has_numbers = bool(result.groups) or answer is not None
     return tuple(draw(result)) if draw is not None and has_numbers else ()
 
 
-def _demo(result: Result) -> Iterator[Drawing]:
-    fits = result.groups["fits"]
-    methods = listed(dict.fromkeys(str(x) for x in fits["method"].values))
+def _demo(answer: Demonstration) -> Iterator[Drawing]:
+    methods = listed(dict.fromkeys(x.method for x in answer.starts))
     yield Drawing(
         name="starts",
-        figure=starts_figure(fits),
+        figure=starts_figure(answer.starts),
         caption="Left, how wrong the fitted stiffnesses are; right, how well the same fits "
         "reproduce the laxity: a dot a run.",
         description=f"Errors of fits by {methods} from every start. Laxity is reproduced to "
-        f"{float(fits['rmse_deg'].max()):.2f} deg at worst, with stiffnesses up to "
-        f"{float(fits['error_kN'].max()):.2f} kN wrong on average.",
+        f"{max(x.rmse_deg.max() for x in answer.starts):.2f} deg at worst, with stiffnesses up to "
+        f"{max(x.error_kN.max() for x in answer.starts):.2f} kN wrong on average.",
     )
-    yield from _profiles(result)
+    yield from _profiles(tuple(answer.profiles.values()))
 
 
-def _profiles(result: Result) -> Iterator[Drawing]:
-    profiles = stored_profiles(result)
-    if not profiles:
-        return
+def _profiles(profiles: Sequence[Profile]) -> Iterator[Drawing]:
     names = listed(label(x.name) for x in profiles)
     ends = "; ".join(
         f"{label(x.name)} {_end(x.lower)} to {_end(x.upper)}, {x.verdict.value.replace('_', ' ')}"
@@ -260,8 +263,6 @@ def _end(value: float | None) -> str:
 
 
 _BY_VERB: Mapping[str, Callable[[Result], Iterator[Drawing]]] = {
-    "demo": _demo,
-    "profile": _profiles,
     "sample": _sample,
     "information": _information,
     "equivalents": _equivalents,

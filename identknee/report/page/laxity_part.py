@@ -1,6 +1,6 @@
 """Laxity of results as curves: measured, simulated, and the band of what fits as well."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import xarray
@@ -17,6 +17,9 @@ from identknee.report.page.results import Findings, Result
 from identknee.report.page.stored import coordinates
 from identknee.report.words import listed
 from identknee.runs.arrays import Array
+from identknee.verbs.equivalents import Equivalents
+from identknee.verbs.fit import Calibration
+from identknee.verbs.simulate import SimulatedLaxity, Simulation
 
 BAND_ENDS = (0.025, 0.975)
 
@@ -53,6 +56,8 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
 
 
 def _curves(result: Result, findings: Findings) -> LaxityCurves | None:
+    if isinstance(result.answer, SimulatedLaxity):
+        return _of_answer(result, result.answer, findings)
     protocol = result.protocol
     if protocol is None:
         return None
@@ -69,8 +74,7 @@ def _curves(result: Result, findings: Findings) -> LaxityCurves | None:
             simulated[f"with {causes}"] = measured - coordinates(residuals, "after")
     elif "predictions" in result.groups:
         values = coordinates(result.groups["predictions"])
-        name = "fit" if result.verb == "fit" else "simulated"
-        simulated[name] = _as_measured(values, observed, protocol)
+        simulated["simulated"] = _as_measured(values, observed, protocol)
     else:
         return None
     has_sd = observed is not None and "sd" in observed
@@ -79,26 +83,44 @@ def _curves(result: Result, findings: Findings) -> LaxityCurves | None:
         simulated=simulated,
         measured=measured,
         sd=coordinates(observed, "sd") if observed is not None and has_sd else None,
-        band=_band(result, findings, observed, protocol) if result.verb == "fit" else None,
+    )
+
+
+def _of_answer(result: Result, answer: SimulatedLaxity, findings: Findings) -> LaxityCurves:
+    """Curves of a model beside the data that it was fitted to, or alone."""
+    data = answer.data if isinstance(answer, Calibration) else None
+    if data is None and isinstance(answer, Simulation):
+        data = answer.noisy
+    is_relative = data is not None and data.zero == "unloaded"
+
+    def as_measured(values: Array) -> Array:
+        return from_unloaded(values, answer.protocol) if is_relative else values
+
+    name = "fit" if isinstance(answer, Calibration) else "simulated"
+    return LaxityCurves(
+        protocol=answer.protocol,
+        simulated={name: as_measured(answer.coordinates)},
+        measured=None if data is None else data.coordinates,
+        sd=None if data is None else data.sd,
+        band=_band(result, findings, as_measured) if isinstance(answer, Calibration) else None,
     )
 
 
 def _band(
-    result: Result, findings: Findings, observed: xarray.Dataset | None, protocol: Protocol
+    result: Result, findings: Findings, as_measured: Callable[[Array], Array]
 ) -> tuple[str, Array] | None:
     """Predictions of the posterior, or of equivalent sets, from the same data."""
     data = result.record["inputs"].get("data")
-    for verb, group, name in (
-        ("sample", "posterior_predictive", "95 % of the posterior"),
-        ("equivalents", "equivalent_sets", "equivalent sets"),
-    ):
-        for other in findings.of(verb):
-            if other.record["inputs"].get("data") == data and group in other.groups:
-                values = coordinates(other.groups[group])
-                flat = values.reshape(-1, *values.shape[-2:])
-                drawn = np.array([_as_measured(x, observed, protocol) for x in flat])
-                ends = (0.0, 1.0) if verb == "equivalents" else BAND_ENDS
-                return name, np.quantile(drawn, ends, axis=0)
+    for other in findings.of("sample", "equivalents"):
+        if other.record["inputs"].get("data") != data:
+            continue
+        if isinstance(other.answer, Equivalents):
+            drawn = np.array([as_measured(x) for x in other.answer.coordinates])
+            return "equivalent sets", np.quantile(drawn, (0.0, 1.0), axis=0)
+        if "posterior_predictive" in other.groups:
+            values = coordinates(other.groups["posterior_predictive"])
+            drawn = np.array([as_measured(x) for x in values.reshape(-1, *values.shape[-2:])])
+            return "95 % of the posterior", np.quantile(drawn, BAND_ENDS, axis=0)
     return None
 
 

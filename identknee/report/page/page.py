@@ -28,10 +28,7 @@ from identknee.report.page.markup import (
 )
 from identknee.report.page.results import Findings, Result, by_subject
 from identknee.report.page.search_sentences import (
-    demo_findings,
-    fit_findings,
     sensitivity_findings,
-    simulate_findings,
 )
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
@@ -71,9 +68,6 @@ FURTHER = {
     "design": "Which trials would close the gap?",
 }
 _SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
-    "demo": demo_findings,
-    "simulate": simulate_findings,
-    "fit": fit_findings,
     "sample": sample_findings,
     "sensitivity": sensitivity_findings,
     "diagnose": diagnosis_findings,

@@ -22,6 +22,7 @@ from identknee.runs.files import digest
 from identknee.runs.schema import Fault, read_json, shown, validated
 from identknee.verbs.answer import Answer
 from identknee.verbs.files import ANSWERS, loaded
+from identknee.verbs.simulate import SimulatedLaxity
 
 # In the order of the flow; verbs that are not here leave nothing to report on.
 FLOW = (
@@ -84,6 +85,8 @@ class Result:
     @property
     def protocol(self) -> Protocol | None:
         """The trials; None where the result keeps none."""
+        if isinstance(self.answer, SimulatedLaxity):
+            return self.answer.protocol
         constant = self.groups.get("constant_data")
         if constant is None:
             return None

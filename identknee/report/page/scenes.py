@@ -15,6 +15,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
+from identknee.verbs.simulate import SimulatedLaxity
 
 EXTENDED, FITTED = "extended", "fitted.toml"
 
@@ -40,6 +41,10 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
             model = LaxityModel(knee=read_subject(extended), protocol=protocol)
             theta = load_start(str(extended / FITTED), model.parameters)
             return model_scene(model, theta, missing_line=_line(result.summary, model.knee))
+        if isinstance(result.answer, SimulatedLaxity):
+            model = LaxityModel(knee=knee, protocol=protocol)
+            if result.answer.parameter_names == model.parameters.names:
+                return model_scene(model, result.answer.theta)
         if "predictions" in result.groups:
             model = LaxityModel(knee=knee, protocol=protocol)
             return model_scene(model, _theta(result, model))

@@ -1,29 +1,12 @@
 """Results as the library's own types again, from what a verb stored of them."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 import xarray
 
 from identknee.diagnosis.explanations.causes import Estimate
 from identknee.diagnosis.score.localisation import CellScore, Localisation
-from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
 from identknee.report.page.results import Result
 from identknee.runs.arrays import Array
-from identknee.verbs.profile import Profiles
-
-
-def stored_profiles(result: Result) -> tuple[Profile, ...]:
-    """The profiles that a profile or a demo left, in their order; none of other verbs."""
-    if isinstance(result.answer, Profiles):
-        return result.answer.profiles
-    entries = result.summary.get("profiles", {})
-    curves = result.groups.get("profile")
-    if curves is None:
-        return ()
-    names = [str(x) for x in curves["quantity"].values]
-    return tuple(_profile(name, entries[name], curves.sel(quantity=name)) for name in names)
 
 
 def stored_localisation(result: Result) -> Localisation:
@@ -70,48 +53,3 @@ def stored_estimates(result: Result, when: str) -> dict[str, dict[str, Estimate]
 def coordinates(dataset: xarray.Dataset, name: str = "coordinates") -> Array:
     """A variable by trial and coordinate, shape ``(n, 5)``."""
     return np.asarray(dataset[name].transpose(..., "trial", "coordinate").values, dtype=np.float64)
-
-
-def _profile(name: str, entry: Mapping[str, Any], curve: xarray.Dataset) -> Profile:
-    known = np.isfinite(curve["value"].values)
-
-    def points(variable: str) -> Array:
-        return np.asarray(curve[variable].values[known], dtype=np.float64)
-
-    deltas = points("delta_deviance")
-    lower, upper = (_side(entry, side) for side in ("lower", "upper"))
-    return Profile(
-        name=name,
-        unit=entry["unit"],
-        level=float(entry["level"]),
-        threshold=float(entry["threshold"]),
-        optimum=curve["optimum"].values,
-        optimum_value=float(entry["value"]),
-        deviance=float(np.median(2.0 * points("nll") - deltas)),
-        values=points("value"),
-        thetas=points("theta"),
-        deltas=deltas,
-        slopes=points("slope"),
-        branches=points("branch").astype(np.int64),
-        intervals=tuple((low, high) for low, high in entry["intervals"]),
-        lower_side=lower,
-        upper_side=upper,
-        verdict=ProfileVerdict(entry["verdict"]),
-        practical_level=float(entry["practical_level"]),
-        n_simulations=int(entry["n_simulations"]),
-        better_optimum=None,
-        n_restarts=int(entry["n_restarts"]),
-    )
-
-
-def _side(entry: Mapping[str, Any], side: str) -> Side:
-    said = entry[f"{side}_side"]
-    error = said["error"]
-    return Side(
-        status=SideStatus(entry[f"{side}_status"]),
-        end=entry[side],
-        error=float("nan") if error is None else float(error),
-        reached=float(said["reached"]),
-        max_deviance=float(said["max_deviance"]),
-        at_bounds=tuple(said["at_bounds"]),
-    )

@@ -1,29 +1,23 @@
 """What the page reads of the summary of each verb, as schemas."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from identknee.identify.profile.result import ProfileVerdict, SideStatus
 from identknee.report.page.diagnosis_summaries import Diagnosis, Planned
 from identknee.report.page.summary_parts import (
-    AGAIN,
     Count,
     Ends,
     Kept,
     Number,
     Open,
     Sentence,
-    Sizes,
     Summary,
     Trial,
-    Values,
-    same_keys,
     word_of,
 )
-from identknee.runs.outcome import Outcome
-from identknee.runs.schema import refusal
 
 
 class Side(Kept):
@@ -58,80 +52,6 @@ class Drawn(Profiled):
     n_restarts: Count
     lower_side: Side
     upper_side: Side
-
-
-class Errors(Kept):
-    """Mean errors of parameters."""
-
-    kN: Number  # noqa: N815 - the unit
-    pct: Number
-
-
-class Rmse(Kept):
-    """Root mean square errors of laxity."""
-
-    mm: Number
-    deg: Number
-
-
-class Start(Kept):
-    """Fits from one start by one method."""
-
-    method: str
-    start: str
-    error: Errors
-    rmse: Rmse
-    n_simulations: Number
-
-
-class Demo(Summary):
-    """Of `demo`."""
-
-    starts: list[Start]
-    profiles: dict[str, Profiled]
-    noise: Rmse | None = None
-
-    @model_validator(mode="after")
-    def _has_both(self) -> Self:
-        for method in ("complex", "least-squares"):
-            if not any(x.method == method for x in self.starts):
-                raise refusal(f"there is no fit by {method} in it", AGAIN)
-        return self
-
-
-class Simulated(Kept):
-    """How a trial ended."""
-
-    trial: str
-    outcome: str
-    reason: str
-
-
-class Simulation(Summary):
-    """Of `simulate`."""
-
-    n_converged: Count
-    n_trials: Count
-    trials: list[Simulated]
-
-
-class Fit(Sentence, Summary):
-    """Of `fit`."""
-
-    outcome: str
-    rmse: Sizes
-    parameters: Values
-    start_parameters: Values
-
-    @model_validator(mode="after")
-    def _is_whole(self) -> Self:
-        if not same_keys(self.parameters, self.start_parameters):
-            raise refusal("parameters and start_parameters do not name the same", AGAIN)
-        return self
-
-
-class Failed(Sentence, Summary):
-    """Of `fit` where the model has no prediction at the start."""
 
 
 class Probable(Kept):
@@ -204,9 +124,6 @@ class Design(Summary):
 
 
 SCHEMAS: Mapping[str, type[Summary]] = {
-    "demo": Demo,
-    "simulate": Simulation,
-    "fit": Fit,
     "sample": Sample,
     "sensitivity": Sensitivity,
     "diagnose": Diagnosis,
@@ -218,6 +135,4 @@ def schema_of(verb: str, summary: Mapping[str, Any]) -> type[Summary]:
     """The schema of a verb's summary: some verbs leave less where there was nothing to compute."""
     if verb == "diagnose" and "verdict" not in summary:
         return Planned
-    if verb == "fit" and summary.get("outcome") == Outcome.START_FAILED.value:
-        return Failed
     return SCHEMAS[verb]

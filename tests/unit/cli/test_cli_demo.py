@@ -13,14 +13,13 @@ import xarray
 from cli_runs import run, short_protocol
 
 import identknee as ik
-from identknee.cli import demo
 
 
 @pytest.fixture
 def few_trials(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     protocol = ik.load_protocol(short_protocol(tmp_path))
-    monkeypatch.setattr(ik, "load_protocol", lambda _name: protocol)
-    monkeypatch.setattr(demo, "STARTS", ("IG2", "IG4"))
+    monkeypatch.setattr("identknee.verbs.demo.load_protocol", lambda _name: protocol)
+    monkeypatch.setattr("identknee.verbs.demo.STARTS", ("IG2", "IG4"))
 
 
 @pytest.mark.usefixtures("few_trials")
@@ -51,16 +50,16 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     ]
     assert summary["truth"]["ACL"]["stiffness_kN"] == 10.0
     assert len(summary["profiles"]) == 8
-    assert "parameters have a 95 % interval that closes" in result.stdout
+    assert "At 95 % confidence" in result.stdout or "at 95 % confidence" in result.stdout
     with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
-        assert tree["fits"]["theta"].sizes == {"fit": 4, "parameter": 8}
+        assert tree["fits"]["theta"].sizes == {"search": 4, "run": 1, "parameter": 8}
 
 
 @pytest.mark.usefixtures("few_trials")
 def test_the_number_of_workers_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(demo, "write_report", lambda *_: {})
+    monkeypatch.setattr("identknee.report.write_report.write_report", lambda *_: {})
     rows = []
     for workers in ("1", "2"):
         words = ["demo", "--runs", "2", "--budget", "40", "--workers", workers, "--json"]

@@ -32,7 +32,6 @@ NAME = "ACL.stiffness_kN"
 RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
     "subject check": ("subject check", ["--protocol", "drawer", "--samples", "2"]),
     "subject export": ("subject check", []),
-    "fit": ("fit", ["DATA"]),
     "sensitivity": ("sensitivity", ["DATA", "--method", "morris", "--samples", "4"]),
     "diagnose": ("diagnose", ["FRAMED"]),
 }
@@ -47,7 +46,6 @@ SLOW_RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
     ),
     "sample": ("sample", ["DATA", *FEW, "--ensembles", "2", "--nested"]),
     "blind": ("blind", ["--effect", "compression", "--signal", "12"]),
-    "demo": ("demo", ["--runs", "1", "--budget", "60"]),
 }
 Row = tuple[tuple[str, ...], str]
 
@@ -172,11 +170,6 @@ def check_arrays(out: Path) -> None:
                 )
             named = re.findall(r"^Attributes: (.*)$", text, re.MULTILINE)
             assert set(tree[group].attrs) <= set(re.findall(r"`(\w+)`", " ".join(named))), group
-
-
-def test_simulate(data: dict[str, Path]) -> None:
-    check_summary(data["DATA"].parent, "simulate")
-    check_arrays(data["DATA"].parent)
 
 
 @pytest.mark.parametrize("verb", RUNS)

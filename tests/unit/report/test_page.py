@@ -25,6 +25,7 @@ from identknee.report.page.results import by_subject, found_results
 from identknee.report.page.scenes import scene_of
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
+from identknee.verbs.fit import Calibration
 
 EVIL = '<script>alert(1)</script> & "knee"'
 EMPTY = {"meta", "link", "br", "img", "input", "hr", "path", "use"}
@@ -200,10 +201,11 @@ def test_the_knee_stands_as_it_was_fitted(reference: Knee, tmp_path: Path) -> No
     scene = scene_of(findings, reference)
     assert scene is not None
     assert len(scene.trials) == few_trials().n
-    stored = findings.results[0].groups["predictions"]["coordinates"].values
+    answer = findings.results[0].answer
+    assert isinstance(answer, Calibration)
     drawn = np.array([x.coordinates for x in scene.trials])
     # The same parameters by another path to the same equilibria.
-    np.testing.assert_allclose(drawn, stored, atol=1e-6)
+    np.testing.assert_allclose(drawn, answer.coordinates, atol=1e-6)
 
 
 def test_results_without_trials_have_no_knee(reference: Knee, tmp_path: Path) -> None:

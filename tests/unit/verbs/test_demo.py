@@ -1,4 +1,4 @@
-"""Fits from several starts beside the truth: rows, table, dataset and figure."""
+"""Fits from several starts beside the truth: errors, figure and words."""
 
 from collections.abc import Sequence
 
@@ -8,12 +8,14 @@ import pytest
 from identknee.calibrate.fit import Fit
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.residuals import LaxityResiduals
+from identknee.report.answers.demo import exact_fit
 from identknee.report.picture import png
-from identknee.report.starts import StartRow, start_row, starts_dataset, starts_table
 from identknee.report.starts_figure import starts_figure
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 from identknee.subject.reference import reference_knee
+from identknee.verbs.demo import StartFits, start_fits
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +43,13 @@ def a_fit(model: LaxityModel, theta: Array, method: str = "complex") -> Fit:
     )
 
 
-def rows(model: LaxityModel, shifts: Sequence[float]) -> list[StartRow]:
+def rows(model: LaxityModel, shifts: Sequence[float]) -> list[StartFits]:
     """A row for each method; run i has all stiffnesses off by a shift [kN]."""
-    truth, laxity = model.parameters.center, model.simulate(model.parameters.center)
+    truth = model.parameters.center
+    problem = LaxityResiduals(model=model, laxity=model.simulate(truth))
     off = np.r_[np.ones(4), np.zeros(4)]
     return [
-        start_row(
-            "IG4", [a_fit(model, truth + x * off, method) for x in shifts], truth, model, laxity
-        )
+        start_fits("IG4", [a_fit(model, truth + x * off, method) for x in shifts], truth, problem)
         for method in ("complex", "least-squares")
     ]
 
@@ -62,29 +63,22 @@ def test_errors_are_means_over_the_ligaments(model: LaxityModel) -> None:
 
 
 def test_the_summary_is_of_medians(model: LaxityModel) -> None:
-    summary = rows(model, [0.0, 0.5, 0.75])[0].to_dict()
-    assert summary["error"]["kN"] == pytest.approx(0.5)
-    assert summary["outcomes"] == {"spread": 3}
-    assert (summary["n_runs"], summary["n_simulations"]) == (3, 100)
-
-
-def test_the_table_has_a_line_a_row_in_straight_columns(model: LaxityModel) -> None:
-    head, *lines = starts_table(rows(model, [0.5, 1e-9]))
-    assert len(lines) == 2
-    assert "0.25 kN" in lines[0]
-    assert lines[0].index("2.00  spread 2") == lines[1].index("2.00  spread 2")
-    assert head.index("ended") == lines[0].index("spread 2")
-
-
-def test_the_dataset_holds_every_run(model: LaxityModel) -> None:
-    data = starts_dataset(rows(model, [0.0, 0.5]))
-    assert data.sizes == {"fit": 4, "parameter": 8}
-    assert data["method"].values.tolist() == ["complex"] * 2 + ["least-squares"] * 2
+    row = rows(model, [0.0, 0.5, 0.75])[0]
+    assert row.error["kN"] == pytest.approx(0.5)
+    assert row.outcomes == {"spread": 3}
+    assert (row.n_runs, row.n_simulations) == (3, 100)
 
 
 def test_the_figure_has_a_dot_for_every_run(model: LaxityModel) -> None:
-    figure = starts_figure(starts_dataset(rows(model, [0.0, 0.5])))
+    figure = starts_figure(rows(model, [0.0, 0.5]))
     for axes in figure.axes:
         dots = [line for line in axes.lines if line.get_label() in ("complex", "least-squares")]
         assert [len(np.asarray(line.get_xdata())) for line in dots] == [2, 2]
     assert png(figure).startswith(b"\x89PNG")
+
+
+def test_least_squares_that_missed_says_by_how_much(model: LaxityModel) -> None:
+    missed, exact = (rows(model, [x])[1] for x in (0.5, 0.0))
+    said = exact_fit([exact, missed])
+    assert said == "Least squares ends up to 0.5 kN from the true parameters."
+    assert "finds the true parameters from all 2 starts" in exact_fit([exact, exact])

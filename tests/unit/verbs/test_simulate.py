@@ -5,8 +5,8 @@ import pytest
 
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.simulate import simulate
 from identknee.subject.reference import reference_knee
+from identknee.verbs.simulate import simulate
 
 
 def test_it_is_the_models_own_prediction() -> None:
@@ -14,7 +14,7 @@ def test_it_is_the_models_own_prediction() -> None:
     simulation = simulate(knee, protocol, {"ACL.stiffness_kN": 9.0})
     model = LaxityModel(knee=knee, protocol=protocol)
     theta = np.r_[9.0, model.parameters.center[1:]]
-    np.testing.assert_array_equal(simulation.prediction.theta, theta)
+    np.testing.assert_array_equal(simulation.theta, theta)
     np.testing.assert_array_equal(simulation.laxity.coordinates, model.simulate(theta).coordinates)
 
 
@@ -22,10 +22,10 @@ def test_every_trial_has_its_reason() -> None:
     protocol = load_protocol("drawer")
     slack = {f"{name}.stiffness_kN": 0.0 for name in ("ACL", "PCL", "LCL", "MCL")}
     simulation = simulate(reference_knee(), protocol, slack)
-    assert not simulation.prediction.is_converged.any()
-    assert len(simulation.reasons) == protocol.n
-    assert all(x.endswith("% of the last load step was reached.") for x in simulation.reasons)
-    assert all(simulate(reference_knee(), protocol).reasons)
+    assert simulation.n_converged == 0
+    assert len(simulation.trials) == protocol.n
+    assert all(x.reason.endswith("% of the last load step was reached.") for x in simulation.trials)
+    assert all(x.reason for x in simulate(reference_knee(), protocol).trials)
 
 
 def test_an_unknown_name_is_refused() -> None:

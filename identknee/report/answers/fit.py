@@ -1,0 +1,47 @@
+"""What a fit says: how well it reproduces the data, and that this is not yet knowledge."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import amount, label, listed
+from identknee.runs.findings import Severity
+from identknee.runs.outcome import Outcome
+from identknee.verbs.fit import Calibration
+
+
+def fit_statements(answer: Calibration) -> Iterator[Statement]:
+    """How well the fit reproduces the data, and how the search ended."""
+    if answer.outcome is Outcome.START_FAILED:
+        # What the search began with is no fit, and its error is that of the other trials.
+        yield Statement(question=Question.SEARCH, sentence=answer.sentence, is_answer=True)
+        return
+    sizes = ((answer.rmse.mm, "mm"), (answer.rmse.deg, "deg"))
+    errors = [amount(size, unit) for size, unit in sizes if np.isfinite(size)]
+    is_good = all(x.severity is Severity.INFO for x in answer.findings)
+    caution = " A good fit does not show that its parameters are right." if is_good else ""
+    yield Statement(
+        question=Question.SEARCH,
+        sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
+        f"(RMSE over {answer.rmse.n_compared} measured values). {answer.sentence}{caution}",
+        tables=(_table(answer),),
+        is_answer=True,
+    )
+
+
+def _table(answer: Calibration) -> Table:
+    search = answer.search
+    notes = dict.fromkeys(answer.at_bounds, "at its bound") | dict.fromkeys(search.fixed, "fixed")
+    rows = zip(answer.parameter_names, search.start.tolist(), search.theta.tolist(), strict=True)
+    return Table(
+        title="Fitted parameters",
+        columns=(
+            Column(name="parameter"),
+            Column(name="start", decimals=None),
+            Column(name="fitted", decimals=None),
+            Column(name="remark"),
+        ),
+        rows=tuple((label(name), start, end, notes.get(name, "")) for name, start, end in rows),
+    )

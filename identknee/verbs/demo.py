@@ -1,0 +1,259 @@
+"""The paper's question on the reference knee, and the answer, in about a minute."""
+
+import threading
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from identknee.calibrate.fit import Fit, fit_many
+from identknee.calibrate.problem import Problem
+from identknee.calibrate.starts import load_start
+from identknee.identify.optimum import best_fit
+from identknee.identify.profile.profiles import profile_parameters
+from identknee.identify.profile.result import Profile
+from identknee.laxity.noise import add_noise
+from identknee.laxity.protocol import load_protocol
+from identknee.laxity.rmse import laxity_rmse
+from identknee.laxity.table import Laxity, write_laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameter_error import parameter_error
+from identknee.model.parameters import Parameters
+from identknee.model.residuals import LaxityResiduals
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.executors import Executor, serial, threads
+from identknee.runs.files import PathLike
+from identknee.runs.outcome import Outcome
+from identknee.verbs.identification import warm_up
+from identknee.verbs.simulate import LAXITY_FILE, SimulatedLaxity, simulated
+from identknee.verbs.values import by_ligament
+from identknee.verbs.verb import Run, verb
+
+STARTS = ("IG1", "IG2", "IG3", "IG4")
+SHORT_SETTINGS = "short settings"
+NOISE_MM, NOISE_DEG = 0.5, 0.5
+Made = TypeVar("Made")
+
+
+@declared
+class StartFits:
+    """What one method made of one start, in one run or several."""
+
+    start: str = entry("Name of the start")
+    method: str = entry("The optimizer")
+    ends: tuple[Outcome, ...] = entry("How each run ended")
+    theta: Array = array("Parameters that each run ended at", "run", "parameter", unit=OF_PARAMETER)
+    error_kN: Array = array(  # noqa: N815 - the unit
+        "Mean absolute error of the stiffnesses of each run", "run", unit="kN"
+    )
+    error_pct: Array = array(
+        "Mean absolute error of the reference strains of each run", "run", unit="%"
+    )
+    rmse_mm: Array = array("Error of the translations of each run", "run", unit="mm")
+    rmse_deg: Array = array("Error of the rotations of each run", "run", unit="deg")
+    simulations: IntArray = array("Simulations made by each run", "run", dtype=int)
+    search_seconds: Array = array("Time taken by each run", "run", unit="s")
+
+    @property
+    @derived("Number of runs", unit="1")
+    def n_runs(self) -> int:
+        """Number of runs."""
+        return len(self.ends)
+
+    @property
+    @derived("How many runs ended in which way", unit="1")
+    def outcomes(self) -> dict[str, int]:
+        """How many runs ended in which way."""
+        return dict(Counter(x.value for x in self.ends))
+
+    @property
+    @derived("Medians of both errors over the runs, as kN and pct")
+    def error(self) -> dict[str, float]:
+        """Medians of both errors over the runs [kN, %]."""
+        return {"kN": _median(self.error_kN), "pct": _median(self.error_pct)}
+
+    @property
+    @derived("Medians of both errors of the laxity over the runs, as mm and deg")
+    def rmse(self) -> dict[str, float]:
+        """Medians of both errors of the laxity over the runs [mm, deg]."""
+        return {"mm": _median(self.rmse_mm), "deg": _median(self.rmse_deg)}
+
+    @property
+    @derived("Median number of simulations of a run", unit="1")
+    def n_simulations(self) -> float:
+        """Median number of simulations of a run."""
+        return _median(self.simulations)
+
+    @property
+    @derived("Median time of a run", unit="s")
+    def seconds(self) -> float:
+        """Median time of a run [s]."""
+        return _median(self.search_seconds)
+
+
+@declared
+class Demonstration(SimulatedLaxity):
+    """Known parameters, fits from the paper's starts, and profiles from noisy data."""
+
+    settings: str = entry("What kind of settings it was done with")
+    starts: tuple[StartFits, ...] = entry(
+        "The fits by method and start", rows="search", group="fits"
+    )
+    noise: Mapping[str, float] = entry("Noise of the profiled data, as mm and deg")
+    profiles: Mapping[str, Profile] = entry(
+        "Profile of each parameter by its name", rows="quantity", group="profile"
+    )
+
+    @property
+    @derived("The parameters that made the data, by ligament and quantity", unit=OF_PARAMETER)
+    def truth(self) -> dict[str, dict[str, float]]:
+        """The parameters that made the data, by ligament and quantity."""
+        return by_ligament(dict(zip(self.parameter_names, self.theta.tolist(), strict=True)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Interruptible:
+    """A problem that ends its fits once it is told to, so that Ctrl-C does not wait for threads."""
+
+    problem: Problem
+    is_stopped: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def parameters(self) -> Parameters:
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        if self.is_stopped.is_set():
+            raise KeyboardInterrupt
+        return self.problem.residuals(theta)
+
+    def jacobian(self, theta: Array) -> Array:
+        return self.problem.jacobian(theta)
+
+
+@verb
+def demo(
+    run: Run,
+    *,
+    runs: int = 2,
+    budget: int = 2500,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: int = 2,
+) -> Demonstration:
+    """Does a good fit mean right parameters? The paper's question on the reference knee.
+
+    Parameters
+    ----------
+    runs
+        Runs of Complex from each start.
+    budget
+        Simulations allowed in each run.
+    out
+        Folder for the results and for ``laxity.csv``; nothing is written if None.
+    seed
+        Seed of all random numbers.
+    workers
+        Threads to work with; results are the same.
+    """
+    protocol = load_protocol("seed63")
+    warm_up(run.knee, protocol)
+    run.start_clock()
+    model = LaxityModel(knee=run.knee, protocol=protocol)
+    prediction = model.predict(model.parameters.center, derivatives=False)
+    laxity = Laxity(protocol=protocol, coordinates=prediction.coordinates)
+    exact = LaxityResiduals(model=model, laxity=laxity)
+    with threads(workers) as executor:
+        starts = (
+            *_fits(exact, "complex", runs, (seed, budget), executor),
+            *_fits(exact, "least-squares", 1, (seed, budget), serial),
+        )
+        profiles = _profiles(model, laxity, seed, executor)
+    if run.out is not None:
+        write_laxity(laxity, run.out / LAXITY_FILE)
+    return Demonstration(
+        **simulated(model, prediction),
+        settings=SHORT_SETTINGS,
+        starts=starts,
+        noise={"mm": NOISE_MM, "deg": NOISE_DEG},
+        profiles={x.name: x for x in profiles},
+    )
+
+
+def start_fits(
+    start: str, fits: Sequence[Fit], truth: Array, problem: LaxityResiduals
+) -> StartFits:
+    """The errors of fits from one start.
+
+    Parameters
+    ----------
+    start
+        Name of the start.
+    fits
+        One a run, at least one.
+    truth
+        The parameters that made the data, shape ``(p,)``.
+    problem
+        The model and the data that were fitted.
+    """
+    errors = [parameter_error(fit.theta, truth) for fit in fits]
+    rmses = [laxity_rmse(problem.model.simulate(fit.theta), problem.laxity) for fit in fits]
+    return StartFits(
+        start=start,
+        method=fits[0].method,
+        ends=tuple(x.outcome for x in fits),
+        theta=np.array([x.theta for x in fits]),
+        error_kN=np.array([x.mean_kN for x in errors]),
+        error_pct=np.array([x.mean_pct for x in errors]),
+        rmse_mm=np.array([x.mm for x in rmses]),
+        rmse_deg=np.array([x.deg for x in rmses]),
+        simulations=np.array([x.n_simulations for x in fits]),
+        search_seconds=np.array([x.seconds for x in fits]),
+    )
+
+
+def _fits(
+    problem: LaxityResiduals, method: str, runs: int, settings: tuple[int, int], executor: Executor
+) -> list[StartFits]:
+    """The fits from all starts by one method."""
+    points = [load_start(name, problem.parameters) for name in STARTS for _ in range(runs)]
+    seed, budget = settings
+    fits = _interruptibly(
+        problem,
+        lambda x: fit_many(x, points, seed=seed, executor=executor, method=method, budget=budget),
+    )
+    truth = problem.parameters.center
+    return [
+        start_fits(name, fits[i * runs : (i + 1) * runs], truth, problem)
+        for i, name in enumerate(STARTS)
+    ]
+
+
+def _profiles(
+    model: LaxityModel, laxity: Laxity, seed: int, executor: Executor
+) -> tuple[Profile, ...]:
+    """Profiles of all parameters from noisy data."""
+    noisy = add_noise(laxity, sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=seed)
+
+    def profiled(problem: Problem) -> tuple[Profile, ...]:
+        best = best_fit(problem, seed=seed, executor=executor)
+        return profile_parameters(problem, best.theta, executor=executor)
+
+    return _interruptibly(LaxityResiduals(model=model, laxity=noisy, weighting="noise"), profiled)
+
+
+def _interruptibly(problem: Problem, work: Callable[[Problem], Made]) -> Made:
+    """What `work` makes of the problem; where it is interrupted its threads end soon."""
+    interruptible = _Interruptible(problem=problem)
+    try:
+        return work(interruptible)
+    except BaseException:
+        interruptible.is_stopped.set()
+        raise
+
+
+def _median(values: Array | IntArray) -> float:
+    return float(np.median(values))

@@ -1,0 +1,252 @@
+"""One parameter set from measured laxity and one start, and what speaks against it."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from identknee.calibrate.doubts import bound_findings, misfit_findings, unstated_misfit_findings
+from identknee.calibrate.fit import Fit
+from identknee.calibrate.fit import fit as search
+from identknee.calibrate.problem import Problem, with_bounds
+from identknee.calibrate.second_start import second_search
+from identknee.calibrate.starts import load_start
+from identknee.laxity.rmse import LaxityError, laxity_rmse
+from identknee.laxity.table import Laxity
+from identknee.mechanics.load_paths import Continuation
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
+from identknee.model.residuals import LaxityResiduals
+from identknee.model.soundness import rim_findings, stability_findings
+from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
+from identknee.runs.files import PathLike
+from identknee.runs.findings import Finding, Severity
+from identknee.runs.outcome import Outcome
+from identknee.verbs.identification import warm_up
+from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
+from identknee.verbs.values import BoundsLike, bounds_of, by_ligament
+from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+
+# How many trials without equilibrium are listed by name for each reason.
+MOST_LISTED = 6
+
+
+@declared
+class Calibration(SimulatedLaxity):
+    """One parameter set fitted to measured laxity, and the laxity it predicts."""
+
+    start: str = entry("Start of the search, as it was asked for")
+    search: Fit = entry("The search", group="optimization")
+    data: Laxity = entry("The measured laxity", group="observed_data")
+    rmse: LaxityError = entry("Root-mean-square error of the predicted laxity")
+
+    @property
+    @derived("How the search ended")
+    def outcome(self) -> Outcome:
+        """How the search ended."""
+        return self.search.outcome
+
+    @property
+    @derived("How the search ended, as a sentence")
+    def sentence(self) -> str:
+        """How the search ended, as a sentence."""
+        return self.search.message
+
+    @property
+    @derived("Half the sum of squared residuals", unit="mm2 and deg2, or 1 with noise weighting")
+    def objective(self) -> float:
+        """Half the sum of squared residuals."""
+        return self.search.objective
+
+    @property
+    @derived("Simulations made by the search", unit="1")
+    def n_simulations(self) -> int:
+        """Simulations made by the search."""
+        return self.search.n_simulations
+
+    @property
+    @derived("The optimizer")
+    def method(self) -> str:
+        """The optimizer."""
+        return self.search.method
+
+    @property
+    @derived("Parameters begun at, by ligament and quantity", unit=OF_PARAMETER)
+    def start_parameters(self) -> dict[str, dict[str, float]]:
+        """Parameters begun at, by ligament and quantity."""
+        return by_ligament(dict(zip(self.parameter_names, self.search.start.tolist(), strict=True)))
+
+    @property
+    @derived("Names of parameters at a bound")
+    def at_bounds(self) -> tuple[str, ...]:
+        """Names of parameters at a bound."""
+        return self.search.at_bounds
+
+    @property
+    @derived("Measured trials in which the model has no prediction", only="a trial lost")
+    def trials_without_equilibrium(self) -> tuple[TrialEnd, ...]:
+        """Measured trials in which the model has no prediction."""
+        return _lost(self.trials, self.data)
+
+    @property
+    def failure(self) -> str:  # type: ignore[explicit-override]
+        """That the search could not begin, with the first trial to blame; empty where it could."""
+        if self.outcome is not Outcome.START_FAILED:
+            return ""
+        lost = self.trials_without_equilibrium
+        where = f" {lost[0].trial}: {lost[0].reason}" if lost else ""
+        return f"{self.sentence}{where} Choose another --start, or see: identknee subject check"
+
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """A short table: start and end of each parameter, and how the search ended."""
+        return str(self.search)
+
+
+@verb
+def fit(
+    run: Run,
+    subject: SubjectLike,
+    data: LaxityLike,
+    *,
+    start: str = "subject",
+    method: str = "least-squares",
+    budget: int | None = None,
+    weighting: Literal["unit", "noise"] = "unit",
+    priors: bool = False,
+    fixed: Sequence[str] | None = None,
+    bounds: BoundsLike = None,
+    continuation: Continuation = "continuation",
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> Calibration:
+    """One parameter set fitted to measured laxity from one start.
+
+    Parameters
+    ----------
+    subject
+        A knee, its folder, or the name of one that comes with identknee.
+    data
+        Measured laxity, its CSV file, or the name of a subject that comes with one.
+    start
+        Where the search begins: ``"subject"``, ``"IG1"`` to ``"IG4"``, or a TOML file.
+    method
+        ``"least-squares"``, ``"complex"``, ``"genetic"``, ``"particle-swarm"``, ``"cma-es"`` or
+        ``"annealing"``.
+    budget
+        Simulations allowed; 2,500 if None.
+    weighting
+        ``"unit"`` for plain mm and deg, ``"noise"`` for residuals divided by their stated noise.
+    priors
+        Whether to add the priors of the parameters.
+    fixed
+        Names of parameters held at the start.
+    bounds
+        Lower and upper bound by parameter name.
+    continuation
+        As for `identknee.model.laxity_model.LaxityModel`.
+    out
+        Folder for the results; nothing is written if None.
+    seed
+        Seed of all random numbers.
+    workers
+        One search is one thread: more workers change nothing.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do. That the model has no
+        prediction at the start is no error: the outcome says it.
+    """
+    laxity = run.laxity
+    model = LaxityModel(knee=run.knee, protocol=laxity.protocol, continuation=continuation)
+    residuals = LaxityResiduals(model=model, laxity=laxity, weighting=weighting)
+    problem = with_bounds(residuals, bounds_of(bounds))
+    theta = load_start(start, problem.parameters)
+    warm_up(run.knee, laxity.protocol)
+    run.start_clock()
+    found = search(
+        problem, theta, method=method, seed=seed, budget=budget, fixed=fixed or (), priors=priors
+    )
+    prediction = model.predict(found.theta, derivatives=False)
+    error = laxity_rmse(
+        Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), laxity
+    )
+    return Calibration(
+        **simulated(model, prediction),
+        start=start,
+        search=found,
+        data=laxity,
+        rmse=error,
+        findings=_findings(problem, found, (model, prediction), error, laxity),
+    )
+
+
+def _lost(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
+    """The measured trials in which a simulation has no equilibrium."""
+    measured = np.any(laxity.is_measured, axis=1).tolist()
+    return tuple(
+        x
+        for x, is_measured in zip(trials, measured, strict=True)
+        if is_measured and x.outcome is not Outcome.CONVERGED
+    )
+
+
+def _findings(
+    problem: Problem,
+    found: Fit,
+    fitted: tuple[LaxityModel, Prediction],
+    error: LaxityError,
+    laxity: Laxity,
+) -> tuple[Finding, ...]:
+    """What speaks against a fit.
+
+    Where the misfit is more than noise, or a parameter stands at a bound, a second search begins
+    elsewhere, so that a bad start is not taken for bad data.
+    """
+    model, prediction = fitted
+    if found.outcome is Outcome.START_FAILED:
+        return _not_fitted(laxity, prediction)
+    n_free = found.parameters.n - len(found.fixed)
+    if _states_noise(laxity):
+        weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
+        residuals = weighted.residuals(found.theta)
+        misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
+    else:
+        misfit = unstated_misfit_findings(error.mm, error.deg)
+    bounds = bound_findings(found.theta, found.parameters, found.fixed)
+    about_the_knee = (
+        *stability_findings(model),
+        *rim_findings(laxity.protocol.trials, prediction),
+    )
+    findings = (*misfit, *bounds)
+    if all(x.severity is Severity.INFO for x in findings):
+        return (*findings, *about_the_knee)
+    return (*findings, second_search(problem, found).finding, *about_the_knee)
+
+
+def _states_noise(laxity: Laxity) -> bool:
+    return laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any()
+
+
+def _not_fitted(laxity: Laxity, prediction: Prediction) -> tuple[Finding, ...]:
+    measured = np.any(laxity.is_measured, axis=1)
+    lost = measured & ~prediction.is_converged
+    by_outcome: dict[Outcome, list[str]] = {}
+    for i in np.flatnonzero(lost):
+        by_outcome.setdefault(prediction.outcomes[i], []).append(laxity.protocol.trials[i])
+    said = (
+        f"Nothing was fitted: at the start {lost.sum()} of {measured.sum()} measured trials have "
+        "no equilibrium. Choose another --start, or leave the cells of such trials blank."
+    )
+    reasons = (f"{_named(trials)}: {outcome.sentence}" for outcome, trials in by_outcome.items())
+    return (
+        Finding(severity=Severity.ERROR, sentence=said, where="starts"),
+        *(Finding(severity=Severity.INFO, sentence=x, where="trials") for x in reasons),
+    )
+
+
+def _named(trials: Sequence[str]) -> str:
+    more = len(trials) - MOST_LISTED
+    return ", ".join(trials[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,220 @@
+"""The laxity of a knee under a protocol, and how each trial ended."""
+
+from typing import Any
+
+from identknee.calibrate.starts import load_start
+from identknee.laxity.noise import add_noise
+from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.table import Laxity, write_laxity
+from identknee.mechanics.load_paths import Continuation
+from identknee.model.laxity_model import Contact, LaxityModel
+from identknee.model.prediction import Prediction
+from identknee.model.soundness import rim_findings
+from identknee.model.tensions import tensions_of
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.files import PathLike
+from identknee.runs.outcome import Outcome
+from identknee.verbs.answer import Answer
+from identknee.verbs.identification import warm_up
+from identknee.verbs.values import NoiseLike, ValuesLike, by_ligament, noise_of, values_of
+from identknee.verbs.verb import Run, SubjectLike, verb
+
+LAXITY_FILE = "laxity.csv"
+
+
+@declared
+class TrialEnd:
+    """How a simulated trial ended."""
+
+    trial: str = entry("Name of the trial")
+    outcome: Outcome = entry("How the trial ended")
+    reason: str = entry("How the trial ended, as a sentence")
+    margin_N_per_mm: float = entry(  # noqa: N815 - the unit
+        "Smallest eigenvalue of the stiffness; null without a pose or for mesh contact", unit="N/mm"
+    )
+    rim_share: float = entry(
+        "Share of the contact force within 3 mm of a rim; null for mesh contact", unit="1"
+    )
+
+
+@declared
+class SimulatedLaxity(Answer):
+    """What a model predicts with one parameter set."""
+
+    subject: str = entry("Name of the subject")
+    protocol: Protocol = entry("The trials", group="constant_data")
+    trials: tuple[TrialEnd, ...] = entry("How each trial ended", rows="trial", group="predictions")
+    coordinates: Array = array(
+        "Predicted coordinates; NaN where a trial did not converge",
+        *("trial", "coordinate"),
+        unit=OF_COORDINATE,
+        group="predictions",
+    )
+    tension_N: Array = array(  # noqa: N815 - the unit
+        "Tension of each ligament; NaN where a trial did not converge",
+        *("trial", "ligament"),
+        unit="N",
+        group="predictions",
+    )
+    ligaments: tuple[str, ...] = array("Names of the ligaments", "ligament", is_in_arrays=False)
+    parameter_names: tuple[str, ...] = array(
+        "Names of the parameters", "parameter", is_in_arrays=False
+    )
+    theta: Array = array(
+        "Parameters simulated with", "parameter", unit=OF_PARAMETER, group="predictions"
+    )
+
+    @property
+    def laxity(self) -> Laxity:
+        """The predicted laxity table; trials that did not converge are blank."""
+        return Laxity(protocol=self.protocol, coordinates=self.coordinates)
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """How each trial ended."""
+        return tuple(x.outcome for x in self.trials)
+
+    @property
+    @derived("Number of trials", unit="1")
+    def n_trials(self) -> int:
+        """Number of trials."""
+        return self.protocol.n
+
+    @property
+    @derived("Number of trials with an equilibrium", unit="1")
+    def n_converged(self) -> int:
+        """Number of trials with an equilibrium."""
+        return sum(x is Outcome.CONVERGED for x in self.outcomes)
+
+    @property
+    @derived("Parameters simulated with, by ligament and quantity", unit=OF_PARAMETER)
+    def parameters(self) -> dict[str, dict[str, float]]:
+        """Parameters by ligament and quantity."""
+        return by_ligament(dict(zip(self.parameter_names, self.theta.tolist(), strict=True)))
+
+
+@declared
+class Simulation(SimulatedLaxity):
+    """The laxity of a knee under a protocol, and how each trial ended."""
+
+    noisy: Laxity | None = entry(
+        "The laxity with noise added", group="observed_data", only="`--noise`", default=None
+    )
+
+    @property
+    def failure(self) -> str:  # type: ignore[explicit-override]
+        """That no trial has an equilibrium; empty where one has."""
+        if self.n_converged:
+            return ""
+        return f"none of the {self.n_trials} trials has an equilibrium; see result.json"
+
+
+@verb
+def simulate(
+    run: Run,
+    subject: SubjectLike,
+    protocol: str | Protocol = "seed63",
+    values: ValuesLike = None,
+    *,
+    start: str = "subject",
+    noise: NoiseLike = None,
+    noise_correlation: float = 0.0,
+    noise_student: float | None = None,
+    continuation: Continuation = "continuation",
+    contact: Contact = "field",
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> Simulation:
+    """The simulated laxity of a knee; a trial without equilibrium is no error but has an outcome.
+
+    Parameters
+    ----------
+    subject
+        A knee, its folder, or the name of one that comes with identknee.
+    protocol
+        Trials: ``"seed63"``, ``"table2"``, ``"drawer"``, a TOML file or a `Protocol`.
+    values
+        Parameters other than those of `start`, such as ``{"ACL.stiffness_kN": 9.5}``.
+    start
+        Parameters of the ligaments: ``"subject"``, ``"IG1"`` to ``"IG4"``, or a TOML file.
+    noise
+        Standard deviations of lengths and angles of noise to add [mm, deg]; none is added if None.
+    noise_correlation
+        Correlation that the five errors of a trial share.
+    noise_student
+        Degrees of freedom of heavy-tailed noise; normal noise if None.
+    continuation, contact
+        As for `identknee.model.laxity_model.LaxityModel`.
+    out
+        Folder for the results and for ``laxity.csv``; nothing is written if None.
+    seed
+        Seed of the noise.
+    workers
+        One thread does it: more workers change nothing.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do.
+    """
+    if noise is None and (noise_correlation or noise_student is not None):
+        raise ValueError(
+            "--noise-correlation and --noise-student say of what kind the noise is; "
+            "say how large with --noise, for example --noise 0.3mm,0.3deg"
+        )
+    sizes = None if noise is None else noise_of(noise)
+    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol)
+    chosen = values_of(values)
+    model = LaxityModel(knee=run.knee, protocol=trials, continuation=continuation, contact=contact)
+    begun = load_start(start, model.parameters).tolist()
+    theta = model.parameters.vector(dict(zip(model.parameters.names, begun, strict=True)) | chosen)
+    warm_up(run.knee, trials)
+    run.start_clock()
+    prediction = model.predict(theta, derivatives=False)
+    noisy = None
+    if sizes is not None:
+        noisy = add_noise(
+            Laxity(protocol=trials, coordinates=prediction.coordinates),
+            sd_mm=sizes[0],
+            sd_deg=sizes[1],
+            seed=seed,
+            correlation=noise_correlation,
+            student_degrees=noise_student,
+        )
+    answer = Simulation(
+        **simulated(model, prediction),
+        noisy=noisy,
+        findings=rim_findings(trials.trials, prediction),
+    )
+    if run.out is not None:
+        write_laxity(answer.laxity if noisy is None else noisy, run.out / LAXITY_FILE)
+    return answer
+
+
+def simulated(model: LaxityModel, prediction: Prediction) -> dict[str, Any]:
+    """The fields of a `SimulatedLaxity` by name."""
+    ends = zip(
+        model.protocol.trials,
+        prediction.outcomes,
+        prediction.reasons,
+        prediction.margins.tolist(),
+        prediction.rim_share.tolist(),
+        strict=True,
+    )
+    return {
+        "subject": model.knee.name,
+        "protocol": model.protocol,
+        "trials": tuple(
+            TrialEnd(
+                trial=trial, outcome=outcome, reason=reason, margin_N_per_mm=margin, rim_share=share
+            )
+            for trial, outcome, reason, margin, share in ends
+        ),
+        "coordinates": prediction.coordinates,
+        "tension_N": tensions_of(model, prediction),
+        "ligaments": tuple(x.name for x in model.knee.ligaments),
+        "parameter_names": model.parameters.names,
+        "theta": prediction.theta,
+    }
