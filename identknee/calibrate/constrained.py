@@ -11,14 +11,14 @@ from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared
 from identknee.runs.outcome import Outcome
 
-# Of the deviance: at a signed root of 2 this is 2.5e-9 of the root.
+# Tolerance on the deviance: at a signed root of 2 this is 2.5e-9 of the root.
 TOLERANCE = 1e-8
 ROUNDING = 1e-13
 # A typical step that changes the residuals by less than this changes nothing: the squares of one
 # over it would overflow.
 UNSEEN = 1e-100
 MAX_STEPS = 60
-# Of the promised decrease: what a step must keep, and what lets the next one be longer.
+# Share of the promised decrease that a step must keep, and that lets the next one be longer.
 ENOUGH, GOOD = 1e-4, 0.75
 SHORTER, LONGER = 0.25, 2.0
 # In conditional standard deviations: a step below this is none.
@@ -81,15 +81,15 @@ def solve_constrained(
     Parameters
     ----------
     evaluator
-        Of residuals in units of their noise.
+        Evaluator of residuals in units of their noise.
     start
         Where to begin, shape ``(n,)``; moved into the bounds. For a parameter's own value the start
         is put on target first, which costs nothing.
     quantity, target
         What is held, and at what value.
     tolerance
-        Of the deviance: what one more step may still promise. Also of the target, in steps of one
-        conditional standard deviation.
+        Tolerance on the deviance, which is what one more step may still promise, and on the target,
+        in conditional standard deviations.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
     """
@@ -109,11 +109,11 @@ def minimise(
     Parameters
     ----------
     evaluator
-        Of residuals in units of their noise.
+        Evaluator of residuals in units of their noise.
     start
         Where to begin, shape ``(n,)``; moved into the bounds.
     tolerance
-        Of the deviance: what one more step may still promise.
+        Tolerance on the deviance: what one more step may still promise.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
     """
@@ -263,15 +263,15 @@ class _Search:
 
     def _next(self, point: _Point, plan: _Plan) -> _Point:
         """The next point: the planned one if it keeps enough of its promise."""
-        found = self._point(plan.theta)
-        if not found.is_finite:
+        new = self._point(plan.theta)
+        if not new.is_finite:
             self._met_cliff = True
             self._radius = SHORTER * plan.length
             return point
         missing = 0.0 if point.gradient is None else abs(self._target - point.value)
         self._price = max(self._price, PENALTY * 2.0 * abs(plan.step.multiplier))
         promised = plan.reduction + self._price * (missing - plan.remaining)
-        kept = self._merit(point) - self._merit(found)
+        kept = self._merit(point) - self._merit(new)
         rounding = ROUNDING * point.evaluation.deviance
         if promised > 0 and kept < ENOUGH * promised - rounding:
             self._radius = SHORTER * plan.length
@@ -279,7 +279,7 @@ class _Search:
         if kept > GOOD * promised and plan.is_boxed:
             self._radius *= LONGER
         self._met_cliff = self._met_cliff and np.isfinite(self._radius)
-        return found
+        return new
 
     def _merit(self, point: _Point) -> float:
         missing = 0.0 if point.gradient is None else abs(self._target - point.value)

@@ -15,9 +15,9 @@ from identknee.runs.findings import Finding, Severity
 IMPROBABLE, GROSS = 1e-3, 9.0
 # Twice what simple laxity devices leave against a robot, about 1 mm and 2.5 deg.
 MOST_MM, MOST_DEG = 2.0, 5.0
-# Of the range of a parameter: this close to an end it lies on it.
+# Share of a parameter's range: this close to an end it lies on it.
 AT_END = 1e-6
-# Of the deviance: fits as good as one another at 95 %, and fits that are the same.
+# Rise of the deviance: fits as good as one another at 95 %, and fits that are the same.
 AS_GOOD, SAME = 3.84, 0.1
 # Typical steps (3 kN, 2 %) between parameter sets that are not the same.
 APART = 0.1
@@ -79,7 +79,7 @@ def bound_findings(
 ) -> tuple[Finding, ...]:
     """Which fitted parameters stand at a bound: there the bound decided, and not the data."""
     margin = AT_END * (parameters.upper - parameters.lower)
-    at = [
+    standing = [
         f"{name} ({end:g})"
         for name, value, low, high, near in zip(
             parameters.names, theta, parameters.lower, parameters.upper, margin, strict=True
@@ -87,12 +87,12 @@ def bound_findings(
         for end in (low, high)
         if abs(value - end) <= near and name not in fixed and low < high
     ]
-    if not at:
+    if not standing:
         return ()
-    many = "1 parameter stands" if len(at) == 1 else f"{len(at)} parameters stand"
+    many = "1 parameter stands" if len(standing) == 1 else f"{len(standing)} parameters stand"
     sentence = (
-        f"{many} at a bound, where the bound stopped the fit and not the data: {_listed(at)}. "
-        "The other parameters make up for it."
+        f"{many} at a bound, where the bound stopped the fit and not the data: "
+        f"{_listed(standing)}. The other parameters make up for it."
     )
     return (Finding(severity=Severity.WARNING, sentence=sentence, where="parameters"),)
 

@@ -1,68 +1,68 @@
 """A second search from another literature guess, where a fit is doubtful."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from identknee.calibrate.doubts import APART
 from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
 from identknee.calibrate.starts import named_start, start_names
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 
-# Of the objective, and in its own unit: ends that are the same, also where a search stops early.
+# Share of the objective, and objective: ends that are the same, also where a search stops early.
 ALIKE, ROUNDING = 1e-3, 1e-9
-# Typical steps (3 kN, 2 %) between parameter sets that are not the same.
-APART = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class SecondSearch:
     """Where least squares from another start ended.
 
     Attributes
     ----------
     name
-        Of the start, as for `identknee.calibrate.starts.named_start`.
-    first, found
+        Name of the start, as for `identknee.calibrate.starts.named_start`.
+    first, second
         The doubtful fit, and the one from this start.
     """
 
     name: str
     first: Fit
-    found: Fit
+    second: Fit
 
     @property
     def finding(self) -> Finding:
         """Whether both agree, as a sentence."""
-        first, second = self.first.objective, self.found.objective
+        first, second = self.first.objective, self.second.objective
         ended = f"a second search, least squares from {self.name}, ended"
-        if self.found.outcome is Outcome.START_FAILED:
-            return _about(Severity.INFO, f"No second search: {self.name} has no prediction either.")
+        if self.second.outcome is Outcome.START_FAILED:
+            return _on_starts(
+                Severity.INFO, f"No second search: {self.name} has no prediction either."
+            )
         objectives = f"(objective {second:.4g}, here {first:.4g})"
         alike = ALIKE * first + ROUNDING
         if second < first - alike:
-            return _about(
+            return _on_starts(
                 Severity.ERROR,
                 f"Starts disagree: {ended} at a lower misfit {objectives}, so this fit is not the "
                 "best. identknee sweep tries many starts.",
             )
         if second > first + alike:
-            return _about(
+            return _on_starts(
                 Severity.WARNING,
                 f"Starts disagree: {ended} at a higher misfit {objectives}. identknee sweep tries "
                 "many starts.",
             )
         steps = typical_steps(self.first.parameters)
-        if float(np.max(np.abs(self.found.theta - self.first.theta) / steps)) > APART:
-            return _about(
+        if float(np.max(np.abs(self.second.theta - self.first.theta) / steps)) > APART:
+            return _on_starts(
                 Severity.WARNING,
                 f"Starts disagree: {ended} at the same misfit with other parameters "
                 f"({self._farthest()}). See: identknee profile",
             )
-        return _about(
+        return _on_starts(
             Severity.INFO,
             f"{ended[0].upper()}{ended[1:]} at the same parameters: the start is not the reason.",
         )
@@ -70,8 +70,8 @@ class SecondSearch:
     def _farthest(self) -> str:
         parameters = self.first.parameters
         steps = typical_steps(parameters)
-        i = int(np.argmax(np.abs(self.found.theta - self.first.theta) / steps))
-        return f"{parameters.names[i]} {self.first.theta[i]:.3g} or {self.found.theta[i]:.3g}"
+        i = int(np.argmax(np.abs(self.second.theta - self.first.theta) / steps))
+        return f"{parameters.names[i]} {self.first.theta[i]:.3g} or {self.second.theta[i]:.3g}"
 
 
 def second_search(problem: Problem, first: Fit) -> SecondSearch:
@@ -85,8 +85,8 @@ def second_search(problem: Problem, first: Fit) -> SecondSearch:
         The fit; its fixed parameters and its priors are kept.
     """
     name, start = _other_start(first)
-    found = fit(problem, start, seed=first.seed, fixed=first.fixed, priors=first.priors)
-    return SecondSearch(name=name, first=first, found=found)
+    second = fit(problem, start, seed=first.seed, fixed=first.fixed, priors=first.priors)
+    return SecondSearch(name=name, first=first, second=second)
 
 
 def _other_start(first: Fit) -> tuple[str, Array]:
@@ -106,5 +106,5 @@ def _other_start(first: Fit) -> tuple[str, Array]:
     return "the middle of the bounds", free.expand(free.restrict(middle))
 
 
-def _about(severity: Severity, sentence: str) -> Finding:
+def _on_starts(severity: Severity, sentence: str) -> Finding:
     return Finding(severity=severity, sentence=sentence, where="starts")

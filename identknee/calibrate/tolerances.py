@@ -1,6 +1,6 @@
 """Tolerances that several parts of estimation share, and what each is a share of."""
 
-# Of the largest singular value of a Jacobian: below it is rounding, not information.
+# Singular values of a Jacobian below this share of the largest are rounding, not information.
 RANK_TOLERANCE = 1e-10
 # The same of the triangle that a step is made from: its columns are in conditional standard
 # deviations, so that rounding alone is left, and a direction known to 1e10 of them still counts.
@@ -8,7 +8,7 @@ STEP_RANK_TOLERANCE = 1e-12
 # The same where a quantity is called unseen by the data: in conditional standard deviations, with
 # room for what the solver's own tolerance leaves in the derivatives.
 UNSEEN_TOLERANCE = 1e-9
-# Of the largest eigenvalue of the information, which is the square of a singular value.
+# The same share of the largest eigenvalue of the information, a singular value squared.
 EIGENVALUE_TOLERANCE = 1e-10
-# Of the deviance: what a step that cannot be made may promise at a minimum on a kink.
+# Share of the deviance that an impossible step may promise at a minimum on a kink.
 KINK_SHARE = 1e-6

@@ -62,9 +62,9 @@ def fit_around(
         except Ended:
             return best
         if quantity is None:
-            found = minimise(evaluator, theta, tolerance=tolerance, most_steps=MOST_STEPS)
+            end = minimise(evaluator, theta, tolerance=tolerance, most_steps=MOST_STEPS)
         else:
-            found = solve_constrained(
+            end = solve_constrained(
                 evaluator,
                 theta,
                 quantity=quantity,
@@ -73,10 +73,10 @@ def fit_around(
                 most_steps=MOST_STEPS,
             )
         n_fits += 1
-        arrived = quantity is None or found.is_on_target
-        if arrived and (best is None or found.evaluation.deviance < best.evaluation.deviance):
-            best = found
-        if n_fits == N_FITS or (arrived and found.outcome is Outcome.MINIMUM):
+        arrived = quantity is None or end.is_on_target
+        if arrived and (best is None or end.evaluation.deviance < best.evaluation.deviance):
+            best = end
+        if n_fits == N_FITS or (arrived and end.outcome is Outcome.MINIMUM):
             break
     return best
 

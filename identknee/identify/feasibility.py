@@ -53,11 +53,11 @@ def share_without_prediction(
 
 def feasibility_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
     """Whether the feasibility boundary of the model, and not the data, makes limits near a fit."""
-    found = share_without_prediction(problem, theta)
-    if found.value < NOTEWORTHY:
+    lost = share_without_prediction(problem, theta)
+    if lost.value < NOTEWORTHY:
         return ()
     sentence = (
-        f"Of {found.n} parameter sets that would fit about as well as the best one, {found.count} "
+        f"Of {lost.n} parameter sets that would fit about as well as the best one, {lost.count} "
         "have no prediction in some trial: sets that the data allow are missing here because the "
         "model ends, not because the data exclude them. See: identknee subject check"
     )

@@ -263,8 +263,8 @@ IDENTIFICATION = (
     ),
     _identify(
         "design/criteria.py",
-        "found.append(path.ends(rise - saved))",
-        "found.append(path.ends(rise))",
+        "intervals.append(path.ends(rise - saved))",
+        "intervals.append(path.ends(rise))",
         "predicted widths are too small: other parameters give way for nothing",
         "design::test_an_open_interval_is_closed_as_predicted",
         "design::test_on_a_linear_model_predicted_is_achieved_is_the_formula",

@@ -16,7 +16,7 @@ class Candidates(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the k trials, no two alike."""
+        """Names of the k trials, no two alike."""
         ...
 
     def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:

@@ -5,21 +5,21 @@ sum. A set is then judged without another simulation.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, Protocol
 
 import numpy as np
 
 from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared
 
 Criterion = Literal["D", "A", "E", "c", "width"]
 CRITERIA: tuple[Criterion, ...] = ("D", "A", "E", "c", "width")
 # A direction that nothing determines counts as known to 1,000 scaled units.
 LEAST_INFORMATION = 1e-6
-# Of the signed root of the deviance: one that flat would be extrapolated without limit.
+# Least rise of the root of the deviance: one flatter would be extrapolated without limit.
 LEAST_RISE = 1e-6
-# Of the same: how far below the threshold a profile may end that was followed to it.
+# Share of that root: how far below the threshold a profile may end that was followed to it.
 END_TOLERANCE = 1e-3
 
 
@@ -46,7 +46,7 @@ class Loss(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LocalLoss:
     """D-, A-, E- or c-optimality of the information at the first point, the best fit.
 
@@ -56,7 +56,7 @@ class LocalLoss:
         ``"D"``: minus the log determinant; ``"A"``: the trace of the covariance; ``"E"``: its
         largest eigenvalue; ``"c"``: the log variances of the targets, summed.
     gradients
-        Of the targets by the scaled parameters at the best fit, shape ``(t, n)``.
+        Gradients of the targets by the scaled parameters at the best fit, shape ``(t, n)``.
 
     References
     ----------
@@ -97,7 +97,7 @@ class LocalLoss:
         return np.asarray(features.reshape(-1, n, n) + LEAST_INFORMATION * np.eye(n))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Path:
     """The profile of one target as it is before trials are added.
 
@@ -141,7 +141,7 @@ class Path:
         return ends, is_open
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class WidthLoss:
     """Predicted widths of the targets' profiles, the sum of their logarithms.
 
@@ -158,7 +158,7 @@ class WidthLoss:
     paths: Sequence[Path]
 
     def of_made(self, information: Array) -> Array:
-        """Of each point the curvature across the target, no slope, and the rise of the deviance."""
+        """Each point's curvature across the target, no slope, and the rise of the deviance."""
         parts = []
         for path in self.paths:
             at = information[path.places]
@@ -167,7 +167,7 @@ class WidthLoss:
         return np.concatenate(parts)
 
     def of_trials(self, values: Array, jacobians: Array) -> Array:
-        """Of each point curvature and slope across the target and the rise, for each trial."""
+        """Each point's curvature and slope across the target and the rise, for each trial."""
         k, parts = values.shape[1], []
         for path in self.paths:
             away = values[path.places] - values[0]
@@ -190,8 +190,8 @@ class WidthLoss:
         return total
 
     def intervals(self, features: Array) -> list[tuple[Array, BoolArray]]:
-        """Of each target the predicted ends, ``(k, 2)``, and which of them are open."""
-        found, k, at = [], len(features), 0
+        """Each target's predicted ends, ``(k, 2)``, and which of them are open."""
+        intervals, k, at = [], len(features), 0
         for path in self.paths:
             s, _, a = path.across.shape
             sizes = np.cumsum([at, s * a * a, s * a, s])
@@ -200,8 +200,8 @@ class WidthLoss:
             matrices = curved.reshape(k, s, a, a) + LEAST_INFORMATION * np.eye(a)
             column = slope.reshape(k, s, a, 1)
             saved = (column * np.linalg.solve(matrices, column)).sum(axis=(2, 3))
-            found.append(path.ends(rise - saved))
-        return found
+            intervals.append(path.ends(rise - saved))
+        return intervals
 
 
 def directions_across(gradients: Array) -> Array:

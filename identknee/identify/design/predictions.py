@@ -1,7 +1,6 @@
 """The trials that might be added, predicted wherever the data allow the parameters to be."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,10 +12,11 @@ from identknee.identify.design.criteria import Loss, Path, directions_across
 from identknee.identify.information.information import scaled_units
 from identknee.identify.profile.result import Profile
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import declared
 from identknee.runs.executors import Executor
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Excluded:
     """A candidate that is not offered, and why.
 
@@ -46,7 +46,7 @@ class Excluded:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class CandidatePredictions:
     """The candidates at the best fit and along the profiles: q points, k trials, n parameters.
 
@@ -122,7 +122,7 @@ def predict_candidates(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class _PointPrediction:
     """Information of the trials made and predictions of all candidates at one theta."""
 

@@ -7,7 +7,7 @@ import numpy as np
 from identknee.runs.arrays import Array, BoolArray
 
 MOST_ROUNDS = 20
-# Of the loss: an exchange that gains less is rounding.
+# Share of the loss: an exchange that gains less is rounding.
 TOLERANCE = 1e-10
 
 
@@ -22,7 +22,7 @@ def choose(
     Parameters
     ----------
     loss
-        Of rows of summed features, shape ``(k,)`` from ``(k, f)``.
+        Loss of rows of summed features, shape ``(k,)`` from ``(k, f)``.
     made
         Features of the trials made, shape ``(f,)``.
     trials

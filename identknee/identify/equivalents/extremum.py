@@ -1,6 +1,5 @@
 """The largest and the smallest value of a quantity inside a region, by local search."""
 
-from dataclasses import dataclass
 from enum import Enum, unique
 
 import numpy as np
@@ -9,11 +8,12 @@ from identknee.calibrate.quantity import Quantity
 from identknee.calibrate.tolerances import RANK_TOLERANCE
 from identknee.identify.equivalents.region import Blocks, Inside, PairView, RegionView
 from identknee.identify.equivalents.step import Model, Step, best_step
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, entry
 
 # A point counts as inside up to this excess over the limit, relative to it.
 INSIDE_TOLERANCE = 1e-6
-# Of the half-width of the quantity's range in the linear model of the region.
+# Gain, in half-widths of the quantity's range in the linear model of the region.
 GAIN_TOLERANCE = 1e-8
 BOUND_TOLERANCE = 1e-6
 LIMIT_TOLERANCE = 1e-5
@@ -51,36 +51,18 @@ _SENTENCES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Extreme:
-    """Where one search for an extremum ended.
+    """Where one search for an extremum ended."""
 
-    Attributes
-    ----------
-    theta
-        Shape ``(n,)``.
-    value
-        The quantity there.
-    largest
-        The largest block over the limit, simulated there; at most 1 + 1e-6.
-    end
-        What stopped it.
-    path
-        The points inside that it came by, shape ``(n_points, n)``.
-    """
-
-    theta: Array
-    value: float
-    largest: float
-    end: End
-    path: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", frozen(self.theta, None, name="theta"))
-        object.__setattr__(self, "path", frozen(self.path, None, self.theta.size, name="path"))
+    theta: Array = array("The end of the search", "parameter", unit=OF_PARAMETER)
+    value: float = entry("The quantity there", unit=OF_QUANTITY)
+    largest: float = entry("The largest block over the limit, simulated there; at most 1 + 1e-6")
+    end: End = entry("What stopped it")
+    path: Array = array("The points inside that it came by", "point", "parameter")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class _Point:
     theta: Array
     value: float
@@ -229,9 +211,9 @@ class _Search:
             low=np.maximum((inside.lower - here.theta) / steps, -radius),
             high=np.minimum((inside.upper - here.theta) / steps, radius),
         )
-        found = best_step(model, penalty=HIGHEST_PRICE)
-        self._price = max(PRICE * float(found.multipliers.sum()), LOWEST_PRICE)
-        return found, float(model.gain @ found.step) + self._price * (here.excess - found.excess)
+        best = best_step(model, penalty=HIGHEST_PRICE)
+        self._price = max(PRICE * float(best.multipliers.sum()), LOWEST_PRICE)
+        return best, float(model.gain @ best.step) + self._price * (here.excess - best.excess)
 
     def _moved(self, theta: Array, step: Array) -> Array:
         inside = self._inside

@@ -9,7 +9,7 @@ from identknee.runs.arrays import Array, IntArray
 BOUNDARY = 0.9
 TARGET = 0.97
 MOST_TRIALS = 6
-# Of the semi-axes of the linear model: no longer than the box.
+# Share of the box beyond which no semi-axis of the linear model reaches.
 BOX_PART = 0.5
 
 

@@ -1,7 +1,6 @@
 """The region of parameter sets whose predictions are as good as a given one's."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -11,12 +10,13 @@ from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.scales import typical_steps
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 
 ALL = "all"
 LEVEL = 0.05
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Region:
     """Parameter sets whose predictions differ from those at `center` by no more than a limit.
 
@@ -26,35 +26,19 @@ class Region:
     belongs to the region where it is within the bounds, has a prediction, and no block's value
     exceeds the limit.
 
-    Attributes
-    ----------
-    problem
-        The problem. One block of weight 1 on residuals in units of their noise is the squared
-        noise-weighted distance D^2 of two predictions.
-    center
-        Theta of the fit, shape ``(n,)``.
-    blocks
-        Weights by name of the block, shape ``(m,)`` each.
-    limit
-        The largest value of a block.
+    One block of weight 1 on residuals in units of their noise is the squared noise-weighted
+    distance D^2 of two predictions.
     """
 
-    problem: Problem
-    center: Array
-    blocks: Mapping[str, Array]
-    limit: float = 1.0
+    problem: Problem = entry("The problem")
+    center: Array = array("Theta of the fit", "parameter", unit=OF_PARAMETER)
+    blocks: Mapping[str, Array] = entry("Weights of the residuals by name of the block")
+    limit: float = entry("The largest value of a block", default=1.0)
 
     def __post_init__(self) -> None:
-        n = self.problem.parameters.n
-        object.__setattr__(self, "center", frozen(self.center, n, name="the fit"))
-        blocks = {
-            name: frozen(weights, None, name=f"the weights of {name}")
-            for name, weights in self.blocks.items()
-        }
-        object.__setattr__(self, "blocks", blocks)
         if not 0 < self.limit < np.inf:
             raise ValueError(f"the limit must be greater than 0 and finite, got {self.limit:g}")
-        if not blocks:
+        if not self.blocks:
             raise ValueError("there is no block of residuals to compare predictions by; give one")
 
 
@@ -68,8 +52,8 @@ def noise_region(problem: Problem, center: Array, *, limit: float = 1.0) -> Regi
     center
         Theta of the fit, shape ``(n,)``.
     limit
-        Of D^2. At 1 the best one-sided 5 % test of one prediction against the other has a power
-        of 26 % (see `power_of_best_test`).
+        Largest D^2. At 1 the best one-sided 5 % test of one prediction against the other has a
+        power of 26 % (see `power_of_best_test`).
 
     Raises
     ------
@@ -99,7 +83,7 @@ def power_of_best_test(squared_distance: float) -> float:
     return float(norm.sf(norm.isf(LEVEL) - np.sqrt(squared_distance)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Blocks:
     """The blocks of a region at one theta, each with its Gauss-Newton model, limits taken as 1.
 
@@ -108,9 +92,10 @@ class Blocks:
     Attributes
     ----------
     offsets
-        Shape ``(n_blocks, k)``; infinite where there is no prediction.
+        Weighted differences of the predictions, shape ``(n_blocks, k)``; infinite where there is
+        no prediction.
     slopes
-        Shape ``(n_blocks, k, n)``.
+        Their derivatives, shape ``(n_blocks, k, n)``.
     """
 
     offsets: Array
@@ -201,9 +186,9 @@ class RegionView:
         difference = evaluation.residuals - self._at_center
         offsets, slopes = np.zeros(shape), np.zeros((*shape, n))
         for b, (rows, weights) in enumerate(self._rows):
-            whole = weights[:, None] * np.c_[evaluation.jacobian[rows], difference[rows]]
+            rows_of_block = weights[:, None] * np.c_[evaluation.jacobian[rows], difference[rows]]
             # The triangle has the same lengths as the many rows it stands for.
-            triangle = np.asarray(np.linalg.qr(whole, mode="r"))
+            triangle = np.asarray(np.linalg.qr(rows_of_block, mode="r"))
             slopes[b, : len(triangle)] = triangle[:, :n]
             offsets[b, : len(triangle)] = triangle[:, n]
         return Blocks(offsets=offsets, slopes=slopes)

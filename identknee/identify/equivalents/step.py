@@ -1,26 +1,25 @@
 """The farthest step that a Gauss-Newton model of a region allows."""
 
-from dataclasses import dataclass
-
 import clarabel
 import numpy as np
 from scipy import sparse
 
 from identknee.identify.equivalents.region import Blocks
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared
 
 # Of the best step, whose value is about 1; and what is taken where rounding forbids that.
 GAP, LARGEST_GAP = 1e-10, 1e-7
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Step:
     """The best step of a model.
 
     Attributes
     ----------
     step
-        Shape ``(n,)``.
+        The step, shape ``(n,)``.
     excess
         How much the limit of 1 had to be raised for it, about 0 where the model's region is not
         empty.
@@ -33,7 +32,7 @@ class Step:
     multipliers: Array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Model:
     """What a search knows around a point, in the units of its steps.
 
@@ -85,7 +84,7 @@ def best_step(model: Model, *, penalty: float) -> Step:
     rows[:, :2, n], rows[:, 2:, :n] = -1.0, -2.0 * model.blocks.slopes
     ends = ends.reshape(n_blocks, k + 2)
     ends[:, 0], ends[:, 2:] = 2.0, 2.0 * model.blocks.offsets
-    found = clarabel.DefaultSolver(
+    solution = clarabel.DefaultSolver(
         sparse.csc_matrix((n + 1, n + 1)),
         np.r_[-model.gain, penalty],
         sparse.csc_matrix(matrix),
@@ -93,8 +92,8 @@ def best_step(model: Model, *, penalty: float) -> Step:
         [clarabel.NonnegativeConeT(n_linear), *(clarabel.SecondOrderConeT(k + 2),) * n_blocks],
         _settings(),
     ).solve()
-    point = np.array(found.x)
-    forces = np.array(found.z)[n_linear:].reshape(n_blocks, k + 2)
+    point = np.array(solution.x)
+    forces = np.array(solution.z)[n_linear:].reshape(n_blocks, k + 2)
     return Step(
         step=np.clip(point[:n], model.low, model.high),
         excess=max(float(point[n]), 0.0),

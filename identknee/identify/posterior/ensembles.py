@@ -1,7 +1,6 @@
 """One ensemble of walkers: where it starts, and how it goes on for a block of steps."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import emcee
@@ -19,18 +18,19 @@ from identknee.identify.posterior.density import (
 from identknee.identify.posterior.moves import MOVES
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared
 
 # Walkers start around an optimum with this many times the spread that its curvature promises; less
 # only where too few of them would have a prediction.
 OVERDISPERSION = (2.0, 1.0, 0.5, 0.25)
 TRIES = 5
 START_DRAWS = 20
-# Of a typical step: the logarithm of a bound and back may come out beyond it.
+# Share of a typical step: the logarithm of a bound and back may come out beyond it.
 EDGE = 1e-9
 Block = Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Ensemble:
     """What one ensemble of a sample is asked to do, the same for all of its blocks.
 
@@ -45,7 +45,7 @@ class Ensemble:
     moves
         A key of `identknee.identify.posterior.moves.MOVES`.
     seed
-        Of the sample.
+        Seed of the sample.
     """
 
     density: LogPosterior
@@ -66,9 +66,9 @@ def optimum_near_prior(task: Ensemble, number: int) -> Block:
     for start in prior_draws(task.density.parameters, START_DRAWS, generator):
         n_simulations += 1
         if evaluate(task.density.problem, start).is_finite:
-            found = fit(task.density.problem, start, priors=True)
-            n_simulations += found.n_simulations
-            return {"theta": found.theta, "n_simulations": n_simulations}
+            best = fit(task.density.problem, start, priors=True)
+            n_simulations += best.n_simulations
+            return {"theta": best.theta, "n_simulations": n_simulations}
     return {"theta": None, "n_simulations": n_simulations}
 
 
@@ -187,9 +187,9 @@ def _near(walk: _Walk, optimum: Array, generator: np.random.Generator) -> Array 
         for _ in range(TRIES):
             step = np.linalg.solve(factor.T, generator.standard_normal(n))
             point = optimum + spread * step
-            found = walk.row(point)
-            if np.isfinite(found[0]):
-                return _joined(point, found)
+            row_there = walk.row(point)
+            if np.isfinite(row_there[0]):
+                return _joined(point, row_there)
     return None
 
 

@@ -43,7 +43,7 @@ class NestedPosterior:
     n_simulations
         How many it took.
     seed
-        Of all random numbers.
+        Seed of all random numbers.
     record
         The call, its settings and the time.
     """
@@ -103,7 +103,7 @@ def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -
     n_live
         Live points; errors shrink with their square root, time grows with them.
     seed
-        Of all random numbers.
+        Seed of all random numbers.
 
     Raises
     ------
@@ -141,15 +141,15 @@ def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -
         rstate=np.random.default_rng(seed),
     )
     sampler.run_nested(print_progress=False)
-    found = sampler.results
+    results = sampler.results
     return NestedPosterior(
         parameters=parameters,
-        samples=np.asarray(found.samples),
-        weights=_weights(found),
-        quantile_errors=_quantile_errors(found, seed),
-        log_evidence=float(found.logz[-1]),
-        log_evidence_error=float(found.logzerr[-1]),
-        n_simulations=int(np.sum(found.ncall)),
+        samples=np.asarray(results.samples),
+        weights=_weights(results),
+        quantile_errors=_quantile_errors(results, seed),
+        log_evidence=float(results.logz[-1]),
+        log_evidence_error=float(results.logzerr[-1]),
+        n_simulations=int(np.sum(results.ncall)),
         seed=seed,
         record=recording.finish(),
     )

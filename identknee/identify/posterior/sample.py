@@ -130,7 +130,7 @@ def sample(
     rule
         What the sample must reach, and the budget that ends it anyway.
     seed
-        Of all random numbers.
+        Seed of all random numbers.
     executor
         Anything with an ordered ``map``; ensembles are its tasks.
     store
@@ -214,9 +214,9 @@ class _Run:
     def optima(self) -> Array:
         """Ends of one fit for each ensemble; none where no draw of the prior has a prediction."""
         numbers = list(range(self._n_ensembles))
-        found = self._map(partial(optimum_near_prior, self._task), numbers, "optima")
-        self.n_simulations += sum(x["n_simulations"] for x in found)
-        thetas = [x["theta"] for x in found if x["theta"] is not None]
+        fits = self._map(partial(optimum_near_prior, self._task), numbers, "optima")
+        self.n_simulations += sum(x["n_simulations"] for x in fits)
+        thetas = [x["theta"] for x in fits if x["theta"] is not None]
         return np.array(thetas, dtype=np.float64).reshape(-1, self._task.density.parameters.n)
 
     def begin(self, optima: Array) -> bool:
@@ -247,17 +247,17 @@ class _Run:
 
     def _advance(self, block: int) -> None:
         items = [(number, block, state) for number, state in enumerate(self._states)]
-        found = self._map(partial(advanced, self._task), items, f"block {block:05d}")
+        states = self._map(partial(advanced, self._task), items, f"block {block:05d}")
         before = np.array([state["positions"] for state in self._states])
-        chain = np.array([x["chain"] for x in found])
+        chain = np.array([x["chain"] for x in states])
         path = np.concatenate([before[:, :, None], chain], axis=2)
         moved = np.any(np.diff(path, axis=2) != 0.0, axis=3)
-        log_density = np.array([x["chain_log_density"] for x in found])
+        log_density = np.array([x["chain_log_density"] for x in states])
         self._chain = np.concatenate([self._chain, chain], axis=2)
         self._log_density = np.concatenate([self._log_density, log_density], axis=2)
         self._moved = np.concatenate([self._moved, moved], axis=2)
-        self._states = found
-        spent = sum(x["n_simulations"] for x in found)
+        self._states = states
+        spent = sum(x["n_simulations"] for x in states)
         self.n_simulations += spent
         self.n_walk_simulations += spent
 

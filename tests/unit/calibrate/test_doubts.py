@@ -149,7 +149,7 @@ def test_a_second_search_that_ends_higher_is_a_disagreement(parameters: Paramete
     problem = TwoWells(parameters.select(NAMES[:1]), 0.0)
     first = fit(problem, [5.0])
     worse: Fit = replace(first, objective=2.0)
-    found = SecondSearch(name="IG1", first=replace(first, objective=1.0), found=worse).finding
+    found = SecondSearch(name="IG1", first=replace(first, objective=1.0), second=worse).finding
     assert found.severity is Severity.WARNING
     assert "from IG1, ended at a higher misfit (objective 2, here 1)" in found.sentence
 
@@ -165,5 +165,5 @@ def test_the_second_search_keeps_what_is_fixed_and_begins_elsewhere(
     first = fit(problem, parameters.center, fixed=["PCL.stiffness_kN"])
     again = second_search(problem, first)
     assert again.name == "the middle of the bounds"
-    np.testing.assert_array_equal(again.found.start, [20.0, 18.0, 0.0])
-    assert again.found.theta[1] == 18.0
+    np.testing.assert_array_equal(again.second.start, [20.0, 18.0, 0.0])
+    assert again.second.theta[1] == 18.0
