@@ -18,8 +18,6 @@ from .identify.posterior.posterior import Posterior as Posterior
 from .identify.posterior.sample import sample as sample
 from .identify.profile.profiles import profile_parameters as profile_parameters
 from .identify.profile.result import Profile as Profile
-from .identify.sensitivity.sensitivity import Sensitivity as Sensitivity
-from .identify.sensitivity.sensitivity import sensitivity as sensitivity
 from .laxity.examples import example_laxity as example_laxity
 from .laxity.noise import add_noise as add_noise
 from .laxity.protocol import Protocol as Protocol
@@ -53,6 +51,8 @@ from .verbs.information import LocalIdentifiability as LocalIdentifiability
 from .verbs.information import information as information
 from .verbs.profile import Profiles as Profiles
 from .verbs.profile import profile as profile
+from .verbs.sensitivity import GlobalSensitivity as GlobalSensitivity
+from .verbs.sensitivity import sensitivity as sensitivity
 from .verbs.simulate import Simulation as Simulation
 from .verbs.simulate import simulate as simulate
 from .verbs.sweep import Sweep as Sweep

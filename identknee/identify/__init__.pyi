@@ -32,6 +32,7 @@ from .profile.thresholds import chi2_threshold as chi2_threshold
 from .profile.thresholds import f_threshold as f_threshold
 from .sensitivity.designs import Box as Box
 from .sensitivity.designs import box_around as box_around
+from .sensitivity.sensitivity import Sensitivity as Sensitivity
 from .shares import share as share
 from .sweep.cliffs import CliffMap as CliffMap
 from .sweep.cliffs import map_cliffs as map_cliffs

@@ -6,37 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.laxity.protocol import LOADS, Protocol
 from identknee.runs.arrays import Array
 
 BOOTSTRAP_DRAWS = 9999
-# Load column: its name where positive and where negative.
-_DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction force", "compression force"),
-    ("lateral force", "medial force"),
-)
-UNLOADED = "unloaded"
-
-
-def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
-    """What loads each trial, for example ``"valgus moment"``; ``"unloaded"`` where nothing does.
-
-    Examples
-    --------
-    >>> from identknee.laxity.protocol import load_protocol
-    >>> load_scenarios(load_protocol("drawer"))[:3]
-    ('posterior force', 'unloaded', 'anterior force')
-    """
-    return tuple(
-        " + ".join(
-            _DIRECTIONS[i][0 if loads[i] > 0 else 1] for i in range(len(LOADS)) if loads[i] != 0.0
-        )
-        or UNLOADED
-        for loads in protocol.loads
-    )
 
 
 def largest_by(values: Array, labels: Sequence[object], order: Sequence[object]) -> Array:

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from identknee.laxity.protocol import LOADS, Protocol
-from identknee.report.comparison import UNLOADED, load_scenarios
+from identknee.laxity.scenarios import UNLOADED, load_scenarios
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
 from identknee.runs.arrays import Array
 

@@ -25,7 +25,6 @@ BY_NAME = {
     "slope": "1 over the unit of the quantity",
     "best_objective": "1, or mm2 and deg2 where the weighting is unit",
 }
-EFFECTS = ("mu_star", "mu", "sigma")
 # Values of what they vary over, by the dimension that says so; other arrays are plain numbers.
 BY_DIMENSION = {
     "parameter": (
@@ -75,6 +74,4 @@ def unit(name: str, dimensions: tuple[object, ...]) -> str:
     for dimension, (its_unit, names) in BY_DIMENSION.items():
         if dimension in dimensions and name in names:
             return its_unit
-    if "group" in dimensions and name.startswith(EFFECTS):
-        return "mm or deg, as the group's name says; 1 for failure"
     return next((x for suffix, x in SUFFIXES.items() if name.endswith(suffix)), PLAIN)

@@ -208,7 +208,7 @@ def _filled(
         if kind is not None and about.rows and (value is not None or not about.is_in_json):
             variables = {} if dataset is None else dataset.variables
             arrays = {str(x): y.values for x, y in variables.items() if about.rows in y.dims}
-            rows = value if about.is_in_json else _rows_alone(kind, arrays)
+            rows = value if about.is_in_json else _rows_alone(kind, arrays, about, how)
             filled[key] = _filled_rows(kind, rows, arrays, "")
         elif kind is not None and how == "one" and isinstance(value, dict):
             inner = _prefix_within(about, prefix, key)
@@ -232,10 +232,13 @@ def _found(cls: type, name: str, groups: Groups, group: str, prefix: str) -> lis
     return [values if about.dims else values.item()]
 
 
-def _rows_alone(kind: type, arrays: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+def _rows_alone(kind: type, arrays: Mapping[str, np.ndarray], about: Entry, how: str) -> Any:
     """The numbers and words of records that the groups alone have, one for each row."""
     n = max((len(x) for x in arrays.values()), default=0)
-    return [_row_alone(kind, {key: x[row] for key, x in arrays.items()}, "") for row in range(n)]
+    rows = [_row_alone(kind, {key: x[row] for key, x in arrays.items()}, "") for row in range(n)]
+    if how == "list":
+        return rows
+    return dict(zip(map(str, arrays.get(about.rows, ())), rows, strict=True))
 
 
 def _row_alone(kind: type, row: Mapping[str, Any], prefix: str) -> dict[str, Any]:

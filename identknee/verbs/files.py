@@ -25,6 +25,7 @@ AGAIN = "Run the command that made it again."
 ANSWERS = {
     "profile": "identknee.verbs.profile:Profiles",
     "sweep": "identknee.verbs.sweep:Sweep",
+    "sensitivity": "identknee.verbs.sensitivity:GlobalSensitivity",
     "information": "identknee.verbs.information:LocalIdentifiability",
     "equivalents": "identknee.verbs.equivalents:Equivalents",
     "demo": "identknee.verbs.demo:Demonstration",

@@ -88,6 +88,10 @@ class Run:
             self._store = self._stack.enter_context(open_work(self.out / WORK, self.deciding))
         return self._store
 
+    def also_decide(self, **values: Any) -> None:
+        """Add to what stored work must agree with, before the store is opened."""
+        self.deciding = {**self.deciding, **values}
+
     def start_clock(self) -> None:
         """Begin to count the time of the computation: all before is loading and compiling."""
         self._began = time.perf_counter()

@@ -21,6 +21,7 @@ from identknee.calibrate.fit import BUDGET, Fit, fit
 from identknee.calibrate.starts import named_start
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.rmse import laxity_rmse
+from identknee.laxity.scenarios import load_scenarios
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameter_error import parameter_error
@@ -28,7 +29,7 @@ from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.stability import box_sample
 from identknee.model.tensions import tensions_of
-from identknee.report.comparison import largest_by, load_scenarios
+from identknee.report.comparison import largest_by
 from identknee.report.study_records import (
     knee_digest,
     record_head,

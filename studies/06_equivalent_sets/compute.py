@@ -20,12 +20,13 @@ from identknee.identify.equivalents.region import Region, noise_region, power_of
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.rmse import laxity_rmse
+from identknee.laxity.scenarios import load_scenarios
 from identknee.laxity.table import COORDINATES
 from identknee.model.equivalence import PAPER_LIMITS, rms_blocks
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import ligament_forces
 from identknee.model.residuals import LaxityResiduals
-from identknee.report.comparison import largest_by, load_scenarios
+from identknee.report.comparison import largest_by
 from identknee.report.study_records import (
     knee_digest,
     record_head,

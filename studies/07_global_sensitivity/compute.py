@@ -19,10 +19,10 @@ from identknee.identify.sensitivity.designs import Box, box_around
 from identknee.identify.sensitivity.sensitivity import Method, Sensitivity, sensitivity
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
+from identknee.laxity.scenarios import laxity_groups
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.laxity_outputs import LaxityOutputs
 from identknee.model.residuals import LaxityResiduals
-from identknee.report.sensitivity_groups import laxity_groups
 from identknee.report.study_records import (
     knee_digest,
     record_head,

@@ -18,12 +18,13 @@ from identknee.calibrate.problem import Problem
 from identknee.calibrate.starts import named_start
 from identknee.laxity.protocol import LOADS
 from identknee.laxity.rmse import laxity_rmse
+from identknee.laxity.scenarios import load_scenarios
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.model.effects.contact_law import Cartilage
 from identknee.model.parameter_error import parameter_error
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.tensions import tensions_of
-from identknee.report.comparison import largest_by, load_scenarios
+from identknee.report.comparison import largest_by
 from identknee.report.study_records import (
     knee_digest,
     record_head,

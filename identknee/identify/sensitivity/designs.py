@@ -1,26 +1,20 @@
 """Where a global sensitivity analysis simulates: a box of parameters and the designs in it."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.calibrate.scales import by_unit
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_PARAMETER, array, declared
 
 STIFFNESS_SHARE, STRAIN_PCT, PRIOR_SDS = 0.5, 3.0, 1.5
 # An even number of levels and steps over half of them: every level is met equally often.
 MORRIS_LEVELS = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Box:
     """A range for every parameter, each value in it as likely as any other.
-
-    Attributes
-    ----------
-    lower, upper
-        Ends of the ranges, shape ``(n,)``.
 
     Raises
     ------
@@ -28,12 +22,10 @@ class Box:
         If a range is empty or not finite.
     """
 
-    lower: Array
-    upper: Array
+    lower: Array = array("Lower ends", "parameter", unit=OF_PARAMETER, is_in_json=True)
+    upper: Array = array("Upper ends", "parameter", unit=OF_PARAMETER, is_in_json=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lower", frozen(self.lower, None, name="lower"))
-        object.__setattr__(self, "upper", frozen(self.upper, self.lower.size, name="upper"))
         width = self.upper - self.lower
         if not np.all(np.isfinite(width) & (width > 0)):
             worst = int(np.flatnonzero(~(np.isfinite(width) & (width > 0)))[0])

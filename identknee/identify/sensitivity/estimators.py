@@ -10,12 +10,12 @@ the two differ by more than their confidence intervals the indices depend on wha
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import array, declared
 
 RESAMPLES = 200
 CONFIDENCE = 0.95
@@ -25,44 +25,45 @@ PARTS = (8, 4, 2, 1)
 FEWEST = 4
 # Standard deviations below this part of an output's size are rounding.
 ROUNDING = 1e-9
+BY_GROUP = ("group", "parameter")
+OF_INDEX = "1; mm or deg for elementary effects, as the group's name says"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Index:
-    """One kind of sensitivity index of every group of outputs to every parameter.
+    """One kind of sensitivity index of every group of outputs to every parameter."""
 
-    Attributes
-    ----------
-    levels
-        Numbers of samples (blocks, trajectories or draws) at which it was estimated, ascending,
-        shape ``(n_levels,)``; the last one is all of them.
-    values, half_widths
-        The index and the half-width of its 95 % bootstrap confidence interval at each level, shape
-        ``(n_levels, n_groups, n_parameters)``: 0 for outputs that do not vary, NaN for a group of
-        whose outputs there are too few to say anything.
-    complete, complete_half_widths
-        The same from samples without any failure, shape ``(n_groups, n_parameters)``.
-    noise_floor
-        The value it has for an input that has no influence, estimated with a made-up one, shape
-        ``(n_groups,)``; None where that is zero by definition.
-    """
-
-    levels: IntArray
-    values: Array
-    half_widths: Array
-    complete: Array
-    complete_half_widths: Array
-    noise_floor: Array | None = None
-
-    def __post_init__(self) -> None:
-        shape = np.shape(self.values)
-        object.__setattr__(self, "values", frozen(self.values, *shape, name="values"))
-        for name, wanted in (
-            ("half_widths", shape),
-            ("complete", shape[1:]),
-            ("complete_half_widths", shape[1:]),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), *wanted, name=name))
+    levels: IntArray = array(
+        "Numbers of samples (blocks, trajectories or draws) at which it was estimated, ascending; "
+        "the last one is all of them",
+        "level",
+        dtype=int,
+        key="n_samples",
+    )
+    values: Array = array(
+        "The index at each level: 0 for outputs that do not vary, NaN for a group of whose "
+        "outputs there are too few to say anything",
+        *("level", *BY_GROUP),
+        unit=OF_INDEX,
+        key="index_by_level",
+    )
+    half_widths: Array = array(
+        "Half-width of its 95 % bootstrap confidence interval at each level",
+        *("level", *BY_GROUP),
+        unit=OF_INDEX,
+        key="half_width_by_level",
+    )
+    complete: Array = array("The index from samples without any failure", *BY_GROUP, unit=OF_INDEX)
+    complete_half_widths: Array = array(
+        "Half-width of that", *BY_GROUP, unit=OF_INDEX, key="complete_half_width"
+    )
+    noise_floor: Array | None = array(
+        "Value that it has for an input without influence, estimated with a made-up one; not "
+        "there where that is zero by definition",
+        "group",
+        unit=OF_INDEX,
+        default=None,
+    )
 
     @property
     def final(self) -> Array:

@@ -2,9 +2,7 @@
 
 import base64
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -16,6 +14,7 @@ from identknee.identify.sensitivity.designs import (
     saltelli_blocks,
 )
 from identknee.identify.sensitivity.estimators import (
+    OF_INDEX,
     Index,
     levels_of,
     morris_indices,
@@ -29,6 +28,7 @@ from identknee.identify.sensitivity.given import (
 )
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.declare import array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
@@ -69,69 +69,102 @@ class Outputs(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Sensitivity:
     """What a global sensitivity analysis found.
 
     The last group is ``"failure"``: 1 where any output has no prediction, 0 elsewhere, analysed as
     an output of its own.
-
-    Attributes
-    ----------
-    method
-        ``"morris"``, ``"sobol"``, ``"delta"``, ``"pawn"``, ``"hdmr"`` or ``"shapley"``.
-    parameters
-        The parameters.
-    groups
-        Names of the groups of outputs, ``"failure"`` last.
-    indices
-        By name: ``S1`` and ``ST``, ``mu_star``, ``mu`` and ``sigma``, ``delta``, ``pawn``, ``Sa``,
-        ``Sb`` and ``ST``, or ``shapley``.
-    failed_share
-        Share of the simulations in which an output of the group has no prediction, shape ``(g,)``.
-    complete_share
-        Share of the blocks, trajectories or draws without such a failure, shape ``(g,)``.
-    component_share
-        Share of the variance of each group's outputs that its analysed leading component has,
-        shape ``(g,)``; 1 for Morris and Sobol, which use all outputs.
-    n_samples
-        Blocks, trajectories or draws.
-    n_simulations
-        Parameter vectors simulated.
-    box
-        Where; None for given draws.
-    seed
-        Of the design and the resampling.
     """
 
-    method: Method
-    parameters: Parameters
-    groups: tuple[str, ...]
-    indices: Mapping[str, Index]
-    failed_share: Array
-    complete_share: Array
-    component_share: Array
-    n_samples: int
-    n_simulations: int
-    box: Box | None
-    seed: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "indices", MappingProxyType(dict(self.indices)))
-        for name in ("failed_share", "complete_share", "component_share"):
-            values = frozen(getattr(self, name), len(self.groups), name=name)
-            object.__setattr__(self, name, values)
-
-    # A mapping proxy cannot be pickled.
-    def __reduce__(self) -> tuple[Any, ...]:  # type: ignore[explicit-override]
-        """How to pickle a result."""
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return _from_dict, ({**values, "indices": dict(self.indices)},)
+    method: Method = entry("Method: morris, sobol, delta, pawn, hdmr or shapley")
+    parameters: Parameters = entry("The parameters", group="parameters", is_in_json=False)
+    groups: tuple[str, ...] = array(
+        "Names of the groups of outputs, failure last", "group", is_in_arrays=False
+    )
+    indices: Mapping[str, Index] = entry(
+        "By name: S1 and ST, mu_star, mu and sigma, delta, pawn, Sa, Sb and ST, or shapley",
+        rows="index",
+        group="sensitivity",
+        is_in_json=False,
+    )
+    failed_share: Array = array(
+        "Share of the simulations in which an output of the group has no prediction", "group"
+    )
+    complete_share: Array = array(
+        "Share of the blocks, trajectories or draws without such a failure", "group"
+    )
+    component_share: Array = array(
+        "Share of the variance of each group's outputs that its analysed leading component has; 1 "
+        "for Morris and Sobol, which use all outputs",
+        "group",
+    )
+    n_samples: int = entry("Blocks, trajectories or draws", unit="1")
+    n_simulations: int = entry("Parameter vectors simulated", unit="1")
+    box: Box | None = entry("Where they lie; null for given draws", group="box")
+    seed: int = entry("Seed of the design and the resampling")
 
     @property
+    @derived("What was done about simulations without a prediction", key="failures")
     def rule(self) -> str:
         """What was done about simulations without a prediction."""
         return RULES.get(self.method, RULES["given"])
+
+    @property
+    @derived(
+        "Share of the simulations with an output without prediction", unit="1", key="failed_share"
+    )
+    def share_failed(self) -> float:
+        """Share of the simulations that failed somewhere."""
+        return float(self.failed_share[-1])
+
+    @property
+    @derived(
+        "Largest half-width of any index of a group of outputs",
+        unit=OF_INDEX,
+        key="largest_half_width",
+    )
+    def worst_half_width(self) -> float:
+        """Largest half-width of any group of outputs."""
+        return float(self.largest_half_width[:-1].max())
+
+    @property
+    @derived(
+        "Simulations still missing to a half-width of 0.02 in every group of outputs; null where "
+        "none would do",
+        unit="1",
+        key="more_simulations_to_half_width_0.02",
+    )
+    def missing_simulations(self) -> float:
+        """Simulations still missing; infinite where an index is unknown."""
+        return float(self.more_simulations()[:-1].max())
+
+    @property
+    @derived(
+        "By index and parameter: the largest value of any group of outputs, which group that is, "
+        "and the index of failure",
+        unit=OF_INDEX,
+        key="indices",
+    )
+    def largest(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """The largest of each index by parameter."""
+        return {
+            name: {
+                parameter: {
+                    "largest": {"value": float(values[top]), "group": self.groups[top]},
+                    "of_failure": float(index.final[-1, i]),
+                }
+                for i, parameter in enumerate(self.parameters.names)
+                for values in [index.final[:-1, i]]
+                for top in [self.largest_group(name, i)]
+            }
+            for name, index in self.indices.items()
+        }
+
+    def largest_group(self, name: str, parameter: int) -> int:
+        """Which group of outputs has the largest known value; the first where none is known."""
+        values = self.indices[name].final[:-1, parameter]
+        return int(np.argmax(np.where(np.isnan(values), -np.inf, values)))
 
     @property
     def largest_half_width(self) -> Array:
@@ -352,7 +385,3 @@ def _given_indices(
             noise_floor=None if floor is None else np.array(floor),
         )
     return found
-
-
-def _from_dict(values: Mapping[str, Any]) -> Sensitivity:
-    return Sensitivity(**values)

@@ -21,7 +21,7 @@ def disagreement(summary: Mapping[str, Any], groups: Groups) -> tuple[str, str] 
     groups
         The arrays, as theirs wants them.
     """
-    checks = (_targets, _parameters, _draws, _effects)
+    checks = (_targets, _parameters, _draws)
     return next((found for check in checks for found in check(summary, groups)), None)
 
 
@@ -50,19 +50,6 @@ def _draws(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
             for x in data.data_vars.values()
         ):
             yield f"group {name}", "some of its draws are missing"
-
-
-def _effects(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
-    """Sizes, which are neither below zero nor infinite; those not known are NaN."""
-    if "sensitivity" not in groups or "mu_star" not in groups["sensitivity"]:
-        return
-    for name in ("mu_star", "mu_star_half_width", "sigma"):
-        if name not in groups["sensitivity"]:
-            yield "group sensitivity", f"there is no variable {name}"
-        elif (groups["sensitivity"][name].values < 0.0).any():
-            yield f"group sensitivity, variable {name}", "a size is below zero"
-        elif np.isinf(groups["sensitivity"][name].values).any():
-            yield f"group sensitivity, variable {name}", "a size is infinite"
 
 
 def _parameters(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:

@@ -84,13 +84,6 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
         "coordinates": _wanted("number", "chain", "draw", "trial", "coordinate"),
         "tension_N": _wanted("number", "chain", "draw", "trial", "ligament"),
     },
-    "sensitivity": {
-        **_names("parameter", "group"),
-        **{
-            x: _wanted("number", "group", "parameter", is_optional=True)
-            for x in ("mu_star", "mu_star_half_width", "sigma", "ST")
-        },
-    },
     "design": {
         **_names("candidate", "target"),
         "added": _wanted("text", "added"),

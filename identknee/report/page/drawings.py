@@ -22,6 +22,7 @@ from identknee.verbs.demo import Demonstration
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.information import LocalIdentifiability
 from identknee.verbs.profile import Profiles
+from identknee.verbs.sensitivity import GlobalSensitivity
 from identknee.verbs.sweep import Sweep
 
 MOST_DRAWS = 400
@@ -209,29 +210,29 @@ def _sweep(result: Result) -> Iterator[Drawing]:
 
 
 def _sensitivity(result: Result) -> Iterator[Drawing]:
-    data = result.groups["sensitivity"]
-    index = next((x for x in INDICES if x in data), None)
-    if index is None:
+    if not isinstance(result.answer, GlobalSensitivity):
         return
-    parameters = [str(x) for x in data["parameter"].values]
-    groups = [str(x).split(", ", 1) for x in data["group"].values]
+    found = result.answer.analysis
+    name = next((x for x in INDICES if x in found.indices), None)
+    if name is None:
+        return
+    index, parameters = found.indices[name], found.parameters.names
+    groups = [x.split(", ", 1) for x in found.groups]
     tables = {}
-    for name in dict.fromkeys(x[0] for x in groups if len(x) > 1):
-        rows = [i for i, x in enumerate(groups) if x[0] == name and len(x) > 1]
-        tables[label(name)] = ([groups[i][1] for i in rows], data[index].values[rows])
-    if not tables:
-        return
+    for coordinate in dict.fromkeys(x[0] for x in groups if len(x) > 1):
+        rows = [i for i, x in enumerate(groups) if x[0] == coordinate]
+        tables[label(coordinate)] = ([groups[i][1] for i in rows], index.final[rows])
     yield Drawing(
         name="influence",
-        figure=map_figure(tables, parameters, INDICES[index]),
+        figure=map_figure(tables, parameters, INDICES[name]),
         caption="How much each parameter (across) moves each kind of laxity (down): dark is much.",
-        description=f"{INDICES[index]} of {listed(map(label, parameters))} by coordinate, flexion "
+        description=f"{INDICES[name]} of {listed(map(label, parameters))} by coordinate, flexion "
         "and load.",
     )
-    if index == "mu_star":
-        size, width, spread = (data[x].values for x in ("mu_star", "mu_star_half_width", "sigma"))
-        laxity = np.where(_is_laxity(groups)[:, None], np.nan_to_num(size, nan=-1.0), -1.0)
-        order = np.argsort(-laxity.max(axis=1))
+    if name == "mu_star":
+        size, width, spread = index.final, index.final_half_widths, found.indices["sigma"].final
+        # The last group is failure.
+        order = np.argsort(-np.nan_to_num(size[:-1], nan=-1.0).max(axis=1))
         panels = {", ".join(groups[i]): (size[i], width[i], spread[i]) for i in order[:2]}
         yield Drawing(
             name="effects",
@@ -252,10 +253,6 @@ def _draws(data: xarray.Dataset) -> tuple[list[str], np.ndarray]:
         flat = np.column_stack([data[x].values.ravel() for x in names])
     chosen = np.linspace(0, len(flat) - 1, min(len(flat), MOST_DRAWS)).astype(int)
     return names, flat[chosen]
-
-
-def _is_laxity(groups: list[list[str]]) -> np.ndarray:
-    return np.array([len(x) > 1 for x in groups])
 
 
 def _end(value: float | None) -> str:

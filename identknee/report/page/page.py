@@ -27,9 +27,6 @@ from identknee.report.page.markup import (
     table_html,
 )
 from identknee.report.page.results import Findings, Result, by_subject
-from identknee.report.page.search_sentences import (
-    sensitivity_findings,
-)
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
 from identknee.report.page.warnings import warnings
@@ -69,7 +66,6 @@ FURTHER = {
 }
 _SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
     "sample": sample_findings,
-    "sensitivity": sensitivity_findings,
     "diagnose": diagnosis_findings,
     "design": design_findings,
 }

@@ -72,28 +72,6 @@ class Sample(Sentence, Summary):
     parameters: dict[str, Probable]
 
 
-class Largest(Kept):
-    """The laxity that a parameter moves most."""
-
-    group: str
-    value: Open
-
-
-class Influence(Kept):
-    """An index of one parameter."""
-
-    largest: Largest
-
-
-class Sensitivity(Summary):
-    """Of `sensitivity`."""
-
-    method: str
-    indices: Annotated[
-        dict[str, Annotated[dict[str, Influence], Field(min_length=1)]], Field(min_length=1)
-    ]
-
-
 class Bounded(Kept):
     """Ends of a target."""
 
@@ -125,7 +103,6 @@ class Design(Summary):
 
 SCHEMAS: Mapping[str, type[Summary]] = {
     "sample": Sample,
-    "sensitivity": Sensitivity,
     "diagnose": Diagnosis,
     "design": Design,
 }

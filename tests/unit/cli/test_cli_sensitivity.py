@@ -26,15 +26,15 @@ def test_sobol_indices_of_the_laxity(tmp_path: Path) -> None:
     assert summary["more_simulations_to_half_width_0.02"] > 0
     assert summary["record"]["verb"] == "sensitivity"
     with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
-        data = tree["sensitivity"].dataset
-        assert data["ST"].shape == (5 * 2 * 5 + 1, 8)
+        data = tree["sensitivity"].dataset["index_by_level"].sel(index="ST")[-1]
+        assert data.shape == (5 * 2 * 5 + 1, 8)
         top = summary["indices"]["ST"]["ACL.stiffness_kN"]["largest"]
-        stored = data["ST"].sel(group=top["group"], parameter="ACL.stiffness_kN").item()
+        stored = data.sel(group=top["group"], parameter="ACL.stiffness_kN").item()
         assert stored == top["value"]
     # More of them, in the same folder, go on from there.
     grown = run(*WORDS, PROTOCOL, tmp_path / "short.toml", "--samples", 8, "--out", tmp_path)
     assert grown.exit_code == 0, grown.output
-    assert "largest ST" in grown.stdout
+    assert "index ST" in grown.stdout
     assert "For half-widths of 0.02" in grown.stdout
 
 
@@ -68,7 +68,7 @@ def test_over_a_posterior(tmp_path: Path) -> None:
     result = run(*WORDS, PROTOCOL, short_protocol(tmp_path), *words)
     assert result.exit_code == 0, result.output
     assert "400 simulations" in result.stdout
-    assert "largest pawn" in result.stdout
+    assert "index pawn" in result.stdout
 
 
 def test_mistakes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,6 +89,6 @@ def test_mistakes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     both = (*WORDS, data, *short)
     assert "those of DATA.csv or those of --protocol: leave out one" in refused(*both)
     # As a run that was killed leaves it.
-    monkeypatch.setattr("identknee.cli.sensitivity.finish_work", lambda _: None)
+    monkeypatch.setattr("identknee.verbs.verb.finish_work", lambda _: None)
     run(*WORDS, *short, "--samples", 2)
     assert "seed was 0 and is 5 now" in refused(*WORDS, *short, "--samples", 2, "--seed", 5)

@@ -17,16 +17,9 @@ from identknee.report.units import AS_COORDINATE, AS_PARAMETER, AS_QUANTITY, uni
         ("sd", ("step", "target"), AS_QUANTITY),
         ("lower", ("quantity",), AS_QUANTITY),
         ("lower", ("end", "distance"), "1"),
-        ("distance", ("distance",), "kN and %"),
         ("distance", ("set", "block"), "1"),
         ("margin_N_per_mm", ("trial",), "N/mm"),
         ("internal_moment_Nm", ("candidate",), "N m"),
-        (
-            "mu_star_half_width",
-            ("group", "parameter"),
-            "mm or deg, as the group's name says; 1 for failure",
-        ),
-        ("ST", ("group", "parameter"), "1"),
         ("rhat", ("check", "parameter"), "1"),
     ],
 )

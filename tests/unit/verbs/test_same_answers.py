@@ -18,6 +18,7 @@ from identknee.verbs.files import load
 HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
 CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
     "information": (ik.information, {"scaling": "prior"}),
+    "sensitivity": (ik.sensitivity, {"method": "morris", "samples": 4}),
     "sweep": (
         ik.sweep,
         {"n_starts": 12, "design": "shells", "distances": "0,1,3", "paths": 4},

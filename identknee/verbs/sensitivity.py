@@ -1,0 +1,158 @@
+"""Which parameters the laxity of a knee depends on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identknee.calibrate.starts import load_start
+from identknee.identify.sensitivity.designs import Box, box_around
+from identknee.identify.sensitivity.sensitivity import DEFAULT_DRAWS, Method, Sensitivity
+from identknee.identify.sensitivity.sensitivity import sensitivity as analysed
+from identknee.laxity.protocol import load_protocol
+from identknee.laxity.scenarios import laxity_groups
+from identknee.laxity.table import Laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_outputs import LaxityOutputs
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
+from identknee.runs.files import PathLike, digest
+from identknee.runs.findings import Finding, Severity
+from identknee.subject.knee import Knee
+from identknee.verbs.answer import Answer
+from identknee.verbs.identification import warm_up
+from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
+
+NOTHING = Finding(
+    severity=Severity.ERROR,
+    sentence="no parameter set converges in all trials; see: identknee subject check",
+    where="trials",
+)
+
+
+@declared
+class GlobalSensitivity(Answer):
+    """Which parameters the laxity of a knee depends on."""
+
+    analysis: Sensitivity = entry("The analysis", group="sensitivity", is_inline=True)
+
+    @property
+    def failure(self) -> str:  # type: ignore[explicit-override]
+        """That no simulation has all predictions; empty where one has."""
+        return NOTHING.sentence if self.analysis.share_failed == 1.0 else ""
+
+
+@verb
+@not_deciding("method", "samples")
+def sensitivity(
+    run: Run,
+    subject: SubjectLike,
+    data: LaxityLike | None = None,
+    *,
+    protocol: str | None = None,
+    method: Method = "sobol",
+    samples: int | None = None,
+    posterior: PathLike | None = None,
+    start: str = "subject",
+    fixed: Sequence[str] | None = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> GlobalSensitivity:
+    """Which parameters the laxity of a knee depends on.
+
+    Outputs are grouped by coordinate, flexion angle and kind of load; failures to converge are an
+    output of their own.
+
+    Parameters
+    ----------
+    subject
+        A knee, its folder, or the name of one that comes with identknee.
+    data
+        Measured laxity whose trials are meant, its CSV file, or the name of a subject that comes
+        with one.
+    protocol
+        The trials where there are no data: ``"seed63"`` (also if None), ``"table2"``, ``"drawer"``
+        or a TOML file.
+    method
+        ``"morris"`` and ``"sobol"`` vary parameters independently in a box around the start; the
+        others take draws of a posterior, or draws from the box.
+    samples
+        Trajectories (256 if None), blocks (1,024) or draws (2,048, at most so many of the
+        posterior).
+    posterior
+        Folder of results of a sample.
+    start
+        Middle of the box: ``"subject"``, ``"IG1"`` to ``"IG4"``, or a TOML file.
+    fixed
+        Names of parameters held at the start.
+    out
+        Folder for the results, and for the work of a run that was stopped, which the same call
+        resumes; nothing is written if None.
+    seed
+        Seed of all random numbers.
+    workers
+        Processes to work with; results are the same.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do. That no simulation has all
+        predictions is no error: the answer says it in `failure`.
+    """
+    if run.measured is not None and protocol is not None:
+        raise ValueError(
+            "the trials are those of DATA.csv or those of --protocol: leave out one of both"
+        )
+    outputs = _outputs(run.knee, run.measured, protocol or "seed63", start, fixed)
+    over = _where(run, outputs, posterior, samples)
+    warm_up(run.knee, outputs.model.protocol)
+    run.start_clock()
+    found = analysed(
+        outputs,
+        over,
+        method=method,
+        n_samples=samples,
+        seed=seed,
+        executor=run.executor,
+        store=run.store,
+    )
+    return GlobalSensitivity(
+        analysis=found, findings=(NOTHING,) if found.share_failed == 1.0 else ()
+    )
+
+
+def _outputs(
+    knee: Knee,
+    laxity: Laxity | None,
+    protocol: str,
+    start: str,
+    fixed: Sequence[str] | None,
+) -> LaxityOutputs:
+    trials = load_protocol(protocol) if laxity is None else laxity.protocol
+    model = LaxityModel(knee=knee, protocol=trials)
+    free = model.parameters.with_fixed(fixed or (), load_start(start, model.parameters))
+    if free.parameters.n < 2:
+        raise ValueError(
+            "a sensitivity analysis needs at least two parameters that vary; fix fewer"
+        )
+    return LaxityOutputs(
+        model=model,
+        groups=laxity_groups(trials),
+        free=free,
+        zero="absolute" if laxity is None else laxity.zero,
+    )
+
+
+def _where(
+    run: Run, outputs: LaxityOutputs, posterior: PathLike | None, samples: int | None
+) -> Box | Array:
+    """The box, or draws of a posterior, whose number decides which they are."""
+    if posterior is None:
+        middle = outputs.free.restrict(outputs.free.fixed_values)
+        return box_around(outputs.parameters, middle)
+    # xarray takes longer to load than most mistakes take.
+    from identknee.verbs.posterior_draws import posterior_draws
+
+    draws = posterior_draws(posterior, outputs.parameters.names, samples or DEFAULT_DRAWS)
+    run.also_decide(draws=digest(np.ascontiguousarray(draws).tobytes()))
+    return draws
