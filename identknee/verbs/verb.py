@@ -23,8 +23,9 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.knee_digest import knee_digest
 
 WORK = "unfinished.sqlite"
-# What cannot change a number; everything else decides whether stored work may be resumed.
-NOT_DECIDING = frozenset({"out", "workers"})
+# What cannot change a number; everything else decides whether stored work may be resumed. Of
+# subject and data the content decides, whatever they are called and wherever they stand.
+NOT_DECIDING = frozenset({"out", "workers", "subject", "data"})
 BESIDE = "__not_deciding__"
 # Files that a name is read from, and what a folder of results is known by.
 READ, SUMMARY = (".toml", ".json"), "result.json"
@@ -200,9 +201,12 @@ def _file_of(value: Any) -> Path | None:
 
 def laxity_digest(laxity: Laxity) -> str:
     """SHA-256 of all numbers of a laxity table."""
-    sd = b"" if laxity.sd is None else laxity.sd.tobytes()
-    words = repr((_protocol_digest(laxity.protocol), laxity.zero, laxity.within_trial_correlation))
-    return digest(words.encode() + laxity.coordinates.tobytes() + sd)
+    numbers = (laxity.coordinates, laxity.sd, laxity.order)
+    words = (laxity.zero, laxity.within_trial_correlation, laxity.phase)
+    parts = [b"" if x is None else x.tobytes() for x in numbers]
+    return digest(
+        b"".join([_protocol_digest(laxity.protocol).encode(), repr(words).encode(), *parts])
+    )
 
 
 def _protocol_digest(protocol: Protocol) -> str:

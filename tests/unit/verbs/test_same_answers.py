@@ -17,6 +17,8 @@ from identknee.verbs.files import load
 # Two parameters stay free, so that searches take seconds.
 HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
 CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
+    "fit": (ik.fit, {"start": "IG2", "method": "complex", "budget": 40, "seed": 2}),
+    "profile": (ik.profile, {"level": 0.9, "budget": 200}),
     "information": (ik.information, {"scaling": "prior"}),
     "sensitivity": (ik.sensitivity, {"method": "morris", "samples": 4}),
     "sweep": (
@@ -52,9 +54,24 @@ def laxity(tmp_path_factory: pytest.TempPathFactory) -> ik.Laxity:
 def test_python_and_command_line_agree(verb: str, laxity: ik.Laxity, tmp_path: Path) -> None:
     function, options = CALLS[verb]
     data = ik.write_laxity(laxity, tmp_path / "data.csv")
-    made = function(ik.reference_knee(), laxity, fixed=HELD, **options)
+    made = function(ik.reference_knee(), ik.read_laxity(data), fixed=HELD, **options)
     words = [y for name, x in options.items() for y in (f"--{name.replace('_', '-')}", x)]
     held = [y for x in HELD for y in ("--fix", x)]
     result = run(verb, "reference", data, *held, *words, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert said(load(tmp_path / "out")) == said(made)
+
+
+def test_a_simulation_is_the_same_from_both(tmp_path: Path) -> None:
+    options: dict[str, Any] = {
+        "start": "IG2",
+        "noise": "0.3mm,0.4deg",
+        "seed": 3,
+        "noise_correlation": 0.2,
+    }
+    made = ik.simulate(ik.reference_knee(), "drawer", {"ACL.stiffness_kN": 9.5}, **options)
+    words = [y for name, x in options.items() for y in (f"--{name.replace('_', '-')}", x)]
+    setting = ("--protocol", "drawer", "--set", "ACL.stiffness_kN=9.5")
+    result = run("simulate", "reference", *setting, *words, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert said(load(tmp_path)) == said(made)

@@ -1,0 +1,80 @@
+"""Stored work is resumed by the call that it belongs to, and by no other."""
+
+import inspect
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import identknee as ik
+from identknee.runs.errors import InputError
+from identknee.verbs import verb as scaffold
+from identknee.verbs.files import ANSWERS
+
+DRAWER = ik.load_protocol("drawer")
+LAXITY = ik.Laxity(protocol=DRAWER, coordinates=np.zeros((DRAWER.n, 5)))
+OTHER = replace(LAXITY, coordinates=LAXITY.coordinates + 1.0)
+
+
+def arguments_of(verb: str) -> dict[str, Any]:
+    """The arguments of a call with all options as they are by default."""
+    given: dict[str, Any] = {"subject": ik.reference_knee(), "data": LAXITY}
+    return {
+        name: given.get(name, x.default)
+        for name, x in inspect.signature(getattr(ik, verb)).parameters.items()
+    }
+
+
+def changed(name: str, value: Any) -> Any:
+    """Another value of an option."""
+    if name == "subject":
+        first, *others = value.ligaments
+        return value.with_ligaments([replace(first, stiffness_kN=9.0), *others])
+    if name == "data":
+        return OTHER
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        return value + 1
+    return f"{value} changed"
+
+
+def cases() -> Iterator[tuple[str, str]]:
+    for verb in ANSWERS:
+        for name in inspect.signature(getattr(ik, verb)).parameters:
+            yield verb, name
+
+
+@pytest.mark.parametrize(("verb", "option"), list(cases()))
+def test_another_value_of_an_option_is_another_work(verb: str, option: str, tmp_path: Path) -> None:
+    """All options of all verbs, but those that cannot change a number."""
+    function = getattr(ik, verb).__wrapped__
+    before = arguments_of(verb) | {"out": tmp_path}
+    after = before | {option: changed(option, before[option])}
+    if option == "out":
+        after = before
+    for arguments in (before, before):
+        with scaffold._run(function, arguments) as (run, _):
+            assert run.store is not None
+    beside = {"out", "workers"} | getattr(function, scaffold.BESIDE, frozenset())
+    with scaffold._run(function, after) as (run, _):
+        if option in beside:
+            assert run.store is not None
+            return
+        with pytest.raises(InputError, match=f"differs from what is asked: .*{option}"):
+            _ = run.store
+
+
+def test_data_under_another_name_are_the_same_data(tmp_path: Path) -> None:
+    first = ik.write_laxity(LAXITY, tmp_path / "first.csv")
+    second = ik.write_laxity(LAXITY, tmp_path / "second.csv")
+    function = ik.profile.__wrapped__  # type: ignore[attr-defined]
+    for data in (first, second):
+        with scaffold._run(function, arguments_of("profile") | {"data": data, "out": tmp_path}) as (
+            run,
+            _,
+        ):
+            assert run.store is not None
