@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common.records import processor
 
-from identknee.report.study_records import processor
 from identknee.runs.files import write_atomically, write_json
 
 TESTS = Path(__file__).parent

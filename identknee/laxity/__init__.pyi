@@ -7,6 +7,8 @@ from .published import TABLE5 as TABLE5
 from .published import PublishedLaxity as PublishedLaxity
 from .published import table2_laxity as table2_laxity
 from .rmse import LaxityError as LaxityError
+from .scenarios import laxity_groups as laxity_groups
+from .scenarios import load_scenarios as load_scenarios
 from .table import COORDINATES as COORDINATES
 from .table import ROTATIONS as ROTATIONS
 from .table import TRANSLATIONS as TRANSLATIONS

@@ -1,3 +1,5 @@
+from .comparison import largest_by as largest_by
+from .comparison import spread as spread
 from .design_figures import candidates_figure as candidates_figure
 from .diagnosis_figures import added_variable_figure as added_variable_figure
 from .diagnosis_figures import misfit_figure as misfit_figure
@@ -5,7 +7,14 @@ from .diagnosis_figures import parameters_before_after_figure as parameters_befo
 from .diagnosis_figures import scores_figure as scores_figure
 from .equivalents_figures import ranges_figure as ranges_figure
 from .equivalents_figures import sets_figure as sets_figure
+from .figures import BLACK as BLACK
+from .figures import COLOURS as COLOURS
+from .figures import GREY as GREY
+from .figures import MARKERS as MARKERS
+from .figures import SMALL as SMALL
+from .figures import STYLES as STYLES
 from .information_figures import spectrum_figure as spectrum_figure
+from .picture import png as png
 from .profile_figures import intervals_figure as intervals_figure
 from .profile_figures import profiles_figure as profiles_figure
 from .profile_figures import smooth_edge as smooth_edge

@@ -3,34 +3,28 @@
 Writes ``records/model_evaluation.json``.
 """
 
-import argparse
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 
 import numpy as np
-
-from identknee.laxity.protocol import LOADS, Protocol, load_protocol, trial_name
-from identknee.laxity.published import TABLE2, table2_laxity
-from identknee.laxity.table import COORDINATES
-from identknee.mechanics.grood_suntay import coordinates_from_pose
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
-from identknee.report.study_records import (
-    knee_digest,
-    record_head,
+from common.problems import model_of
+from common.records import (
+    Row,
+    begun,
+    parsed_options,
     rounded,
     study_knee,
     write_record,
 )
-from identknee.runs.executors import Executor, threads
-from identknee.runs.outcome import Outcome
-from identknee.subject.knee import Knee
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "model_evaluation.json"
-COMMAND = "python studies/01_model_evaluation/compute.py"
+import identknee as ik
+from identknee.mechanics.grood_suntay import coordinates_from_pose
+
 KNEES = ("reference", "lenhart2015_stable", "lenhart2015")
 RAMP_FLEXION_DEG = (0.0, 30.0, 60.0)
 # Load column, its largest value, and the step of a ramp to it.
@@ -42,26 +36,17 @@ RAMPS = (
     ("anterior_force_N", 134.0, 6.7),
     ("anterior_force_N", -100.0, -5.0),
 )
-Row = dict[str, Any]
 
 
 def main() -> None:
     """Compute all and write the record."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args()
+    options = parsed_options(__file__)
     knees = {name: study_knee(name) for name in KNEES}
-    record: Row = {
-        "head": record_head(
-            COMMAND,
-            settings={"ramps": RAMPS, "ramp_flexion_deg": RAMP_FLEXION_DEG},
-            inputs={name: knee_digest(knee) for name, knee in knees.items()},
-        ),
-        "coordinates": COORDINATES,
-        "knees": {},
+    record = {
+        **begun(options, KNEES, ramps=RAMPS, ramp_flexion_deg=RAMP_FLEXION_DEG),
+        "coordinates": ik.laxity.COORDINATES,
     }
-    with threads(options.workers) as executor:
+    with ik.runs.threads(options.workers) as executor:
         for name, knee in knees.items():
             began = time.perf_counter()
             record["knees"][name] = {
@@ -75,13 +60,13 @@ def main() -> None:
             print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)
 
 
-def table2(knee: Knee) -> Row:
+def table2(knee: ik.Knee) -> Row:
     """Response to each row of Table 2 [mm or deg], with the outcome and margin of its trial."""
-    model = LaxityModel(knee=knee, protocol=load_protocol("table2"))
+    model = ik.LaxityModel(knee=knee, protocol=ik.load_protocol("table2"))
     prediction = model.predict(model.parameters.center, derivatives=False)
-    rows = [model.protocol.trials.index(row.trial) for row in TABLE2]
+    rows = [model.protocol.trials.index(row.trial) for row in ik.laxity.TABLE2]
     return {
-        "response": rounded(table2_laxity(model.simulate(model.parameters.center))),
+        "response": rounded(ik.laxity.table2_laxity(model.simulate(model.parameters.center))),
         "outcome": [prediction.outcomes[i].value for i in rows],
         "margin_N_per_mm": rounded(prediction.margins[rows]),
         "unloaded": {
@@ -92,12 +77,12 @@ def table2(knee: Knee) -> Row:
     }
 
 
-def seed63(knee: Knee) -> Row:
+def seed63(knee: ik.Knee) -> Row:
     """How the 63 trials end at the subject's own parameters.
 
     Of those that continuation loses, the pose a single step finds is kept, converged or not.
     """
-    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    model = model_of(knee)
     prediction = model.predict(model.parameters.center, derivatives=False)
     single = replace(model, continuation="single-step")
     at_once = single.predict(model.parameters.center, derivatives=False)
@@ -106,7 +91,7 @@ def seed63(knee: Knee) -> Row:
         "n_trials": model.protocol.n,
         "outcomes": {
             outcome.value: count
-            for outcome in Outcome
+            for outcome in ik.Outcome
             if (count := prediction.outcomes.count(outcome))
         },
         "lowest_margin_N_per_mm": rounded(float(prediction.margins[converged].min())),
@@ -122,25 +107,25 @@ def seed63(knee: Knee) -> Row:
     }
 
 
-def all_vertices(knee: Knee) -> Row:
+def all_vertices(knee: ik.Knee) -> Row:
     """Table 2 with every tibial vertex as a contact point, beside the default."""
-    model = LaxityModel(knee=knee, protocol=load_protocol("table2"), n_points=None)
+    model = ik.LaxityModel(knee=knee, protocol=ik.load_protocol("table2"), n_points=None)
     laxity = model.simulate(model.parameters.center)
-    return {"response_all_vertices": rounded(table2_laxity(laxity))}
+    return {"response_all_vertices": rounded(ik.laxity.table2_laxity(laxity))}
 
 
-def ramps(knee: Knee, executor: Executor) -> list[Row]:
+def ramps(knee: ik.Knee, executor: ik.runs.Executor) -> list[Row]:
     """Every ramp in small steps: poses, margins, and where it ended."""
     tasks = [(knee, flexion, *ramp) for flexion in RAMP_FLEXION_DEG for ramp in RAMPS]
     return list(executor.map(one_ramp, tasks))
 
 
-def one_ramp(task: tuple[Knee, float, str, float, float]) -> Row:
+def one_ramp(task: tuple[ik.Knee, float, str, float, float]) -> Row:
     """One ramp, followed as far as it goes."""
     knee, flexion, load, largest, step = task
     steps = np.append(np.arange(round(largest / step)) * step, largest)
     protocol = ramp_protocol(flexion, load, steps)
-    model = LaxityModel(knee=knee, protocol=protocol)
+    model = ik.LaxityModel(knee=knee, protocol=protocol)
     prediction = model.predict(model.parameters.center, derivatives=False)
     row = {
         "flexion_deg": flexion,
@@ -154,19 +139,19 @@ def one_ramp(task: tuple[Knee, float, str, float, float]) -> Row:
     return ended
 
 
-def ramp_protocol(flexion: float, load: str, steps: np.ndarray) -> Protocol:
+def ramp_protocol(flexion: float, load: str, steps: np.ndarray) -> ik.Protocol:
     """The trials of a ramp."""
-    loads = np.zeros((len(steps), len(LOADS)))
-    loads[:, LOADS.index(load)] = steps
-    return Protocol(
+    loads = np.zeros((len(steps), len(ik.laxity.LOADS)))
+    loads[:, ik.laxity.LOADS.index(load)] = steps
+    return ik.Protocol(
         name="ramp",
-        trials=tuple(trial_name(flexion, row) for row in loads),
+        trials=tuple(ik.laxity.trial_name(flexion, row) for row in loads),
         flexion_deg=np.full(len(steps), flexion),
         loads=loads,
     )
 
 
-def ending(model: LaxityModel, prediction: Prediction) -> Row:
+def ending(model: ik.LaxityModel, prediction: ik.model.Prediction) -> Row:
     """Of a ramp that does not reach its full load: why, and its last stable pose.
 
     The trials of a ramp that converge come first. The one after them carries the last stable pose
@@ -186,7 +171,7 @@ def ending(model: LaxityModel, prediction: Prediction) -> Row:
     }
 
 
-def stable_load(model: LaxityModel, trial: int, reached: float) -> float:
+def stable_load(model: ik.LaxityModel, trial: int, reached: float) -> float:
     """Load of the last stable pose on the way to a trial, in the unit of its column."""
     column = int(np.flatnonzero(model.protocol.loads.any(axis=0))[0])
     goal = float(model.protocol.loads[trial, column])

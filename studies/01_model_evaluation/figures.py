@@ -1,34 +1,35 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import draw_study, table
 from matplotlib.figure import Figure
 
-from identknee.laxity.published import TABLE2
-from identknee.laxity.table import COORDINATES
+import identknee as ik
 from identknee.report.figures import evaluation_figure, margin_figure
-from identknee.report.study_page import draw_study
-from identknee.report.tables import Column, Table, laxity_table
-from identknee.runs.arrays import Array
+from identknee.report.tables import laxity_table
 
-HERE = Path(__file__).parent
 WELL_POSED = ("reference", "lenhart2015_stable")
-INTERNAL = COORDINATES.index("internal_deg")
+INTERNAL = ik.laxity.COORDINATES.index("internal_deg")
 UNITS = {"N": "N", "Nm": "N·m"}
 Row = Mapping[str, Any]
 
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure:
     """Table 2: the measurements, the paper's model and the well-posed knees."""
-    return evaluation_figure(TABLE2, responses(record, WELL_POSED))
+    return evaluation_figure(ik.laxity.TABLE2, responses(record, WELL_POSED))
 
 
 def figure_2(record: Row) -> Figure:
@@ -42,7 +43,9 @@ def figure_2(record: Row) -> Figure:
     return margin_figure(columns)
 
 
-def whole_ramp(ramps: list[Row], flexion: float) -> tuple[Array, Array, Array]:
+def whole_ramp(
+    ramps: list[Row], flexion: float
+) -> tuple[ik.runs.Array, ik.runs.Array, ik.runs.Array]:
     """Internal moment, ascending, with internal rotation and margin."""
     parts = []
     for ramp in ramps:
@@ -63,36 +66,30 @@ FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
 }
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables of the page by the name of their place in it."""
     return {
-        "table 2": laxity_table(TABLE2, responses(record, WELL_POSED)),
+        "table 2": laxity_table(ik.laxity.TABLE2, responses(record, WELL_POSED)),
         "raw centroids": raw_table(record),
         "ends": ends_table(record),
         "single step": single_step_table(record),
     }
 
 
-def responses(record: Row, names: tuple[str, ...]) -> dict[str, Array]:
+def responses(record: Row, names: tuple[str, ...]) -> dict[str, ik.runs.Array]:
     """Response to each load of Table 2 by knee, NaN where there is none."""
     knees = record["knees"]
     return {x: np.array(knees[x]["table2"]["response"], float) for x in names if x in knees}
 
 
-def raw_table(record: Row) -> Table:
+def raw_table(record: Row) -> ik.report.Table:
     """How the 63 trials end, a row a knee."""
-    return Table(
-        title="How the 63 trials of seed63 end",
-        columns=(
-            Column(name="knee"),
-            Column(name="outcomes"),
-            Column(name="lowest margin of a converged trial", unit="N/mm"),
-            Column(name="lowest margin along the fine ramps", unit="N/mm"),
-            Column(
-                name="largest change of Table 2 with all vertices", unit="mm or deg", decimals=3
-            ),
-        ),
-        rows=tuple(
+    return table(
+        "How the 63 trials of seed63 end",
+        "knee; outcomes; lowest margin of a converged trial [N/mm]; "
+        "lowest margin along the fine ramps [N/mm]; "
+        "largest change of Table 2 with all vertices [mm or deg] | 3",
+        (
             (
                 name,
                 ", ".join(f"{key} {n}" for key, n in part["seed63"]["outcomes"].items()),
@@ -112,7 +109,7 @@ def vertex_change(part: Row) -> float:
     return float(np.nanmax(np.abs(default - whole)))
 
 
-def ends_table(record: Row) -> Table:
+def ends_table(record: Row) -> ik.report.Table:
     """Ramps that do not reach their full load, with the last stable pose of each."""
     rows = tuple(
         (
@@ -129,26 +126,28 @@ def ends_table(record: Row) -> Table:
         for ramp in part["ramps"]
         if ramp["outcome"] != "converged"
     )
-    return Table(
+    return ik.report.Table(
         title="Ramps that end before their full load, and their last stable pose",
         columns=(
-            Column(name="knee"),
-            Column(name="load"),
-            Column(name="flexion", unit="deg", decimals=0),
-            Column(name="outcome"),
-            Column(name="first trial lost"),
-            Column(name="last stable load"),
-            Column(name="margin there", unit="N/mm"),
+            ik.report.Column(name="knee"),
+            ik.report.Column(name="load"),
+            ik.report.Column(name="flexion", unit="deg", decimals=0),
+            ik.report.Column(name="outcome"),
+            ik.report.Column(name="first trial lost"),
+            ik.report.Column(name="last stable load"),
+            ik.report.Column(name="margin there", unit="N/mm"),
             *(
-                Column(name=name.rsplit("_", 1)[0].replace("_", " "), unit=name.rsplit("_", 1)[1])
-                for name in COORDINATES
+                ik.report.Column(
+                    name=name.rsplit("_", 1)[0].replace("_", " "), unit=name.rsplit("_", 1)[1]
+                )
+                for name in ik.laxity.COORDINATES
             ),
         ),
         rows=rows,
     )
 
 
-def single_step_table(record: Row) -> Table:
+def single_step_table(record: Row) -> ik.report.Table:
     """Trials of seed63 that continuation loses, and what a single step makes of them."""
     rows = tuple(
         (
@@ -157,22 +156,16 @@ def single_step_table(record: Row) -> Table:
             row["outcome"],
             row["single_step_outcome"],
             row["single_step_coordinates"][INTERNAL],
-            row["single_step_coordinates"][COORDINATES.index("varus_deg")],
+            row["single_step_coordinates"][ik.laxity.COORDINATES.index("varus_deg")],
         )
         for name, part in record["knees"].items()
         for row in part["seed63"]["not_converged"]
     )
-    return Table(
-        title="Trials of seed63 that continuation loses, and the pose a single step finds",
-        columns=(
-            Column(name="knee"),
-            Column(name="trial"),
-            Column(name="by continuation"),
-            Column(name="in a single step"),
-            Column(name="internal rotation then", unit="deg", decimals=1),
-            Column(name="varus then", unit="deg", decimals=1),
-        ),
-        rows=rows,
+    return table(
+        "Trials of seed63 that continuation loses, and the pose a single step finds",
+        "knee; trial; by continuation; in a single step; internal rotation then [deg] | 1; "
+        "varus then [deg] | 1",
+        rows,
     )
 
 

@@ -4,9 +4,8 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+from common.records import study_knee
 from compute import RAMPS, all_vertices, one_ramp, seed63, table2
-
-from identknee.report.study_records import study_knee
 
 Row = dict[str, Any]
 

@@ -4,50 +4,36 @@ Writes ``records/initial_guess.json`` after each part. Finished fits are kept in
 checkout, so that the same command resumes where it was stopped.
 """
 
-import argparse
 import json
+import sys
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 
 import numpy as np
-import platformdirs
-
-import identknee
-from identknee.calibrate.fit import BUDGET, Fit, fit
-from identknee.calibrate.starts import named_start
-from identknee.laxity.protocol import Protocol, concatenate, load_protocol
-from identknee.laxity.rmse import laxity_rmse
-from identknee.laxity.scenarios import load_scenarios
-from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameter_error import parameter_error
-from identknee.model.prediction import Prediction
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.stability import box_sample
-from identknee.model.tensions import tensions_of
-from identknee.report.comparison import largest_by
-from identknee.report.study_records import (
-    knee_digest,
-    record_head,
+from common.problems import truth_of
+from common.records import (
+    Row,
+    begun,
+    parsed_options,
     rounded,
+    say,
     study_knee,
     write_record,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.executors import Executor, process_pool
-from identknee.runs.files import digest
-from identknee.runs.store import Store
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "initial_guess.json"
-COMMAND = "python studies/02_initial_guess/compute.py"
+import identknee
+import identknee as ik
+from identknee.calibrate.fit import fit
+from identknee.model.parameter_error import parameter_error
+
 KNEES = ("reference", "lenhart2015_stable")
 STARTS = ("IG1", "IG2", "IG3", "IG4")
-TRUTH = "IG1"  # Table 1 of the paper: its first initial guess is the reference itself.
 METHODS = ("complex", "least-squares")
 SCENARIOS = (
     "anterior force",
@@ -59,7 +45,6 @@ SCENARIOS = (
 )
 OTHER_BRANCH_MM, OTHER_BRANCH_DEG = 0.1, 0.1
 BOX_SEED, BOX_CHUNK = 0, 50
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,21 +63,21 @@ class Setting:
         Prediction of `model` there.
     """
 
-    problem: LaxityResiduals
-    model: LaxityModel
-    truth: Array
-    at_truth: Prediction
+    problem: ik.LaxityResiduals
+    model: ik.LaxityModel
+    truth: ik.runs.Array
+    at_truth: ik.model.Prediction
 
 
 @cache
 def setting(knee_name: str) -> Setting:
     """The synthetic data of a knee, made once in each process."""
-    protocol = load_protocol("seed63")
-    fitted = LaxityModel(knee=study_knee(knee_name), protocol=protocol)
-    model = fitted.with_protocol(concatenate([protocol, load_protocol("drawer")]))
-    truth = named_start(TRUTH, fitted.parameters)
+    protocol = ik.load_protocol("seed63")
+    fitted = ik.LaxityModel(knee=study_knee(knee_name), protocol=protocol)
+    model = fitted.with_protocol(ik.laxity.concatenate([protocol, ik.load_protocol("drawer")]))
+    truth = truth_of(fitted.parameters)
     return Setting(
-        problem=LaxityResiduals(model=fitted, laxity=fitted.simulate(truth)),
+        problem=ik.LaxityResiduals(model=fitted, laxity=fitted.simulate(truth)),
         model=model,
         truth=truth,
         at_truth=model.predict(truth, derivatives=False),
@@ -101,23 +86,13 @@ def setting(knee_name: str) -> Setting:
 
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
-    options = parsed_options()
-    settings = {
-        "seeds": options.seeds,
-        "budget": options.budget,
-        "box_samples": options.box_samples,
-        "workers": options.workers,
-    }
-    inputs = {name: knee_digest(study_knee(name)) for name in KNEES}
-    record: Row = {
-        "head": record_head(
-            f"{COMMAND} --seeds {options.seeds} --workers {options.workers}",
-            settings=settings,
-            inputs=inputs,
-        ),
-        "knees": {},
-    }
-    with Store(options.store) as store, process_pool(options.workers) as executor:
+    options = parsed_options(__file__, seeds=20, budget=ik.calibrate.BUDGET, box_samples=1000)
+    record = begun(options, KNEES)
+    inputs = record["head"]["inputs"]
+    with (
+        ik.runs.Store(options.store.with_suffix(".sqlite")) as store,
+        ik.runs.process_pool(options.workers) as executor,
+    ):
         for name in KNEES:
             say(f"{name}: profile")
             record["knees"][name] = part = {"profile": profile(name)}
@@ -129,20 +104,6 @@ def main() -> None:
             part["branches"] = branches(name, part, executor, options.box_samples)
             write(record, options.record)
     say(f"written: {options.record.name}")
-
-
-def parsed_options() -> argparse.Namespace:
-    """What was asked for on the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    cache_folder = platformdirs.user_cache_path("identknee")
-    store = cache_folder / "studies" / "initial_guess.sqlite"
-    parser.add_argument("--store", type=Path, default=store, help="keeps finished fits")
-    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seeds", type=int, default=20, help="Complex fits a start and knee")
-    parser.add_argument("--budget", type=int, default=BUDGET, help="simulations a fit")
-    parser.add_argument("--box-samples", type=int, default=1000, help="for the branches")
-    return parser.parse_args()
 
 
 def fit_tasks(knee_name: str, method: str, n_seeds: int, budget: int) -> list[Row]:
@@ -161,7 +122,9 @@ def fit_tasks(knee_name: str, method: str, n_seeds: int, budget: int) -> list[Ro
     ]
 
 
-def finished(tasks: list[Row], store: Store, executor: Executor, knee: str) -> list[Row]:
+def finished(
+    tasks: list[Row], store: ik.runs.Store, executor: ik.runs.Executor, knee: str
+) -> list[Row]:
     """Rows of all tasks, those in the store not computed again."""
     keys = [f"{sources()} {knee[:16]} {json.dumps(task, sort_keys=True)}" for task in tasks]
     known = store.keys()
@@ -181,7 +144,7 @@ def finished(tasks: list[Row], store: Store, executor: Executor, knee: str) -> l
 def fit_row(task: Row) -> Row:
     """One fit, its kinematics and ligament forces against the truth; Complex also polished."""
     its = setting(task["knee"])
-    start = named_start(task["start"], its.problem.parameters)
+    start = ik.calibrate.named_start(task["start"], its.problem.parameters)
     ended = fit(its.problem, start, method=task["method"], seed=task["seed"], budget=task["budget"])
     row = {
         "start": task["start"],
@@ -195,7 +158,7 @@ def fit_row(task: Row) -> Row:
     return checked
 
 
-def end_of(its: Setting, ended: Fit) -> Row:
+def end_of(its: Setting, ended: ik.calibrate.Fit) -> Row:
     """Where a fit ended, how far from the truth, and what it cost."""
     error = parameter_error(ended.theta, its.truth)
     return {
@@ -209,29 +172,33 @@ def end_of(its: Setting, ended: Fit) -> Row:
     }
 
 
-def errors(its: Setting, theta: Array) -> Row:
+def errors(its: Setting, theta: ik.runs.Array) -> Row:
     """Kinematic errors over the 63 trials, differences of tension over these and the drawers."""
     prediction = its.model.predict(theta, derivatives=False)
     measured = its.problem.laxity
-    simulated = Laxity(protocol=measured.protocol, coordinates=prediction.coordinates[: measured.n])
-    kinematic = laxity_rmse(simulated, measured)
-    differences = np.abs(tensions_of(its.model, prediction) - tensions_of(its.model, its.at_truth))
+    simulated = ik.Laxity(
+        protocol=measured.protocol, coordinates=prediction.coordinates[: measured.n]
+    )
+    kinematic = ik.laxity_rmse(simulated, measured)
+    differences = np.abs(
+        ik.model.tensions_of(its.model, prediction) - ik.model.tensions_of(its.model, its.at_truth)
+    )
     flexion = its.model.protocol.flexion_deg
     return {
         "n_not_converged": int((~prediction.is_converged).sum()),
         "rmse_mm": kinematic.mm,
         "rmse_deg": kinematic.deg,
         "rmse_by_flexion": kinematic.by_flexion,
-        "tension_by_flexion_N": largest_by(
+        "tension_by_flexion_N": ik.report.largest_by(
             differences, flexion.tolist(), angles(its.model.protocol)
         ),
-        "tension_by_scenario_N": largest_by(
-            differences, load_scenarios(its.model.protocol), SCENARIOS
+        "tension_by_scenario_N": ik.report.largest_by(
+            differences, ik.laxity.load_scenarios(its.model.protocol), SCENARIOS
         ),
     }
 
 
-def angles(protocol: Protocol) -> list[float]:
+def angles(protocol: ik.Protocol) -> list[float]:
     """Its flexion angles [deg], ascending."""
     return [float(x) for x in np.unique(protocol.flexion_deg)]
 
@@ -240,25 +207,25 @@ def profile(knee_name: str) -> Row:
     """Coordinates, tensions and margins at the truth, and the names that go with all arrays."""
     its = setting(knee_name)
     protocol = its.model.protocol
-    tensions = tensions_of(its.model, its.at_truth)
+    tensions = ik.model.tensions_of(its.model, its.at_truth)
     row: Row = rounded(
         {
             "parameters": its.model.parameters.names,
             "ligaments": [x.name for x in its.model.knee.ligaments],
-            "starts": {x: named_start(x, its.model.parameters) for x in STARTS},
+            "starts": {x: ik.calibrate.named_start(x, its.model.parameters) for x in STARTS},
             "truth": its.truth,
             "flexion_angles_deg": angles(protocol),
             "scenarios": SCENARIOS,
-            "coordinates": COORDINATES,
+            "coordinates": ik.laxity.COORDINATES,
             "trials": protocol.trials,
             "flexion_deg": protocol.flexion_deg,
             "loads": protocol.loads,
             "at_truth": its.at_truth.coordinates,
-            "largest_tension_by_flexion_N": largest_by(
+            "largest_tension_by_flexion_N": ik.report.largest_by(
                 tensions, protocol.flexion_deg.tolist(), angles(protocol)
             ),
-            "largest_tension_by_scenario_N": largest_by(
-                tensions, load_scenarios(protocol), SCENARIOS
+            "largest_tension_by_scenario_N": ik.report.largest_by(
+                tensions, ik.laxity.load_scenarios(protocol), SCENARIOS
             ),
             "margin_N_per_mm": its.at_truth.margins,
         }
@@ -266,22 +233,22 @@ def profile(knee_name: str) -> Row:
     return row
 
 
-def branches(knee_name: str, part: Row, executor: Executor, n_samples: int) -> Row:
+def branches(knee_name: str, part: Row, executor: ik.runs.Executor, n_samples: int) -> Row:
     """How many of the 63 trials a single step puts on another branch, at several thetas."""
     its = setting(knee_name)
     parameters = its.problem.parameters
     ends = [row["theta"] for row in part["complex"]]
-    sample = box_sample(parameters, n_samples, np.random.default_rng(BOX_SEED))
+    sample = ik.model.box_sample(parameters, n_samples, np.random.default_rng(BOX_SEED))
     sets = {
         "reference": its.truth[None],
-        "IG4": named_start("IG4", parameters)[None],
+        "IG4": ik.calibrate.named_start("IG4", parameters)[None],
         "ends of the Complex fits": np.array(ends),
         "box k +-50 %, eps_r +-3 %": sample,
     }
     return {name: branch_counts(knee_name, thetas, executor) for name, thetas in sets.items()}
 
 
-def branch_counts(knee_name: str, thetas: Array, executor: Executor) -> Row:
+def branch_counts(knee_name: str, thetas: ik.runs.Array, executor: ik.runs.Executor) -> Row:
     """Trials by how their single step ended, beside the canonical answer, summed over `thetas`."""
     chunks = [(knee_name, thetas[i : i + BOX_CHUNK]) for i in range(0, len(thetas), BOX_CHUNK)]
     kinds = np.concatenate(list(executor.map(branch_kinds, chunks)))
@@ -301,7 +268,7 @@ def branch_counts(knee_name: str, thetas: Array, executor: Executor) -> Row:
 KINDS = ("same", "other_branch", "single_step_failed", "canonical_failed", "both_failed")
 
 
-def branch_kinds(task: tuple[str, Array]) -> Array:
+def branch_kinds(task: tuple[str, ik.runs.Array]) -> ik.runs.Array:
     """Index into `KINDS` of each trial at each theta, shape ``(n_thetas, n_trials)``."""
     canonical = setting(task[0]).problem.model
     single = replace(canonical, continuation="single-step")
@@ -310,8 +277,8 @@ def branch_kinds(task: tuple[str, Array]) -> Array:
         one = canonical.predict(theta, derivatives=False)
         other = single.predict(theta, derivatives=False)
         change = np.abs(one.coordinates - other.coordinates)
-        differs = (change[:, TRANSLATIONS] > OTHER_BRANCH_MM).any(axis=1)
-        differs |= (change[:, ROTATIONS] > OTHER_BRANCH_DEG).any(axis=1)
+        differs = (change[:, ik.laxity.TRANSLATIONS] > OTHER_BRANCH_MM).any(axis=1)
+        differs |= (change[:, ik.laxity.ROTATIONS] > OTHER_BRANCH_DEG).any(axis=1)
         row[:] = np.select(
             [
                 one.is_converged & other.is_converged,
@@ -331,7 +298,7 @@ def sources() -> str:
     packages = ("mechanics", "subject", "laxity", "model", "calibrate")
     files: Iterable[Path] = (x for name in packages for x in sorted((folder / name).rglob("*.*")))
     content = b"".join(x.read_bytes() for x in files if x.suffix in {".py", ".toml"})
-    return digest(content + Path(__file__).read_bytes())[:16]
+    return ik.runs.digest(content + Path(__file__).read_bytes())[:16]
 
 
 def write(record: Row, path: Path) -> None:
@@ -352,11 +319,6 @@ def all_fits(record: Row) -> Iterator[Row]:
     for part in record["knees"].values():
         for method in METHODS:
             yield from part.get(method, [])
-
-
-def say(text: str) -> None:
-    """Tell how far it is."""
-    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
 
 
 if __name__ == "__main__":

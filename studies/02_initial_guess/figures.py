@@ -1,33 +1,33 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import draw_study
+from common.records import study_knee
 from matplotlib.figure import Figure
 from paper_tables import PAPER_TABLE3, rows, tables
 
-from identknee.laxity.protocol import LOADS
-from identknee.laxity.table import COORDINATES
+import identknee as ik
 from identknee.report.figures import (
     error_figure,
     force_strain_figure,
     parameters_figure,
     profile_figure,
 )
-from identknee.report.scene import draw_scene, view_from
-from identknee.report.study_page import draw_study
-from identknee.report.study_records import study_knee
-from identknee.runs.arrays import Array
 
-HERE = Path(__file__).parent
 Row = Mapping[str, Any]
 
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure:
@@ -35,15 +35,21 @@ def figure_1(record: Row) -> Figure:
     knees = [study_knee(name) for name in record["knees"]]
     figure = Figure(figsize=(5.4 * len(knees), 5.8), layout="constrained")
     for axes, knee in zip(figure.subplots(1, len(knees), squeeze=False)[0], knees, strict=True):
-        draw_scene(axes, knee, view_from(215.0, 12.0))
+        ik.report.draw_scene(axes, knee, ik.report.view_from(215.0, 12.0))
         axes.set_title(knee.name, fontsize=10)
     return figure
 
 
 def figure_2(record: Row) -> Figure:
     """The laxity profile of the synthetic data."""
-    moments = [LOADS.index("varus_moment_Nm"), LOADS.index("internal_moment_Nm")]
-    rotations = [COORDINATES.index("varus_deg"), COORDINATES.index("internal_deg")]
+    moments = [
+        ik.laxity.LOADS.index("varus_moment_Nm"),
+        ik.laxity.LOADS.index("internal_moment_Nm"),
+    ]
+    rotations = [
+        ik.laxity.COORDINATES.index("varus_deg"),
+        ik.laxity.COORDINATES.index("internal_deg"),
+    ]
     profiles = {}
     for name, part in record["knees"].items():
         profile = part["profile"]
@@ -89,7 +95,7 @@ FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
 }
 
 
-def ends(record: Row) -> dict[str, dict[str, Array]]:
+def ends(record: Row) -> dict[str, dict[str, ik.runs.Array]]:
     """Theta of every Complex run, by knee and start."""
     return {
         knee: {
@@ -99,7 +105,7 @@ def ends(record: Row) -> dict[str, dict[str, Array]]:
     }
 
 
-def mean_errors(runs: list[Row]) -> Array:
+def mean_errors(runs: list[Row]) -> ik.runs.Array:
     """Mean absolute errors [kN], [%] of each run, shape ``(n_runs, 2)``."""
     return np.array([[np.mean(row["error_kN"]), np.mean(row["error_pct"])] for row in runs])
 

@@ -4,12 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from common.page import Cell, table
 
-from identknee.laxity.published import TABLE5
-from identknee.laxity.table import COORDINATES
-from identknee.report.comparison import spread
-from identknee.report.tables import Cell, Column, Table, error_table, median_range, start_table
-from identknee.runs.arrays import Array
+import identknee as ik
+from identknee.report.tables import error_table, start_table
 
 Row = Mapping[str, Any]
 
@@ -43,7 +41,7 @@ PAPER_LIGAMENTS = ("ACL", "PCL", "MCL", "LCL")
 FORCE_STARTS = ("IG1", "IG4")
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables of the page by the name of their place in it."""
     profile = next(iter(record["knees"].values()))["profile"]
     return {
@@ -70,7 +68,7 @@ def tables(record: Row) -> dict[str, Table]:
     }
 
 
-def table_3(record: Row) -> Table:
+def table_3(record: Row) -> ik.report.Table:
     """Mean absolute error and its standard deviation over the ligaments."""
     body: list[tuple[Cell, ...]] = []
     for start, (k, eps) in PAPER_TABLE3.items():
@@ -79,37 +77,29 @@ def table_3(record: Row) -> Table:
             runs = rows(part, start)
             stiffness = np.array([row["error_kN"] for row in runs])
             strain = np.array([row["error_pct"] for row in runs])
-            middles = [spread(x.mean(axis=1)) for x in (stiffness, strain)]
-            scatters = [spread(x.std(axis=1, ddof=1)) for x in (stiffness, strain)]
+            middles = [ik.report.spread(x.mean(axis=1)) for x in (stiffness, strain)]
+            scatters = [ik.report.spread(x.std(axis=1, ddof=1)) for x in (stiffness, strain)]
             body.append(
                 (
                     start,
                     f"{knee}, {len(runs)} runs",
-                    median_range(middles[0]),
-                    median_range(scatters[0]),
-                    median_range(middles[1]),
-                    median_range(scatters[1]),
+                    ik.report.median_range(middles[0]),
+                    ik.report.median_range(scatters[0]),
+                    ik.report.median_range(middles[1]),
+                    ik.report.median_range(scatters[1]),
                     f"{middles[0].ci_low:.2f} to {middles[0].ci_high:.2f}",
                     f"{middles[1].ci_low:.2f} to {middles[1].ci_high:.2f}",
                 )
             )
-    return Table(
-        title="Table 3. Error of the parameters over the four ligaments: median [range] over runs",
-        columns=(
-            Column(name="start"),
-            Column(name="knee"),
-            Column(name="k mean", unit="kN"),
-            Column(name="k sd", unit="kN"),
-            Column(name="eps_r mean", unit="%"),
-            Column(name="eps_r sd", unit="%"),
-            Column(name="95 % of median k", unit="kN"),
-            Column(name="95 % of median eps_r", unit="%"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Table 3. Error of the parameters over the four ligaments: median [range] over runs",
+        "start; knee; k mean [kN]; k sd [kN]; eps_r mean [%]; eps_r sd [%]; "
+        "95 % of median k [kN]; 95 % of median eps_r [%]",
+        body,
     )
 
 
-def table_4(record: Row) -> Table:
+def table_4(record: Row) -> ik.report.Table:
     """Kinematic error by start, coordinate and flexion angle."""
     body: list[tuple[Cell, ...]] = []
     for s, start in enumerate(PAPER_TABLE3):
@@ -118,19 +108,21 @@ def table_4(record: Row) -> Table:
         for knee, part in record["knees"].items():
             errors = np.array([row["rmse_by_flexion"] for row in rows(part, start)])
             cells = [
-                median_range(spread(errors[:, angle, COORDINATES.index(coordinate)]))
+                ik.report.median_range(
+                    ik.report.spread(errors[:, angle, ik.laxity.COORDINATES.index(coordinate)])
+                )
                 for coordinate in PAPER_TABLE4
                 for angle in range(errors.shape[1])
             ]
             body.append((start, knee, *cells))
     heads = (("drawer", "mm"), ("internal", "deg"), ("varus", "deg"))
-    return Table(
+    return ik.report.Table(
         title="Table 4. Kinematic error (RMSE) by flexion angle: median [range] over runs",
         columns=(
-            Column(name="start"),
-            Column(name="knee"),
+            ik.report.Column(name="start"),
+            ik.report.Column(name="knee"),
             *(
-                Column(name=f"{name} at {angle}", unit=unit)
+                ik.report.Column(name=f"{name} at {angle}", unit=unit)
                 for name, unit in heads
                 for angle in (0, 30, 60)
             ),
@@ -139,18 +131,20 @@ def table_4(record: Row) -> Table:
     )
 
 
-def table_5(record: Row) -> Table:
+def table_5(record: Row) -> ik.report.Table:
     """Published kinematic errors and ours from IG4, medians over the runs."""
-    chosen = [COORDINATES.index(x) for x in ("internal_deg", "varus_deg", "anterior_drawer_mm")]
-    own: dict[str, Array] = {}
+    chosen = [
+        ik.laxity.COORDINATES.index(x) for x in ("internal_deg", "varus_deg", "anterior_drawer_mm")
+    ]
+    own: dict[str, ik.runs.Array] = {}
     for knee, part in record["knees"].items():
         errors = np.median([row["rmse_by_flexion"] for row in rows(part, "IG4")], axis=0)
         for angle, row in zip(part["profile"]["flexion_angles_deg"], errors, strict=True):
             own[f"{knee}, Complex from IG4, {angle:g} deg"] = row[chosen]
-    return error_table(TABLE5, own)
+    return error_table(ik.laxity.TABLE5, own)
 
 
-def force_table(record: Row, key: str, paper: Row, title: str) -> Table:
+def force_table(record: Row, key: str, paper: Row, title: str) -> ik.report.Table:
     """Largest differences of tension, a row a knee and angle or scenario [N]."""
     body: list[tuple[Cell, ...]] = []
     for i, (label, printed) in enumerate(paper.items()):
@@ -158,29 +152,28 @@ def force_table(record: Row, key: str, paper: Row, title: str) -> Table:
         for knee, part in record["knees"].items():
             ligaments = part["profile"]["ligaments"]
             cells = [
-                median_range(
-                    spread([row[key][i][ligaments.index(name)] for row in rows(part, start)]), 0
+                ik.report.median_range(
+                    ik.report.spread(
+                        [row[key][i][ligaments.index(name)] for row in rows(part, start)]
+                    ),
+                    0,
                 )
                 for name in PAPER_LIGAMENTS
                 for start in FORCE_STARTS
             ]
             body.append((label, knee, *cells))
-    return Table(
-        title=f"{title}: median [range] over runs",
-        columns=(
-            Column(name="trials"),
-            Column(name="knee"),
-            *(
-                Column(name=f"{name}, {start}", unit="N")
-                for name in PAPER_LIGAMENTS
-                for start in FORCE_STARTS
-            ),
-        ),
-        rows=tuple(body),
+    return table(
+        f"{title}: median [range] over runs",
+        [
+            "trials",
+            "knee",
+            *(f"{name}, {start} [N]" for name in PAPER_LIGAMENTS for start in FORCE_STARTS),
+        ],
+        body,
     )
 
 
-def tension_table(record: Row) -> Table:
+def tension_table(record: Row) -> ik.report.Table:
     """Largest tension itself at the truth, beside what the paper prints as differences."""
     body: list[tuple[Cell, ...]] = []
     for by, paper in (("flexion", PAPER_TABLE6), ("scenario", PAPER_TABLE7)):
@@ -192,18 +185,14 @@ def tension_table(record: Row) -> Table:
                 ligaments = profile["ligaments"]
                 cells = [f"{largest[ligaments.index(name)]:.0f}" for name in PAPER_LIGAMENTS]
                 body.append((label, f"{knee}, tension at the truth", *cells))
-    return Table(
-        title="Largest tension at the true parameters, beside the paper's differences",
-        columns=(
-            Column(name="trials"),
-            Column(name="knee"),
-            *(Column(name=name, unit="N", decimals=0) for name in PAPER_LIGAMENTS),
-        ),
-        rows=tuple(body),
+    return table(
+        "Largest tension at the true parameters, beside the paper's differences",
+        ["trials", "knee", *(f"{name} [N] | 0" for name in PAPER_LIGAMENTS)],
+        body,
     )
 
 
-def cost_table(record: Row) -> Table:
+def cost_table(record: Row) -> ik.report.Table:
     """How the Complex runs ended and what they cost."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -215,28 +204,22 @@ def cost_table(record: Row) -> Table:
                     knee,
                     start,
                     ", ".join(f"{x} {ended.count(x)}" for x in sorted(set(ended))),
-                    median_range(spread([row["n_simulations"] for row in runs]), 0),
-                    median_range(spread([row["seconds"] for row in runs]), 1),
-                    median_range(spread([row["rmse_mm"] for row in runs]), 3),
-                    median_range(spread([row["rmse_deg"] for row in runs]), 3),
+                    ik.report.median_range(
+                        ik.report.spread([row["n_simulations"] for row in runs]), 0
+                    ),
+                    ik.report.median_range(ik.report.spread([row["seconds"] for row in runs]), 1),
+                    ik.report.median_range(ik.report.spread([row["rmse_mm"] for row in runs]), 3),
+                    ik.report.median_range(ik.report.spread([row["rmse_deg"] for row in runs]), 3),
                 )
             )
-    return Table(
-        title="How the Complex runs ended: median [range] over runs",
-        columns=(
-            Column(name="knee"),
-            Column(name="start"),
-            Column(name="outcomes"),
-            Column(name="simulations"),
-            Column(name="time", unit="s"),
-            Column(name="RMSE", unit="mm"),
-            Column(name="RMSE", unit="deg"),
-        ),
-        rows=tuple(body),
+    return table(
+        "How the Complex runs ended: median [range] over runs",
+        "knee; start; outcomes; simulations; time [s]; RMSE [mm]; RMSE [deg]",
+        body,
     )
 
 
-def least_squares_table(record: Row) -> Table:
+def least_squares_table(record: Row) -> ik.report.Table:
     """Bounded least squares from the same starts, and from where the Complex runs ended."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -248,22 +231,15 @@ def least_squares_table(record: Row) -> Table:
                 *_worst([row["polished"] for row in part["complex"]]),
             )
         )
-    return Table(
-        title="Least squares with the exact Jacobian: largest error of any parameter",
-        columns=(
-            Column(name="knee"),
-            Column(name="from"),
-            Column(name="outcomes"),
-            Column(name="stiffness", unit="kN", decimals=None),
-            Column(name="reference strain", unit="%", decimals=None),
-            Column(name="most simulations"),
-            Column(name="longest", unit="s"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Least squares with the exact Jacobian: largest error of any parameter",
+        "knee; from; outcomes; stiffness [kN] | g; reference strain [%] | g; most simulations; "
+        "longest [s]",
+        body,
     )
 
 
-def branch_table(record: Row) -> Table:
+def branch_table(record: Row) -> ik.report.Table:
     """Trials that a single step puts elsewhere."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -281,20 +257,11 @@ def branch_table(record: Row) -> Table:
                     counts["thetas_with_another_branch"],
                 )
             )
-    return Table(
-        title="Single step beside continuation, in trials",
-        columns=(
-            Column(name="knee"),
-            Column(name="parameters"),
-            Column(name="vectors"),
-            Column(name="trials"),
-            Column(name="another branch"),
-            Column(name="only the single step failed"),
-            Column(name="only continuation failed"),
-            Column(name="both failed"),
-            Column(name="vectors with another branch"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Single step beside continuation, in trials",
+        "knee; parameters; vectors; trials; another branch; only the single step failed; "
+        "only continuation failed; both failed; vectors with another branch",
+        body,
     )
 
 

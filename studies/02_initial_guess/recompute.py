@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from compute import branch_counts, fit_row, profile
 
-from identknee.runs.executors import serial
+import identknee as ik
 
 METHOD = "least-squares"
 Row = dict[str, Any]
@@ -30,5 +30,5 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
         start = np.array(part["profile"]["starts"]["IG4"])[None]
         for where, thetas in (("IG4", start), ("ends of the Complex fits", ends)):
             counts = part["branches"][where]
-            again = partial(branch_counts, name, thetas, serial)
+            again = partial(branch_counts, name, thetas, ik.runs.serial)
             yield f"{name}, branches at {where}", counts, again

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from common.page import Cell, table
 
-from identknee.report.comparison import spread
-from identknee.report.tables import Cell, Column, Table, median_range
+import identknee as ik
 
 Row = Mapping[str, Any]
 
@@ -29,7 +29,7 @@ AT_TRUTH = 1e-3
 PAPER = {"IG1": (0.15, 0.08), "IG2": (0.48, 0.35), "IG3": (1.05, 1.16), "IG4": (3.67, 1.25)}
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables of the page by the name of their place in it."""
     return {
         "guesses": guess_table(record),
@@ -41,7 +41,7 @@ def tables(record: Row) -> dict[str, Table]:
     }
 
 
-def guess_table(record: Row) -> Table:
+def guess_table(record: Row) -> ik.report.Table:
     """What is at the ends from the paper's guesses."""
     body: list[tuple[Cell, ...]] = []
     for guess, (stiffness, strain) in PAPER.items():
@@ -53,31 +53,22 @@ def guess_table(record: Row) -> Table:
                 (
                     guess,
                     f"{knee}, {n} runs",
-                    median_range(spread(row["error_kN"])),
-                    median_range(spread(row["error_pct"])),
+                    ik.report.median_range(ik.report.spread(row["error_kN"])),
+                    ik.report.median_range(ik.report.spread(row["error_pct"])),
                     *(row["kinds"].get(kind, 0) for kind in KINDS[:3]),
                     row["polished"].get("minimum", 0),
                     sum(x < AT_TRUTH for x in row["polished_error"]),
                 )
             )
-    return Table(
-        title="Ends of Complex from the paper's guesses, and where exact derivatives lead",
-        columns=(
-            Column(name="guess"),
-            Column(name="knee"),
-            Column(name="k error", unit="kN"),
-            Column(name="eps_r error", unit="%"),
-            Column(name="minima"),
-            Column(name="stopped"),
-            Column(name="cliffs"),
-            Column(name="polished to a minimum"),
-            Column(name="to the truth"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Ends of Complex from the paper's guesses, and where exact derivatives lead",
+        "guess; knee; k error [kN]; eps_r error [%]; minima; stopped; cliffs; "
+        "polished to a minimum; to the truth",
+        body,
     )
 
 
-def end_table(record: Row) -> Table:
+def end_table(record: Row) -> ik.report.Table:
     """What is at the ends of all sweeps."""
     body: list[tuple[Cell, ...]] = []
     for knee, part, name, row in sweeps(record):
@@ -93,24 +84,15 @@ def end_table(record: Row) -> Table:
                 polished - at_truth,
             )
         )
-    return Table(
-        title="What is at the ends of the searches",
-        columns=(
-            Column(name="knee"),
-            Column(name="sweep"),
-            Column(name="starts"),
-            Column(name="minima"),
-            Column(name="stopped"),
-            Column(name="cliffs"),
-            Column(name="no prediction at the start"),
-            Column(name="polished to the truth"),
-            Column(name="to another minimum"),
-        ),
-        rows=tuple(body),
+    return table(
+        "What is at the ends of the searches",
+        "knee; sweep; starts; minima; stopped; cliffs; no prediction at the start; "
+        "polished to the truth; to another minimum",
+        body,
     )
 
 
-def radius_table(record: Row) -> Table:
+def radius_table(record: Row) -> ik.report.Table:
     """How close a start must be."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -119,20 +101,14 @@ def radius_table(record: Row) -> Table:
                 row = part["parts"][name]["recovered"][criterion]["radii"]
                 cells = (limits(row["0.9"]), limits(row["0.5"]))
                 body.append((knee, SWEEPS[name].split(",")[0], criterion, *cells))
-    return Table(
-        title="How close to the truth a start must be, in kN and % (95 % limits)",
-        columns=(
-            Column(name="knee"),
-            Column(name="optimizer"),
-            Column(name="recovered means"),
-            Column(name="nine of ten recover within"),
-            Column(name="every second within"),
-        ),
-        rows=tuple(body),
+    return table(
+        "How close to the truth a start must be, in kN and % (95 % limits)",
+        "knee; optimizer; recovered means; nine of ten recover within; every second within",
+        body,
     )
 
 
-def basin_table(record: Row) -> Table:
+def basin_table(record: Row) -> ik.report.Table:
     """Basins of the sweeps over the bounds and what no start has shown."""
     body: list[tuple[Cell, ...]] = []
     for knee, part, name, row in sweeps(record):
@@ -152,22 +128,14 @@ def basin_table(record: Row) -> Table:
                     f"{percent(unseen['estimate'])} (at most {percent(unseen['upper'])})",
                 )
             )
-    return Table(
-        title="Basins, with 95 % limits",
-        columns=(
-            Column(name="knee"),
-            Column(name="sweep"),
-            Column(name="basin"),
-            Column(name="objective"),
-            Column(name="starts"),
-            Column(name="volume", unit="%"),
-            Column(name="unseen mass", unit="%"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Basins, with 95 % limits",
+        "knee; sweep; basin; objective; starts; volume [%]; unseen mass [%]",
+        body,
     )
 
 
-def cliff_table(record: Row) -> Table:
+def cliff_table(record: Row) -> ik.report.Table:
     """Cliffs on the straight ways to the truth."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -184,23 +152,15 @@ def cliff_table(record: Row) -> Table:
                 ", ".join(list(row["trials_lost"])[:3]),
             )
         )
-    return Table(
-        title="Cliffs on straight ways from the truth to Sobol points of the bounds",
-        columns=(
-            Column(name="knee"),
-            Column(name="ways"),
-            Column(name="with a cliff"),
-            Column(name="length without prediction"),
-            Column(name="nearest", unit="kN and %"),
-            Column(name="median", unit="kN and %"),
-            Column(name="trials lost"),
-            Column(name="most often"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Cliffs on straight ways from the truth to Sobol points of the bounds",
+        "knee; ways; with a cliff; length without prediction; nearest [kN and %]; "
+        "median [kN and %]; trials lost; most often",
+        body,
     )
 
 
-def cost_table(record: Row) -> Table:
+def cost_table(record: Row) -> ik.report.Table:
     """Time and simulations."""
     body: list[tuple[Cell, ...]] = []
     for knee, _, name, row in sweeps(record):
@@ -217,19 +177,11 @@ def cost_table(record: Row) -> Table:
                 f"{row['longest_s']:.3g}",
             )
         )
-    return Table(
-        title="Time: of one worker, summed; by tenths of the starts in their order",
-        columns=(
-            Column(name="knee"),
-            Column(name="sweep"),
-            Column(name="starts"),
-            Column(name="simulations"),
-            Column(name="all", unit="min"),
-            Column(name="a start", unit="s"),
-            Column(name="a start, by tenths", unit="s"),
-            Column(name="longest", unit="s"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Time: of one worker, summed; by tenths of the starts in their order",
+        "knee; sweep; starts; simulations; all [min]; a start [s]; a start, by tenths [s]; "
+        "longest [s]",
+        body,
     )
 
 

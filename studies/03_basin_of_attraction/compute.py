@@ -5,46 +5,34 @@ checkout, so that the same command resumes where it was stopped.
 """
 
 import argparse
+import sys
 import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 
 import numpy as np
-import platformdirs
-
-from identknee.calibrate.fit import fit
-from identknee.calibrate.starts import named_start
-from identknee.identify.sweep.cliffs import map_cliffs, plane
-from identknee.identify.sweep.recovery import Recovery, is_recovered, radius, recovery
-from identknee.identify.sweep.starts_design import distance, shell_starts, sobol_starts, unit_groups
-from identknee.identify.sweep.survey import survey
-from identknee.identify.sweep.sweep import OUTCOMES, Searches, sweep
-from identknee.laxity.protocol import load_protocol
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameters import STIFFNESS, STRAIN
-from identknee.model.residuals import LaxityResiduals
-from identknee.report.study_records import (
+from common.problems import exact_problem, model_of, truth_of
+from common.records import (
+    Row,
+    begun,
     knee_digest,
-    record_head,
+    parsed_options,
     rounded,
+    say,
     study_knee,
     write_record,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.executors import Executor, process_pool
-from identknee.runs.files import digest
-from identknee.runs.outcome import Outcome
+
+import identknee as ik
+from identknee.calibrate.fit import fit
+from identknee.identify.sweep.sweep import sweep
 from identknee.runs.plain_records import summary_of
-from identknee.runs.resume import open_work
-from identknee.subject.knee import Knee
 from identknee.verbs.sweep import trials_lost
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "basin_of_attraction.json"
-COMMAND = "python studies/03_basin_of_attraction/compute.py"
-TRUTH = "IG1"  # Table 1 of the paper: its first initial guess is the reference itself.
 GUESSES = ("IG1", "IG2", "IG3", "IG4")
 # kN and %: as the paper counts the distance of its guesses, which are at 0, 0.5, 1.25 and 3.6.
 DISTANCES = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.6, 4.5, 6.0)
@@ -58,7 +46,6 @@ KEPT = (
     *("n_starts", "n_simulations", "n_polishing", "kinds", "outcomes", "polished_outcomes"),
     *("n_basins", "basins", "unseen_mass", "seconds_per_start"),
 )
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,23 +90,12 @@ PARTS = (
 
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
-    options = parsed_options()
+    options = parsed_options(__file__, "a hundredth of the starts")
     knees = {name: study_knee(name) for name in KNEES}
-    record: Row = {
-        "head": record_head(
-            f"{COMMAND} --workers {options.workers}",
-            settings={
-                "workers": options.workers,
-                "seed": SEED,
-                "distances": DISTANCES,
-                "numbers": {x.name: x.numbers for x in PARTS},
-                "quick": options.quick,
-            },
-            inputs={name: knee_digest(knee) for name, knee in knees.items()},
-        ),
-        "knees": {name: described(problem_of(knee)) for name, knee in knees.items()},
-    }
-    with process_pool(options.workers) as executor:
+    numbers = {x.name: x.numbers for x in PARTS}
+    record = begun(options, KNEES, seed=SEED, distances=DISTANCES, numbers=numbers)
+    record["knees"] = {name: described(problem_of(knee)) for name, knee in knees.items()}
+    with ik.runs.process_pool(options.workers) as executor:
         for wanted in PARTS:
             for name, knee in knees.items():
                 problem = problem_of(knee)
@@ -136,42 +112,29 @@ def main() -> None:
     say(f"written: {options.record.name}")
 
 
-def parsed_options() -> argparse.Namespace:
-    """What was asked for on the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    store = platformdirs.user_cache_path("identknee") / "studies" / "basin_of_attraction"
-    parser.add_argument("--store", type=Path, default=store, help="folder of finished searches")
-    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--quick", action="store_true", help="a hundredth of the starts")
-    return parser.parse_args()
+def problem_of(knee: ik.Knee) -> ik.LaxityResiduals:
+    """The data of a knee without noise."""
+    return exact_problem(model_of(knee))
 
 
-def problem_of(knee: Knee) -> LaxityResiduals:
-    """The 63 trials simulated at the true parameters, without noise, in mm and deg."""
-    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
-    truth = named_start(TRUTH, model.parameters)
-    return LaxityResiduals(model=model, laxity=model.simulate(truth))
-
-
-def starts_of(problem: LaxityResiduals, design: str, n: int) -> Array:
+def starts_of(problem: ik.LaxityResiduals, design: str, n: int) -> ik.runs.Array:
     """The starts of a design, shape ``(n, p)``; `n` a guess for ``"guesses"``."""
     parameters = problem.parameters
     if design == "shells":
-        truth = named_start(TRUTH, parameters)
-        return shell_starts(parameters, n, center=truth, distances=DISTANCES, seed=SEED)
+        truth = truth_of(parameters)
+        return ik.identify.shell_starts(parameters, n, center=truth, distances=DISTANCES, seed=SEED)
     if design == "bounds":
-        return sobol_starts(parameters, n, seed=SEED)
-    return np.repeat([named_start(x, parameters) for x in GUESSES], n, axis=0)
+        return ik.identify.sobol_starts(parameters, n, seed=SEED)
+    return np.repeat([ik.calibrate.named_start(x, parameters) for x in GUESSES], n, axis=0)
 
 
 def swept(
     knee: str,
-    problem: LaxityResiduals,
+    problem: ik.LaxityResiduals,
     wanted: Part,
     options: argparse.Namespace,
-    executor: Executor,
-) -> Searches:
+    executor: ik.runs.Executor,
+) -> ik.identify.Searches:
     """The sweep of a part on a knee, from its store as far as it is there."""
     n = wanted.numbers[knee]
     n = max(1, n // 100) if options.quick else n
@@ -187,7 +150,7 @@ def swept(
     }
     began = time.perf_counter()
     path = options.store / f"{knee}_{wanted.name}{'_quick' * options.quick}.sqlite"
-    with open_work(path, about) as store:
+    with ik.runs.open_work(path, about) as store:
         found = sweep(
             problem, starts, method=wanted.method, seed=SEED, executor=executor, store=store
         )
@@ -195,17 +158,19 @@ def swept(
     return found
 
 
-def described(problem: LaxityResiduals) -> Row:
+def described(problem: ik.LaxityResiduals) -> Row:
     """Names, truth and guesses of a knee, and room for its parts."""
     parameters = problem.parameters
-    truth = named_start(TRUTH, parameters)
-    guesses = {x: named_start(x, parameters) for x in GUESSES}
+    truth = truth_of(parameters)
+    guesses = {x: ik.calibrate.named_start(x, parameters) for x in GUESSES}
     row: Row = rounded(
         {
             "parameters": parameters.names,
             "truth": truth,
             "guesses": guesses,
-            "guess_distances": {x: distance(y, truth, parameters) for x, y in guesses.items()},
+            "guess_distances": {
+                x: ik.identify.distance(y, truth, parameters) for x, y in guesses.items()
+            },
             "n_residuals": len(problem.residuals(truth)),
             "parts": {},
         }
@@ -213,19 +178,23 @@ def described(problem: LaxityResiduals) -> Row:
     return row
 
 
-def part_row(problem: LaxityResiduals, found: Searches, wanted: Part) -> Row:
+def part_row(problem: ik.LaxityResiduals, found: ik.identify.Searches, wanted: Part) -> Row:
     """What the record keeps of a sweep."""
-    truth = named_start(TRUTH, problem.parameters)
-    read = survey(problem, found, target=truth)
+    truth = truth_of(problem.parameters)
+    read = ik.identify.survey(problem, found, target=truth)
     summary = summary_of(read)
-    away = distance(found.starts, truth, found.parameters)
+    away = ik.identify.distance(found.starts, truth, found.parameters)
     places = np.linspace(0, found.n - 1, min(found.n, N_QUANTILES)).astype(int)
     row: Row = {
         **{name: summary[name] for name in KEPT},
         "kind_to_polished": crossed(found),
-        "predicted": shares_row(recovery(away, ~found.is_kind(Outcome.START_FAILED))),
+        "predicted": shares_row(
+            ik.identify.recovery(away, ~found.is_kind(ik.Outcome.START_FAILED))
+        ),
         "recovered": {
-            f"{end} within {within:g}": recovered_row(found, truth, away, within, end == "polished")
+            f"{end} within {within:g}": recovered_row(
+                found, truth, away, within, polished=end == "polished"
+            )
             for end in ("end", "polished")
             for within in WITHIN
         },
@@ -237,7 +206,7 @@ def part_row(problem: LaxityResiduals, found: Searches, wanted: Part) -> Row:
         "first": {
             "starts": found.starts[:N_DRAWN],
             "ends": found.ends[:N_DRAWN],
-            "kinds": [OUTCOMES[k].value for k in found.kind_codes[:N_DRAWN]],
+            "kinds": [ik.identify.OUTCOMES[k].value for k in found.kind_codes[:N_DRAWN]],
         },
         "busy_s": float(found.seconds.sum()),
         "longest_s": float(found.seconds.max()),
@@ -248,27 +217,31 @@ def part_row(problem: LaxityResiduals, found: Searches, wanted: Part) -> Row:
     return checked
 
 
-def crossed(found: Searches) -> Row:
+def crossed(found: ik.identify.Searches) -> Row:
     """How many ends of each kind, by how their polishing ended."""
     rows: Row = {}
-    for kind in OUTCOMES:
+    for kind in ik.identify.OUTCOMES:
         of_kind = found.polished_codes[found.is_kind(kind)]
         if of_kind.size:
             rows[kind.value] = found.counts(of_kind)
     return rows
 
 
-def recovered_row(found: Searches, truth: Array, away: Array, within: float, polished: bool) -> Row:  # noqa: FBT001
+def recovered_row(
+    found: ik.identify.Searches, truth: ik.runs.Array, away: ik.runs.Array, within: float, end: str
+) -> Row:
     """Shares recovered by distance, and the radii for nine of ten and every second."""
-    shares = recovery(away, is_recovered(found, truth, within=within, polished=polished))
-    radii = {str(p): radius(shares, probability=p) for p in (0.9, 0.5)}
+    shares = ik.identify.recovery(
+        away, ik.identify.is_recovered(found, truth, within=within, polished=end == "polished")
+    )
+    radii = {str(p): ik.identify.radius(shares, probability=p) for p in (0.9, 0.5)}
     return {
         **shares_row(shares),
         "radii": {p: [x.value, x.lower, x.upper] for p, x in radii.items()},
     }
 
 
-def shares_row(found: Recovery) -> Row:
+def shares_row(found: ik.identify.Recovery) -> Row:
     """Distances and, at each, how many of how many with the limits of the share."""
     return {
         "distances": found.distances,
@@ -276,9 +249,9 @@ def shares_row(found: Recovery) -> Row:
     }
 
 
-def guess_rows(found: Searches, truth: Array) -> Row:
+def guess_rows(found: ik.identify.Searches, truth: ik.runs.Array) -> Row:
     """Of each guess: kinds of its ends, where polishing leads, errors as the paper's Table 3."""
-    groups = unit_groups(found.parameters)
+    groups = ik.identify.unit_groups(found.parameters)
     guess_of = np.repeat(GUESSES, found.n // len(GUESSES))
     rows: Row = {}
     for guess in GUESSES:
@@ -296,16 +269,16 @@ def guess_rows(found: Searches, truth: Array) -> Row:
 
 
 def cliff_row(
-    knee: str, problem: LaxityResiduals, options: argparse.Namespace, executor: Executor
+    knee: str, problem: ik.LaxityResiduals, options: argparse.Namespace, executor: ik.runs.Executor
 ) -> Row:
     """Cliffs on the straight ways from Sobol points of the bounds to the truth."""
-    truth = named_start(TRUTH, problem.parameters)
+    truth = truth_of(problem.parameters)
     n = 4 if options.quick else N_WAYS[knee]
-    starts = sobol_starts(problem.parameters, n, seed=SEED)
+    starts = ik.identify.sobol_starts(problem.parameters, n, seed=SEED)
     about = {"knee": knee_digest(problem.model.knee), "numbers": fingerprint(problem), "ways": n}
     path = options.store / f"{knee}_cliffs{'_quick' * options.quick}.sqlite"
-    with open_work(path, about) as store:
-        found = map_cliffs(
+    with ik.runs.open_work(path, about) as store:
+        found = ik.identify.map_cliffs(
             problem,
             starts,
             truth,
@@ -319,7 +292,7 @@ def cliff_row(
             "n_with_cliff": int(found.has_cliff.sum()),
             "share_lost": float(found.share_lost.mean()),
             "edge_distances": np.sort(found.edge_distances[found.has_cliff]),
-            "start_distances": np.sort(distance(starts, truth, problem.parameters)),
+            "start_distances": np.sort(ik.identify.distance(starts, truth, problem.parameters)),
             "trials_lost": dict(list(found.trials_lost.items())[:12]),
             "n_trials_lost": len(found.trials_lost),
         },
@@ -328,33 +301,28 @@ def cliff_row(
     return row
 
 
-def plane_rows(problem: LaxityResiduals, n: int) -> Row:
+def plane_rows(problem: ik.LaxityResiduals, n: int) -> Row:
     """Objectives over stiffness and reference strain of each ligament, the rest at the truth."""
     names = problem.parameters.names
-    truth = named_start(TRUTH, problem.parameters)
+    truth = truth_of(problem.parameters)
     rows: Row = {}
     for i, name in enumerate(names):
         owner, _, quantity = name.rpartition(".")
-        if quantity == STIFFNESS:
-            pair = (i, problem.parameters.index(f"{owner}.{STRAIN}"))
-            values, objectives = plane(problem, truth, pair, n)
+        if quantity == ik.model.STIFFNESS:
+            pair = (i, problem.parameters.index(f"{owner}.{ik.model.STRAIN}"))
+            values, objectives = ik.identify.plane(problem, truth, pair, n)
             rows[owner] = rounded({"values": values, "objectives": objectives}, 3)
     return rows
 
 
-def fingerprint(problem: LaxityResiduals) -> str:
+def fingerprint(problem: ik.LaxityResiduals) -> str:
     """Digest of what two short searches give: code that gives other numbers has another one."""
-    start = named_start("IG4", problem.parameters)
+    start = ik.calibrate.named_start("IG4", problem.parameters)
     ends = [
         fit(problem, start, method=x, seed=SEED, budget=60) for x in ("least-squares", "complex")
     ]
     # Not the objective: that of a perfect fit is the rounding error of the residuals.
-    return digest(str(rounded([[*x.theta, x.n_simulations] for x in ends], 8)).encode())
-
-
-def say(text: str) -> None:
-    """Tell how far it is."""
-    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
+    return ik.runs.digest(str(rounded([[*x.theta, x.n_simulations] for x in ends], 8)).encode())
 
 
 if __name__ == "__main__":

@@ -1,31 +1,28 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
 from basin_tables import tables
+from common.page import draw_study
 from matplotlib.figure import Figure
 
-from identknee.report.study_page import draw_study
-from identknee.report.sweep_figures import (
-    cliff_figure,
-    plane_figure,
-    recovery_figure,
-    start_end_figure,
-    waterfall_figure,
-)
-from identknee.runs.arrays import Array
+import identknee as ik
+from identknee.report.sweep_figures import cliff_figure, plane_figure, recovery_figure
 
-HERE = Path(__file__).parent
 WELL_POSED = ("reference", "lenhart2015_stable")
 Row = Mapping[str, Any]
 
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure:
@@ -58,7 +55,7 @@ def figure_2(record: Row) -> Figure:
                 "end": (numbers(fall["number"]), numbers(fall["end"])),
                 "polished": (numbers(fall["number"]), numbers(fall["polished"])),
             }
-    return waterfall_figure(panels)
+    return ik.report.waterfall_figure(panels)
 
 
 def figure_3(record: Row) -> Figure:
@@ -71,7 +68,7 @@ def figure_3(record: Row) -> Figure:
     ):
         first = row["parts"][name]["first"]
         panels[words] = (numbers(first["starts"]), numbers(first["ends"]), first["kinds"])
-    return start_end_figure(panels, row["parameters"], row["truth"])
+    return ik.report.start_end_figure(panels, row["parameters"], row["truth"])
 
 
 def figure_4(record: Row) -> Figure:
@@ -120,7 +117,7 @@ def drawn(shares: Row) -> tuple[list[float], list[list[float]]]:
     return shares["distances"], shares["shares"]
 
 
-def numbers(values: Any) -> Array:
+def numbers(values: Any) -> ik.runs.Array:
     """An array; what JSON could not say is infinite."""
     array = np.array(values, dtype=np.float64)
     return np.where(np.isnan(array), np.inf, array)

@@ -5,13 +5,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from common.records import rounded, study_knee
 from compute import PARTS, SEED, problem_of, starts_of
 
+import identknee as ik
 from identknee.calibrate.fit import fit
-from identknee.identify.sweep.sweep import kind_of_end, search_seed
-from identknee.model.residuals import LaxityResiduals
-from identknee.report.study_records import rounded, study_knee
-from identknee.runs.arrays import Array
 
 METHOD = "least-squares"
 AT_TRUTH = 1e-3
@@ -37,9 +35,9 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
                 yield f"{name}, {wanted.name} {i}", row, partial(searched, problem, starts[i], i)
 
 
-def searched(problem: LaxityResiduals, start: Array, number: int) -> Row:
+def searched(problem: ik.LaxityResiduals, start: ik.runs.Array, number: int) -> Row:
     """One search of a sweep."""
-    end = fit(problem, start, method=METHOD, seed=search_seed(SEED, number))
-    kind = kind_of_end(problem, end).value
+    end = fit(problem, start, method=METHOD, seed=ik.identify.search_seed(SEED, number))
+    kind = ik.identify.kind_of_end(problem, end).value
     row: Row = rounded({"start": start, "end": end.theta, "kind": kind}, 5)
     return row

@@ -1,51 +1,47 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import draw_study
 from matplotlib.figure import Figure
 from profile_tables import tables
 
-from identknee.identify.profile.result import Profile
-from identknee.model.parameters import Parameters
-from identknee.report.figures import BLACK, COLOURS, MARKERS, STYLES
-from identknee.report.profile_figures import (
-    intervals_figure,
-    paths_figure,
-    profiles_figure,
-    smooth_edge,
-)
-from identknee.report.study_page import draw_study
+import identknee as ik
+from identknee.report.profile_figures import paths_figure
 from identknee.runs.plain_records import from_plain
 
-HERE = Path(__file__).parent
 Row = Mapping[str, Any]
 
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
-def profiles_of(record: Row) -> list[Profile]:
+def profiles_of(record: Row) -> list[ik.Profile]:
     """The profiles of the first knee's parameters."""
     part = next(iter(record["knees"].values()))
     kept = [{key: x for key, x in row.items() if key != "nested"} for row in part["profiles"]]
-    return [from_plain(Profile, row) for row in kept]
+    return [from_plain(ik.Profile, row) for row in kept]
 
 
 def figure_1(record: Row) -> Figure:
     """The profiles."""
-    return profiles_figure(profiles_of(record))
+    return ik.report.profiles_figure(profiles_of(record))
 
 
 def figure_2(record: Row) -> Figure:
     """What the other parameters do along them."""
     part = next(iter(record["knees"].values()))
     n = len(part["parameters"])
-    parameters = Parameters(
+    parameters = ik.Parameters(
         names=tuple(part["parameters"]),
         center=part["truth"],
         lower=part["lower_bound"],
@@ -58,7 +54,7 @@ def figure_2(record: Row) -> Figure:
 
 def figure_3(record: Row) -> Figure:
     """Nested sets."""
-    return intervals_figure(profiles_of(record))
+    return ik.report.intervals_figure(profiles_of(record))
 
 
 def figure_4(record: Row) -> Figure:
@@ -71,10 +67,12 @@ def figure_4(record: Row) -> Figure:
         truth = dict(zip(part["parameters"], part["truth"], strict=True))
         for axes, pair in zip(axes_row, part["pairs"], strict=False):
             for k, (level, edge) in enumerate(zip(pair["levels"], pair["edges"], strict=True)):
-                line = smooth_edge(np.array(edge, dtype=float))
-                axes.plot(*line.T, color=COLOURS[k], linewidth=1.2, label=f"{level:.0%}")
-            axes.plot(*pair["optimum"], "+", color=BLACK, label="best")
-            axes.plot(*(truth[x] for x in pair["names"]), "*", color=COLOURS[4], label="truth")
+                line = ik.report.smooth_edge(np.array(edge, dtype=float))
+                axes.plot(*line.T, color=ik.report.COLOURS[k], linewidth=1.2, label=f"{level:.0%}")
+            axes.plot(*pair["optimum"], "+", color=ik.report.BLACK, label="best")
+            axes.plot(
+                *(truth[x] for x in pair["names"]), "*", color=ik.report.COLOURS[4], label="truth"
+            )
             axes.set_xlabel(pair["names"][0], fontsize=8)
             axes.set_ylabel(pair["names"][1], fontsize=8)
             axes.tick_params(labelsize=7)
@@ -105,8 +103,12 @@ def figure_5(record: Row) -> Figure:
                 for noise in noises
             ]
             if max(shares) > 0:
-                k = i % len(COLOURS)
-                style = {"color": COLOURS[k], "marker": MARKERS[k], "ls": STYLES[i // len(COLOURS)]}
+                k = i % len(ik.report.COLOURS)
+                style = {
+                    "color": ik.report.COLOURS[k],
+                    "marker": ik.report.MARKERS[k],
+                    "ls": ik.report.STYLES[i // len(ik.report.COLOURS)],
+                }
                 axes.plot(noises, shares, label=name, **style)
         axes.set_xscale("log")
         axes.set_xticks(noises, [f"{x:g}" for x in noises])
@@ -140,13 +142,13 @@ def figure_6(record: Row) -> Figure:
                 across,
                 value,
                 yerr=[value - low, high - value],
-                fmt=MARKERS[k],
-                color=COLOURS[k],
+                fmt=ik.report.MARKERS[k],
+                color=ik.report.COLOURS[k],
                 markersize=4,
                 capsize=2,
                 label=ligament,
             )
-            axes.plot(across, [x["truth"] for x in rows], "_", color=BLACK, markersize=7)
+            axes.plot(across, [x["truth"] for x in rows], "_", color=ik.report.BLACK, markersize=7)
         axes.set_xticks(range(len(trials)), [x.replace("flexion", "") for x in trials], fontsize=7)
         axes.tick_params(axis="x", rotation=35)
         axes.set_ylabel("tension [N]")

@@ -4,14 +4,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from common.page import Cell, table
 
-from identknee.report.tables import Cell, Column, Table
+import identknee as ik
 
 Row = Mapping[str, Any]
 STIFFNESS = "stiffness_kN"
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables of the page by the name of their place in it."""
     return {
         "parameters": parameter_table(record),
@@ -22,7 +23,7 @@ def tables(record: Row) -> dict[str, Table]:
     }
 
 
-def parameter_table(record: Row) -> Table:
+def parameter_table(record: Row) -> ik.report.Table:
     """The 95 % set of every parameter at the study's noise."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -39,23 +40,14 @@ def parameter_table(record: Row) -> Table:
                     str(row["n_simulations"]),
                 )
             )
-    return Table(
-        title="95 % sets of the parameters, one data set, 0.5 mm and 0.5 deg",
-        columns=(
-            Column(name="knee"),
-            Column(name="parameter"),
-            Column(name="truth", decimals=1),
-            Column(name="best"),
-            Column(name="lower"),
-            Column(name="upper"),
-            Column(name="verdict"),
-            Column(name="simulations"),
-        ),
-        rows=tuple(body),
+    return table(
+        "95 % sets of the parameters, one data set, 0.5 mm and 0.5 deg",
+        "knee; parameter; truth | 1; best; lower; upper; verdict; simulations",
+        body,
     )
 
 
-def noise_table(record: Row) -> Table:
+def noise_table(record: Row) -> ik.report.Table:
     """Share of data sets in which a parameter has an open end, and its median width elsewhere."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -65,18 +57,18 @@ def noise_table(record: Row) -> Table:
                 for noise in record["head"]["settings"]["noises_mm_deg"]
             ]
             body.append((knee, name, *cells))
-    return Table(
-        title="Half-width of the 95 % set, median over data sets; and in how many it is open",
-        columns=(
-            Column(name="knee"),
-            Column(name="parameter"),
-            *(Column(name=f"{x:g} mm, deg") for x in record["head"]["settings"]["noises_mm_deg"]),
-        ),
-        rows=tuple(body),
+    return table(
+        "Half-width of the 95 % set, median over data sets; and in how many it is open",
+        [
+            "knee",
+            "parameter",
+            *(f"{x:g} mm, deg" for x in record["head"]["settings"]["noises_mm_deg"]),
+        ],
+        body,
     )
 
 
-def force_table(record: Row) -> Table:
+def force_table(record: Row) -> ik.report.Table:
     """How well forces are known where their parameters are not."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -98,44 +90,29 @@ def force_table(record: Row) -> Table:
                     stiffness,
                 )
             )
-    return Table(
-        title="95 % sets of ligament forces in the tested trials",
-        columns=(
-            Column(name="knee"),
-            Column(name="ligament"),
-            Column(name="trials"),
-            Column(name="slack"),
-            Column(name="open"),
-            Column(name="median half-width", unit="N", decimals=1),
-            Column(name="of the force", unit="%", decimals=1),
-            Column(name="half-width of its stiffness", unit="%", decimals=0),
-        ),
-        rows=tuple(body),
+    return table(
+        "95 % sets of ligament forces in the tested trials",
+        "knee; ligament; trials; slack; open; median half-width [N] | 1; of the force [%] | 1; "
+        "half-width of its stiffness [%] | 0",
+        body,
     )
 
 
-def untested_table(record: Row) -> Table:
+def untested_table(record: Row) -> ik.report.Table:
     """Laxity under loads that the data lack."""
     body: list[tuple[Cell, ...]] = [
         (knee, row["trial"], row["truth"], row["value"], _end(row["lower"]), _end(row["upper"]))
         for knee, part in record["knees"].items()
         for row in part["untested"]
     ]
-    return Table(
-        title="95 % sets of the anterior drawer under forces that the data lack [mm]",
-        columns=(
-            Column(name="knee"),
-            Column(name="trial"),
-            Column(name="truth"),
-            Column(name="best"),
-            Column(name="lower"),
-            Column(name="upper"),
-        ),
-        rows=tuple(body),
+    return table(
+        "95 % sets of the anterior drawer under forces that the data lack [mm]",
+        "knee; trial; truth; best; lower; upper",
+        body,
     )
 
 
-def cost_table(record: Row) -> Table:
+def cost_table(record: Row) -> ik.report.Table:
     """Simulations a profile takes, by noise."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -153,17 +130,10 @@ def cost_table(record: Row) -> Table:
                     f"{np.median(points):.0f}",
                 )
             )
-    return Table(
-        title="Simulations of a full profile, each with its exact Jacobian",
-        columns=(
-            Column(name="knee"),
-            Column(name="noise", unit="mm, deg"),
-            Column(name="profiles"),
-            Column(name="mean"),
-            Column(name="range"),
-            Column(name="median points"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Simulations of a full profile, each with its exact Jacobian",
+        "knee; noise [mm, deg]; profiles; mean; range; median points",
+        body,
     )
 
 

@@ -1,22 +1,20 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import Cell, draw_study, table
 from matplotlib.figure import Figure
 
-from identknee.report.sample_figures import (
-    corner_figure,
-    forces_figure,
-    prior_posterior_figure,
-    tau_figure,
-)
-from identknee.report.study_page import draw_study
-from identknee.report.tables import Cell, Column, Table
+import identknee as ik
+from identknee.report.sample_figures import tau_figure
 
-HERE = Path(__file__).parent
 KNEE = "reference"
 CONDITIONS = {
     "steps_per_tau": "steps in the longest autocorrelation time, at least",
@@ -32,7 +30,7 @@ Row = Mapping[str, Any]
 def main() -> None:
     """Draw all figures and fill the page."""
     draw_study(
-        HERE,
+        __file__,
         {name: of_knees(draw) for name, draw in FIGURE_OF.items()},
         lambda record: tables(record["knees"]),
     )
@@ -47,7 +45,7 @@ def figure_1(knees: Row) -> Figure:
     """What was known before and is after."""
     part = knees[KNEE]
     posteriors = {name: np.array(x["draws"]) for name, x in knees.items()}
-    return prior_posterior_figure(
+    return ik.report.prior_posterior_figure(
         part["parameters"], np.array(part["prior"]), posteriors, truth=part["truth"]
     )
 
@@ -55,13 +53,13 @@ def figure_1(knees: Row) -> Figure:
 def figure_2(knees: Row) -> Figure:
     """Every pair of parameters."""
     part = knees[KNEE]
-    return corner_figure(part["parameters"], np.array(part["draws"]), truth=part["truth"])
+    return ik.report.corner_figure(part["parameters"], np.array(part["draws"]), truth=part["truth"])
 
 
 def figure_3(knees: Row) -> Figure:
     """Forces at the highest loads."""
     part = knees[KNEE]["predictions"]
-    return forces_figure(
+    return ik.report.forces_figure(
         part["trials"],
         part["ligaments"],
         np.array(part["force_quantiles_N"]),
@@ -83,7 +81,7 @@ FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
 }
 
 
-def tables(knees: Row) -> dict[str, Table]:
+def tables(knees: Row) -> dict[str, ik.report.Table]:
     """The tables of the page, by name of their place."""
     return {
         "parameters": parameters_table(knees),
@@ -93,7 +91,7 @@ def tables(knees: Row) -> dict[str, Table]:
     }
 
 
-def parameters_table(knees: Row) -> Table:
+def parameters_table(knees: Row) -> ik.report.Table:
     """Posterior and profile of every parameter."""
     rows: list[list[Cell]] = []
     for knee, part in knees.items():
@@ -108,44 +106,29 @@ def parameters_table(knees: Row) -> Table:
                     part["leaning"]["verdicts"][i],
                 ]
             )
-    return Table(
-        title="Posterior beside profile likelihood, 95 % intervals",
-        columns=(
-            Column(name="knee"),
-            Column(name="parameter"),
-            Column(name="true", decimals=2),
-            Column(name="mean", decimals=2),
-            Column(name="sd", decimals=2),
-            Column(name="posterior"),
-            Column(name="profile, no prior"),
-            Column(name="prior sensitivity", decimals=3),
-            Column(name="leans on"),
-        ),
-        rows=tuple(tuple(row) for row in rows),
+    return table(
+        "Posterior beside profile likelihood, 95 % intervals",
+        "knee; parameter; true; mean; sd; posterior; profile, no prior; prior sensitivity | 3; "
+        "leans on",
+        (tuple(row) for row in rows),
     )
 
 
-def gate_table(knees: Row) -> Table:
+def gate_table(knees: Row) -> ik.report.Table:
     """The numbers at which sampling stopped."""
     rows: list[list[Cell]] = [
         [knee, CONDITIONS[name], x["value"], x["bar"], "yes" if x["met"] else "no"]
         for knee, part in knees.items()
         for name, x in part["sample"]["gate"].items()
     ]
-    return Table(
-        title="The convergence check",
-        columns=(
-            Column(name="knee"),
-            Column(name="condition"),
-            Column(name="value", decimals=None),
-            Column(name="bar", decimals=None),
-            Column(name="met"),
-        ),
-        rows=tuple(tuple(row) for row in rows),
+    return table(
+        "The convergence check",
+        "knee; condition; value | g; bar | g; met",
+        (tuple(row) for row in rows),
     )
 
 
-def predictions_table(knees: Row) -> Table:
+def predictions_table(knees: Row) -> ik.report.Table:
     """How well forces and laxity are known."""
     rows: list[list[Cell]] = []
     for knee, part in knees.items():
@@ -156,20 +139,14 @@ def predictions_table(knees: Row) -> Table:
             rows.append([knee, f"{ligament} tension", width, "N", share])
         for unit, width in found["largest_laxity_half_width"].items():
             rows.append([knee, "laxity", width, unit, None])
-    return Table(
-        title="Largest half-width of a 95 % interval over the 63 trials",
-        columns=(
-            Column(name="knee"),
-            Column(name="prediction"),
-            Column(name="half-width", decimals=2),
-            Column(name="unit"),
-            Column(name="trials whose true value is inside", unit="%", decimals=0),
-        ),
-        rows=tuple(tuple(row) for row in rows),
+    return table(
+        "Largest half-width of a 95 % interval over the 63 trials",
+        "knee; prediction; half-width; unit; trials whose true value is inside [%] | 0",
+        (tuple(row) for row in rows),
     )
 
 
-def nested_table(knees: Row) -> Table:
+def nested_table(knees: Row) -> ik.report.Table:
     """What each way of sampling cost, and how far they differ."""
     rows: list[list[Cell]] = []
     for knee, part in knees.items():
@@ -181,17 +158,11 @@ def nested_table(knees: Row) -> Table:
             worst = float(np.max(np.abs(nested["quantile_differences"])))
             numbers = (nested["n_simulations"], nested["effective_draws"], nested["seconds"], worst)
             rows.append([knee, "nested", *numbers])
-    return Table(
-        title="Two ways to the same posterior",
-        columns=(
-            Column(name="knee"),
-            Column(name="way"),
-            Column(name="simulations", decimals=0),
-            Column(name="effective draws", decimals=0),
-            Column(name="time", unit="s", decimals=0),
-            Column(name="largest difference of a quantile", unit="standard errors", decimals=1),
-        ),
-        rows=tuple(tuple(row) for row in rows),
+    return table(
+        "Two ways to the same posterior",
+        "knee; way; simulations | 0; effective draws | 0; time [s] | 0; "
+        "largest difference of a quantile [standard errors] | 1",
+        (tuple(row) for row in rows),
     )
 
 

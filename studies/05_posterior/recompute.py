@@ -4,11 +4,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+from common.records import rounded, study_knee
 from compute import DIGITS, intervals, problem_of
 
-from identknee.report.study_records import rounded, study_knee
-from identknee.runs.executors import serial
-from identknee.subject.knee import Knee
+import identknee as ik
 
 Row = dict[str, Any]
 
@@ -22,7 +21,7 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
         yield f"{name}, profiles", part["profiles"], partial(profiled, study_knee(name))
 
 
-def profiled(knee: Knee) -> Row:
+def profiled(knee: ik.Knee) -> Row:
     """Intervals as the record keeps them."""
-    row: Row = rounded(intervals(problem_of(knee), serial), DIGITS)
+    row: Row = rounded(intervals(problem_of(knee), ik.runs.serial), DIGITS)
     return row

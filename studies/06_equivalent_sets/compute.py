@@ -5,44 +5,31 @@ outside the checkout, so that the same command resumes where it was stopped.
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 
 import numpy as np
-import platformdirs
-
-from identknee.calibrate.starts import named_start
-from identknee.identify.equivalents.equivalents import EquivalentSets, Extrema, equivalents
-from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
-from identknee.laxity.noise import add_noise
-from identknee.laxity.protocol import Protocol, concatenate, load_protocol
-from identknee.laxity.rmse import laxity_rmse
-from identknee.laxity.scenarios import load_scenarios
-from identknee.laxity.table import COORDINATES
-from identknee.model.equivalence import PAPER_LIMITS, rms_blocks
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.quantities import ligament_forces
-from identknee.model.residuals import LaxityResiduals
-from identknee.report.comparison import largest_by
-from identknee.report.study_records import (
-    knee_digest,
-    record_head,
+from common.problems import model_of, truth_of
+from common.records import (
+    Row,
+    begun,
+    parsed_options,
     rounded,
+    say,
     study_knee,
     write_record,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.executors import Executor, process_pool
-from identknee.runs.resume import open_work
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "equivalent_sets.json"
-COMMAND = "python studies/06_equivalent_sets/compute.py"
+import identknee as ik
+from identknee.identify.equivalents.equivalents import EquivalentSets, equivalents
+
 KNEES = ("reference", "lenhart2015_stable")
-TRUTH = "IG1"  # Table 1 of the paper: its first initial guess is the reference itself.
 PAPER = "paper"
 N_SETS, SEED = 100, 0
 SCENARIOS = (
@@ -53,7 +40,6 @@ SCENARIOS = (
     "external moment",
     "internal moment",
 )
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,26 +72,13 @@ CASES = (
 
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
-    options = parsed_options()
+    options = parsed_options(__file__, "one case and few forces only", n_sets=N_SETS)
     knees = {name: study_knee(name) for name in KNEES}
-    inputs = {name: knee_digest(knee) for name, knee in knees.items()}
-    record: Row = {
-        "head": record_head(
-            f"{COMMAND} --workers {options.workers}",
-            settings={
-                "workers": options.workers,
-                "n_sets": options.n_sets,
-                "seed": SEED,
-                "quick": options.quick,
-                "paper_limits": PAPER_LIMITS,
-            },
-            inputs=inputs,
-        ),
-        "knees": {},
-    }
-    with process_pool(options.workers) as executor:
+    record = begun(options, KNEES, seed=SEED, paper_limits=ik.model.PAPER_LIMITS)
+    inputs = record["head"]["inputs"]
+    with ik.runs.process_pool(options.workers) as executor:
         for name, knee in knees.items():
-            model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+            model = model_of(knee)
             part = record["knees"][name] = {"setting": setting(model), "cases": {}}
             for case in CASES[:1] if options.quick else CASES:
                 about = {"knee": inputs[name], "case": case.name, "n_sets": options.n_sets}
@@ -121,52 +94,42 @@ def main() -> None:
     say(f"written: {options.record.name}")
 
 
-def parsed_options() -> argparse.Namespace:
-    """What was asked for on the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    store = platformdirs.user_cache_path("identknee") / "studies" / "equivalent_sets"
-    parser.add_argument("--store", type=Path, default=store, help="folder of finished searches")
-    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--n-sets", type=int, default=N_SETS)
-    parser.add_argument("--quick", action="store_true", help="one case and few forces only")
-    return parser.parse_args()
-
-
-def region_of(model: LaxityModel, case: Case) -> Region:
+def region_of(model: ik.LaxityModel, case: Case) -> ik.identify.Region:
     """What is equivalent to the truth in the 63 trials."""
-    truth = named_start(TRUTH, model.parameters)
+    truth = truth_of(model.parameters)
     laxity = model.simulate(truth)
     if case.sd is None:
-        plain = LaxityResiduals(model=model, laxity=laxity)
-        return Region(problem=plain, center=truth, blocks=rms_blocks(plain), limit=case.limit)
+        plain = ik.LaxityResiduals(model=model, laxity=laxity)
+        return ik.identify.Region(
+            problem=plain, center=truth, blocks=ik.model.rms_blocks(plain), limit=case.limit
+        )
     # Noise of this size is stated, and none added: the region is around the truth itself.
-    sd = add_noise(laxity, sd_mm=case.sd, sd_deg=case.sd, seed=0).sd
-    stated = LaxityResiduals(model=model, laxity=replace(laxity, sd=sd), weighting="noise")
-    return noise_region(stated, truth, limit=case.limit)
+    sd = ik.add_noise(laxity, sd_mm=case.sd, sd_deg=case.sd, seed=0).sd
+    stated = ik.LaxityResiduals(model=model, laxity=replace(laxity, sd=sd), weighting="noise")
+    return ik.identify.noise_region(stated, truth, limit=case.limit)
 
 
-def force_trials(model: LaxityModel, *, quick: bool) -> Protocol:
+def force_trials(model: ik.LaxityModel, *, quick: bool) -> ik.Protocol:
     """Where ligament forces are compared: the 63 trials and the drawer forces of Table 7."""
-    protocol = concatenate([model.protocol, load_protocol("drawer")])
+    protocol = ik.laxity.concatenate([model.protocol, ik.load_protocol("drawer")])
     if quick:
         return protocol.select([is_shown(name) for name in protocol.trials])
     return protocol
 
 
 def searched(
-    model: LaxityModel,
+    model: ik.LaxityModel,
     case: Case,
     options: argparse.Namespace,
-    executor: Executor,
+    executor: ik.runs.Executor,
     work: tuple[Path, Row],
 ) -> EquivalentSets:
     """The sets and extrema of one case."""
     path, about = work
-    with open_work(path, {**about, "quick": options.quick, "seed": SEED}) as store:
+    with ik.runs.open_work(path, {**about, "quick": options.quick, "seed": SEED}) as store:
         return equivalents(
             region_of(model, case),
-            quantities=ligament_forces(model, force_trials(model, quick=options.quick)),
+            quantities=ik.model.ligament_forces(model, force_trials(model, quick=options.quick)),
             n_sets=options.n_sets,
             seed=SEED,
             executor=executor,
@@ -174,9 +137,9 @@ def searched(
         )
 
 
-def setting(model: LaxityModel) -> Row:
+def setting(model: ik.LaxityModel) -> Row:
     """The truth, and the names that go with all arrays."""
-    truth = named_start(TRUTH, model.parameters)
+    truth = truth_of(model.parameters)
     row: Row = rounded(
         {
             "parameters": model.parameters.names,
@@ -191,7 +154,7 @@ def setting(model: LaxityModel) -> Row:
     return row
 
 
-def described(model: LaxityModel, case: Case, found: EquivalentSets, *, quick: bool) -> Row:
+def described(model: ik.LaxityModel, case: Case, found: EquivalentSets, *, quick: bool) -> Row:
     """One case as the record keeps it."""
     truth = found.fit
     predictions = np.array([model.simulate(x).coordinates for x in [truth, *found.sets]])
@@ -200,7 +163,9 @@ def described(model: LaxityModel, case: Case, found: EquivalentSets, *, quick: b
         {
             "sd": case.sd,
             "limit": case.limit,
-            "power_of_best_test": None if case.sd is None else power_of_best_test(case.limit),
+            "power_of_best_test": None
+            if case.sd is None
+            else ik.identify.power_of_best_test(case.limit),
             "outcome": found.outcome.value,
             "n_sets": len(found.sets),
             "diameter": found.diameter,
@@ -224,8 +189,8 @@ def described(model: LaxityModel, case: Case, found: EquivalentSets, *, quick: b
                         differences[:, :, j].max(0),
                     ]
                 )
-                for j, name in enumerate(COORDINATES)
-                if name in PAPER_LIMITS
+                for j, name in enumerate(ik.laxity.COORDINATES)
+                if name in ik.model.PAPER_LIMITS
             },
             "rmse": errors_of(model, found),
         },
@@ -234,7 +199,7 @@ def described(model: LaxityModel, case: Case, found: EquivalentSets, *, quick: b
     return row
 
 
-def sides(of: Extrema) -> Row:
+def sides(of: ik.identify.Extrema) -> Row:
     """Both ends of a quantity's range."""
     return {
         "truth": of.at_fit,
@@ -250,7 +215,7 @@ def is_shown(name: str) -> bool:
     return name.endswith(("internal10Nm", "internal-10Nm"))
 
 
-def counted(extrema: Iterable[Extrema]) -> Row:
+def counted(extrema: Iterable[ik.identify.Extrema]) -> Row:
     """How many extrema of forces ended in which way, and were found by one search only."""
     both = [side for x in extrema for side in (x.lower, x.upper)]
     words = sorted({side.end.value for side in both})
@@ -260,35 +225,37 @@ def counted(extrema: Iterable[Extrema]) -> Row:
     }
 
 
-def force_tables(model: LaxityModel, found: EquivalentSets, protocol: Protocol) -> Row:
+def force_tables(model: ik.LaxityModel, found: EquivalentSets, protocol: ik.Protocol) -> Row:
     """Largest difference of every ligament's force from the truth, by flexion and by scenario."""
     n_ligaments = len(model.knee.ligaments)
     farthest = np.array(
         [max(x.upper.value - x.at_fit, x.at_fit - x.lower.value) for x in found.quantities.values()]
     ).reshape(-1, n_ligaments)
     return {
-        "by_flexion_N": largest_by(farthest, protocol.flexion_deg.tolist(), angles(model)),
-        "by_scenario_N": largest_by(farthest, load_scenarios(protocol), SCENARIOS),
+        "by_flexion_N": ik.report.largest_by(
+            farthest, protocol.flexion_deg.tolist(), angles(model)
+        ),
+        "by_scenario_N": ik.report.largest_by(
+            farthest, ik.laxity.load_scenarios(protocol), SCENARIOS
+        ),
     }
 
 
-def errors_of(model: LaxityModel, found: EquivalentSets) -> Row:
+def errors_of(model: ik.LaxityModel, found: EquivalentSets) -> Row:
     """Largest kinematic error of any set by flexion angle, in mm and deg, as the paper counts."""
     at_truth = model.simulate(found.fit)
-    errors: Array = np.array(
-        [laxity_rmse(model.simulate(x), at_truth).by_flexion for x in found.sets]
+    errors: ik.runs.Array = np.array(
+        [ik.laxity_rmse(model.simulate(x), at_truth).by_flexion for x in found.sets]
     )
-    return {name: errors[:, :, COORDINATES.index(name)].max(axis=0) for name in PAPER_LIMITS}
+    return {
+        name: errors[:, :, ik.laxity.COORDINATES.index(name)].max(axis=0)
+        for name in ik.model.PAPER_LIMITS
+    }
 
 
-def angles(model: LaxityModel) -> list[float]:
+def angles(model: ik.LaxityModel) -> list[float]:
     """The flexion angles of the trials [deg], ascending."""
     return [float(x) for x in np.unique(model.protocol.flexion_deg)]
-
-
-def say(text: str) -> None:
-    """Tell how far it is."""
-    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
 
 
 if __name__ == "__main__":

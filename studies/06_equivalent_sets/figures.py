@@ -1,18 +1,20 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import Cell, draw_study, table
 from matplotlib.figure import Figure
 from paper_forces import PAPER_LIGAMENTS, PAPER_TABLE6, PAPER_TABLE7
 
-from identknee.report.equivalents_figures import ranges_figure, sets_figure
-from identknee.report.study_page import draw_study
-from identknee.report.tables import Cell, Column, Table
+import identknee as ik
 
-HERE = Path(__file__).parent
 PAPER = "paper"
 NOISE = "0.5 mm, 0.5 deg"
 TITLES = {
@@ -26,7 +28,7 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure | None:
@@ -45,7 +47,7 @@ def figure_3(record: Row) -> Figure:
     chosen = {name: case["chosen_forces"] for name, case in part["cases"].items()}
     shown = {_title(name): forces for name, forces in chosen.items() if "3.84" not in name}
     some = next(iter(shown.values()))
-    return ranges_figure(
+    return ik.report.ranges_figure(
         [name.replace(".tension_N@", ", ").replace("_", " ") for name in some],
         np.array([x["truth"] for x in some.values()]),
         {name: np.array([x["range"] for x in forces.values()]) for name, forces in shown.items()},
@@ -60,7 +62,7 @@ FIGURE_OF: Mapping[str, Callable[[Row], Figure | None]] = {
 }
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables of the page by the name of their place in it."""
     return {
         "parameters": parameter_table(record),
@@ -70,7 +72,7 @@ def tables(record: Row) -> dict[str, Table]:
     }
 
 
-def parameter_table(record: Row) -> Table:
+def parameter_table(record: Row) -> ik.report.Table:
     """Smallest and largest value of every parameter, by knee and criterion."""
     setting = next(iter(record["knees"].values()))["setting"]
     names = setting["parameters"]
@@ -80,18 +82,18 @@ def parameter_table(record: Row) -> Table:
         for name, case in part["cases"].items():
             cells = [_range(case["parameters"][x]) for x in names]
             body.append((knee, _title(name), *cells))
-    return Table(
+    return ik.report.Table(
         title="Parameters of equivalent sets: smallest to largest value",
         columns=(
-            Column(name="knee"),
-            Column(name="equivalent up to"),
-            *(Column(name=_short(name), unit=_unit(name)) for name in names),
+            ik.report.Column(name="knee"),
+            ik.report.Column(name="equivalent up to"),
+            *(ik.report.Column(name=_short(name), unit=_unit(name)) for name in names),
         ),
         rows=tuple(body),
     )
 
 
-def set_table(record: Row) -> Table:
+def set_table(record: Row) -> ik.report.Table:
     """How many sets, how different, what they cost, and how far kinematics differ at most."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -110,26 +112,16 @@ def set_table(record: Row) -> Table:
                     f"{ends.get('cliff', 0)} / {ends.get('budget', 0)} / {ends['found_once']}",
                 )
             )
-    return Table(
-        title="The sets, and the largest kinematic error (RMSE at a flexion angle) of any",
-        columns=(
-            Column(name="knee"),
-            Column(name="equivalent up to"),
-            Column(name="sets"),
-            Column(name="diameter", unit="typical steps"),
-            Column(name="farthest pair", unit="diameters"),
-            Column(name="closest pair", unit="diameters"),
-            Column(name="drawer", unit="mm"),
-            Column(name="varus", unit="deg"),
-            Column(name="internal", unit="deg"),
-            Column(name="simulations"),
-            Column(name="forces: cliff / budget / found once"),
-        ),
-        rows=tuple(body),
+    return table(
+        "The sets, and the largest kinematic error (RMSE at a flexion angle) of any",
+        "knee; equivalent up to; sets; diameter [typical steps]; farthest pair [diameters]; "
+        "closest pair [diameters]; drawer [mm]; varus [deg]; internal [deg]; simulations; "
+        "forces: cliff / budget / found once",
+        body,
     )
 
 
-def force_table(record: Row, key: str, printed: Row, what: str) -> Table:
+def force_table(record: Row, key: str, printed: Row, what: str) -> ik.report.Table:
     """The paper's differences of tension beside the largest possible ones."""
     body: list[tuple[Cell, ...]] = []
     for row, (label, paper) in enumerate(printed.items()):
@@ -139,15 +131,10 @@ def force_table(record: Row, key: str, printed: Row, what: str) -> Table:
             for name, case in part["cases"].items():
                 values = case["forces"][key][row]
                 body.append((label, knee, _title(name), *(_newton(values[j]) for j in columns)))
-    return Table(
-        title=f"Largest difference of tension from the truth {what}",
-        columns=(
-            Column(name="trials"),
-            Column(name="knee"),
-            Column(name="equivalent up to"),
-            *(Column(name=x, unit="N") for x in PAPER_LIGAMENTS),
-        ),
-        rows=tuple(body),
+    return table(
+        f"Largest difference of tension from the truth {what}",
+        ["trials", "knee", "equivalent up to", *(f"{x} [N]" for x in PAPER_LIGAMENTS)],
+        body,
     )
 
 
@@ -156,7 +143,7 @@ def _sets(record: Row, case: str) -> Figure | None:
     if case not in part["cases"]:
         return None
     found = part["cases"][case]
-    return sets_figure(
+    return ik.report.sets_figure(
         part["setting"]["parameters"],
         np.array(found["sets"]),
         np.array(part["setting"]["truth"]),

@@ -4,42 +4,32 @@ Writes ``records/global_sensitivity.json``. Finished simulations are kept in sto
 checkout, so that the same command resumes where it was stopped.
 """
 
-import argparse
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import platformdirs
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import WithPriors
-from identknee.calibrate.starts import named_start
-from identknee.identify.sensitivity.designs import Box, box_around
-from identknee.identify.sensitivity.sensitivity import Method, Sensitivity, sensitivity
-from identknee.laxity.noise import add_noise
-from identknee.laxity.protocol import load_protocol
-from identknee.laxity.scenarios import laxity_groups
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.laxity_outputs import LaxityOutputs
-from identknee.model.residuals import LaxityResiduals
-from identknee.report.study_records import (
+
+import numpy as np
+from common.problems import model_of, truth_of
+from common.records import (
+    Row,
+    begun,
     knee_digest,
-    record_head,
+    parsed_options,
     rounded,
+    say,
     study_knee,
     write_record,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.executors import Executor, process_pool
-from identknee.runs.files import digest
-from identknee.runs.resume import open_work
-from identknee.subject.knee import Knee
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "global_sensitivity.json"
-COMMAND = "python studies/07_global_sensitivity/compute.py"
-TRUTH = "IG1"  # Table 1 of the paper: its first initial guess is the reference itself.
+import identknee as ik
+from identknee.calibrate.fit import fit
+from identknee.identify.sensitivity.sensitivity import Method, sensitivity
+from identknee.laxity.scenarios import laxity_groups
+
 # Blocks, trajectories, draws: in full on the reference knee, a fifth or so on the real one.
 KNEES = {
     "reference": {"sobol": 4096, "morris": 512, "draws": 1000},
@@ -51,31 +41,19 @@ OVER_POSTERIOR: tuple[Method, ...] = ("delta", "pawn", "hdmr", "shapley")
 NOISE_MM, NOISE_DEG = 0.5, 0.5
 SEED = 7
 DIGITS = 4
-Row = dict[str, Any]
 
 
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
-    options = parsed_options()
+    options = parsed_options(__file__, "few simulations of one knee")
     knees = {name: study_knee(name) for name in KNEES}
     if options.quick:
         knees = {"reference": knees["reference"]}
     numbers = {name: QUICK if options.quick else KNEES[name] for name in knees}
-    record: Row = {
-        "head": record_head(
-            COMMAND + (" --quick" if options.quick else ""),
-            settings={
-                "numbers": numbers,
-                "noise_mm": NOISE_MM,
-                "noise_deg": NOISE_DEG,
-                "seed": SEED,
-                "workers": options.workers,
-            },
-            inputs={name: knee_digest(knee) for name, knee in knees.items()},
-        ),
-        "knees": {},
-    }
-    with process_pool(options.workers) as executor:
+    record = begun(
+        options, knees, numbers=numbers, noise_mm=NOISE_MM, noise_deg=NOISE_DEG, seed=SEED
+    )
+    with ik.runs.process_pool(options.workers) as executor:
         for name, knee in knees.items():
             record["knees"][name] = {}
             for row in analysed(knee, numbers[name], options.store, executor):
@@ -84,22 +62,13 @@ def main() -> None:
     say(f"written: {options.record.name}")
 
 
-def parsed_options() -> argparse.Namespace:
-    """What was asked for on the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    store = platformdirs.user_cache_path("identknee") / "studies" / "global_sensitivity"
-    parser.add_argument("--store", type=Path, default=store, help="folder of finished simulations")
-    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--quick", action="store_true", help="few simulations of one knee")
-    return parser.parse_args()
-
-
-def analysed(knee: Knee, numbers: dict[str, int], folder: Path, executor: Executor) -> Any:
+def analysed(
+    knee: ik.Knee, numbers: dict[str, int], folder: Path, executor: ik.runs.Executor
+) -> Any:
     """Parts of the record of one knee, as they are done."""
     outputs = outputs_of(knee)
     model, truth = outputs.model, outputs.free.fixed_values
-    box = box_around(model.parameters, truth)
+    box = ik.identify.box_around(model.parameters, truth)
     yield {
         "parameters": list(model.parameters.names),
         "box": rounded({"lower": box.lower, "upper": box.upper}),
@@ -108,9 +77,11 @@ def analysed(knee: Knee, numbers: dict[str, int], folder: Path, executor: Execut
     yield {"posterior": posterior_row(draws)}
     about = {"knee": knee_digest(knee), "truth": truth, "seed": SEED}
     for method in (*OVER_BOX, *OVER_POSTERIOR):
-        over: Box | Array = box if method in OVER_BOX else draws
+        over: ik.identify.Box | ik.runs.Array = box if method in OVER_BOX else draws
         began = time.perf_counter()
-        with open_work(folder / f"{knee.name}_{kind(over)}.sqlite", work(about, over)) as store:
+        with ik.runs.open_work(
+            folder / f"{knee.name}_{kind(over)}.sqlite", work(about, over)
+        ) as store:
             n = numbers.get(method)
             found = sensitivity(
                 outputs, over, method=method, n_samples=n, seed=SEED, executor=executor, store=store
@@ -119,37 +90,37 @@ def analysed(knee: Knee, numbers: dict[str, int], folder: Path, executor: Execut
         yield {method: row_of(found, time.perf_counter() - began)}
 
 
-def outputs_of(knee: Knee) -> LaxityOutputs:
+def outputs_of(knee: ik.Knee) -> ik.model.LaxityOutputs:
     """All coordinates of the 63 trials in their groups, as functions of every parameter."""
-    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
-    return LaxityOutputs(
+    model = model_of(knee)
+    return ik.model.LaxityOutputs(
         model=model,
         groups=laxity_groups(model.protocol),
-        free=model.parameters.with_fixed((), named_start(TRUTH, model.parameters)),
+        free=model.parameters.with_fixed((), truth_of(model.parameters)),
     )
 
 
-def kind(over: Box | Array) -> str:
+def kind(over: ik.identify.Box | ik.runs.Array) -> str:
     """What to call the place analysed."""
-    return "box" if isinstance(over, Box) else "posterior"
+    return "box" if isinstance(over, ik.identify.Box) else "posterior"
 
 
-def work(about: Row, over: Box | Array) -> Row:
+def work(about: Row, over: ik.identify.Box | ik.runs.Array) -> Row:
     """What the finished simulations of a store depend on."""
-    if isinstance(over, Box):
+    if isinstance(over, ik.identify.Box):
         return {**about, "lower": over.lower, "upper": over.upper}
-    return {**about, "draws": digest(np.ascontiguousarray(over).tobytes())}
+    return {**about, "draws": ik.runs.digest(np.ascontiguousarray(over).tobytes())}
 
 
-def posterior_draws(model: LaxityModel, truth: Array, n: int) -> Array:
+def posterior_draws(model: ik.LaxityModel, truth: ik.runs.Array, n: int) -> ik.runs.Array:
     """Draws from the Gaussian approximation to the posterior of noisy data, shape ``(n, p)``.
 
     It is centred at the point of highest density, has the inverse of the information there, data
     and prior, as its covariance, and is cut off at the bounds.
     """
-    laxity = add_noise(model.simulate(truth), sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=SEED)
-    residuals = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-    problem = WithPriors(problem=residuals)
+    laxity = ik.add_noise(model.simulate(truth), sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=SEED)
+    residuals = ik.LaxityResiduals(model=model, laxity=laxity, weighting="noise")
+    problem = ik.calibrate.WithPriors(problem=residuals)
     best = fit(problem, truth).theta
     problem.residuals(best)
     jacobian = problem.jacobian(best)
@@ -163,7 +134,7 @@ def posterior_draws(model: LaxityModel, truth: Array, n: int) -> Array:
     return draws[:n]
 
 
-def posterior_row(draws: Array) -> Row:
+def posterior_row(draws: ik.runs.Array) -> Row:
     """What the draws look like."""
     row: Row = rounded(
         {
@@ -177,7 +148,7 @@ def posterior_row(draws: Array) -> Row:
     return row
 
 
-def row_of(found: Sensitivity, seconds: float) -> Row:
+def row_of(found: ik.identify.Sensitivity, seconds: float) -> Row:
     """An analysis in the record."""
     last = {
         name: {
@@ -208,11 +179,6 @@ def row_of(found: Sensitivity, seconds: float) -> Row:
         DIGITS,
     )
     return row
-
-
-def say(text: str) -> None:
-    """Tell how far it is."""
-    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
 
 
 if __name__ == "__main__":

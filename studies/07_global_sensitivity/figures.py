@@ -1,23 +1,20 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import Cell, draw_study, table
 from matplotlib.figure import Figure
 
-from identknee.report.sensitivity_figures import (
-    effects_figure,
-    map_figure,
-    methods_figure,
-    shares_figure,
-)
-from identknee.report.study_page import draw_study
-from identknee.report.tables import Cell, Column, Table
-from identknee.runs.arrays import Array
+import identknee as ik
+from identknee.report.sensitivity_figures import methods_figure, shares_figure
 
-HERE = Path(__file__).parent
 KNEE = "reference"
 # What a clinician turns the knee by, at its middle angle.
 SHOWN = (
@@ -34,7 +31,7 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, {name: of_knee(draw) for name, draw in FIGURE_OF.items()}, tables)
+    draw_study(__file__, {name: of_knee(draw) for name, draw in FIGURE_OF.items()}, tables)
 
 
 def of_knee(draw: Callable[[Row], Figure]) -> Callable[[Row], Figure]:
@@ -46,7 +43,7 @@ def figure_1(part: Row) -> Figure:
     """Total Sobol indices of every group."""
     row = part["sobol"]
     values = array(row["indices"]["ST"]["value"])
-    rows: dict[str, list[tuple[str, Array]]] = {}
+    rows: dict[str, list[tuple[str, ik.runs.Array]]] = {}
     for name, line in zip(row["groups"], values, strict=True):
         coordinate, _, where = name.partition(", ")
         if name != FAILURE:
@@ -56,7 +53,7 @@ def figure_1(part: Row) -> Figure:
         # By load, then by angle, which is how one looks for a pattern.
         lines.sort(key=lambda x: x[0].partition(", ")[::-1])
         ordered[coordinate] = ([name for name, _ in lines], np.array([x for _, x in lines]))
-    return map_figure(ordered, part["parameters"], "total Sobol index, ST")
+    return ik.report.map_figure(ordered, part["parameters"], "total Sobol index, ST")
 
 
 def figure_2(part: Row) -> Figure:
@@ -91,7 +88,7 @@ def figure_3(part: Row) -> Figure:
             array(star["half_width"])[at],
             array(sigma["value"])[at],
         )
-    return effects_figure(panels, part["parameters"])
+    return ik.report.effects_figure(panels, part["parameters"])
 
 
 def figure_4(part: Row) -> Figure:
@@ -115,7 +112,7 @@ FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
 }
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """Tables of the page by name."""
     return {
         "shares": shares_table(record),
@@ -125,7 +122,7 @@ def tables(record: Row) -> dict[str, Table]:
     }
 
 
-def shares_table(record: Row) -> Table:
+def shares_table(record: Row) -> ik.report.Table:
     """Mean total index over the groups of each coordinate, by parameter."""
     rows: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -136,14 +133,18 @@ def shares_table(record: Row) -> Table:
             chosen = values[[x == coordinate for x in coordinates]]
             rows.append((knee, coordinate, *map(float, chosen.mean(axis=0))))
     parameters = first_part(record)["parameters"]
-    return Table(
+    return ik.report.Table(
         title="Total Sobol index ST over the box, mean over flexion angles and loads",
-        columns=(Column(name="knee"), Column(name="output"), *map(short, parameters)),
+        columns=(
+            ik.report.Column(name="knee"),
+            ik.report.Column(name="output"),
+            *map(short, parameters),
+        ),
         rows=tuple(rows),
     )
 
 
-def failures_table(record: Row) -> Table:
+def failures_table(record: Row) -> ik.report.Table:
     """How much failed, and how far the two rules about it are apart."""
     rows: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -163,22 +164,15 @@ def failures_table(record: Row) -> Table:
                     100.0 * float(np.mean(apart > width)),
                 )
             )
-    return Table(
-        title="Simulations without a prediction, and what they change",
-        columns=(
-            Column(name="knee"),
-            Column(name="method"),
-            Column(name="simulations", decimals=0),
-            Column(name="any trial failed", unit="%", decimals=1),
-            Column(name="worst group failed", unit="%", decimals=1),
-            Column(name="its complete samples", unit="%", decimals=1),
-            Column(name="indices that differ between the rules", unit="%", decimals=1),
-        ),
-        rows=tuple(rows),
+    return table(
+        "Simulations without a prediction, and what they change",
+        "knee; method; simulations | 0; any trial failed [%] | 1; worst group failed [%] | 1; "
+        "its complete samples [%] | 1; indices that differ between the rules [%] | 1",
+        rows,
     )
 
 
-def convergence_table(record: Row) -> Table:
+def convergence_table(record: Row) -> ik.report.Table:
     """Half-widths, and what is missing to 0.02."""
     rows: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -199,23 +193,15 @@ def convergence_table(record: Row) -> Table:
                     row["seconds"],
                 )
             )
-    return Table(
-        title="Half-width of the 95 % confidence interval (Morris: over the largest effect)",
-        columns=(
-            Column(name="knee"),
-            Column(name="method"),
-            Column(name="simulations", decimals=0),
-            Column(name="median group", decimals=3),
-            Column(name="worst group", decimals=3),
-            Column(name="missing to 0.02, median", decimals=0),
-            Column(name="missing to 0.02, worst", decimals=0),
-            Column(name="time", unit="s", decimals=0),
-        ),
-        rows=tuple(rows),
+    return table(
+        "Half-width of the 95 % confidence interval (Morris: over the largest effect)",
+        "knee; method; simulations | 0; median group | 3; worst group | 3; "
+        "missing to 0.02, median | 0; missing to 0.02, worst | 0; time [s] | 0",
+        rows,
     )
 
 
-def posterior_table(record: Row) -> Table:
+def posterior_table(record: Row) -> ik.report.Table:
     """Mean index over all groups of each method over the posterior, by parameter."""
     rows: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -226,19 +212,19 @@ def posterior_table(record: Row) -> Table:
             noise = None if floor is None else float(np.nanmean(array(floor)[:-1]))
             rows.append((knee, f"{method}, {index}", *map(float, mean), noise))
     parameters = first_part(record)["parameters"]
-    return Table(
+    return ik.report.Table(
         title="Over the posterior, correlated parameters: mean index over all groups",
         columns=(
-            Column(name="knee"),
-            Column(name="index"),
+            ik.report.Column(name="knee"),
+            ik.report.Column(name="index"),
             *map(short, parameters),
-            Column(name="no influence"),
+            ik.report.Column(name="no influence"),
         ),
         rows=tuple(rows),
     )
 
 
-def array(values: Any) -> Array:
+def array(values: Any) -> ik.runs.Array:
     """Numbers of the record; what JSON has as null is NaN."""
     return np.array(values, dtype=np.float64)
 
@@ -249,10 +235,10 @@ def first_part(record: Row) -> Row:
     return part
 
 
-def short(parameter: str) -> Column:
+def short(parameter: str) -> ik.report.Column:
     """Column of a parameter."""
     owner, _, kind = parameter.rpartition(".")
-    return Column(name=f"{owner} {'k' if kind.endswith('_kN') else 'eps_r'}")
+    return ik.report.Column(name=f"{owner} {'k' if kind.endswith('_kN') else 'eps_r'}")
 
 
 if __name__ == "__main__":

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+from common.records import study_knee
 from compute import OVER_POSTERIOR, SEED, outputs_of, posterior_draws, row_of
 
+import identknee as ik
 from identknee.identify.sensitivity.sensitivity import Method, sensitivity
-from identknee.report.study_records import study_knee
-from identknee.subject.knee import Knee
 
 Row = dict[str, Any]
 
@@ -25,7 +25,7 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
             yield f"{name}, {method}", part[method], again
 
 
-def analysed(knee: Knee, method: Method, n: int) -> Row:
+def analysed(knee: ik.Knee, method: Method, n: int) -> Row:
     """One analysis of `n` draws of the posterior, as the record keeps it."""
     outputs = outputs_of(knee)
     draws = posterior_draws(outputs.model, outputs.free.fixed_values, n)

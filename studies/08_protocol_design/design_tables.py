@@ -4,13 +4,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from common.page import Cell, table
 
-from identknee.report.tables import Cell, Column, Table
+import identknee as ik
 
 Row = Mapping[str, Any]
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables of the page by the name of their place in it."""
     return {
         "trials": trials_table(record),
@@ -36,7 +37,7 @@ def relative(lengths: Sequence[float], before: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(number(lengths) / number(before)))))
 
 
-def trials_table(record: Row) -> Table:
+def trials_table(record: Row) -> ik.report.Table:
     """What was chosen, and the targets before, predicted and achieved."""
     body: list[tuple[Cell, ...]] = []
     for knee, made, found in cases(record):
@@ -54,14 +55,10 @@ def trials_table(record: Row) -> Table:
         "predicted",
         "achieved",
     )
-    return Table(
-        title="Trials chosen by predicted width, and the 95 % intervals [kN or %]",
-        columns=tuple(Column(name=x) for x in heads),
-        rows=tuple(body),
-    )
+    return table("Trials chosen by predicted width, and the 95 % intervals [kN or %]", heads, body)
 
 
-def criteria_table(record: Row) -> Table:
+def criteria_table(record: Row) -> ik.report.Table:
     """Length left by criterion and by chance, and the candidates left out."""
     body: list[tuple[Cell, ...]] = []
     names = list(next(cases(record))[2]["advice"])
@@ -79,14 +76,12 @@ def criteria_table(record: Row) -> Table:
             )
         )
     heads = ("knee, trials made", *names, "at random", "not offered", "no prediction at best fit")
-    return Table(
-        title="Length left by criterion; sets drawn at random: median (smallest to largest)",
-        columns=tuple(Column(name=x) for x in heads),
-        rows=tuple(body),
+    return table(
+        "Length left by criterion; sets drawn at random: median (smallest to largest)", heads, body
     )
 
 
-def data_table(record: Row) -> Table:
+def data_table(record: Row) -> ik.report.Table:
     """New data: length left, open ends, and how often the truth lies inside."""
     body: list[tuple[Cell, ...]] = []
     for knee, made, found in cases(record):
@@ -116,10 +111,8 @@ def data_table(record: Row) -> Table:
         "open ends after",
         "truth inside after",
     )
-    return Table(
-        title="New noisy data with the trials chosen by width; length left: median (range)",
-        columns=tuple(Column(name=x) for x in heads),
-        rows=tuple(body),
+    return table(
+        "New noisy data with the trials chosen by width; length left: median (range)", heads, body
     )
 
 

@@ -1,31 +1,33 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import draw_study
 from design_tables import Row, cases, number, relative, tables
 from matplotlib.figure import Figure
 
-from identknee.laxity.candidates import candidate_trials
-from identknee.laxity.protocol import load_protocol
-from identknee.report.design_figures import candidates_figure, intervals_figure
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL
-from identknee.report.study_page import draw_study
-
-HERE = Path(__file__).parent
+import identknee as ik
+from identknee.report.design_figures import intervals_figure
 
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure:
     """What each candidate alone would gain on the first knee after the trials of Table 2."""
     _, made, found = next(cases(record))
     best = found["advice"]["width"]
-    candidates = candidate_trials(load_protocol(made))
-    return candidates_figure(candidates, number(best["gains"]), best["chosen"], "narrower [%]")
+    candidates = ik.laxity.candidate_trials(ik.load_protocol(made))
+    return ik.report.candidates_figure(
+        candidates, number(best["gains"]), best["chosen"], "narrower [%]"
+    )
 
 
 def figure_2(record: Row) -> Figure:
@@ -55,13 +57,20 @@ def figure_3(record: Row) -> Figure:
             for one in found["advice"].values():
                 predicted += np.diff(number(one["predicted"][-1]))[:, 0].tolist()
                 achieved += np.diff(number(one["after"]))[:, 0].tolist()
-        axes.plot(predicted, achieved, MARKERS[k], color=COLOURS[k], fillstyle="none", label=knee)
+        axes.plot(
+            predicted,
+            achieved,
+            ik.report.MARKERS[k],
+            color=ik.report.COLOURS[k],
+            fillstyle="none",
+            label=knee,
+        )
     axes.axline((1.0, 1.0), slope=1.0, color="0.8", linewidth=0.8, zorder=0)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("predicted length of the interval [kN or %]")
     axes.set_ylabel("achieved by profile [kN or %]")
-    axes.legend(frameon=False, fontsize=SMALL)
+    axes.legend(frameon=False, fontsize=ik.report.SMALL)
     axes.spines[["top", "right"]].set_visible(False)
     return figure
 
@@ -76,21 +85,21 @@ def figure_4(record: Row) -> Figure:
         drawn = [relative(row["lengths"], before) for row in case["random"]]
         spread = np.linspace(-0.32, 0.32, len(drawn)) if len(drawn) > 1 else [0.0]
         label = "drawn at random" if x == 0 else None
-        axes.plot(x + np.array(spread), sorted(drawn), ".", color=GREY, label=label)
+        axes.plot(x + np.array(spread), sorted(drawn), ".", color=ik.report.GREY, label=label)
         for k, (criterion, one) in enumerate(case["advice"].items()):
             axes.plot(
                 x + 0.12 * (k - 2),
                 relative(one["lengths"], before),
-                MARKERS[k % len(MARKERS)],
-                color=COLOURS[k % len(COLOURS)],
-                markeredgecolor=BLACK,
+                ik.report.MARKERS[k % len(ik.report.MARKERS)],
+                color=ik.report.COLOURS[k % len(ik.report.COLOURS)],
+                markeredgecolor=ik.report.BLACK,
                 label=criterion if x == 0 else None,
             )
     axes.axhline(1.0, color="0.8", linewidth=0.8, zorder=0)
     axes.set_xticks(range(len(found)), [f"{knee}\n{made}" for knee, made, _ in found], fontsize=7)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("length of the targets' intervals, relative")
-    axes.legend(frameon=False, fontsize=SMALL, ncols=3)
+    axes.legend(frameon=False, fontsize=ik.report.SMALL, ncols=3)
     axes.spines[["top", "right"]].set_visible(False)
     return figure
 
@@ -107,14 +116,21 @@ def figure_5(record: Row) -> Figure:
             spread = np.linspace(-0.14, 0.14, len(values)) if len(values) > 1 else [0.0]
             place = x + 0.36 * (k - 0.5) + np.array(spread)
             label = ("as measured", "with the trials added")[k] if x == 0 else None
-            axes.plot(place, values, MARKERS[k], color=COLOURS[k], markersize=4, label=label)
+            axes.plot(
+                place,
+                values,
+                ik.report.MARKERS[k],
+                color=ik.report.COLOURS[k],
+                markersize=4,
+                label=label,
+            )
         predicted = relative(case["advice"]["width"]["lengths"], before)
         label = "expected" if x == 0 else None
-        axes.plot([x - 0.05, x + 0.4], [predicted] * 2, "-", color=BLACK, label=label)
+        axes.plot([x - 0.05, x + 0.4], [predicted] * 2, "-", color=ik.report.BLACK, label=label)
     axes.set_xticks(range(len(found)), [f"{knee}\n{made}" for knee, made, _ in found], fontsize=7)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("length of the targets' intervals, relative")
-    axes.legend(frameon=False, fontsize=SMALL)
+    axes.legend(frameon=False, fontsize=ik.report.SMALL)
     axes.spines[["top", "right"]].set_visible(False)
     return figure
 

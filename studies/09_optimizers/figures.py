@@ -1,18 +1,20 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import Cell, draw_study, table
 from matplotlib.figure import Figure
 
-from identknee.report.comparison import spread
-from identknee.report.study_page import draw_study
+import identknee as ik
 from identknee.report.sweep_figures import descent_figure, methods_figure
-from identknee.report.tables import Cell, Column, Table, median_range
 
-HERE = Path(__file__).parent
 COUNTS = (1, 3, 5, 7, 10, 15, 20, 40, 70, 100, 150, 200, 300, 400, 600, 800, 1000, 1500, 2000, 2500)
 KINDS = ("minimum", "valley", "cliff", "start_failed")
 # The paper's Table 3, as printed: mean error of stiffness [kN] and of reference strain [%].
@@ -24,7 +26,7 @@ Row = Mapping[str, Any]
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
 def figure_1(record: Row) -> Figure:
@@ -62,12 +64,12 @@ FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
 }
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables of the page by the name of their place in it."""
     return {"methods": method_table(record), "guesses": guess_table(record)}
 
 
-def method_table(record: Row) -> Table:
+def method_table(record: Row) -> ik.report.Table:
     """All starts of a knee together, a row a method."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
@@ -81,29 +83,33 @@ def method_table(record: Row) -> Table:
                     len(rows),
                     *(kinds.count(kind) for kind in KINDS),
                     at_truth,
-                    median_range(spread([row["error_kN"] for row in rows])),
-                    median_range(spread([row["error_pct"] for row in rows])),
-                    median_range(spread(np.array([row["rmse_deg"] for row in rows], float)), 3),
-                    median_range(spread([row["n_simulations"] for row in rows]), 0),
-                    median_range(spread([row["seconds"] for row in rows])),
+                    ik.report.median_range(ik.report.spread([row["error_kN"] for row in rows])),
+                    ik.report.median_range(ik.report.spread([row["error_pct"] for row in rows])),
+                    ik.report.median_range(
+                        ik.report.spread(np.array([row["rmse_deg"] for row in rows], float)), 3
+                    ),
+                    ik.report.median_range(
+                        ik.report.spread([row["n_simulations"] for row in rows]), 0
+                    ),
+                    ik.report.median_range(ik.report.spread([row["seconds"] for row in rows])),
                 )
             )
-    return Table(
-        title="All optimizers from the same starts, 2,500 simulations each: median [range]",
-        columns=(
-            *(Column(name=x) for x in ("knee", "optimizer", "starts", "minima", "stopped")),
-            *(Column(name=x) for x in ("cliffs", "no prediction", "polished to the truth")),
-            Column(name="k error", unit="kN"),
-            Column(name="eps_r error", unit="%"),
-            Column(name="RMSE", unit="deg"),
-            Column(name="simulations"),
-            Column(name="time", unit="s"),
-        ),
-        rows=tuple(body),
+    return table(
+        "All optimizers from the same starts, 2,500 simulations each: median [range]",
+        [
+            *("knee", "optimizer", "starts", "minima", "stopped"),
+            *("cliffs", "no prediction", "polished to the truth"),
+            "k error [kN]",
+            "eps_r error [%]",
+            "RMSE [deg]",
+            "simulations",
+            "time [s]",
+        ],
+        body,
     )
 
 
-def guess_table(record: Row) -> Table:
+def guess_table(record: Row) -> ik.report.Table:
     """Errors by guess, beside the paper's."""
     body: list[tuple[Cell, ...]] = [
         ("the paper, Complex, one run", "-", *(f"{k:.2f}, {eps:.2f}" for k, eps in PAPER.values()))
@@ -117,10 +123,10 @@ def guess_table(record: Row) -> Table:
                 middle = [np.median([row[field] for row in of_guess]) for field in fields]
                 cells.append(f"{middle[0]:.2f}, {middle[1]:.2f}")
             body.append((method, knee, *cells))
-    return Table(
-        title="Mean error from the paper's guesses, kN and %: median over seeds",
-        columns=(Column(name="optimizer"), Column(name="knee"), *(Column(name=x) for x in PAPER)),
-        rows=tuple(body),
+    return table(
+        "Mean error from the paper's guesses, kN and %: median over seeds",
+        ["optimizer", "knee", *PAPER],
+        body,
     )
 
 

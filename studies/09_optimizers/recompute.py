@@ -4,9 +4,8 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+from common.records import study_knee
 from compute import problem_of, search_row, starts_of
-
-from identknee.report.study_records import study_knee
 
 Row = dict[str, Any]
 

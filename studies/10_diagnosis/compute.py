@@ -4,7 +4,7 @@ Writes ``records/diagnosis.json``. Finished cases are kept in a store outside th
 the same command resumes where it was stopped.
 """
 
-import argparse
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -12,29 +12,23 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import platformdirs
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from identknee.blind.case import blind_case
-from identknee.blind.effects import LISTED, UNLISTED
-from identknee.blind.scoring import score
-from identknee.blind.truth import Truth
-from identknee.diagnosis.diagnose import diagnose
-from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
-from identknee.report.study_records import (
-    knee_digest,
-    record_head,
+
+import numpy as np
+from common.records import (
+    Row,
+    begun,
+    parsed_options,
     rounded,
     study_knee,
+    working,
     write_record,
 )
-from identknee.runs.executors import process_pool
-from identknee.runs.resume import open_work, resumable_map
-from identknee.subject.knee import Knee
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "diagnosis.json"
-COMMAND = "python studies/10_diagnosis/compute.py"
+import identknee as ik
+from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
+
 KNEE = "reference"
 SIGNALS = (12.0, 6.0)
 # Two kinds each, so that one may be told from the other.
@@ -49,60 +43,22 @@ PAIRS = (
 N_NULLS, N_UNLISTED = 20, 3
 FIRST_SEED = 220_000
 DIGITS = 5
-Row = dict[str, Any]
 
 
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
-    options = parsed_options()
-    knee = reference()
+    options = parsed_options(__file__, "four cases", replicates=1)
+    record = begun(options, [KNEE], signals=SIGNALS, pairs=PAIRS, first_seed=FIRST_SEED)
     tasks = quick_tasks() if options.quick else all_tasks(options.replicates)
-    about = {"knee": knee_digest(knee), "seed": FIRST_SEED}
     began = time.perf_counter()
-    with (
-        open_work(options.store, about) as store,
-        process_pool(options.workers) as executor,
-    ):
-        cases = resumable_map(
-            case_row,
-            tasks,
-            executor=executor,
-            store=store,
-            name="cases",
-            description="diagnosing blind cases",
-        )
-    record = {
-        "head": record_head(
-            f"{COMMAND} {'--quick' if options.quick else f'--replicates {options.replicates}'}",
-            settings={
-                "signals": SIGNALS,
-                "pairs": PAIRS,
-                "replicates": options.replicates,
-                "first_seed": FIRST_SEED,
-                "workers": options.workers,
-            },
-            inputs={KNEE: knee_digest(knee)},
-        ),
-        "knees": {KNEE: {"cases": cases}},
-        "seconds_last_run": rounded(time.perf_counter() - began, 3),
-    }
+    with working(options, inputs=record["head"]["inputs"], seed=FIRST_SEED) as kept:
+        record["knees"][KNEE] = {"cases": kept(case_row, tasks, "cases")}
+    record["seconds_last_run"] = rounded(time.perf_counter() - began, 3)
     write_record(options.record, record)
 
 
-def parsed_options() -> argparse.Namespace:
-    """What was asked for on the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    store = platformdirs.user_cache_path("identknee") / "studies" / "diagnosis.sqlite"
-    parser.add_argument("--store", type=Path, default=store, help="keeps finished cases")
-    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--replicates", type=int, default=1, help="cases of a kind")
-    parser.add_argument("--quick", action="store_true", help="four cases")
-    return parser.parse_args()
-
-
 @cache
-def reference() -> Knee:
+def reference() -> ik.Knee:
     """The knee of all cases."""
     return study_knee(KNEE)
 
@@ -110,10 +66,11 @@ def reference() -> Knee:
 def all_tasks(replicates: int) -> list[Row]:
     """Every case: what is hidden, how large, and its seed, which hangs on nothing else."""
     kinds: list[Row] = [task("nothing hidden", (), None) for _ in range(N_NULLS)]
-    kinds += [task("one", (name,), signal) for signal, name in product(SIGNALS, LISTED)]
+    kinds += [task("one", (name,), signal) for signal, name in product(SIGNALS, ik.blind.LISTED)]
     kinds += [task("two", pair, SIGNALS[0]) for pair in PAIRS]
     kinds += [
-        task("unlisted", (name,), SIGNALS[0]) for name, _ in product(UNLISTED, range(N_UNLISTED))
+        task("unlisted", (name,), SIGNALS[0])
+        for name, _ in product(ik.blind.UNLISTED, range(N_UNLISTED))
     ]
     # Replicate after replicate, so that more of them go on where fewer ended.
     return [
@@ -138,16 +95,16 @@ def case_row(case: Mapping[str, Any]) -> Row:
     """What came of a case; ``error`` where no such case could be drawn."""
     knee, row = reference(), dict(case)
     try:
-        blind = blind_case(
+        blind = ik.blind_case(
             knee, seed=case["seed"], effect=case["effects"] or None, signal=case["wanted"]
         )
     except ValueError as error:
         return {**row, "error": str(error)}
     began = time.perf_counter()
-    found = diagnose(knee, blind.laxity)
+    found = ik.diagnose(knee, blind.laxity)
     seconds = time.perf_counter() - began
     summary = untestable_summary("no prediction") if found is None else diagnosis_summary(found)
-    judged = score(blind.truth, summary)
+    judged = ik.blind.score(blind.truth, summary)
     row |= {
         "signal": blind.truth.signal,
         "is_largest": blind.truth.is_largest,
@@ -167,7 +124,7 @@ def case_row(case: Mapping[str, Any]) -> Row:
     return dict(rounded(row, DIGITS))
 
 
-def amplitudes(truth: Truth, causes: Sequence[Row]) -> list[Row]:
+def amplitudes(truth: ik.blind.Truth, causes: Sequence[Row]) -> list[Row]:
     """True and found size of each true cause named; a vector by its length."""
     rows = []
     for cause in causes:

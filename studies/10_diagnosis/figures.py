@@ -1,10 +1,15 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import draw_study
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -22,18 +27,15 @@ from score_card import (
     values_of,
 )
 
-from identknee.blind.effects import LISTED, UNLISTED
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL
-from identknee.report.study_page import draw_study
+import identknee as ik
 
-HERE = Path(__file__).parent
 TINY = 7
 COLOUR_OF = {
-    Ending.RIGHT: COLOURS[0],
-    Ending.GROUP: COLOURS[5],
-    Ending.OPEN: COLOURS[4],
+    Ending.RIGHT: ik.report.COLOURS[0],
+    Ending.GROUP: ik.report.COLOURS[5],
+    Ending.OPEN: ik.report.COLOURS[4],
     Ending.MISSED: "0.8",
-    Ending.WRONG: COLOURS[1],
+    Ending.WRONG: ik.report.COLOURS[1],
 }
 # So that the card reads without colours too.
 SIGN_OF = {
@@ -50,7 +52,7 @@ Row = Mapping[str, Any]
 def main() -> None:
     """Draw all figures and fill the page."""
     draw_study(
-        HERE,
+        __file__,
         {name: of_cases(draw) for name, draw in FIGURE_OF.items()},
         lambda record: {**tables(record), **sentences(record)},
     )
@@ -65,7 +67,7 @@ def score_card_figure(cases: Sequence[Row]) -> Figure:
     """Every single effect by signal, and all series as shares."""
     alone = [x for x in cases if x["series"] == ONE]
     signals = signals_of(alone)[::-1]
-    names = list(LISTED)
+    names = list(ik.blind.LISTED)
     figure = Figure(figsize=(10.4, 6.6), layout="constrained")
     card, shares = figure.subplots(1, 2, width_ratios=[1.0, 1.5])
     kinds = list(Ending)
@@ -75,9 +77,11 @@ def score_card_figure(cases: Sequence[Row]) -> Figure:
             _draw_cell(card, column, row, own)
     card.set_xlim(-0.5, len(signals) - 0.5)
     card.set_ylim(len(names) - 0.5, -0.5)
-    card.set_xticks(range(len(signals)), [f"signal {x:g}" for x in signals], fontsize=SMALL)
+    card.set_xticks(
+        range(len(signals)), [f"signal {x:g}" for x in signals], fontsize=ik.report.SMALL
+    )
     card.xaxis.tick_top()
-    card.set_yticks(range(len(names)), names, fontsize=SMALL)
+    card.set_yticks(range(len(names)), names, fontsize=ik.report.SMALL)
     card.tick_params(length=0)
     card.spines[:].set_visible(False)
     series = series_of(cases)
@@ -103,8 +107,8 @@ def score_card_figure(cases: Sequence[Row]) -> Figure:
 def confusion_figure(cases: Sequence[Row]) -> Figure:
     """What was diagnosed of what was hidden, one effect at a time or none."""
     shown = [x for x in cases if len(x["effects"]) < 2]
-    truths = [*LISTED, *UNLISTED, NULLS]
-    answers = [*LISTED, "missing_line", "unexplained", "adequate", "not testable"]
+    truths = [*ik.blind.LISTED, *ik.blind.UNLISTED, NULLS]
+    answers = [*ik.blind.LISTED, "missing_line", "unexplained", "adequate", "not testable"]
     values = np.zeros((len(truths), len(answers)))
     for x in shown:
         row = truths.index(x["effects"][0] if x["effects"] else NULLS)
@@ -127,7 +131,7 @@ def confusion_figure(cases: Sequence[Row]) -> Figure:
         axes.plot(
             np.array([-0.5, 0.5, 0.5, -0.5, -0.5]) + place,
             np.array([-0.5, -0.5, 0.5, 0.5, -0.5]) + row,
-            color=BLACK,
+            color=ik.report.BLACK,
             linewidth=0.9,
         )
     axes.set_xticks(np.arange(len(answers)) - 0.5, minor=True)
@@ -148,30 +152,30 @@ def parameters_figure(cases: Sequence[Row]) -> Figure:
             if len(own):
                 axes.plot(
                     *own.T,
-                    MARKERS[k],
+                    ik.report.MARKERS[k],
                     color=COLOUR_OF[kind],
-                    markeredgecolor=BLACK,
+                    markeredgecolor=ik.report.BLACK,
                     markeredgewidth=0.4,
                     markersize=5,
                     label=f"{kind}, {len(own)}",
                 )
         values = values_of(known, name)
         ends = np.array([0.8 * values.min(), 1.25 * values.max()])
-        axes.plot(ends, ends, color=GREY, linewidth=0.8)
-        axes.plot(ends, 0.5 * ends, ":", color=GREY, linewidth=0.9)
+        axes.plot(ends, ends, color=ik.report.GREY, linewidth=0.8)
+        axes.plot(ends, 0.5 * ends, ":", color=ik.report.GREY, linewidth=0.9)
         axes.set(xscale="log", yscale="log", xlabel=f"{label} before", ylabel="after")
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(fontsize=SMALL, frameon=False, loc="upper left")
+        axes.legend(fontsize=ik.report.SMALL, frameon=False, loc="upper left")
     figure.suptitle("below the full line a cause helped, below the dotted one by half", fontsize=9)
     return figure
 
 
 def amplitudes_figure(cases: Sequence[Row]) -> Figure:
     """Amplitude found over true, with its 95 % interval, of every true cause named."""
-    names = [*LISTED, "missing_line"]
+    names = [*ik.blind.LISTED, "missing_line"]
     figure = Figure(figsize=(6.8, 7.2), layout="constrained")
     axes = figure.add_subplot()
-    axes.axvline(1.0, color=GREY, linewidth=0.9)
+    axes.axvline(1.0, color=ik.report.GREY, linewidth=0.9)
     for row, name in enumerate(names):
         found = [(x, a) for x in cases for a in x["amplitudes"] if a["name"] == name]
         for k, (x, a) in enumerate(found):
@@ -183,19 +187,19 @@ def amplitudes_figure(cases: Sequence[Row]) -> Figure:
             axes.plot(
                 np.clip(value, 0.0, MOST_RATIO),
                 place,
-                MARKERS[list(Ending).index(kind)],
+                ik.report.MARKERS[list(Ending).index(kind)],
                 color=COLOUR_OF[kind],
                 markersize=4,
-                markeredgecolor=BLACK,
+                markeredgecolor=ik.report.BLACK,
                 markeredgewidth=0.4,
             )
-    axes.set_yticks(range(len(names)), names, fontsize=SMALL)
+    axes.set_yticks(range(len(names)), names, fontsize=ik.report.SMALL)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(-0.05, MOST_RATIO + 0.05)
     axes.set_xlabel(f"amplitude found over true, 95 % intervals, cut at 0 and {MOST_RATIO:g}")
     axes.spines[["top", "right"]].set_visible(False)
     handles = [
-        axes.plot([], [], MARKERS[k], color=COLOUR_OF[x], label=str(x), markersize=5)[0]
+        axes.plot([], [], ik.report.MARKERS[k], color=COLOUR_OF[x], label=str(x), markersize=5)[0]
         for k, x in enumerate(Ending)
         if x is not Ending.MISSED
     ]
@@ -224,7 +228,7 @@ def _draw_cell(axes: Axes, column: int, row: int, own: Sequence[Row]) -> None:
 
 def _ink(kind: Ending) -> str:
     """What can be read on the colour of an ending."""
-    return "white" if kind in (Ending.RIGHT, Ending.WRONG) else BLACK
+    return "white" if kind in (Ending.RIGHT, Ending.WRONG) else ik.report.BLACK
 
 
 def _series_label(name: str, cases: Sequence[Row]) -> str:

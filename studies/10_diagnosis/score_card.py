@@ -6,10 +6,9 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from common.page import table
 
-from identknee.identify.shares import share
-from identknee.report.tables import Column, Table
-from identknee.runs.arrays import Array
+import identknee as ik
 
 NULLS, ONE = "nothing hidden", "one"
 SILENT = ("ADEQUATE", "NOT_TESTABLE")
@@ -51,7 +50,7 @@ def series_of(cases: Iterable[Row]) -> dict[str, list[Row]]:
     return found
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables by the mark of their place on the page."""
     cases = cases_of(record)
     return {
@@ -66,7 +65,7 @@ def sentences(record: Row) -> dict[str, str]:
     cases = cases_of(record)
     alone = [x for x in cases if x["series"] == ONE]
     by_signal = [_named(x, [y for y in alone if y["wanted"] == x]) for x in signals_of(alone)]
-    wrong = share(sum(ending(x) is Ending.WRONG for x in cases), len(cases))
+    wrong = ik.identify.share(sum(ending(x) is Ending.WRONG for x in cases), len(cases))
     nulls = [x for x in cases if x["series"] == NULLS]
     alarms = sum(x["verdict"] not in SILENT for x in nulls)
     right = [x for x in cases if x["verdict"] == "NAMED" and ending(x) is Ending.RIGHT]
@@ -108,25 +107,21 @@ def _wrapped(text: str) -> str:
     return "\n".join(textwrap.wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False))
 
 
-def ending_table(cases: Sequence[Row]) -> Table:
+def ending_table(cases: Sequence[Row]) -> ik.report.Table:
     """How the cases of each series ended."""
     rows = []
     for name, own in series_of(cases).items():
         counts = [sum(ending(x) is kind for x in own) for kind in Ending]
-        right = share(counts[0] + counts[1], len(own))
+        right = ik.identify.share(counts[0] + counts[1], len(own))
         limits = f"{100 * right.lower:.0f} to {100 * right.upper:.0f}"
         sizes = [len(x["group"]) for x in own if x["verdict"] == "AMBIGUOUS"]
         typical = f"{np.median(sizes):g}" if sizes else "-"
         rows.append((name, str(len(own)), *(str(x) for x in counts), limits, typical))
     heads = ("hidden", "cases", *Ending, "right or in the group, 95 % [%]", "median group")
-    return Table(
-        title="How the diagnoses ended",
-        columns=tuple(Column(name=x) for x in heads),
-        rows=tuple(rows),
-    )
+    return table("How the diagnoses ended", heads, rows)
 
 
-def parameter_table(cases: Sequence[Row]) -> Table:
+def parameter_table(cases: Sequence[Row]) -> ik.report.Table:
     """Errors of the ligament parameters without and with the causes, by how the case ended."""
     rows = []
     for kind in Ending:
@@ -149,14 +144,10 @@ def parameter_table(cases: Sequence[Row]) -> Table:
         *("strain error before [%]", "after [%]"),
         *("intervals that hold the truth before [%]", "after [%]"),
     )
-    return Table(
-        title="Mean error of the ligament parameters, median over the cases",
-        columns=tuple(Column(name=x) for x in heads),
-        rows=tuple(rows),
-    )
+    return table("Mean error of the ligament parameters, median over the cases", heads, rows)
 
 
-def fault_table(cases: Sequence[Row]) -> Table:
+def fault_table(cases: Sequence[Row]) -> ik.report.Table:
     """Every case that ended with neither the truth nor a group that holds it."""
     rows = tuple(
         (
@@ -171,14 +162,10 @@ def fault_table(cases: Sequence[Row]) -> Table:
         if ending(x) not in (Ending.RIGHT, Ending.GROUP)
     )
     heads = ("hidden", "signal", "seed", "verdict", "named", "ending")
-    return Table(
-        title="Cases in which the truth was not found",
-        columns=tuple(Column(name=x) for x in heads),
-        rows=rows,
-    )
+    return table("Cases in which the truth was not found", heads, rows)
 
 
-def values_of(cases: Sequence[Row], name: str) -> Array:
+def values_of(cases: Sequence[Row], name: str) -> ik.runs.Array:
     """A pair of numbers, before and after, of each case; NaN where unknown."""
     return np.array([x[name] for x in cases], dtype=np.float64).reshape(-1, 2)
 

@@ -3,40 +3,27 @@
 Writes ``records/reality_gap.json``. Takes a few minutes on one core.
 """
 
-import argparse
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 
 import numpy as np
-
-from identknee.diagnosis.diagnose import Diagnosis, diagnose
-from identknee.diagnosis.explanations.causes import causes_of
-from identknee.diagnosis.explanations.fitting import fit_base
-from identknee.diagnosis.explanations.refit import Refit
-from identknee.diagnosis.gain.folds import Fold, observations_of
-from identknee.diagnosis.gain.gain import elpd_difference
-from identknee.diagnosis.gain.held_out import HeldOut, held_out
-from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.laxity.published import TABLE2, PublishedLaxity, table2_laxity
-from identknee.laxity.table import COORDINATES, Laxity
-from identknee.model.laxity_model import LaxityModel
-from identknee.report.study_records import (
+from common.records import (
     BUNDLES,
-    knee_digest,
-    record_head,
+    Row,
+    begun,
+    parsed_options,
     rounded,
     study_knee,
     write_record,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
-from identknee.subject.knee import Knee
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "reality_gap.json"
-COMMAND = "python studies/11_reality_gap/compute.py"
+import identknee as ik
+
 KNEES = ("reference", "lenhart2015_stable", "lenhart2015", BUNDLES)
 # mm and deg alike; None stands for the spread between subjects that the paper prints.
 ASSUMED_SDS: tuple[float | None, ...] = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, None)
@@ -54,43 +41,31 @@ WITHOUT = {"reference": (0.5, 1.0), "lenhart2015_stable": (1.0, 2.0)}
 MOST_TO_SPLIT = 6
 MOST_EXTENSIONS = 3
 FAMILY = "one value"
-Row = dict[str, Any]
 
 
 def main() -> None:
     """Compute everything and write the record."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
+    options = parsed_options(__file__, seed=0)
     began = time.perf_counter()
-    knees = {name: study_knee(name) for name in KNEES}
-    record: Row = {
-        "head": record_head(
-            f"{COMMAND} --seed {options.seed}",
-            settings={"seed": options.seed, "assumed_sds": ASSUMED_SDS},
-            inputs={name: knee_digest(knee) for name, knee in knees.items()},
-        ),
-        "rows": [row_facts(x) for x in TABLE2],
-        "knees": {name: {"as_it_is": as_it_is(knee)} for name, knee in knees.items()},
-    }
-    for name, knee in knees.items():
+    record = begun(options, KNEES, assumed_sds=ASSUMED_SDS)
+    record["rows"] = [row_facts(x) for x in ik.laxity.TABLE2]
+    for name in KNEES:
+        knee = study_knee(name)
+        part = record["knees"][name] = {"as_it_is": as_it_is(knee)}
         if name not in DIAGNOSED:
             # 110 ligament parameters: a fit is made, a diagnosis of 13 values takes too long.
-            record["knees"][name]["fit"] = fitted(knee, options.seed)
+            part["fit"] = fitted(knee, options.seed)
             continue
-        record["knees"][name]["diagnoses"] = [
-            diagnosed(knee, sd, options.seed) for sd in DIAGNOSED[name]
-        ]
+        part["diagnoses"] = [diagnosed(knee, sd, options.seed) for sd in DIAGNOSED[name]]
         if name in WITHOUT:
-            record["knees"][name]["without_odd_study"] = [
+            part["without_odd_study"] = [
                 diagnosed(knee, sd, options.seed, ODD_STUDY) for sd in WITHOUT[name]
             ]
     record["minutes"] = rounded((time.perf_counter() - began) / 60.0, 3)
     write_record(options.record, record)
 
 
-def row_facts(row: PublishedLaxity) -> Row:
+def row_facts(row: ik.laxity.PublishedLaxity) -> Row:
     """One measured value, positive the way the load pushes."""
     return {
         "load": row.load,
@@ -103,61 +78,61 @@ def row_facts(row: PublishedLaxity) -> Row:
     }
 
 
-def as_it_is(knee: Knee) -> Row:
+def as_it_is(knee: ik.Knee) -> Row:
     """What the model gives with the subject's own parameters, before any fit."""
-    model = LaxityModel(knee=knee, protocol=load_protocol("table2"))
+    model = ik.LaxityModel(knee=knee, protocol=ik.load_protocol("table2"))
     theta = np.array(model.parameters.center)
     prediction = model.predict(theta, derivatives=False)
     lost = {
         trial: outcome.value
         for trial, outcome in zip(model.protocol.trials, prediction.outcomes, strict=True)
-        if outcome is not Outcome.CONVERGED
+        if outcome is not ik.Outcome.CONVERGED
     }
     row: Row = rounded(
         {
             "n_ligaments": len(knee.ligaments),
-            "values": table2_laxity(model.simulate(theta)),
+            "values": ik.laxity.table2_laxity(model.simulate(theta)),
             "not_converged": lost,
         }
     )
     return row
 
 
-def measured(sd: float | None, without: str = "") -> Laxity:
+def measured(sd: float | None, without: str = "") -> ik.Laxity:
     """The 13 published values as a laxity table; `sd` for all [mm, deg], as printed where None.
 
     Without those of the study called `without`.
     """
-    protocol = load_protocol("table2")
-    coordinates, sds = (np.full((protocol.n, len(COORDINATES)), np.nan) for _ in range(2))
-    for row, trial in zip(TABLE2, places(protocol), strict=True):
+    protocol = ik.load_protocol("table2")
+    coordinates, sds = (np.full((protocol.n, len(ik.laxity.COORDINATES)), np.nan) for _ in range(2))
+    for row, trial in zip(ik.laxity.TABLE2, places(protocol), strict=True):
         if row.study == without:
             continue
-        coordinate = COORDINATES.index(row.coordinate)
+        coordinate = ik.laxity.COORDINATES.index(row.coordinate)
         coordinates[trial, coordinate] = row.sign * row.mean
         sds[trial, coordinate] = row.sd if sd is None else sd
-    return Laxity(protocol=protocol, coordinates=coordinates, sd=sds, zero="unloaded")
+    return ik.Laxity(protocol=protocol, coordinates=coordinates, sd=sds, zero="unloaded")
 
 
-def places(protocol: Protocol) -> list[int]:
+def places(protocol: ik.Protocol) -> list[int]:
     """Which trial of the protocol each published value belongs to."""
-    return [protocol.trials.index(row.trial) for row in TABLE2]
+    return [protocol.trials.index(row.trial) for row in ik.laxity.TABLE2]
 
 
-def by_row(laxity: Laxity, values: Array) -> Array:
+def by_row(laxity: ik.Laxity, values: ik.runs.Array) -> ik.runs.Array:
     """Of coordinates (n, 5) the 13 published ones, positive the way the load pushes."""
     return np.array(
         [
-            row.sign * values[trial, COORDINATES.index(row.coordinate)]
-            for row, trial in zip(TABLE2, places(laxity.protocol), strict=True)
+            row.sign * values[trial, ik.laxity.COORDINATES.index(row.coordinate)]
+            for row, trial in zip(ik.laxity.TABLE2, places(laxity.protocol), strict=True)
         ]
     )
 
 
-def diagnosed(knee: Knee, sd: float | None, seed: int, without: str = "") -> Row:
+def diagnosed(knee: ik.Knee, sd: float | None, seed: int, without: str = "") -> Row:
     """The diagnosis of the published values, were their errors that large."""
     began = time.perf_counter()
-    found = diagnose(knee, measured(sd, without), seed=seed)
+    found = ik.diagnose(knee, measured(sd, without), seed=seed)
     row: Row = {"assumed_sd": sd, "verdict": None}
     if found is None:
         return row
@@ -172,7 +147,7 @@ def diagnosed(knee: Knee, sd: float | None, seed: int, without: str = "") -> Row
         "where": found.localisation.sentence,
         "line": None if found.line is None else found.line.sentence,
         "max_score_quantile": first.scores.quantile,
-        "degrees_of_freedom": found.base.projector.degrees_of_freedom,
+        "degrees_of_freedom": found.base.fitted.projector.degrees_of_freedom,
         "best": found.attribution.best.names,
         "base": base_facts(found),
         "scores": [{"name": x.name, "score": x.score} for x in first.scores.candidates],
@@ -194,10 +169,10 @@ def diagnosed(knee: Knee, sd: float | None, seed: int, without: str = "") -> Row
     return dict(rounded(row))
 
 
-def fitted(knee: Knee, seed: int) -> Row | None:
+def fitted(knee: ik.Knee, seed: int) -> Row | None:
     """The fit without a cause under the printed sds; None where no start has all trials."""
     laxity = measured(None)
-    found = fit_base(knee, laxity, starts=(), seed=seed)
+    found = ik.diagnosis.fit_base(knee, laxity, starts=(), seed=seed)
     if found is None or not found.fitted.evaluation.is_finite:
         return None
     its = found.fitted
@@ -212,7 +187,7 @@ def fitted(knee: Knee, seed: int) -> Row | None:
     )
 
 
-def base_facts(found: Diagnosis) -> Row:
+def base_facts(found: ik.Diagnosis) -> Row:
     """The fit without a cause: what it leaves, and what the data said of each parameter."""
     fitted = found.base.fitted
     jacobian, n = fitted.evaluation.jacobian, fitted.n_data
@@ -221,7 +196,7 @@ def base_facts(found: Diagnosis) -> Row:
     return {
         "outcome": fitted.outcome.value,
         "chi_square": fitted.misfit,
-        "strain": found.base.strain,
+        "strain": found.base.penalised_chi2,
         "errors": by_row(found.laxity, fitted.compared.differences(fitted.theta)),
         "parameters": fitted.model.parameters.names,
         "theta": fitted.theta,
@@ -232,7 +207,7 @@ def base_facts(found: Diagnosis) -> Row:
     }
 
 
-def extensions(found: Diagnosis) -> Row:
+def extensions(found: ik.Diagnosis) -> Row:
     """Prediction of each value from the 12 others, without a cause and with each of the best."""
     tried = [x for x in found.attribution.steps[0].refits if x.fitted.evaluation.is_finite]
     best = found.attribution.best
@@ -247,10 +222,15 @@ def extensions(found: Diagnosis) -> Row:
     }
 
 
-def extension(found: Diagnosis, before: HeldOut, refit: Refit, folds: Sequence[Fold]) -> Row:
+def extension(
+    found: ik.Diagnosis,
+    before: ik.diagnosis.HeldOut,
+    refit: ik.diagnosis.Refit,
+    folds: Sequence[ik.diagnosis.Fold],
+) -> Row:
     """One explanation: its amplitudes and what it gains."""
     after = left_out(found, refit, folds)
-    gain = elpd_difference(before, after)
+    gain = ik.diagnosis.elpd_difference(before, after)
     fitted = refit.fitted
     return {
         "names": refit.names,
@@ -265,7 +245,7 @@ def extension(found: Diagnosis, before: HeldOut, refit: Refit, folds: Sequence[F
                 "unit": x.amplitude.unit,
                 "ci95": x.amplitude.ci95,
             }
-            for x in causes_of(refit)
+            for x in ik.diagnosis.causes_of(refit)
         ],
         "errors": by_row(found.laxity, fitted.compared.differences(fitted.theta)),
         "left_out": held_facts(after),
@@ -274,23 +254,27 @@ def extension(found: Diagnosis, before: HeldOut, refit: Refit, folds: Sequence[F
     }
 
 
-def left_out(found: Diagnosis, refit: Refit, folds: Sequence[Fold]) -> HeldOut:
+def left_out(
+    found: ik.Diagnosis, refit: ik.diagnosis.Refit, folds: Sequence[ik.diagnosis.Fold]
+) -> ik.diagnosis.HeldOut:
     """Each value predicted by the model fitted to the 12 others."""
     fitted = refit.fitted
-    observations = observations_of(found.laxity, found.noise.sd, fitted.noise)
-    return held_out(fitted.compared, observations, fitted.theta, folds)
+    observations = ik.diagnosis.observations_of(found.laxity, found.noise.sd, fitted.noise)
+    return ik.diagnosis.held_out(fitted.compared, observations, fitted.theta, folds)
 
 
-def one_value_folds(laxity: Laxity) -> Sequence[Fold]:
+def one_value_folds(laxity: ik.Laxity) -> Sequence[ik.diagnosis.Fold]:
     """A fold for each trial in which something was measured."""
     trials = np.flatnonzero(laxity.is_measured.any(axis=1))
     return [
-        Fold(family=FAMILY, name=laxity.protocol.trials[i], held=np.arange(laxity.n) == i)
+        ik.diagnosis.Fold(
+            family=FAMILY, name=laxity.protocol.trials[i], held=np.arange(laxity.n) == i
+        )
         for i in trials
     ]
 
 
-def held_facts(scores: HeldOut) -> Row:
+def held_facts(scores: ik.diagnosis.HeldOut) -> Row:
     """Errors of the predicted values."""
     rmse, expected = scores.rmse(), scores.expected_rmse()
     return {

@@ -1,25 +1,28 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import draw_study
 from gap_tables import SHOWN_KNEES, SHOWN_SD, gaps, size_label, tables
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
-from identknee.report.study_page import draw_study
+import identknee as ik
 
-HERE = Path(__file__).parent
 LEVEL = 0.05
 Row = Mapping[str, Any]
 
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
 def gap_figure(record: Row) -> Figure:
@@ -29,24 +32,26 @@ def gap_figure(record: Row) -> Figure:
     axes = figure.add_subplot()
     axes.axvspan(-2, 2, color="0.93")
     axes.axvspan(-1, 1, color="0.86")
-    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    axes.axvline(0.0, color=ik.report.GREY, linewidth=0.8)
     models = gaps(record)
     for k, (name, values) in enumerate(models.items()):
         heights = np.arange(len(rows)) + 0.13 * (k - 0.5 * (len(models) - 1))
         axes.plot(
             values,
             heights,
-            MARKERS[k],
-            color=COLOURS[k],
+            ik.report.MARKERS[k],
+            color=ik.report.COLOURS[k],
             markersize=5,
             linestyle="none",
             label=name,
         )
     labels = [f"{x['load']}, {x['flexion_deg']:g} deg" for x in rows]
-    axes.set_yticks(range(len(rows)), labels, fontsize=SMALL)
+    axes.set_yticks(range(len(rows)), labels, fontsize=ik.report.SMALL)
     axes.invert_yaxis()
     axes.set_xlabel("model less measured mean, in between-subject sds")
-    axes.legend(fontsize=SMALL, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    axes.legend(
+        fontsize=ik.report.SMALL, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False
+    )
     return figure
 
 
@@ -57,7 +62,7 @@ def verdict_figure(record: Row) -> Figure:
     for k, (name, found) in enumerate(diagnosed(record).items()):
         known = [x for x in found if x["assumed_sd"] is not None]
         sds = [x["assumed_sd"] for x in known]
-        colour, marker = COLOURS[k + 1], MARKERS[k + 1]
+        colour, marker = ik.report.COLOURS[k + 1], ik.report.MARKERS[k + 1]
         chance.plot(sds, [x["p_value"] for x in known], marker=marker, color=colour, label=name)
         for x in known:
             chance.annotate(
@@ -83,11 +88,11 @@ def verdict_figure(record: Row) -> Figure:
             [x["left_out"]["rmse_deg"] for _, x in extended],
             marker=marker,
             markerfacecolor="white",
-            linestyle=STYLES[1],
+            linestyle=ik.report.STYLES[1],
             color=colour,
             label=f"{name}, likeliest cause added",
         )
-    chance.axhline(LEVEL, color=BLACK, linewidth=0.8, linestyle=STYLES[3])
+    chance.axhline(LEVEL, color=ik.report.BLACK, linewidth=0.8, linestyle=ik.report.STYLES[3])
     chance.set_yscale("log")
     chance.set_ylim(1e-12, 20.0)
     chance.set_xlim(0.2, 4.4)
@@ -96,7 +101,7 @@ def verdict_figure(record: Row) -> Figure:
     held.set_ylabel("RMSE of the angle left out [deg]")
     for axes in (chance, held):
         axes.set_xlabel("assumed sd of a measured mean [mm, deg]")
-        axes.legend(fontsize=SMALL)
+        axes.legend(fontsize=ik.report.SMALL)
     return figure
 
 
@@ -109,15 +114,15 @@ def visible_figure(record: Row) -> Figure:
         shown = next(x for x in found if x["assumed_sd"] == SHOWN_SD)["visible"]
         names = names or [x["name"] for x in shown]
         _draw_visible(axes, {x["name"]: x for x in shown}, names, (k, knee))
-    axes.axvline(1.0, color=BLACK, linewidth=0.8, linestyle=STYLES[3])
+    axes.axvline(1.0, color=ik.report.BLACK, linewidth=0.8, linestyle=ik.report.STYLES[3])
     axes.set_xscale("log")
-    axes.set_yticks(range(len(names)), names, fontsize=SMALL)
+    axes.set_yticks(range(len(names)), names, fontsize=ik.report.SMALL)
     axes.invert_yaxis()
     axes.set_xlabel(
         "amplitude found in 9 of 10 data sets over the smallest worth knowing, sd "
         f"{size_label(SHOWN_SD)} mm and deg"
     )
-    axes.legend(fontsize=SMALL, loc="lower right")
+    axes.legend(fontsize=ik.report.SMALL, loc="lower right")
     axes.grid(axis="y", color="0.9")
     return figure
 
@@ -137,8 +142,8 @@ def _draw_visible(
     axes.plot(
         ratio,
         np.arange(len(names)),
-        MARKERS[k + 1],
-        color=COLOURS[k + 1],
+        ik.report.MARKERS[k + 1],
+        color=ik.report.COLOURS[k + 1],
         linestyle="none",
         label=knee,
     )

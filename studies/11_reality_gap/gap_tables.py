@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from common.page import table
 
-from identknee.report.tables import Column, Table
-from identknee.runs.arrays import Array
+import identknee as ik
 
 PAPER = "the paper's model"
 PUBLISHED = "as printed (0.4 to 4.6)"
@@ -16,7 +16,7 @@ SHOWN_KNEES = ("reference", "lenhart2015_stable")
 Row = Mapping[str, Any]
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables by the mark of their place on the page."""
     return {
         "table 1": gap_table(record),
@@ -29,7 +29,7 @@ def tables(record: Row) -> dict[str, Table]:
     }
 
 
-def responses(record: Row) -> dict[str, Array]:
+def responses(record: Row) -> dict[str, ik.runs.Array]:
     """Each model's response to the 13 loads [mm, deg]; NaN where it has none."""
     found = {PAPER: numbers([x["paper_model"] for x in record["rows"]])}
     for name, part in record["knees"].items():
@@ -37,13 +37,13 @@ def responses(record: Row) -> dict[str, Array]:
     return found
 
 
-def gaps(record: Row) -> dict[str, Array]:
+def gaps(record: Row) -> dict[str, ik.runs.Array]:
     """The same less the measured means, in between-subject sds."""
     mean, sd = (numbers([x[key] for x in record["rows"]]) for key in ("mean", "sd"))
     return {name: (values - mean) / sd for name, values in responses(record).items()}
 
 
-def gap_table(record: Row) -> Table:
+def gap_table(record: Row) -> ik.report.Table:
     """Measured laxity and what each model gives, with the gap in sds."""
     values, sizes = responses(record), gaps(record)
     rows = tuple(
@@ -57,14 +57,14 @@ def gap_table(record: Row) -> Table:
         for i, x in enumerate(record["rows"])
     )
     heads = ("load", "flexion [deg]", "unit", "measured mean (sd)", *values)
-    return Table(
-        title="Laxity before any fit, and in brackets how many between-subject sds off the mean",
-        columns=tuple(Column(name=x) for x in heads),
-        rows=rows,
+    return table(
+        "Laxity before any fit, and in brackets how many between-subject sds off the mean",
+        heads,
+        rows,
     )
 
 
-def size_table(record: Row) -> Table:
+def size_table(record: Row) -> ik.report.Table:
     """The gap of each model in a few numbers."""
     mean = numbers([x["mean"] for x in record["rows"]])
     units = np.array([x["unit"] for x in record["rows"]])
@@ -84,27 +84,19 @@ def size_table(record: Row) -> Table:
                 int((np.abs(sizes[known]) > 2).sum()),
             )
         )
-    return Table(
-        title="Size of the gap before any fit",
-        columns=(
-            Column(name="model"),
-            Column(name="values", decimals=0),
-            Column(name="RMS", unit="mm"),
-            Column(name="RMS", unit="deg"),
-            Column(name="RMS", unit="sd"),
-            Column(name="beyond 1 sd", decimals=0),
-            Column(name="beyond 2 sd", decimals=0),
-        ),
-        rows=tuple(rows),
+    return table(
+        "Size of the gap before any fit",
+        "model; values | 0; RMS [mm]; RMS [deg]; RMS [sd]; beyond 1 sd | 0; beyond 2 sd | 0",
+        rows,
     )
 
 
-def verdict_table(record: Row) -> Table:
+def verdict_table(record: Row) -> ik.report.Table:
     """What `diagnose` says at each assumed sd."""
     return _verdicts("Verdict by the assumed sd of the measured means", list(_diagnoses(record)))
 
 
-def odd_study_table(record: Row) -> Table:
+def odd_study_table(record: Row) -> ik.report.Table:
     """The same without the one value that disagrees with another study."""
     return _verdicts(
         "Verdict without external rotation at 20 deg",
@@ -112,7 +104,7 @@ def odd_study_table(record: Row) -> Table:
     )
 
 
-def _verdicts(title: str, found: list[tuple[str, Row]]) -> Table:
+def _verdicts(title: str, found: list[tuple[str, Row]]) -> ik.report.Table:
     rows = tuple(
         (
             knee,
@@ -126,23 +118,16 @@ def _verdicts(title: str, found: list[tuple[str, Row]]) -> Table:
         )
         for knee, x in found
     )
-    return Table(
-        title=title,
-        columns=(
-            Column(name="knee"),
-            Column(name="assumed sd [mm, deg]"),
-            Column(name="chi-square after the fit", decimals=1),
-            Column(name="degrees of freedom, priors counted", decimals=0),
-            Column(name="p"),
-            Column(name="verdict"),
-            Column(name="causes still open"),
-            Column(name="5 % quantile of the largest score"),
-        ),
-        rows=rows,
+    return table(
+        title,
+        "knee; assumed sd [mm, deg]; chi-square after the fit | 1; "
+        "degrees of freedom, priors counted | 0; p; verdict; causes still open; "
+        "5 % quantile of the largest score",
+        rows,
     )
 
 
-def gain_table(record: Row) -> Table:
+def gain_table(record: Row) -> ik.report.Table:
     """What the extensions gain when each value is predicted from the twelve others."""
     rows = []
     for knee, x in _diagnoses(record):
@@ -168,27 +153,16 @@ def gain_table(record: Row) -> Table:
                     text,
                 )
             )
-    return Table(
-        title="Each value predicted from the twelve others, without and with a cause",
-        columns=(
-            Column(name="knee"),
-            Column(name="assumed sd [mm, deg]"),
-            Column(name="cause added"),
-            Column(name="fit ended in"),
-            Column(name="log evidence gained", decimals=1),
-            Column(name="amplitude (95 %)"),
-            Column(name="values predicted", decimals=0),
-            Column(name="RMSE left out", unit="mm"),
-            Column(name="RMSE left out", unit="deg"),
-            Column(name="RMSE over assumed sd"),
-            Column(name="the same expected"),
-            Column(name="log predictive density gained (se)"),
-        ),
-        rows=tuple(rows),
+    return table(
+        "Each value predicted from the twelve others, without and with a cause",
+        "knee; assumed sd [mm, deg]; cause added; fit ended in; log evidence gained | 1; "
+        "amplitude (95 %); values predicted | 0; RMSE left out [mm]; RMSE left out [deg]; "
+        "RMSE over assumed sd; the same expected; log predictive density gained (se)",
+        rows,
     )
 
 
-def visible_table(record: Row) -> Table:
+def visible_table(record: Row) -> ik.report.Table:
     """The amplitudes that 13 values would show, at one assumed sd."""
     found = {
         knee: {y["name"]: y for y in x["visible"]}
@@ -207,18 +181,18 @@ def visible_table(record: Row) -> Table:
         )
         for name, y in first.items()
     )
-    return Table(
-        title="What 13 values with an sd of 1 mm and 1 deg can show",
-        columns=(
-            *(Column(name=x) for x in ("effect", "amplitude", "unit", "worth knowing")),
-            *(Column(name=f"found in 9 of 10, {knee}") for knee in found),
-            *(Column(name=f"share found at the size worth knowing, {knee}") for knee in found),
-        ),
-        rows=rows,
+    return table(
+        "What 13 values with an sd of 1 mm and 1 deg can show",
+        [
+            *("effect", "amplitude", "unit", "worth knowing"),
+            *(f"found in 9 of 10, {knee}" for knee in found),
+            *(f"share found at the size worth knowing, {knee}" for knee in found),
+        ],
+        rows,
     )
 
 
-def parameter_table(record: Row) -> Table:
+def parameter_table(record: Row) -> ik.report.Table:
     """How much of each prior's width the values leave, and how many parameters they fix."""
     found = [(knee, x) for knee, x in _diagnoses(record) if knee in SHOWN_KNEES]
     names = found[0][1]["base"]["parameters"]
@@ -231,15 +205,10 @@ def parameter_table(record: Row) -> Table:
         )
         for knee, x in found
     )
-    return Table(
-        title="Standard deviation of each parameter after the fit over that of its prior",
-        columns=(
-            Column(name="knee"),
-            Column(name="assumed sd [mm, deg]"),
-            Column(name="parameters the values fix", decimals=1),
-            *(Column(name=name) for name in names),
-        ),
-        rows=rows,
+    return table(
+        "Standard deviation of each parameter after the fit over that of its prior",
+        ["knee", "assumed sd [mm, deg]", "parameters the values fix | 1", *names],
+        rows,
     )
 
 
@@ -248,7 +217,7 @@ def size_label(sd: float | None) -> str:
     return PUBLISHED if sd is None else f"{sd:g}"
 
 
-def numbers(values: list[float | None]) -> Array:
+def numbers(values: list[float | None]) -> ik.runs.Array:
     """As an array, NaN for None."""
     return np.array([np.nan if x is None else x for x in values], dtype=np.float64)
 
@@ -284,5 +253,5 @@ def _detectable(value: float | None) -> str:
     return "never" if value is None else f"{value:.2g}"
 
 
-def _root_mean(values: Array) -> float | None:
+def _root_mean(values: ik.runs.Array) -> float | None:
     return float(np.sqrt(np.mean(values**2))) if values.size else None

@@ -4,9 +4,8 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+from common.records import study_knee
 from compute import ODD_STUDY, as_it_is, diagnosed, fitted
-
-from identknee.report.study_records import study_knee
 
 Row = dict[str, Any]
 

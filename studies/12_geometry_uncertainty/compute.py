@@ -4,48 +4,33 @@ Writes ``records/geometry_uncertainty.json``. Finished fits are kept in a store 
 checkout, so that the same command resumes where it was stopped.
 """
 
-import argparse
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 
 import numpy as np
-import platformdirs
-from scipy.spatial.transform import Rotation
-
-from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.quantity import ParameterQuantity, Quantity
-from identknee.calibrate.starts import named_start
-from identknee.laxity.noise import add_noise
-from identknee.laxity.protocol import LOADS, Protocol, load_protocol
-from identknee.laxity.table import Laxity
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.quantities import LigamentForce
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.stability import box_sample
-from identknee.model.tensions import tensions_of
-from identknee.report.study_records import (
-    knee_digest,
-    record_head,
+from common.problems import model_of, truth_of
+from common.records import (
+    Row,
+    begun,
+    parsed_options,
     rounded,
+    say,
     study_knee,
+    working,
     write_record,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.executors import process_pool
-from identknee.runs.resume import open_work, resumable_map
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
+from scipy.spatial.transform import Rotation
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "geometry_uncertainty.json"
-COMMAND = "python studies/12_geometry_uncertainty/compute.py"
+import identknee as ik
+
 KNEE = "reference"
-TRUTH = "IG1"  # Table 1 of the paper: its first initial guess is the reference itself.
 NOISE_MM, NOISE_DEG = 0.5, 0.5
 SEED = 12
 # Kind of error and its sizes: insertions [mm, sd of each coordinate of each insertion], rotations
@@ -62,81 +47,44 @@ LEVELS: tuple[tuple[str, float], ...] = (
     ("tibial frame", 3.0),
     ("tibial frame", 5.0),
 )
-MOMENTS = (LOADS.index("varus_moment_Nm"), LOADS.index("internal_moment_Nm"))
+MOMENTS = (ik.laxity.LOADS.index("varus_moment_Nm"), ik.laxity.LOADS.index("internal_moment_Nm"))
 # The best of so many fits, from the first of so many starts that have a prediction.
 FITS, STARTS = 4, 40
 DIGITS = 5
-Row = dict[str, Any]
 
 
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
-    options = parsed_options()
-    n = 2 if options.quick else options.replicates
+    options = parsed_options(__file__, "two geometries of some levels", replicates=120)
+    n = options.replicates = 2 if options.quick else options.replicates
     levels = LEVELS[::3] if options.quick else LEVELS
+    record = begun(
+        options, [KNEE], levels=levels, noise_mm=NOISE_MM, noise_deg=NOISE_DEG, seed=SEED
+    )
     knee = study_knee(KNEE)
     # Replicate after replicate, so that more of them go on where fewer ended.
     tasks = [
         {"kind": kind, "size": size, "replicate": r} for r in range(n) for kind, size in levels
     ]
-    about = {"knee": knee_digest(knee), "levels": levels, "seed": SEED}
     began = time.perf_counter()
-    with (
-        open_work(options.store, about) as store,
-        process_pool(options.workers) as executor,
-    ):
-        rows = resumable_map(
-            partial(replicate_row, knee),
-            tasks,
-            executor=executor,
-            store=store,
-            name="fits",
-            description="fitting with a wrong geometry",
-        )
+    known = {"inputs": record["head"]["inputs"], "levels": levels, "seed": SEED}
+    with working(options, **known) as kept:
+        rows = kept(partial(replicate_row, knee), tasks, "fits")
     setting = true_setting(knee)
-    record = {
-        "head": record_head(
-            COMMAND + (" --quick" if options.quick else f" --replicates {n}"),
-            settings={
-                "replicates": n,
-                "levels": levels,
-                "noise_mm": NOISE_MM,
-                "noise_deg": NOISE_DEG,
-                "seed": SEED,
-                "workers": options.workers,
-            },
-            inputs={KNEE: knee_digest(knee)},
-        ),
-        "knees": {
-            KNEE: rounded(
-                {
-                    "parameters": list(setting.model.parameters.names),
-                    "truth": setting.truth,
-                    "forces": [f"{x}@{trial}" for x, trial in setting.peaks],
-                    "true_forces": setting.peak_forces,
-                    "n_residuals": int(setting.model.protocol.n * 5),
-                    "fits": rows,
-                },
-                DIGITS,
-            )
+    record["knees"][KNEE] = rounded(
+        {
+            "parameters": list(setting.model.parameters.names),
+            "truth": setting.truth,
+            "forces": [f"{x}@{trial}" for x, trial in setting.peaks],
+            "true_forces": setting.peak_forces,
+            "n_residuals": int(setting.model.protocol.n * 5),
+            "fits": rows,
         },
-        "seconds_last_run": rounded(time.perf_counter() - began, 3),
-    }
+        DIGITS,
+    )
+    record["seconds_last_run"] = rounded(time.perf_counter() - began, 3)
     write_record(options.record, record)
     say(f"written: {options.record.name}, {len(rows)} fits")
-
-
-def parsed_options() -> argparse.Namespace:
-    """What was asked for on the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    cache_folder = platformdirs.user_cache_path("identknee") / "studies"
-    store = cache_folder / "geometry_uncertainty.sqlite"
-    parser.add_argument("--store", type=Path, default=store, help="keeps finished fits")
-    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--replicates", type=int, default=120, help="geometries a level")
-    parser.add_argument("--quick", action="store_true", help="two geometries of some levels")
-    return parser.parse_args()
 
 
 class TrueSetting:
@@ -156,10 +104,10 @@ class TrueSetting:
         The forces there [N], shape ``(m,)``.
     """
 
-    def __init__(self, knee: Knee) -> None:
-        self.model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
-        self.truth = named_start(TRUTH, self.model.parameters)
-        self.tensions = tensions_of(self.model, self.model.predict(self.truth))
+    def __init__(self, knee: ik.Knee) -> None:
+        self.model = model_of(knee)
+        self.truth = truth_of(self.model.parameters)
+        self.tensions = ik.model.tensions_of(self.model, self.model.predict(self.truth))
         most = self.tensions.argmax(axis=0)
         self.peaks = [
             (ligament.name, self.model.protocol.trials[trial])
@@ -169,12 +117,12 @@ class TrueSetting:
 
 
 @cache
-def true_setting(knee: Knee) -> TrueSetting:
+def true_setting(knee: ik.Knee) -> TrueSetting:
     """The setting of a knee, made once in each process."""
     return TrueSetting(knee)
 
 
-def replicate_row(knee: Knee, task: Row) -> Row:
+def replicate_row(knee: ik.Knee, task: Row) -> Row:
     """One noisy data set, fitted with one wrong geometry: errors and likelihood ratios."""
     its = true_setting(knee)
     seeds = np.random.SeedSequence((SEED, task["replicate"])).spawn(2)
@@ -182,27 +130,29 @@ def replicate_row(knee: Knee, task: Row) -> Row:
     assumed, loads = with_error(knee, its.model.protocol, task, generator)
     # The data come from the true knee under the loads as they are, and say what was meant.
     simulated = its.model.with_protocol(loads).simulate(its.truth)
-    nominal = Laxity(protocol=its.model.protocol, coordinates=simulated.coordinates)
-    laxity = add_noise(nominal, sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=seeds[1])
-    model = LaxityModel(knee=assumed, protocol=its.model.protocol)
-    evaluator = Evaluator(LaxityResiduals(model=model, laxity=laxity, weighting="noise"))
+    nominal = ik.Laxity(protocol=its.model.protocol, coordinates=simulated.coordinates)
+    laxity = ik.add_noise(nominal, sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=seeds[1])
+    model = ik.LaxityModel(knee=assumed, protocol=its.model.protocol)
+    evaluator = ik.calibrate.Evaluator(
+        ik.LaxityResiduals(model=model, laxity=laxity, weighting="noise")
+    )
     best = best_fit(evaluator, its.truth, generator)
     row: Row = {**task, "outcome": best.outcome.value, "n_measured": int(laxity.is_measured.sum())}
     if not best.evaluation.is_finite:
         return {**row, "theta": None, "n_simulations": evaluator.n_simulations}
     parameters = model.parameters
-    wanted: list[tuple[Quantity, float]] = [
-        (ParameterQuantity(parameters=parameters, name=name), float(value))
+    wanted: list[tuple[ik.calibrate.Quantity, float]] = [
+        (ik.calibrate.ParameterQuantity(parameters=parameters, name=name), float(value))
         for name, value in zip(parameters.names, its.truth, strict=True)
     ]
     wanted += [
-        (LigamentForce(model=model, ligament=ligament, trial=trial), float(force))
+        (ik.model.LigamentForce(model=model, ligament=ligament, trial=trial), float(force))
         for (ligament, trial), force in zip(its.peaks, its.peak_forces, strict=True)
     ]
     deviances, best = constrained_deviances(evaluator, best, wanted)
     theta = best.evaluation.theta
     prediction = model.predict(theta)
-    tensions = tensions_of(model, prediction)
+    tensions = ik.model.tensions_of(model, prediction)
     at = [its.model.protocol.trials.index(trial) for _, trial in its.peaks]
     return {
         **row,
@@ -219,8 +169,8 @@ def replicate_row(knee: Knee, task: Row) -> Row:
 
 
 def with_error(
-    knee: Knee, protocol: Protocol, task: Row, generator: np.random.Generator
-) -> tuple[Knee, Protocol]:
+    knee: ik.Knee, protocol: ik.Protocol, task: Row, generator: np.random.Generator
+) -> tuple[ik.Knee, ik.Protocol]:
     """The geometry assumed in the fit, and the loads really applied."""
     size = float(task["size"])
     if task["kind"] == "insertions":
@@ -236,7 +186,7 @@ def with_error(
     axis = generator.normal(size=3)
     turn = Rotation.from_rotvec(np.radians(size) * axis / np.linalg.norm(axis)).as_matrix()
     if task["kind"] == "tibial frame":
-        frame = Frame(origin=knee.tibia_frame.origin, axes=turn @ knee.tibia_frame.axes)
+        frame = ik.subject.Frame(origin=knee.tibia_frame.origin, axes=turn @ knee.tibia_frame.axes)
         return replace(knee, tibia_frame=frame), protocol
     loads = np.array(protocol.loads)
     # About floating axis and tibial axis; what falls on the flexion axis is held by the rig.
@@ -244,11 +194,13 @@ def with_error(
     return knee, replace(protocol, loads=loads)
 
 
-def best_fit(evaluator: Evaluator, truth: Array, generator: np.random.Generator) -> Constrained:
+def best_fit(
+    evaluator: ik.calibrate.Evaluator, truth: ik.runs.Array, generator: np.random.Generator
+) -> ik.calibrate.Constrained:
     """The best of a few fits: from the truth, and from places of the box around it."""
     found = []
-    for start in (truth, *box_sample(evaluator.parameters, STARTS, generator)):
-        ended = minimise(evaluator, start)
+    for start in (truth, *ik.model.box_sample(evaluator.parameters, STARTS, generator)):
+        ended = ik.calibrate.minimise(evaluator, start)
         if ended.evaluation.is_finite or not found:
             found.append(ended)
         if sum(x.evaluation.is_finite for x in found) == FITS:
@@ -257,30 +209,27 @@ def best_fit(evaluator: Evaluator, truth: Array, generator: np.random.Generator)
 
 
 def constrained_deviances(
-    evaluator: Evaluator, best: Constrained, wanted: Sequence[tuple[Quantity, float]]
-) -> tuple[list[float], Constrained]:
+    evaluator: ik.calibrate.Evaluator,
+    best: ik.calibrate.Constrained,
+    wanted: Sequence[tuple[ik.calibrate.Quantity, float]],
+) -> tuple[list[float], ik.calibrate.Constrained]:
     """Lowest deviance with each quantity at its true value, and the best fit seen on the way."""
     deviances = []
     for quantity, target in wanted:
         start = best.evaluation.theta
-        found = solve_constrained(evaluator, start, quantity=quantity, target=target)
+        found = ik.calibrate.solve_constrained(evaluator, start, quantity=quantity, target=target)
         reached = found.is_on_target and found.evaluation.is_finite
         deviances.append(found.evaluation.deviance if reached else np.inf)
         if reached and found.evaluation.deviance < best.evaluation.deviance:
-            again = minimise(evaluator, found.evaluation.theta)
+            again = ik.calibrate.minimise(evaluator, found.evaluation.theta)
             if again.evaluation.deviance < best.evaluation.deviance:
                 best = again
     return deviances, best
 
 
-def standard_deviations(jacobian: Array) -> Array:
+def standard_deviations(jacobian: ik.runs.Array) -> ik.runs.Array:
     """Of the parameters by the information matrix, shape ``(p,)``."""
     return np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
-
-
-def say(text: str) -> None:
-    """Tell how far it is."""
-    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
 
 
 if __name__ == "__main__":

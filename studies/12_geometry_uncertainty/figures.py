@@ -1,21 +1,23 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
 import numpy as np
+from common.page import Cell, draw_study, table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import beta, chi2
 from scipy.stats import f as f_distribution
 
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL
-from identknee.report.study_page import draw_study
-from identknee.report.tables import Cell, Column, Table
-from identknee.runs.arrays import Array, BoolArray
+import identknee as ik
+from identknee.runs.arrays import BoolArray
 
-HERE = Path(__file__).parent
 KNEE = "reference"
 UNITS = {"none": "", "insertions": "mm", "load axes": "deg", "tibial frame": "deg"}
 Row = Mapping[str, Any]
@@ -73,7 +75,7 @@ class Level:
 
 def main() -> None:
     """Draw all figures and fill the page."""
-    draw_study(HERE, FIGURE_OF, tables)
+    draw_study(__file__, FIGURE_OF, tables)
 
 
 def levels_of(record: Row) -> list[Level]:
@@ -93,11 +95,20 @@ def figure_1(record: Row) -> Figure:
         _coverage(axes, levels, names, scaled=scaled)
         axes.set_title(title, fontsize=10)
     panels[1].set_xticks(
-        range(len(levels)), [x.label for x in levels], rotation=30, ha="right", fontsize=SMALL
+        range(len(levels)),
+        [x.label for x in levels],
+        rotation=30,
+        ha="right",
+        fontsize=ik.report.SMALL,
     )
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=SMALL
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=6,
+        frameon=False,
+        fontsize=ik.report.SMALL,
     )
     return figure
 
@@ -140,7 +151,7 @@ FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
 }
 
 
-def tables(record: Row) -> dict[str, Table]:
+def tables(record: Row) -> dict[str, ik.report.Table]:
     """Tables of the page by name."""
     return {
         "coverage": coverage_table(record),
@@ -150,7 +161,7 @@ def tables(record: Row) -> dict[str, Table]:
     }
 
 
-def coverage_table(record: Row) -> Table:
+def coverage_table(record: Row) -> ik.report.Table:
     """Coverage of parameters and forces, and whether the misfit warns."""
     rows: list[tuple[Cell, ...]] = []
     for level in levels_of(record):
@@ -161,24 +172,17 @@ def coverage_table(record: Row) -> Table:
             each = 100.0 * covered[:, : level.p].mean(axis=0)
             cells.append(f"{each.min():.0f} to {each.max():.0f}")
         rows.append((*cells, 100.0 * level.misfit_share))
-    return Table(
-        title="Coverage of 95 % intervals, and fits whose misfit warns (chi-squared, 5 %)",
-        columns=(
-            Column(name="error of the geometry"),
-            Column(name="replicates", decimals=0),
-            Column(name="parameters", unit="%", decimals=1),
-            Column(name="forces", unit="%", decimals=1),
-            Column(name="single parameters", unit="%"),
-            Column(name="parameters, noise from misfit", unit="%", decimals=1),
-            Column(name="forces, noise from misfit", unit="%", decimals=1),
-            Column(name="single parameters, noise from misfit", unit="%"),
-            Column(name="misfit warns", unit="%", decimals=0),
-        ),
-        rows=tuple(rows),
+    return table(
+        "Coverage of 95 % intervals, and fits whose misfit warns (chi-squared, 5 %)",
+        "error of the geometry; replicates | 0; parameters [%] | 1; forces [%] | 1; "
+        "single parameters [%]; parameters, noise from misfit [%] | 1; "
+        "forces, noise from misfit [%] | 1; single parameters, noise from misfit [%]; "
+        "misfit warns [%] | 0",
+        rows,
     )
 
 
-def bias_table(record: Row) -> Table:
+def bias_table(record: Row) -> ik.report.Table:
     """Mean error of each parameter with its standard error, and the spread."""
     part = record["knees"][KNEE]
     truth = np.array(part["truth"])
@@ -191,12 +195,12 @@ def bias_table(record: Row) -> Table:
         mean, sd = error.mean(axis=0), error.std(axis=0)
         cells = [f"{a:+.2f} ({b:.2f})" for a, b in zip(mean, sd, strict=True)]
         rows.append((level.label, *cells))
-    return Table(
+    return ik.report.Table(
         title="Error of the fitted parameters: mean (sd) over replicates",
         columns=(
-            Column(name="error of the geometry"),
+            ik.report.Column(name="error of the geometry"),
             *(
-                Column(name=short(x), unit="kN" if x.endswith("_kN") else "%")
+                ik.report.Column(name=short(x), unit="kN" if x.endswith("_kN") else "%")
                 for x in part["parameters"]
             ),
         ),
@@ -204,7 +208,7 @@ def bias_table(record: Row) -> Table:
     )
 
 
-def forces_table(record: Row) -> Table:
+def forces_table(record: Row) -> ik.report.Table:
     """Root mean square error of each ligament's tension over all trials."""
     part = record["knees"][KNEE]
     rows: list[tuple[Cell, ...]] = []
@@ -217,17 +221,14 @@ def forces_table(record: Row) -> Table:
             )
             cells.append(f"{middle:.0f} [{low:.0f}, {high:.0f}]")
         rows.append(tuple(cells))
-    return Table(
-        title="Error of tension over the 63 trials, root mean square: median [5 %, 95 %]",
-        columns=(
-            Column(name="error of the geometry"),
-            *(Column(name=short_force(x), unit="N") for x in part["forces"]),
-        ),
-        rows=tuple(rows),
+    return table(
+        "Error of tension over the 63 trials, root mean square: median [5 %, 95 %]",
+        ["error of the geometry", *(f"{short_force(x)} [N]" for x in part["forces"])],
+        rows,
     )
 
 
-def ends_table(record: Row) -> Table:
+def ends_table(record: Row) -> ik.report.Table:
     """How the fits ended and what they left."""
     rows: list[tuple[Cell, ...]] = []
     for level in levels_of(record):
@@ -244,23 +245,15 @@ def ends_table(record: Row) -> Table:
                 float(np.max(np.sqrt(reduced))) if len(reduced) else None,
             )
         )
-    return Table(
-        title="How the fits ended",
-        columns=(
-            Column(name="error of the geometry"),
-            Column(name="no prediction anywhere", decimals=0),
-            Column(name="minimum", decimals=0),
-            Column(name="valley", decimals=0),
-            Column(name="cliff", decimals=0),
-            Column(name="a parameter at its bound", decimals=0),
-            Column(name="misfit over noise, median"),
-            Column(name="misfit over noise, worst"),
-        ),
-        rows=tuple(rows),
+    return table(
+        "How the fits ended",
+        "error of the geometry; no prediction anywhere | 0; minimum | 0; valley | 0; cliff | 0; "
+        "a parameter at its bound | 0; misfit over noise, median; misfit over noise, worst",
+        rows,
     )
 
 
-def numbers(rows: list[Any], width: int) -> Array:
+def numbers(rows: list[Any], width: int) -> ik.runs.Array:
     """Numbers of the record, shape ``(n, width)``; what JSON has as null is NaN."""
     return np.array(rows, dtype=np.float64).reshape(len(rows), width)
 
@@ -283,7 +276,7 @@ def _coverage(axes: Axes, levels: list[Level], names: list[str], *, scaled: bool
     low = beta.ppf(0.025, expected, n - expected + 1)
     high = beta.ppf(0.975, expected + 1, max(n - expected, 1e-9))
     axes.axhspan(100 * low, 100 * high, color="0.9", zorder=0)
-    axes.axhline(95.0, color=GREY, linewidth=0.8)
+    axes.axhline(95.0, color=ik.report.GREY, linewidth=0.8)
     offsets = np.linspace(-0.32, 0.32, len(names))
     for k, name in enumerate(names):
         values = [
@@ -292,9 +285,9 @@ def _coverage(axes: Axes, levels: list[Level], names: list[str], *, scaled: bool
         axes.plot(
             np.arange(len(levels)) + offsets[k],
             values,
-            MARKERS[k % len(MARKERS)],
-            color=COLOURS[k % len(COLOURS)],
-            fillstyle="full" if k < len(COLOURS) else "none",
+            ik.report.MARKERS[k % len(ik.report.MARKERS)],
+            color=ik.report.COLOURS[k % len(ik.report.COLOURS)],
+            fillstyle="full" if k < len(ik.report.COLOURS) else "none",
             markersize=4.5,
             label=name,
         )
@@ -303,20 +296,22 @@ def _coverage(axes: Axes, levels: list[Level], names: list[str], *, scaled: bool
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _spreads(axes: Axes, errors: list[Array]) -> None:
+def _spreads(axes: Axes, errors: list[ik.runs.Array]) -> None:
     """Median, quartiles and 5 % to 95 % of each list of errors."""
     for k, values in enumerate(errors):
         if len(values):
             low, first, middle, third, high = np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95])
-            axes.plot([k, k], [low, high], color=COLOURS[0], linewidth=1.0)
-            axes.plot([k, k], [first, third], color=COLOURS[0], linewidth=4.5)
-            axes.plot(k, middle, MARKERS[0], color=BLACK, markersize=3.5)
-    axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
+            axes.plot([k, k], [low, high], color=ik.report.COLOURS[0], linewidth=1.0)
+            axes.plot([k, k], [first, third], color=ik.report.COLOURS[0], linewidth=4.5)
+            axes.plot(k, middle, ik.report.MARKERS[0], color=ik.report.BLACK, markersize=3.5)
+    axes.axhline(0.0, color=ik.report.GREY, linewidth=0.8, zorder=0)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def _name_levels(axes: Axes, levels: list[Level]) -> None:
-    axes.set_xticks(range(len(levels)), [x.label for x in levels], rotation=90, fontsize=SMALL)
+    axes.set_xticks(
+        range(len(levels)), [x.label for x in levels], rotation=90, fontsize=ik.report.SMALL
+    )
 
 
 if __name__ == "__main__":

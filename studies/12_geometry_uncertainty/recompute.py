@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+from common.records import rounded, study_knee
 from compute import DIGITS, replicate_row
 
-from identknee.report.study_records import rounded, study_knee
-from identknee.subject.knee import Knee
+import identknee as ik
 
 Row = dict[str, Any]
 
@@ -22,7 +22,7 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
             yield entry, row, partial(fitted, knee, task)
 
 
-def fitted(knee: Knee, task: Row) -> Row:
+def fitted(knee: ik.Knee, task: Row) -> Row:
     """One fit as the record keeps it."""
     row: Row = rounded(replicate_row(knee, task), DIGITS)
     return row

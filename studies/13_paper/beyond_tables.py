@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from common.page import table
 from other_studies import module_of
 from page_tables import (
     BASINS,
@@ -16,7 +17,7 @@ from page_tables import (
     NotYet,
 )
 
-from identknee.report.tables import Column, Table
+import identknee as ik
 
 # Ends of polishing that are the truth differ from it by rounding, in kN and %.
 AT_TRUTH = 1e-3
@@ -27,16 +28,16 @@ MARKS = {"bound": "\\*", "cliff": "†", "budget": "‡"}
 Row = Mapping[str, Any]
 
 
-def beyond(found: Found) -> dict[str, Table | NotYet]:
+def beyond(found: Found) -> dict[str, ik.report.Table | NotYet]:
     """All tables of that part by the name of their place in it."""
-    made: dict[str, Table | NotYet] = {}
+    made: dict[str, ik.report.Table | NotYet] = {}
     for name, (study, draw) in TABLE_OF.items():
         record = found[study]
         made[name] = NotYet(study=study) if record is None else draw(record)
     return made
 
 
-def end_table(record: Row) -> Table:
+def end_table(record: Row) -> ik.report.Table:
     """What is at the ends of the Complex method, and where exact derivatives lead from there."""
     body = []
     for knee, part in record["knees"].items():
@@ -49,18 +50,14 @@ def end_table(record: Row) -> Table:
             counts = [kinds.get(x, 0) for x in ("minimum", "valley", "cliff")]
             body.append((knee, STARTS[name], n, *counts, at_truth, polished - at_truth))
     heads = ("knee", "starts", "ends", "minima", "open slope", "cliffs")
-    return Table(
-        title="Ends of the Complex method, as left and after least squares went on from there",
-        columns=(
-            *(Column(name=x) for x in heads),
-            Column(name="polished to the truth"),
-            Column(name="polished to another minimum"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Ends of the Complex method, as left and after least squares went on from there",
+        [*heads, "polished to the truth", "polished to another minimum"],
+        body,
     )
 
 
-def radius_table(record: Row) -> Table:
+def radius_table(record: Row) -> ik.report.Table:
     """How close a start must be."""
     body = []
     for knee, part in record["knees"].items():
@@ -68,19 +65,15 @@ def radius_table(record: Row) -> Table:
             if name in part["parts"]:
                 radii = part["parts"][name]["recovered"][CRITERION]["radii"]
                 body.append((knee, method, limits(radii["0.9"]), limits(radii["0.5"])))
-    return Table(
-        title="How close a start must be to end within 0.5 kN and 0.5 % of the truth (95 % limits)",
-        columns=(
-            Column(name="knee"),
-            Column(name="optimizer"),
-            Column(name="nine of ten do from within [kN and %]"),
-            Column(name="every second does from within [kN and %]"),
-        ),
-        rows=tuple(body),
+    return table(
+        "How close a start must be to end within 0.5 kN and 0.5 % of the truth (95 % limits)",
+        "knee; optimizer; nine of ten do from within [kN and %]; "
+        "every second does from within [kN and %]",
+        body,
     )
 
 
-def equivalent_table(record: Row) -> Table:
+def equivalent_table(record: Row) -> ik.report.Table:
     """Smallest to largest value of each parameter among equivalent sets."""
     setting = next(iter(record["knees"].values()))["setting"]
     columns = [
@@ -93,18 +86,14 @@ def equivalent_table(record: Row) -> Table:
         (name, f"{truth:g}", *(span(case["parameters"][name]) for _, case in columns))
         for name, truth in zip(setting["parameters"], setting["truth"], strict=True)
     ]
-    return Table(
-        title="Parameters of sets equivalent within noise, or by the paper's criterion",
-        columns=(
-            Column(name="parameter"),
-            Column(name="truth"),
-            *(Column(name=name) for name, _ in columns),
-        ),
-        rows=tuple(body),
+    return table(
+        "Parameters of sets equivalent within noise, or by the paper's criterion",
+        ["parameter", "truth", *(name for name, _ in columns)],
+        body,
     )
 
 
-def contact_table(record: Row) -> Table:
+def contact_table(record: Row) -> ik.report.Table:
     """What half the contact stiffness does, before and after the parameters make up for it."""
     body = []
     for knee, part in record["knees"].items():
@@ -114,20 +103,20 @@ def contact_table(record: Row) -> Table:
         sizes = (f"{errors[0]:.2f} ({max(fitted['error_kN']):.2f})",)
         sizes += (f"{errors[1]:.2f} ({max(fitted['error_pct']):.2f})",)
         body.append((knee, f"fitted, {fitted['outcome']}", *kinematics(fitted), *sizes))
-    return Table(
-        title="A model with half the contact pressure against data of the whole",
-        columns=(
-            Column(name="knee"),
-            Column(name="parameters"),
-            *(Column(name=f"{x} [{unit}]") for x in ("RMSE", "largest") for unit in ("mm", "deg")),
-            Column(name="stiffness error, mean (largest) [kN]"),
-            Column(name="reference strain error, mean (largest) [%]"),
-        ),
-        rows=tuple(body),
+    return table(
+        "A model with half the contact pressure against data of the whole",
+        [
+            "knee",
+            "parameters",
+            *(f"{x} [{unit}]" for x in ("RMSE", "largest") for unit in ("mm", "deg")),
+            "stiffness error, mean (largest) [kN]",
+            "reference strain error, mean (largest) [%]",
+        ],
+        body,
     )
 
 
-def fold_table(record: Row) -> Table:
+def fold_table(record: Row) -> ik.report.Table:
     """How the 63 trials end on knees with chosen and with raw insertions."""
     body = []
     for knee, part in record["knees"].items():
@@ -136,15 +125,10 @@ def fold_table(record: Row) -> Table:
         posed = [abs(x["single_step_coordinates"][4]) for x in lost]
         loads = [abs(x["last_stable_load"]) for x in part["ramps"] if x["outcome"] == "fold"]
         body.append((knee, outcomes, low_high(loads, "N·m"), low_high(posed, "deg")))
-    return Table(
-        title="How the 63 trials end",
-        columns=(
-            Column(name="knee"),
-            Column(name="outcomes"),
-            Column(name="folds at"),
-            Column(name="internal rotation that a single step returns there"),
-        ),
-        rows=tuple(body),
+    return table(
+        "How the 63 trials end",
+        "knee; outcomes; folds at; internal rotation that a single step returns there",
+        body,
     )
 
 
@@ -179,25 +163,25 @@ def low_high(values: list[float], unit: str) -> str:
     return f"{min(values):.1f} to {max(values):.1f} {unit}" if values else "-"
 
 
-def gap_table(record: Row) -> Table:
+def gap_table(record: Row) -> ik.report.Table:
     """How far off the models are before any fit, as study 11 has it."""
-    table: Table = module_of(GAP, "gap_tables").size_table(record)
+    table: ik.report.Table = module_of(GAP, "gap_tables").size_table(record)
     return table
 
 
-def known_table(record: Row) -> Table:
+def known_table(record: Row) -> ik.report.Table:
     """What noisy data tell of each parameter, as study 04 has it."""
-    table: Table = module_of(PROFILES, "profile_tables").parameter_table(record)
+    table: ik.report.Table = module_of(PROFILES, "profile_tables").parameter_table(record)
     return table
 
 
-def optimizer_table(record: Row) -> Table:
+def optimizer_table(record: Row) -> ik.report.Table:
     """Errors of other optimizers from the paper's guesses, as study 09 has it."""
-    table: Table = module_of(OPTIMIZERS, "figures").guess_table(record)
+    table: ik.report.Table = module_of(OPTIMIZERS, "figures").guess_table(record)
     return table
 
 
-TABLE_OF: Mapping[str, tuple[str, Callable[[Row], Table]]] = {
+TABLE_OF: Mapping[str, tuple[str, Callable[[Row], ik.report.Table]]] = {
     "ends": (BASINS, end_table),
     "radii": (BASINS, radius_table),
     "optimizers": (OPTIMIZERS, optimizer_table),

@@ -5,39 +5,29 @@ change of force errors as small as the paper's can make at all, how a search com
 errors on its way, and what it costs to read equation 1 one-way instead of two-way.
 """
 
-import argparse
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from other_studies import module_of
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.starts import named_start
-from identknee.laxity.protocol import LOADS
-from identknee.laxity.rmse import laxity_rmse
-from identknee.laxity.scenarios import load_scenarios
-from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.model.effects.contact_law import Cartilage
-from identknee.model.parameter_error import parameter_error
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.tensions import tensions_of
-from identknee.report.comparison import largest_by
-from identknee.report.study_records import (
-    knee_digest,
-    record_head,
+
+import numpy as np
+from common.records import (
+    Row,
+    begun,
+    parsed_options,
     rounded,
     study_knee,
     write_record,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.executors import Executor, process_pool
+from other_studies import module_of
 
-HERE = Path(__file__).parent
-RECORD = HERE / "records" / "paper_checks.json"
-COMMAND = "python studies/13_paper/compute.py"
+import identknee as ik
+from identknee.calibrate.fit import fit
+from identknee.model.parameter_error import parameter_error
+
 GUESSES = module_of("02_initial_guess", "compute")
 TABLES = module_of("02_initial_guess", "paper_tables")
 # Simulations after which a search is looked at; the first is the first population.
@@ -45,19 +35,18 @@ CHECKPOINTS = (20, 50, 100, 200, 400)
 SEEDS, DRAWS, DRAWS_SEED = 5, 300, 13
 # Vertices of one surface instead of both: half the pressure at equal density of the meshes.
 ONE_WAY = 0.5
-Row = dict[str, Any]
 
 
 class Watched:
     """A problem that remembers the best parameters seen after each simulation."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: ik.calibrate.Problem) -> None:
         self._problem = problem
         self._best = np.inf
         self.parameters = problem.parameters
-        self.best: list[Array] = []
+        self.best: list[ik.runs.Array] = []
 
-    def residuals(self, theta: Array) -> Array:
+    def residuals(self, theta: ik.runs.Array) -> ik.runs.Array:
         """The residuals at `theta`."""
         residuals = self._problem.residuals(theta)
         value = float(residuals @ residuals) if np.isfinite(residuals).all() else np.inf
@@ -68,35 +57,19 @@ class Watched:
             self.best.append(self.best[-1])
         return residuals
 
-    def jacobian(self, theta: Array) -> Array:
+    def jacobian(self, theta: ik.runs.Array) -> ik.runs.Array:
         """Their derivatives."""
         return self._problem.jacobian(theta)
 
 
 def main() -> None:
     """Compute all and write the record."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", type=Path, default=RECORD, help="the file to write")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="searches a start and knee")
-    parser.add_argument("--draws", type=int, default=DRAWS, help="of small errors, a knee")
-    options = parser.parse_args()
+    options = parsed_options(__file__, seeds=SEEDS, draws=DRAWS)
     knees = {name: study_knee(name) for name in GUESSES.KNEES}
-    record: Row = {
-        "head": record_head(
-            COMMAND,
-            settings={
-                "seeds": options.seeds,
-                "checkpoints": CHECKPOINTS,
-                "draws": options.draws,
-                "draws_seed": DRAWS_SEED,
-                "one_way_factor": ONE_WAY,
-            },
-            inputs={name: knee_digest(knee) for name, knee in knees.items()},
-        ),
-        "knees": {},
-    }
-    with process_pool(options.workers) as executor:
+    record = begun(
+        options, knees, checkpoints=CHECKPOINTS, draws_seed=DRAWS_SEED, one_way_factor=ONE_WAY
+    )
+    with ik.runs.process_pool(options.workers) as executor:
         for name in knees:
             began = time.perf_counter()
             record["knees"][name] = {
@@ -115,7 +88,7 @@ def before_any_fit(knee: str) -> Row:
     """Kinematic errors and differences of tension at each initial guess itself."""
     its = GUESSES.setting(knee)
     return {
-        start: rounded(GUESSES.errors(its, named_start(start, its.problem.parameters)))
+        start: rounded(GUESSES.errors(its, ik.calibrate.named_start(start, its.problem.parameters)))
         for start in GUESSES.STARTS[1:]
     }
 
@@ -144,7 +117,7 @@ def small_errors(knee: str, n: int) -> Row:
     return found
 
 
-def drawn_error(generator: np.random.Generator, its: Any) -> Array:
+def drawn_error(generator: np.random.Generator, its: Any) -> ik.runs.Array:
     """Errors of all parameters with the mean and sd of absolute values that Table 3 gives."""
     n = its.truth.size // 2
     drawn = np.empty((2, n))
@@ -161,11 +134,11 @@ def drawn_error(generator: np.random.Generator, its: Any) -> Array:
 def one_way(knee: str) -> Row:
     """A fit to data of the knee by a model whose contact is half as stiff, started at the truth."""
     its = GUESSES.setting(knee)
-    law = Cartilage()
+    law = ik.model.Cartilage()
     model = its.problem.model.with_effects([law])
     softness = np.array([np.log(ONE_WAY), 0.0])
     start = np.concatenate([its.truth, softness])
-    problem = LaxityResiduals(model=model, laxity=its.problem.laxity)
+    problem = ik.LaxityResiduals(model=model, laxity=its.problem.laxity)
     ended = fit(problem, start, fixed=law.parameters.names)
     n = its.truth.size
     error = parameter_error(ended.theta[:n], its.truth)
@@ -186,31 +159,35 @@ def one_way(knee: str) -> Row:
     }
 
 
-def soft_errors(its: Any, model: Any, theta: Array) -> Row:
+def soft_errors(its: Any, model: Any, theta: ik.runs.Array) -> Row:
     """Kinematic errors over the 63 trials and differences of tension of another model."""
     whole = model.with_protocol(its.model.protocol)
     prediction = whole.predict(theta, derivatives=False)
     measured = its.problem.laxity
-    simulated = Laxity(protocol=measured.protocol, coordinates=prediction.coordinates[: measured.n])
+    simulated = ik.Laxity(
+        protocol=measured.protocol, coordinates=prediction.coordinates[: measured.n]
+    )
     change = np.abs(simulated.coordinates - measured.coordinates)
-    kinematic = laxity_rmse(simulated, measured)
-    differences = np.abs(tensions_of(whole, prediction) - tensions_of(its.model, its.at_truth))
+    kinematic = ik.laxity_rmse(simulated, measured)
+    differences = np.abs(
+        ik.model.tensions_of(whole, prediction) - ik.model.tensions_of(its.model, its.at_truth)
+    )
     row: Row = rounded(
         {
             "n_not_converged": int((~prediction.is_converged).sum()),
             "rmse_mm": kinematic.mm,
             "rmse_deg": kinematic.deg,
-            "largest_mm": np.nanmax(change[:, TRANSLATIONS]),
-            "largest_deg": np.nanmax(change[:, ROTATIONS]),
-            "tension_by_scenario_N": largest_by(
-                differences, load_scenarios(whole.protocol), GUESSES.SCENARIOS
+            "largest_mm": np.nanmax(change[:, ik.laxity.TRANSLATIONS]),
+            "largest_deg": np.nanmax(change[:, ik.laxity.ROTATIONS]),
+            "tension_by_scenario_N": ik.report.largest_by(
+                differences, ik.laxity.load_scenarios(whole.protocol), GUESSES.SCENARIOS
             ),
         }
     )
     return row
 
 
-def course(knee: str, n_seeds: int, executor: Executor) -> Row:
+def course(knee: str, n_seeds: int, executor: ik.runs.Executor) -> Row:
     """Errors of the best set after so many simulations of the Complex method, by start and seed."""
     tasks = [(knee, start, seed) for start in GUESSES.STARTS for seed in range(n_seeds)]
     rows = list(executor.map(one_course, tasks))
@@ -222,7 +199,7 @@ def one_course(task: tuple[str, str, int]) -> Row:
     knee, start, seed = task
     its = GUESSES.setting(knee)
     watched = Watched(its.problem)
-    begin = named_start(start, its.problem.parameters)
+    begin = ik.calibrate.named_start(start, its.problem.parameters)
     fit(watched, begin, method="complex", seed=seed, budget=CHECKPOINTS[-1])
     found = [watched.best[n - 1] for n in CHECKPOINTS]
     errors = [parameter_error(theta, its.truth) for theta in found]
@@ -256,13 +233,15 @@ def smallest_step(knee: str) -> Row:
     return least
 
 
-def along(laxity: Laxity, flexion: float, load: str, column: str) -> tuple[Array, Array]:
+def along(
+    laxity: ik.Laxity, flexion: float, load: str, column: str
+) -> tuple[ik.runs.Array, ik.runs.Array]:
     """Values of one load at a flexion angle, no other load acting, and of one coordinate there."""
     loads = laxity.protocol.loads
-    index = LOADS.index(load)
+    index = ik.laxity.LOADS.index(load)
     others = np.delete(loads, index, axis=1)
     chosen = (laxity.protocol.flexion_deg == flexion) & ~others.any(axis=1)
-    place = COORDINATES.index(column)
+    place = ik.laxity.COORDINATES.index(column)
     return loads[chosen, index], laxity.coordinates[chosen, place]
 
 

@@ -5,8 +5,12 @@ The page is ``docs/paper.md``, and its pictures are in ``docs/paper``.
 
 import argparse
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 
 import numpy as np
 from beyond_tables import beyond
@@ -28,9 +32,7 @@ from page_tables import (
     tables,
 )
 
-from identknee.report.picture import png
-from identknee.report.tables import filled
-from identknee.runs.files import prepare_folder, write_atomically
+import identknee as ik
 
 DOCS = STUDIES.parent / "docs"
 NUMBER = re.compile(r"(<!--=(\S+?)-->).*?(<!--/-->)", re.DOTALL)
@@ -55,12 +57,12 @@ def main() -> None:
     options = parser.parse_args()
     found = {study: record_of(study) for study in SOURCES}
     if found[GUESSES] is not None and found[CHECKS] is not None:
-        prepare_folder(options.out)
+        ik.runs.prepare_folder(options.out)
         for name, draw in {"course": course_figure, "forces": force_figure}.items():
-            write_atomically(options.out / f"{name}.png", png(draw(found)))
+            ik.runs.write_atomically(options.out / f"{name}.png", ik.report.png(draw(found)))
     text = options.page.read_text(encoding="utf-8")
-    text = filled(text, {**tables(found), **beyond(found)})
-    write_atomically(options.page, with_numbers(text, numbers(found)))
+    text = ik.report.filled(text, {**tables(found), **beyond(found)})
+    ik.runs.write_atomically(options.page, with_numbers(text, numbers(found)))
 
 
 def with_numbers(text: str, text_of: Callable[[str], str]) -> str:

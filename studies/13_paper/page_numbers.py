@@ -22,8 +22,7 @@ from page_tables import (
     responses,
 )
 
-from identknee.laxity.published import TABLE2
-from identknee.laxity.table import COORDINATES
+import identknee as ik
 from identknee.model.parameter_error import parameter_error
 
 VERDICT = Path(__file__).parents[2] / "tests" / "verification" / "verdict.json"
@@ -55,24 +54,29 @@ def numbers(found: Found) -> Callable[[str], str]:
 def of_laxity(found: Found) -> dict[str, str]:
     """How far the models are from the measured means."""
     mean, sd, printed = (
-        np.array([getattr(x, key) for x in TABLE2]) for key in ("mean", "sd", "paper_model")
+        np.array([getattr(x, key) for x in ik.laxity.TABLE2])
+        for key in ("mean", "sd", "paper_model")
     )
     sizes = {"paper": (printed - mean) / sd}
     sizes |= {name: (responses(found, name) - mean) / sd for name in knees(found)}
-    made = {"laxity_rows": str(len(TABLE2))}
+    made = {"laxity_rows": str(len(ik.laxity.TABLE2))}
     for name, values in sizes.items():
         made[f"laxity_within_{name}"] = str(int((np.abs(values) <= 1).sum()))
         made[f"laxity_beyond2_{name}"] = str(int((np.abs(values) > 2).sum()))
     made["laxity_stiffest_stable"] = f"{-np.nanmin(sizes['lenhart2015_stable']):.1f}"
-    outward = [values[[x.load.split()[0] == "external" for x in TABLE2]] for values in own(found)]
+    outward = [
+        values[[x.load.split()[0] == "external" for x in ik.laxity.TABLE2]] for values in own(found)
+    ]
     made["laxity_external"] = low_high(np.concatenate(outward), 0)
-    valgus = [values[[x.load.split()[0] == "valgus" for x in TABLE2]] for values in own(found)]
+    valgus = [
+        values[[x.load.split()[0] == "valgus" for x in ik.laxity.TABLE2]] for values in own(found)
+    ]
     made["laxity_valgus"] = low_high(np.concatenate(valgus), 1)
     unloaded = []
     for part in parts(found).values():
         rows = [i for i, x in enumerate(part["profile"]["trials"]) if x.endswith("unloaded")]
         coordinates = np.array(part["profile"]["at_truth"])[rows]
-        unloaded.append(np.abs(coordinates[:, [COORDINATES.index(x) for x in ROTATIONS]]))
+        unloaded.append(np.abs(coordinates[:, [ik.laxity.COORDINATES.index(x) for x in ROTATIONS]]))
     largest = np.max(unloaded, axis=(0, 1))
     made["laxity_zero_varus"], made["laxity_zero_internal"] = (f"{x:.1f}" for x in largest)
     return made
@@ -100,7 +104,7 @@ def of_guesses(found: Found) -> dict[str, str]:
     made["guess_simulations"] = f"{np.median([x['n_simulations'] for x in runs]):,.0f}"
     errors = np.array([x["rmse_by_flexion"] for x in runs])
     for key, name in (("drawer", "anterior_drawer_mm"), ("internal", "internal_deg")):
-        made[f"guess_worst_{key}"] = f"{errors[..., COORDINATES.index(name)].max():.2f}"
+        made[f"guess_worst_{key}"] = f"{errors[..., ik.laxity.COORDINATES.index(name)].max():.2f}"
     for start in ("IG1", "IG4"):
         forces = [x["tension_by_scenario_N"] for x in runs if x["start"] == start]
         made[f"guess_force_{start}"] = f"{np.max(forces):.0f}"
@@ -211,7 +215,9 @@ def of_folds(found: Found) -> dict[str, str]:
     part = part_of(found, EVALUATION, "lenhart2015")
     lost = part["seed63"]["not_converged"]
     loads = [abs(x["last_stable_load"]) for x in part["ramps"] if x["outcome"] == "fold"]
-    turned = [abs(x["single_step_coordinates"][COORDINATES.index("internal_deg")]) for x in lost]
+    turned = [
+        abs(x["single_step_coordinates"][ik.laxity.COORDINATES.index("internal_deg")]) for x in lost
+    ]
     return {
         "fold_converged": str(sum(x["single_step_outcome"] == "converged" for x in lost)),
         "fold_lost": str(len(lost)),

@@ -6,14 +6,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from common.page import table
 from other_studies import module_of
 
-from identknee.laxity.published import TABLE2
-from identknee.laxity.table import COORDINATES
+import identknee as ik
 from identknee.model.parameter_error import parameter_error
-from identknee.report.comparison import spread
-from identknee.report.tables import Column, Table, median_range
-from identknee.runs.arrays import Array
 
 EVALUATION, GUESSES, BASINS = "01_model_evaluation", "02_initial_guess", "03_basin_of_attraction"
 PROFILES, EQUIVALENTS, OPTIMIZERS = "04_profiles", "06_equivalent_sets", "09_optimizers"
@@ -54,16 +51,16 @@ class NotYet:
         )
 
 
-def tables(found: Found) -> dict[str, Table | NotYet]:
+def tables(found: Found) -> dict[str, ik.report.Table | NotYet]:
     """All tables of the page by the name of their place in it."""
-    made: dict[str, Table | NotYet] = {}
+    made: dict[str, ik.report.Table | NotYet] = {}
     for name, (draw, needed) in TABLE_OF.items():
         lacking = [study for study in needed if found[study] is None]
         made[name] = NotYet(study=lacking[0]) if lacking else draw(found)
     return made
 
 
-def table_1(found: Found) -> Table:
+def table_1(found: Found) -> ik.report.Table:
     """Initial guesses, and their distances as printed and as recomputed."""
     profile = profile_of(found)
     body = []
@@ -74,16 +71,16 @@ def table_1(found: Found) -> Table:
         distances = ("{:.1f}, {:.1f}".format(*printed), f"{error.mean_kN:.3f}, {error.mean_pct:g}")
         body.append((start, *pairs, *distances))
     heads = ("start", *profile["ligaments"], "mean distance, the paper", "recomputed")
-    return Table(
-        title="Stiffness [kN] and reference strain [%] at the start, and how far from the truth",
-        columns=tuple(Column(name=x) for x in heads),
-        rows=tuple(body),
+    return table(
+        "Stiffness [kN] and reference strain [%] at the start, and how far from the truth",
+        heads,
+        body,
     )
 
 
-def table_2(found: Found) -> Table:
+def table_2(found: Found) -> ik.report.Table:
     """Response to each load, beside the measured one and the paper's."""
-    models = {"the paper's model": np.array([x.paper_model for x in TABLE2])}
+    models = {"the paper's model": np.array([x.paper_model for x in ik.laxity.TABLE2])}
     models |= {name: responses(found, name) for name in knees(found)}
     body = [
         (
@@ -91,24 +88,26 @@ def table_2(found: Found) -> Table:
             f"{x.mean:.1f} ({x.sd:.1f})",
             *(f"{v[i]:.1f} ({(v[i] - x.mean) / x.sd:+.1f})" for v in models.values()),
         )
-        for i, x in enumerate(TABLE2)
+        for i, x in enumerate(ik.laxity.TABLE2)
     ]
-    return Table(
-        title="Response to each load, and in brackets how many sds from the measured mean",
-        columns=tuple(Column(name=x) for x in ("load", "measured, mean (sd)", *models)),
-        rows=tuple(body),
+    return table(
+        "Response to each load, and in brackets how many sds from the measured mean",
+        ("load", "measured, mean (sd)", *models),
+        body,
     )
 
 
-def arc_table(found: Found) -> Table:
+def arc_table(found: Found) -> ik.report.Table:
     """Sums of the responses to opposite loads, which no choice of the zero can change."""
     body = []
     for flexion, (one, other) in product((0, 30, 60), OPPOSITE):
-        index = {x.load.split()[0]: i for i, x in enumerate(TABLE2) if x.flexion_deg == flexion}
+        index = {
+            x.load.split()[0]: i for i, x in enumerate(ik.laxity.TABLE2) if x.flexion_deg == flexion
+        }
         if one not in index or other not in index:
             continue
         both = [index[one], index[other]]
-        rows = [TABLE2[i] for i in both]
+        rows = [ik.laxity.TABLE2[i] for i in both]
         mean, sd = sum(x.mean for x in rows), float(np.hypot(*(x.sd for x in rows)))
         sums = [sum(x.paper_model for x in rows)]
         sums += [responses(found, name)[both].sum() for name in knees(found)]
@@ -119,26 +118,23 @@ def arc_table(found: Found) -> Table:
                 *(f"{x:.1f} ({(x - mean) / sd:+.1f})" for x in sums),
             )
         )
-    return Table(
-        title="The same from one load to its opposite, and how many sds from the measured mean",
-        columns=(
-            Column(name="arc"),
-            Column(name="measured, mean (sd)"),
-            Column(name="the paper's model"),
-            *(Column(name=name) for name in knees(found)),
-        ),
-        rows=tuple(body),
+    return table(
+        "The same from one load to its opposite, and how many sds from the measured mean",
+        ["arc", "measured, mean (sd)", "the paper's model", *knees(found)],
+        body,
     )
 
 
-def table_3(found: Found) -> Table:
+def table_3(found: Found) -> ik.report.Table:
     """Errors of the parameters before and after the search."""
     profile, body = profile_of(found), []
     for start, printed in PAPER.PAPER_TABLE3.items():
         before = parameter_error(profile["starts"][start], profile["truth"])
         for i, (key, unit) in enumerate((("error_kN", "kN"), ("error_pct", "%"))):
             cells = [
-                median_range(spread([np.mean(x[key]) for x in PAPER.rows(part, start)]))
+                ik.report.median_range(
+                    ik.report.spread([np.mean(x[key]) for x in PAPER.rows(part, start)])
+                )
                 for part in parts(found).values()
             ]
             exact = max(
@@ -157,26 +153,26 @@ def table_3(found: Found) -> Table:
                     f"{exact:.0e}" if exact else "0",
                 )
             )
-    return Table(
-        title="Mean absolute error over the four ligaments; ours are median [range] of the runs",
-        columns=(
-            Column(name="start"),
-            Column(name="parameter"),
-            Column(name="at the start"),
-            Column(name="the paper, mean (sd)"),
-            *(Column(name=x) for x in knees(found)),
-            Column(name="least squares"),
-        ),
-        rows=tuple(body),
+    return table(
+        "Mean absolute error over the four ligaments; ours are median [range] of the runs",
+        [
+            "start",
+            "parameter",
+            "at the start",
+            "the paper, mean (sd)",
+            *knees(found),
+            "least squares",
+        ],
+        body,
     )
 
 
-def table_4(found: Found) -> Table:
+def table_4(found: Found) -> ik.report.Table:
     """Kinematic errors before and after the search."""
     body = []
     for s, start in enumerate(PAPER.PAPER_TABLE3):
         for coordinate, label in QUANTITIES.items():
-            place = COORDINATES.index(coordinate)
+            place = ik.laxity.COORDINATES.index(coordinate)
             cells = []
             for name, part in parts(found).items():
                 errors = [x["rmse_by_flexion"] for x in PAPER.rows(part, start)]
@@ -185,19 +181,14 @@ def table_4(found: Found) -> Table:
             printed = PAPER.PAPER_TABLE4[coordinate][s]
             body.append((start, label, " / ".join(f"{x:.1f}" for x in printed), *cells))
     heads = [f"{x}, {when}" for x in knees(found) for when in ("at the start", "after the search")]
-    return Table(
-        title="Kinematic error (RMSE) at 0 / 30 / 60 deg of flexion, ours medians over the runs",
-        columns=(
-            Column(name="start"),
-            Column(name="coordinate"),
-            Column(name="the paper, after"),
-            *(Column(name=x) for x in heads),
-        ),
-        rows=tuple(body),
+    return table(
+        "Kinematic error (RMSE) at 0 / 30 / 60 deg of flexion, ours medians over the runs",
+        ["start", "coordinate", "the paper, after", *heads],
+        body,
     )
 
 
-def course_table(found: Found) -> Table:
+def course_table(found: Found) -> ik.report.Table:
     """After how many simulations our searches get below the paper's errors."""
     body = []
     for start in PAPER.PAPER_TABLE3:
@@ -208,19 +199,14 @@ def course_table(found: Found) -> Table:
             counts = [passed(n, errors[:, i], value) for n, errors in lines]
             cells.append(f"{value:.2f}: {' / '.join(counts)}")
         body.append((start, *cells))
-    return Table(
-        title=f"The paper's error: simulations after which ours is below it, {pair_of(found)}",
-        columns=(
-            Column(name="start"),
-            Column(name="stiffness [kN]"),
-            Column(name="reference strain [%]"),
-            *(Column(name=x) for x in QUANTITIES.values()),
-        ),
-        rows=tuple(body),
+    return table(
+        f"The paper's error: simulations after which ours is below it, {pair_of(found)}",
+        ["start", "stiffness [kN]", "reference strain [%]", *QUANTITIES.values()],
+        body,
     )
 
 
-def force_table(found: Found, by: str) -> Table:
+def force_table(found: Found, by: str) -> ik.report.Table:
     """Differences of tension: the paper's, and ours from smallest to largest mistake."""
     printed = {"flexion": PAPER.PAPER_TABLE6, "scenario": PAPER.PAPER_TABLE7}[by]
     body = []
@@ -229,18 +215,14 @@ def force_table(found: Found, by: str) -> Table:
             own = [forces(found, name, by, (i, ligament)) for name in knees(found)]
             ours = (pair(x) for x in zip(*own, strict=True))
             body.append((f"{label}, {ligament}", *paper[j], *ours))
-    return Table(
-        title=f"Largest difference of tension [N] by {by}; ours are {pair_of(found)}",
-        columns=(
-            Column(name="trials, ligament"),
-            *(Column(name=f"paper, {x}", decimals=0) for x in PAPER.FORCE_STARTS),
-            *(Column(name=x) for x in FORCE_HEADS),
-        ),
-        rows=tuple(body),
+    return table(
+        f"Largest difference of tension [N] by {by}; ours are {pair_of(found)}",
+        ["trials, ligament", *(f"paper, {x} | 0" for x in PAPER.FORCE_STARTS), *FORCE_HEADS],
+        body,
     )
 
 
-def consistency_table(_: Found) -> Table:
+def consistency_table(_: Found) -> ik.report.Table:
     """Largest entries of the paper's Tables 6 and 7, which cover the same moments."""
     body = []
     for j, ligament in enumerate(PAPER.PAPER_LIGAMENTS):
@@ -250,13 +232,10 @@ def consistency_table(_: Found) -> Table:
                 for table in (PAPER.PAPER_TABLE6, PAPER.PAPER_TABLE7)
             ]
             body.append((f"{ligament}, {start}", *both, both[0] - both[1]))
-    return Table(
-        title="Largest entry of each column of the paper's Tables 6 and 7 [N]",
-        columns=(
-            Column(name="column"),
-            *(Column(name=x, decimals=0) for x in ("Table 6", "Table 7", "difference")),
-        ),
-        rows=tuple(body),
+    return table(
+        "Largest entry of each column of the paper's Tables 6 and 7 [N]",
+        ["column", *(f"{x} | 0" for x in ("Table 6", "Table 7", "difference"))],
+        body,
     )
 
 
@@ -264,7 +243,7 @@ FORCE_HEADS = ("small errors", "from IG1", "from IG4", "IG4, no fit", "equivalen
 KINDS = (("stiffness", "kN"), ("reference strain", "%"))
 
 
-def responses(found: Found, knee: str) -> Array:
+def responses(found: Found, knee: str) -> ik.runs.Array:
     """A knee's response to the loads of Table 2 [mm, deg], NaN where it has none."""
     values = part_of(found, EVALUATION, knee)["table2"]["response"]
     return np.array([np.nan if x is None else x for x in values])
@@ -296,15 +275,15 @@ def equivalent_force(found: Found, knee: str, by: str, place: tuple[int, str]) -
     return value
 
 
-def course(found: Found, knee: str, start: str) -> tuple[list[int], Array]:
+def course(found: Found, knee: str, start: str) -> tuple[list[int], ik.runs.Array]:
     """Simulations, and median errors after them: kN, %, drawer, internal, varus; the end last."""
     record = found[CHECKS]
     assert record is not None
     runs = record["knees"][knee]["course"][start]
     ends = PAPER.rows(parts(found)[knee], start)
-    chosen = [COORDINATES.index(x) for x in QUANTITIES]
+    chosen = [ik.laxity.COORDINATES.index(x) for x in QUANTITIES]
 
-    def medians(rows: list[Row], average: Callable[[Any], Any]) -> Array:
+    def medians(rows: list[Row], average: Callable[[Any], Any]) -> ik.runs.Array:
         kinematic = np.array([x["rmse_by_flexion"] for x in rows])[..., chosen].mean(axis=-2)
         own = np.array([[average(x["error_kN"]), average(x["error_pct"])] for x in rows])
         errors = np.concatenate([np.moveaxis(own, 1, -1), kinematic], axis=-1)
@@ -323,21 +302,21 @@ def paper_errors(start: str) -> tuple[float, ...]:
     return (*(x[0] for x in PAPER.PAPER_TABLE3[start]), *kinematic)
 
 
-def passed(counts: list[int], errors: Array, value: float) -> str:
+def passed(counts: list[int], errors: ik.runs.Array, value: float) -> str:
     """The first count with an error not above a value."""
     below = np.flatnonzero(errors <= value)
     return str(counts[below[0]]) if below.size else "never"
 
 
-def before_any_fit(found: Found, knee: str, start: str) -> Array:
+def before_any_fit(found: Found, knee: str, start: str) -> ik.runs.Array:
     """Kinematic errors at the start, by flexion angle and coordinate; zero for the truth itself."""
     known = part_of(found, CHECKS, knee)["before_any_fit"]
     if start not in known:
-        return np.zeros((3, len(COORDINATES)))
+        return np.zeros((3, len(ik.laxity.COORDINATES)))
     return np.array(known[start]["rmse_by_flexion"])
 
 
-def angles(values: Array) -> str:
+def angles(values: ik.runs.Array) -> str:
     """Numbers at 0, 30 and 60 deg in one cell."""
     return " / ".join(f"{x:.2f}" for x in values)
 
@@ -379,7 +358,7 @@ def profile_of(found: Found) -> Row:
     return profile
 
 
-TABLE_OF: Mapping[str, tuple[Callable[[Found], Table], tuple[str, ...]]] = {
+TABLE_OF: Mapping[str, tuple[Callable[[Found], ik.report.Table], tuple[str, ...]]] = {
     "table 1": (table_1, (GUESSES,)),
     "table 2": (table_2, (GUESSES, EVALUATION)),
     "arcs": (arc_table, (GUESSES, EVALUATION)),

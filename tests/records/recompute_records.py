@@ -18,7 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from identknee.report.study_records import commit, knee_digest, rounded, study_knee
+sys.path.append(str(Path(__file__).parents[2] / "studies"))
+
+from common.records import commit, knee_digest, rounded, study_knee
+
 from identknee.runs.files import plain
 
 STUDIES = Path(__file__).parents[2] / "studies"

@@ -21,11 +21,11 @@ from identknee.calibrate.constrained import minimise
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.profile.thresholds import bootstrap_statistics, resimulated
-from identknee.report.study_records import knee_digest
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
+from identknee.verbs.knee_digest import knee_digest
 
 LEVEL = 0.95
 REPLICATES = {"reference": 1000, "lenhart2015_stable": 200}

@@ -14,10 +14,10 @@ from identknee.calibrate.fit import fit
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.profile.profile import profile
 from identknee.model.residuals import LaxityResiduals
-from identknee.report.study_records import knee_digest
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.resume import resumable_map
+from identknee.verbs.knee_digest import knee_digest
 
 KNEES = ("reference", "lenhart2015_stable")
 DESIGN = next(design for design in DESIGNS if design.name == "seed63 at 0.5")

@@ -9,10 +9,10 @@ from rows import Measure, Row
 from sbc_replicates import N_DRAWS, NOISE, RULE, Replicate, ranks_of, simultaneous_level
 from work_store import work_store
 
-from identknee.report.study_records import knee_digest
 from identknee.runs.executors import process_pool
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
+from identknee.verbs.knee_digest import knee_digest
 
 WORKERS = 2
 # Knee, how far the noise is understated, and the number of replicates.

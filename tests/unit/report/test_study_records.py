@@ -3,15 +3,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from identknee.report.study_records import (
+from common.records import (
+    begun,
     commit,
     knee_digest,
-    record_head,
+    parsed_options,
     rounded,
     study_knee,
+    working,
     write_record,
 )
+
+from identknee.runs.errors import InputError
+
+STUDIES = Path(__file__).parents[3] / "studies"
 
 
 def test_knees_of_studies_are_the_named_subjects_and_the_bundles_of_one() -> None:
@@ -37,20 +42,34 @@ def test_rounding_keeps_significant_digits() -> None:
     }
 
 
-def test_head_says_how_to_do_it_again() -> None:
-    head = record_head("python compute.py", settings={"seeds": 2}, inputs={"knee": "00"})
-    assert head["command"] == "python compute.py"
+def test_head_says_how_to_do_it_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["compute.py", "--seeds", "2"])
+    options = parsed_options(str(STUDIES / "01_model_evaluation" / "compute.py"), seeds=1)
+    record = begun(options, ["reference"], ramps=[1.0])
+    head = record["head"]
+    assert head["command"] == "python studies/01_model_evaluation/compute.py --seeds 2"
     assert head["commit"] == commit()
-    assert set(head) == {
-        "command",
-        "commit",
-        "date",
-        "machine",
-        "versions",
-        "settings",
-        "inputs",
-    }
+    assert head["settings"] == {"workers": 2, "seeds": 2, "ramps": [1.0]}
+    assert head["inputs"] == {"reference": knee_digest(study_knee("reference"))}
+    assert set(head) > {"date", "machine", "versions"}
     assert head["machine"]["cores"] >= 1
+    assert record["knees"] == {}
+
+
+def double(x: int) -> int:
+    return 2 * x
+
+
+def test_what_was_done_is_kept_and_not_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["compute.py", "--store", str(tmp_path / "work")])
+    options = parsed_options(str(STUDIES / "01_model_evaluation" / "compute.py"))
+    for work in (double, None):
+        with working(options, seed=1) as kept:
+            assert kept(work, [1, 2], "numbers") == [2, 4]  # type: ignore[arg-type]
+    with pytest.raises(InputError), working(options, seed=2) as kept:
+        kept(double, [1, 2], "numbers")
 
 
 def test_a_record_reads_back_equal_with_a_line_for_each_row(tmp_path: Path) -> None:

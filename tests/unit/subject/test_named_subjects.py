@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from common.records import knee_digest
 
-from identknee.report.study_records import knee_digest
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest
 from identknee.subject.check import check_geometry

@@ -1,32 +1,38 @@
-"""What the research studies share: their knees, and the head of their records."""
+"""How a study is computed: its options, its knees, and its record with how that was made."""
 
+import argparse
 import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import platformdirs
 
-from identknee.runs.files import PathLike, digest, plain, prepare_folder, write_atomically
+import identknee as ik
+from identknee.runs.files import PathLike, plain
 from identknee.runs.record import versions
-from identknee.subject.folder import example
-from identknee.subject.knee import Knee
-from identknee.subject.opensim import import_opensim
+
+Row = dict[str, Any]
+Kept = Callable[[Callable[[Any], Any], Sequence[Any], str], list[Any]]
 
 BUNDLES = "lenhart2015_bundles"
 DIGITS = 6
 
 
-def study_knee(name: str) -> Knee:
+def study_knee(name: str) -> ik.Knee:
     """The named subject called `name`, or ``"lenhart2015_bundles"``: its OpenSim model as it is."""
-    return import_opensim("lenhart2015") if name == BUNDLES else example(name)
+    return ik.import_opensim("lenhart2015") if name == BUNDLES else ik.example(name)
 
 
-def knee_digest(knee: Knee) -> str:
+def knee_digest(knee: ik.Knee) -> str:
     """SHA-256 of all numbers of a knee: surfaces, frames and ligaments."""
     parts: list[bytes] = []
     for surface in (knee.femur, *knee.tibia):
@@ -37,32 +43,93 @@ def knee_digest(knee: Knee) -> str:
         numbers = (ligament.stiffness_kN, ligament.reference_strain_pct)
         parts += [f"{ligament.name} {numbers}".encode()]
         parts += [ligament.femur.tobytes(), ligament.tibia.tobytes()]
-    return digest(b"".join(parts))
+    return ik.runs.digest(b"".join(parts))
 
 
-def record_head(
-    command: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str]
-) -> dict[str, Any]:
-    """Head of a study's record: how it was made, when, from what and on which machine.
+def parsed_options(file: str, quick: str = "", **numbers: int) -> argparse.Namespace:
+    """What was asked of a study's computation.
 
     Parameters
     ----------
-    command
-        What to type to make it again.
-    settings
-        Every setting by name, seeds included.
-    inputs
-        SHA-256 of each input by name.
+    file
+        The script; its folder is the study's.
+    quick
+        What the small version leaves; without it there is none.
+    numbers
+        Further options that are whole numbers, with their defaults.
     """
-    return {
-        "command": command,
+    folder = Path(file).parent
+    record = next((folder / "records").glob("*.json"))
+    store = platformdirs.user_cache_path("identknee") / "studies" / record.stem
+    parser = argparse.ArgumentParser(description=f"Computes the record of study {folder.name}.")
+    parser.add_argument("--store", type=Path, default=store, help="folder of finished work")
+    parser.add_argument("--record", type=Path, default=record, help="the file to write")
+    parser.add_argument("--workers", type=int, default=2)
+    for name, default in numbers.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=default)
+    if quick:
+        parser.add_argument("--quick", action="store_true", help=quick)
+    words = ["python", f"studies/{folder.name}/compute.py", *sys.argv[1:]]
+    parser.set_defaults(command=" ".join(words))
+    return parser.parse_args()
+
+
+def begun(options: argparse.Namespace, knees: Iterable[str], **settings: Any) -> Row:
+    """A record that says how it was made, when, from what and on which machine, and no more yet.
+
+    Parameters
+    ----------
+    options
+        As `parsed_options` gives them; they are settings, but for where files are.
+    knees
+        Names of the knees, whose digests are the inputs.
+    settings
+        Every other setting by name, seeds included.
+    """
+    places = ("store", "record", "command")
+    given = {name: value for name, value in vars(options).items() if name not in places}
+    head = {
+        "command": options.command,
         "commit": commit(),
         "date": datetime.now(UTC).date().isoformat(),
         "machine": {"cores": os.cpu_count(), "processor": processor()},
         "versions": versions(),
-        "settings": dict(settings),
-        "inputs": dict(inputs),
+        "settings": {**given, **settings},
+        "inputs": {name: knee_digest(study_knee(name)) for name in knees},
     }
+    return {"head": head, "knees": {}}
+
+
+@contextmanager
+def working(options: argparse.Namespace, **settings: Any) -> Iterator[Kept]:
+    """A map over items in worker processes; what is done is in the store and not done again.
+
+    Parameters
+    ----------
+    options
+        As `parsed_options` gives them.
+    settings
+        What the work depends on: with others the store is refused.
+    """
+    with (
+        ik.runs.open_work(options.store.with_suffix(".sqlite"), settings) as store,
+        ik.runs.process_pool(options.workers) as executor,
+    ):
+
+        def kept(work: Callable[[Any], Any], items: Sequence[Any], name: str) -> list[Any]:
+            began = time.perf_counter()
+            found = ik.runs.resumable_map(
+                work, items, executor=executor, store=store, name=name, description=name
+            )
+            say(f"{name}, {time.perf_counter() - began:.0f} s")
+            return found
+
+        yield kept
+
+
+def say(text: str) -> None:
+    """Tell how far it is."""
+    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
 
 
 def commit() -> str:
@@ -123,8 +190,8 @@ def write_record(path: PathLike, record: Mapping[str, Any]) -> Path:
         If the file cannot be written.
     """
     target = Path(path)
-    prepare_folder(target.parent)
-    return write_atomically(target, _pretty(plain(record), "") + "\n")
+    ik.runs.prepare_folder(target.parent)
+    return ik.runs.write_atomically(target, _pretty(plain(record), "") + "\n")
 
 
 def _pretty(value: Any, indent: str) -> str:

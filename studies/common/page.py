@@ -2,23 +2,23 @@
 
 import argparse
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
+import identknee as ik
 from identknee.report.picture import png
-from identknee.report.tables import Table, filled
-from identknee.runs.files import prepare_folder, write_atomically
 
 Record = dict[str, Any]
+Cell = str | float | int | None
 
 
 def draw_study(
-    folder: Path,
+    file: str,
     figures: Mapping[str, Callable[[Record], Figure | None]],
-    tables: Callable[[Record], Mapping[str, Table | str]],
+    tables: Callable[[Record], Mapping[str, ik.report.Table | str]],
 ) -> None:
     """Write the figures of a study and fill its page, as the command line asks.
 
@@ -27,13 +27,14 @@ def draw_study(
 
     Parameters
     ----------
-    folder
-        Of the study.
+    file
+        The script; its folder is the study's.
     figures
         By the name of the picture, what draws it from the record; None leaves the picture as it is.
     tables
         From the record, what stands at each mark of the page.
     """
+    folder = Path(file).parent
     parser = argparse.ArgumentParser(description="Draws the figures and fills the page.")
     parser.add_argument("--record", type=Path, default=None, help="the record to read")
     parser.add_argument("--out", type=Path, default=folder / "figures", help="for the figures")
@@ -41,10 +42,40 @@ def draw_study(
     options = parser.parse_args()
     path = options.record or next((folder / "records").glob("*.json"))
     record = json.loads(path.read_text(encoding="utf-8"))
-    prepare_folder(options.out)
+    ik.runs.prepare_folder(options.out)
     for name, draw in figures.items():
         figure = draw(record)
         if figure is not None:
-            write_atomically(options.out / f"{name}.png", png(figure))
+            ik.runs.write_atomically(options.out / f"{name}.png", png(figure))
     page = options.page.read_text(encoding="utf-8")
-    write_atomically(options.page, filled(page, tables(record)))
+    ik.runs.write_atomically(options.page, ik.report.filled(page, tables(record)))
+
+
+def table(
+    title: str, heads: str | Iterable[str], rows: Iterable[Iterable[Cell]]
+) -> ik.report.Table:
+    """A table whose columns are written as a line of heads.
+
+    Parameters
+    ----------
+    title
+        A line that says what it shows.
+    heads
+        Heads, as one text with semicolons between them or one by one: the name with its unit, and
+        after ``|`` the decimals where they are not two, ``g`` for four significant digits.
+    rows
+        The cells.
+
+    Examples
+    --------
+    >>> print(table("Knees", "knee; force [N] | 0", [("left", 12.3)]))
+    Knees
+    knee  force [N]
+    left         12
+    """
+    names = heads.split("; ") if isinstance(heads, str) else heads
+    columns = []
+    for name, _, decimals in (x.partition(" | ") for x in names):
+        places = None if decimals == "g" else int(decimals or 2)
+        columns.append(ik.report.Column(name=name, decimals=places))
+    return ik.report.Table(title=title, columns=tuple(columns), rows=tuple(map(tuple, rows)))
