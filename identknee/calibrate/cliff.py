@@ -1,4 +1,4 @@
-"""A way on from a cliff: lower points beside a region in which the model has no prediction."""
+"""A way on from a cliff, the boundary of the region in which the model has a prediction."""
 
 import numpy as np
 import scipy.linalg
@@ -12,7 +12,7 @@ LENGTHS = (1.0, 1 / 4, 1 / 16, 1 / 64)
 LONGEST = 5.0
 TILTS_DEG = (50.0, 75.0, 85.0)
 TILTED_LENGTHS = (1.0, 0.1, 0.01)
-# The least part of the decrease promised by the linear model without the cliff.
+# Least share of the decrease that the linear model, which sees no cliff, promises.
 ENOUGH = 0.01
 
 

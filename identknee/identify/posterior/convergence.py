@@ -13,7 +13,8 @@ from identknee.identify.posterior.chains import (
     split_rhat,
     tail_draws,
 )
-from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import array, declared, entry
 
 ACCEPTANCE_HINT = (0.15, 0.5)
 STUCK_ACCEPTANCE = 0.05
@@ -81,52 +82,25 @@ class StopRule:
             raise ValueError(f"the budget must be at least 1 simulation, got {self.budget}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ConvergenceCheck:
-    """The numbers the stop rule looks at, after some steps.
+    """The numbers the stop rule looks at, after some steps."""
 
-    Attributes
-    ----------
-    rule
-        The stop rule.
-    steps
-        Steps of every walker so far, those of burn-in included.
-    burn_in
-        How many of them, at the beginning, are left out of everything.
-    tau
-        Autocorrelation time of each parameter [steps], shape ``(n,)``.
-    drift
-        Largest relative change of one since the check at least one autocorrelation time before;
-        infinite at the first.
-    rhat
-        By parameter, shape ``(n,)``.
-    bulk, tail
-        Effective draws by parameter and ensemble, shape ``(n, ensembles)``.
-    mean_error
-        Monte Carlo standard error of each mean over the standard deviation, shape ``(n,)``.
-    acceptance
-        Part of the steps in which a walker moved, shape ``(ensembles, walkers)``.
-    """
-
-    rule: StopRule
-    steps: int
-    burn_in: int
-    tau: Array
-    drift: float
-    rhat: Array
-    bulk: Array
-    tail: Array
-    mean_error: Array
-    acceptance: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.tau)
-        for name in ("tau", "rhat", "mean_error"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, name=name))
-        for name in ("bulk", "tail"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, None, name=name))
-        acceptance = frozen(self.acceptance, None, None, name="acceptance")
-        object.__setattr__(self, "acceptance", acceptance)
+    rule: StopRule = entry("The stop rule")
+    steps: int = entry("Steps of every walker so far, those of burn-in included")
+    burn_in: int = entry("How many of them, at the beginning, are left out of everything")
+    tau: Array = array("Autocorrelation time of each parameter", "parameter", unit="steps")
+    drift: float = entry(
+        "Largest relative change of an autocorrelation time since the check at least one such time "
+        "before; infinite at the first"
+    )
+    rhat: Array = array("R-hat of each parameter", "parameter")
+    bulk: Array = array("Effective draws of the bulk", "parameter", "ensemble")
+    tail: Array = array("Effective draws of the tails", "parameter", "ensemble")
+    mean_error: Array = array(
+        "Monte Carlo standard error of each mean over the standard deviation", "parameter"
+    )
+    acceptance: Array = array("Share of the steps in which a walker moved", "ensemble", "walker")
 
     @property
     def kept(self) -> int:
