@@ -92,7 +92,7 @@ def blind_case(
     knee
         The subject, whose surfaces and insertions the model is given too.
     seed
-        Of everything random, >= 0.
+        Seed of everything random, >= 0.
     effect
         A name in `EFFECTS`, several of them, ``"random"`` for whatever the seed says, which may be
         nothing, or None for nothing.

@@ -76,9 +76,9 @@ class Conditions:
     Attributes
     ----------
     stiffness_log_sd
-        Of the true stiffnesses around the subject's: standard deviation of their logarithm.
+        Standard deviation of the logarithm of the true stiffnesses around the subject's.
     strain_sd_pct
-        Of the true reference strains around the subject's [%].
+        Standard deviation of the true reference strains around the subject's [%].
     largest_shift_pct
         Where a shift of a reference strain is cut off [%].
     most_stiffness_kN, most_strain_pct

@@ -71,7 +71,7 @@ class Experiment:
     flexion_offset
         Added to the stated flexion angle.
     modulus, exponent
-        Of the contact law: pressure at a depth of 0.3 mm over that depth [N/mm3], and its power.
+        Pressure at a depth of 0.3 mm over that depth [N/mm3], and power of the depth.
     weights
         Forces of fixed direction in the femur and the tibial place they act at, ``(w, 6)``.
     springs
@@ -200,7 +200,7 @@ def conduct(experiment: Experiment, near: Run | None = None) -> Run:
 def theta_slopes(experiment: Experiment, run: Run, n_lines: int) -> Array:
     """Change of the poses' coordinates [mm, deg] with stiffness [kN] and strain [%].
 
-    Of the first `n_lines` lines, shape ``(n, 5, 2 n_lines)``, by the implicit function theorem.
+    Those of the first `n_lines` lines, by the implicit function theorem; ``(n, 5, 2 n_lines)``.
     """
     slopes = np.empty((len(run.poses), 5, 2 * n_lines))
     flexion = _flexion(experiment)

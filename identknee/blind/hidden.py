@@ -63,7 +63,7 @@ class Hidden:
     smallest, largest
         Sizes found in the literature; the largest is also the end of a search for a signal.
     sign
-        Of the amplitude.
+        Sign of the amplitude.
     apply
         An experiment with the effect at a signed amplitude.
     amplitudes

@@ -39,7 +39,7 @@ class PublishedLaxity:
     load
         As printed, for example ``"posterior force"``.
     magnitude
-        Of the load, as printed, > 0 [N or N·m].
+        Size of the load, as printed, > 0 [N or N·m].
     flexion_deg
         Flexion angle [deg].
     quantity
@@ -112,9 +112,9 @@ class PublishedError:
     flexion_deg
         Flexion angle [deg], None where the row is over several.
     internal_deg, varus_deg
-        Of internal and varus rotation [deg].
+        Errors of internal and varus rotation [deg].
     anterior_mm
-        Of anterior translation [mm].
+        Error of anterior translation [mm].
     """
 
     study: str

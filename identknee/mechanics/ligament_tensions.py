@@ -1,45 +1,39 @@
 """Tensions of line ligaments at many poses at once, with their exact slopes."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_wrench import line_tensions
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LigamentTensions:
-    """Tensions of m ligaments at n poses.
+    """Tensions of ligaments at poses, with their derivatives.
 
-    Attributes
-    ----------
-    tensions
-        [N], shape ``(n, m)``.
-    lengthening
-        Derivative of each length by varus, internal rotation [mm/rad], x, y and z, ``(n, m, 5)``.
-    by_pose
-        Derivatives of the tensions by varus, internal rotation [N/rad], x, y and z [N/mm], shape
-        ``(n, m, 5)``.
-    by_stiffness
-        Derivative of each by the stiffness of its own ligament [-], shape ``(n, m)``.
-    by_strain
-        Derivative of each by the reference strain of its own ligament [N], shape ``(n, m)``.
+    The five coordinates are varus, internal rotation, x, y and z.
     """
 
-    tensions: Array
-    lengthening: Array
-    by_pose: Array
-    by_stiffness: Array
-    by_strain: Array
-
-    def __post_init__(self) -> None:
-        n, m = np.shape(self.tensions)
-        for name in ("tensions", "by_stiffness", "by_strain"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, m, name=name))
-        for name in ("lengthening", "by_pose"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, m, 5, name=name))
+    tensions: Array = array("Tensions", "pose", "ligament", unit="N")
+    lengthening: Array = array(
+        "Derivatives of the lengths by the coordinates",
+        *("pose", "ligament", "freedom"),
+        unit="mm/rad or mm/mm",
+    )
+    by_pose: Array = array(
+        "Derivatives of the tensions by the coordinates",
+        *("pose", "ligament", "freedom"),
+        unit="N/rad or N/mm",
+    )
+    by_stiffness: Array = array(
+        "Derivatives of the tensions by the stiffness of the own ligament", "pose", "ligament"
+    )
+    by_strain: Array = array(
+        "Derivatives of the tensions by the reference strain of the own ligament",
+        *("pose", "ligament"),
+        unit="N",
+    )
 
     @property
     def gradient(self) -> Array:
@@ -58,7 +52,7 @@ def ligament_tensions(
     lines
         Insertions and reference lengths of the m ligaments.
     flexion
-        Of each pose [rad], shape ``(n,)``.
+        Flexion of each pose [rad], shape ``(n,)``.
     poses
         Varus, internal [rad], x, y, z [mm] of each, shape ``(n, 5)``.
     stiffness

@@ -1,36 +1,26 @@
 """Line ligaments in plain numpy: tensions, generalised force and stiffness of all at one pose."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.mechanics.equilibria import TRANSITION_STRAIN, Lines
 from identknee.mechanics.placement import Placement
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LigamentWrench:
-    """What the ligaments do to the tibia at one pose.
+    """What the ligaments do to the tibia at one pose."""
 
-    Attributes
-    ----------
-    force
-        Generalised force on (varus, internal [N mm], x, y, z [N]), shape ``(5,)``.
-    stiffness
-        Minus its derivative by the pose, shape ``(5, 5)``: the Hessian of the ligaments' energy.
-    tensions
-        [N], shape ``(m,)``.
-    """
-
-    force: Array
-    stiffness: Array
-    tensions: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "force", frozen(self.force, 5, name="force"))
-        object.__setattr__(self, "stiffness", frozen(self.stiffness, 5, 5, name="stiffness"))
-        object.__setattr__(self, "tensions", frozen(self.tensions, None, name="tensions"))
+    force: Array = array(
+        "Generalised force on varus, internal rotation, x, y and z", "freedom", unit="N mm or N"
+    )
+    stiffness: Array = array(
+        "Minus its derivative by the pose, the Hessian of the ligaments' energy",
+        *("freedom", "freedom"),
+        unit="N mm, N or N/mm",
+    )
+    tensions: Array = array("Tensions", "ligament", unit="N")
 
 
 def line_tensions(

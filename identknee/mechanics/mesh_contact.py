@@ -23,6 +23,7 @@ from trimesh import triangles as trimesh_triangles
 from identknee.mechanics.equilibria import PRESSURE_MODULUS
 from identknee.mechanics.placement import Placement
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.declare import array, declared, entry
 
 Convention = Literal["tibia", "femur", "both"]
 
@@ -57,7 +58,7 @@ class Sheet:
     rim_corners
         Whether each corner is on the rim, shape ``(m, 3)``.
     tree
-        Of the centroids.
+        Tree of the centroids.
     hierarchy
         Bounding volumes of the triangles, for python-fcl.
     patches
@@ -147,32 +148,23 @@ class Penetration:
     depth: Array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ContactWrench:
-    """What mesh contact does to the tibia at one pose.
+    """What mesh contact does to the tibia at one pose."""
 
-    Attributes
-    ----------
-    force
-        Generalised force on (varus, internal [N mm], x, y, z [N]), shape ``(5,)``.
-    stiffness
-        Minus its derivative by the pose were every vertex to keep its triangle and the direction
-        of its force: ``sum P A n n^T`` in the coordinates, shape ``(5, 5)``.
-    compartments
-        Sum of the sizes of the forces on each tibial sheet [N], shape ``(n_sheets,)``.
-    n_touching
-        Vertices in contact.
-    """
-
-    force: Array
-    stiffness: Array
-    compartments: Array
-    n_touching: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "force", frozen(self.force, 5, name="force"))
-        object.__setattr__(self, "stiffness", frozen(self.stiffness, 5, 5, name="stiffness"))
-        object.__setattr__(self, "compartments", frozen(self.compartments, None, name="forces"))
+    force: Array = array(
+        "Generalised force on varus, internal rotation, x, y and z", "freedom", unit="N mm or N"
+    )
+    stiffness: Array = array(
+        "Minus its derivative by the pose were every vertex to keep its triangle and the direction "
+        "of its force: ``sum P A n n^T`` in the coordinates",
+        *("freedom", "freedom"),
+        unit="N mm, N or N/mm",
+    )
+    compartments: Array = array(
+        "Sums of the sizes of the forces on the tibial sheets", "sheet", unit="N"
+    )
+    n_touching: int = entry("Number of vertices in contact", unit="1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

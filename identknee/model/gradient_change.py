@@ -23,7 +23,7 @@ def gradient_changes(
     pairs
         The k pairs, close to the setting under which the equilibria were found.
     flexion
-        Of each trial [rad], shape ``(n,)``.
+        Flexion of each trial [rad], shape ``(n,)``.
     found
         The equilibria at the nodes, made under a stated contact law.
     nodes

@@ -66,12 +66,12 @@ class SettledKnee:
     knee
         The subject with the insertions moved.
     shifts
-        Of every ligament's femoral and tibial insertion along x, y and z of the bone's frame [mm],
-        shape ``(n_ligaments, 2, 3)``.
+        Shifts of the femoral and tibial insertions along x, y and z of the bone's frame [mm], shape
+        ``(n_ligaments, 2, 3)``.
     n_trials, n_before, n_after
         Trials of the protocol; how many converge before and after.
     lowest_margin
-        Of the trials that converge after [N/mm].
+        Lowest margin of the trials that converge after [N/mm].
     """
 
     knee: Knee

@@ -24,8 +24,8 @@ class PredictedQuantities:
     Attributes
     ----------
     tensions
-        Of each ligament in each trial [N], shape ``(n, m)``; NaN in trials that did not converge,
-        here and below.
+        Tension of each ligament in each trial [N], shape ``(n, m)``; NaN, here and below, in trials
+        that did not converge.
     tension_jacobian
         Their derivatives by theta, shape ``(n, m, p)``.
     coordinates

@@ -19,21 +19,21 @@ class Setting:
     Attributes
     ----------
     flexion
-        Of each node [rad], shape ``(n,)``.
+        Flexion of each node [rad], shape ``(n,)``.
     loads
         Generalised loads of (varus, internal [N mm], x, y, z [N]), shape ``(n, 5)``: x anterior,
         y superior and z lateral, in the axes of the femur turned with flexion.
     lines
         All lines: the subject's ligaments first, in their order.
     stiffness
-        Of each line [N per unit strain], shape ``(m,)``.
+        Stiffness of each line [N per unit strain], shape ``(m,)``.
     reference_strain
-        Of each line [-], shape ``(m,)``.
+        Reference strain of each line [-], shape ``(m,)``.
     owner
         Which ligament's calibrated stiffness and reference strain a line takes part in, -1 for
         none, shape ``(m,)``.
     share
-        Of its owner's stiffness, shape ``(m,)``.
+        Share of its owner's stiffness, shape ``(m,)``.
     law
         The contact law.
     start_flexion, start

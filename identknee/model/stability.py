@@ -126,7 +126,7 @@ def check_stability(
         How far insertions may be from where they are given [mm]: where trials are lost, each is
         moved so far to see what that restores.
     seed
-        Of the draws.
+        Seed of the draws.
     executor
         Anything with an ordered ``map`` that shares this process's memory.
 

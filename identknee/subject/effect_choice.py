@@ -18,7 +18,7 @@ class EffectChoice:
     Attributes
     ----------
     name
-        Of the effect.
+        Name of the effect.
     values
         Amplitudes of a right knee, whose z is lateral, by name and in the unit it ends in; those
         left out have the middle of their prior.

@@ -54,7 +54,7 @@ class Site:
     Attributes
     ----------
     name
-        Of the line, different for every line.
+        Name of the line, different for every line.
     femur, tibia
         Insertions in the common frame of the scanned pose [mm], shape ``(3,)``.
     side

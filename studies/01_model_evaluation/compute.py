@@ -80,7 +80,7 @@ def table2(knee: ik.Knee) -> Row:
 def seed63(knee: ik.Knee) -> Row:
     """How the 63 trials end at the subject's own parameters.
 
-    Of those that continuation loses, the pose a single step finds is kept, converged or not.
+    The pose a single step finds for those that continuation loses is kept, converged or not.
     """
     model = model_of(knee)
     prediction = model.predict(model.parameters.center, derivatives=False)

@@ -97,9 +97,9 @@ class TrueSetting:
     truth
         True theta, shape ``(p,)``.
     tensions
-        Of every ligament in every trial [N], shape ``(n, m)``.
+        Tension of every ligament in every trial [N], shape ``(n, m)``.
     peaks
-        Of each ligament its name and the trial that loads it most.
+        Name of each ligament, and the trial that loads it most.
     peak_forces
         The forces there [N], shape ``(m,)``.
     """

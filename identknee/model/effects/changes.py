@@ -23,7 +23,7 @@ class SettingChange:
     Attributes
     ----------
     name
-        Of the cause.
+        Name of the cause.
     parameters
         Its amplitudes.
     changed
@@ -46,7 +46,7 @@ class ReadingError:
     Attributes
     ----------
     name
-        Of the cause.
+        Name of the cause.
     parameters
         Its amplitudes.
     read

@@ -23,7 +23,7 @@ class Cartilage:
     Attributes
     ----------
     name
-        Of the cause.
+        Name of the cause.
     modulus_sd
         Prior standard deviation of the logarithm of the modulus.
     parameters

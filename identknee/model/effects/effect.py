@@ -93,7 +93,7 @@ def amplitudes(
     cause
         Name of the effect.
     names
-        Of the amplitudes, each ending in its unit.
+        Names of the amplitudes, each ending in its unit.
     prior_sd
         Prior standard deviations in those units.
     lower, upper

@@ -35,14 +35,14 @@ class EffectFacts:
     Attributes
     ----------
     name
-        Of the cause.
+        Name of the cause.
     slot
         Where it acts: on the forces in the knee, its loads, what is read, the parameters of what
         the model has already, or by when a trial was made.
     sentence
         What it is.
     source
-        Of its plausible size.
+        Source of its plausible size.
     relevant
         The smallest amplitude worth knowing, in the unit of the effect's first parameter.
     is_numerical

@@ -23,7 +23,7 @@ class LoadError:
     Attributes
     ----------
     name
-        Of the cause.
+        Name of the cause.
     parameters
         Its amplitudes.
     acted

@@ -27,7 +27,7 @@ class Meniscus:
     Attributes
     ----------
     name
-        Of the cause.
+        Name of the cause.
     femoral, tibial
         Ends of all springs in femoral and tibial axes [mm], shape ``(m, 3)``: two springs for each
         amplitude.

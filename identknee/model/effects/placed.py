@@ -44,11 +44,11 @@ def structure(
     knee
         The subject.
     name
-        Of the structure.
+        Name of the structure.
     lines
         Femoral and tibial point [mm] of each line, shape ``(3,)``.
     stiffness_sd
-        Of the half-normal prior of the stiffness [kN]; that of the named structure where None.
+        Scale of the half-normal prior of the stiffness [kN]; the named structure's where None.
     site_sd
         Prior standard deviation of the shifts of both ends [mm], 0 where they are not shifted; the
         usual one where None.

@@ -50,7 +50,7 @@ def choice_of(
     knee
         The subject on which the effect was placed.
     effect
-        Of the library, a structure, or one of the knee's own.
+        Effect of the library, a structure, or one of the knee's own.
     amplitudes
         In the order of the effect's parameters, shape ``(n,)``.
     fixed

@@ -27,11 +27,11 @@ class MissingStructure:
     Attributes
     ----------
     name
-        Of the structure.
+        Name of the structure.
     femoral, tibial
         Insertions in femoral and tibial axes [mm], shape ``(m, 3)``.
     stiffness_sd
-        Of the half-normal prior of the stiffness [kN].
+        Standard deviation of the half-normal prior of the stiffness [kN].
     sites_vary
         Whether both insertions may be shifted; all lines are shifted together.
     site_sd
