@@ -9,8 +9,6 @@ from . import runs as runs
 from . import subject as subject
 from .blind.case import blind_case as blind_case
 from .calibrate.starts import load_start as load_start
-from .diagnosis.diagnose import Diagnosis as Diagnosis
-from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.explanations.verdict import Verdict as Verdict
 from .identify.design.design import Design as Design
 from .identify.design.design import design as design
@@ -32,7 +30,6 @@ from .model.parameters import Parameters as Parameters
 from .model.residuals import LaxityResiduals as LaxityResiduals
 from .report.scene import scene as scene
 from .runs.errors import InputError as InputError
-from .runs.findings import Finding as Finding
 from .runs.outcome import Outcome as Outcome
 from .subject.check import check_geometry as check_geometry
 from .subject.folder import example as example
@@ -42,6 +39,8 @@ from .subject.knee import Knee as Knee
 from .subject.opensim import import_opensim as import_opensim
 from .subject.reference import reference_knee as reference_knee
 from .verbs.demo import demo as demo
+from .verbs.diagnose import diagnose as diagnose
+from .verbs.diagnosis import Diagnosis as Diagnosis
 from .verbs.equivalents import Equivalents as Equivalents
 from .verbs.equivalents import equivalents as equivalents
 from .verbs.files import load as load
@@ -49,6 +48,7 @@ from .verbs.fit import Calibration as Calibration
 from .verbs.fit import fit as fit
 from .verbs.information import LocalIdentifiability as LocalIdentifiability
 from .verbs.information import information as information
+from .verbs.isolability import isolability as isolability
 from .verbs.profile import Profiles as Profiles
 from .verbs.profile import profile as profile
 from .verbs.sensitivity import GlobalSensitivity as GlobalSensitivity

@@ -11,13 +11,14 @@ from knees import knee
 from identknee.blind.case import BlindCase, blind_case
 from identknee.blind.scoring import score
 from identknee.calibrate.starts import named_start
-from identknee.diagnosis.diagnose import Diagnosis, diagnose
 from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.report.diagnosis_summary import diagnosis_summary
+from identknee.runs.plain_records import summary_of
 from identknee.subject.knee import Knee
+from identknee.verbs.diagnose import diagnosis_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +56,7 @@ def outcome_of(task: BlindTask) -> dict[str, Any]:
         return {"error": str(error), "effects": list(task.effects), "signal": task.signal}
     laxity = _restated(case.laxity, task.sd_factor)
     began = time.perf_counter()
-    found = diagnose(subject, laxity, starts=_starts(subject, task.start))
+    found = investigate(subject, laxity, starts=_starts(subject, task.start))
     seconds = time.perf_counter() - began
     outcome: dict[str, Any] = {
         "effects": list(task.effects),
@@ -73,8 +74,8 @@ def outcome_of(task: BlindTask) -> dict[str, Any]:
     return outcome
 
 
-def _judged(case: BlindCase, found: Diagnosis, *, with_gain: bool) -> dict[str, Any]:
-    summary = diagnosis_summary(found)
+def _judged(case: BlindCase, found: Investigation, *, with_gain: bool) -> dict[str, Any]:
+    summary = summary_of(diagnosis_of(found))
     judged = score(case.truth, summary)
     best = found.attribution.best
     return {
@@ -96,7 +97,7 @@ def _judged(case: BlindCase, found: Diagnosis, *, with_gain: bool) -> dict[str, 
     }
 
 
-def _nearest(found: Diagnosis, hidden: tuple[str, ...]) -> float | None:
+def _nearest(found: Investigation, hidden: tuple[str, ...]) -> float | None:
     """Distance of the nearest other explanation from that by what is hidden, where it was tried."""
     best = found.attribution.best
     if set(best.names) != set(hidden):
@@ -105,7 +106,7 @@ def _nearest(found: Diagnosis, hidden: tuple[str, ...]) -> float | None:
     return min(others, default=None)
 
 
-def _held_out(found: Diagnosis) -> dict[str, float] | None:
+def _held_out(found: Investigation) -> dict[str, float] | None:
     if found.conclusion.verdict is not Verdict.NAMED:
         return None
     gain = found.gain
@@ -137,7 +138,7 @@ def _with_added(
         return None
     if again.truth.theta != case.truth.theta:
         return None
-    found = diagnose(subject, again.laxity)
+    found = investigate(subject, again.laxity)
     if found is None:
         return None
     judged = _judged(again, found, with_gain=False)

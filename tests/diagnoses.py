@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from identknee.diagnosis.diagnose import Diagnosis, diagnose
+from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
@@ -12,6 +12,8 @@ from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
+from identknee.verbs.diagnose import diagnosis_of
+from identknee.verbs.diagnosis import Diagnosis
 
 FRAME = "femur_frame"
 FRAME_DEG = 3.0
@@ -36,9 +38,15 @@ def short_data(knee: Knee, effect: str | None, *, seed: int = 2) -> Laxity:
 
 
 @cache
-def diagnosed(effect: str | None) -> Diagnosis:
+def diagnosed(effect: str | None) -> Investigation:
     """What the diagnosis of such data of the reference knee finds."""
     knee = reference_knee()
-    found = diagnose(knee, short_data(knee, effect))
+    found = investigate(knee, short_data(knee, effect))
     assert found is not None
     return found
+
+
+@cache
+def answered(effect: str | None) -> Diagnosis:
+    """The answer of `diagnose` to such data."""
+    return diagnosis_of(diagnosed(effect))

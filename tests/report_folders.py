@@ -5,15 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnoses import FRAME, diagnosed
+from diagnoses import FRAME, answered
 from problems import linear
 
 from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.report.diagnosis_groups import diagnosis_groups
-from identknee.report.diagnosis_summary import diagnosis_summary
 from identknee.report.result_files import write_result
 from identknee.runs.record import record
 from identknee.subject.knee import Knee
@@ -106,6 +104,4 @@ def fit_folder(folder: Path, knee: Knee, **named: str) -> Path:
 
 def diagnosis_folder(folder: Path, **named: str) -> Path:
     """What `identknee diagnose` leaves of data with an effect in them."""
-    found = diagnosed(FRAME)
-    summary = diagnosis_summary(found)
-    return write_verb(folder, "diagnose", summary, diagnosis_groups(found), **named)
+    return write_given(folder, "diagnose", answered(FRAME), **named)

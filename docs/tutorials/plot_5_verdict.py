@@ -7,7 +7,6 @@ mechanics with it. A diagnosis sees the data alone. Then the truth is opened.
 """
 
 import identknee as ik
-from identknee.diagnosis.explanations.causes import causes_of
 from identknee.report.diagnosis_figures import (
     added_variable_figure,
     misfit_figure,
@@ -23,41 +22,39 @@ diagnosis = ik.diagnose(knee, case.laxity)
 # The verdict is one of five words, each with its sentence. ``NAMED``: the data speak against the
 # model, and one known cause fits while no other does.
 
-conclusion = diagnosis.conclusion
-print(conclusion.verdict.value)
-print(conclusion.verdict.sentence)
-print(f"Noise alone would leave a misfit as clear in {100 * conclusion.p_value:.2g} % of cases.")
+print(diagnosis.verdict.value)
+print(diagnosis.sentence)
+print(*diagnosis.reasons)
 
 # %%
 # **Where** the misfit is: each field of the map is one coordinate at one angle of flexion under
 # loads of one direction.
 
-print(diagnosis.localisation.sentence)
-figure = misfit_figure(diagnosis.localisation)
+print(diagnosis.misfit.sentence)
+figure = misfit_figure(diagnosis.misfit.map, diagnosis.misfit.sentence)
 
 # %%
 # **What** could explain it: the scores of all effects of the library, beside the model without
 # causes and then beside the explanation, where none should be left.
 
-figure = scores_figure(diagnosis)
+figure = scores_figure(diagnosis.steps)
 
 # %%
 # **How much**: the amplitude with its interval. If the cause is right, the points of this figure
 # lie along the line.
 
-explanation = diagnosis.explanation
-for cause in causes_of(explanation):
-    size, (low, high) = cause.amplitude, cause.amplitude.ci95
-    print(f"{cause.name}: {size.value:.2f} {size.unit}, 95 % {low:.2f} to {high:.2f}")
-figure = added_variable_figure(diagnosis)
+for cause in diagnosis.causes:
+    low, high = cause.ci95
+    print(f"{cause.name}: {cause.amplitude:.2f} {cause.unit}, 95 % {low:.2f} to {high:.2f}")
+figure = added_variable_figure(diagnosis.added_variable)
 
 # %%
 # **Rivals**: other causes, with the evidence for them against the best, and how far they would
 # stay from the data that the best one expects.
 
-for rival in diagnosis.attribution.rivals:
-    names = " + ".join(rival.refit.names) or "none"
-    print(f"{names:24} distance {rival.distance:5.1f}  excluded: {rival.is_excluded}")
+for rival in diagnosis.rivals:
+    names = " + ".join(rival.causes) or "none"
+    print(f"{names:24} distance {rival.distance or 0.0:5.1f}  {rival.state.value}")
 
 # %%
 # **What it does to the parameters** is the reason to look at all: without its cause the misfit is

@@ -59,12 +59,12 @@ print(f"{profile.optimum_value:.3f}, {profile.lower:.3f} to {profile.upper:.3f}"
 others = ["moment_gain_IE", "moment_offset", "axis_misalignment", "rig_compliance_IE"]
 candidates = [Crosstalk(), *(ik.effect_named(knee, name) for name in others)]
 diagnosis = ik.diagnose(knee, laxity, effects=candidates)
-print(diagnosis.conclusion.verdict.value, [x.name for x in diagnosis.causes])
+print(diagnosis.verdict.value, diagnosis.cause_names)
 
 # %%
 # The scores of all candidates, before and after the cause is in the model:
 
-figure = scores_figure(diagnosis)
+figure = scores_figure(diagnosis.steps)
 
 # %%
 # To have it in the library for everyone takes a file, a row of facts and a line: see

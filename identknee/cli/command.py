@@ -221,9 +221,21 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
-def run_verb(context: typer.Context, function: "Callable[..., Given]") -> "Given":
-    """The answer of a verb of the library to the options of the command, now printed."""
-    arguments = dict(context.params)
+def run_verb(
+    context: typer.Context, function: "Callable[..., Given]", *, without: Sequence[str] = ()
+) -> "Given":
+    """Call a verb of the library with the options of the command, and print its answer.
+
+    Parameters
+    ----------
+    context
+        The command with its options.
+    function
+        The verb.
+    without
+        Options of the command that the verb does not have.
+    """
+    arguments = {name: x for name, x in context.params.items() if name not in without}
     as_json = arguments.pop("as_json")
     answer = function(**arguments)
     # These load xarray and what draws tables, which takes longer than most mistakes.

@@ -6,3 +6,5 @@ from .gain.folds import observations_of as observations_of
 from .gain.gain import elpd_difference as elpd_difference
 from .gain.held_out import HeldOut as HeldOut
 from .gain.held_out import held_out as held_out
+from .investigation import Investigation as Investigation
+from .investigation import investigate as investigate

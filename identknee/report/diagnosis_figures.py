@@ -7,17 +7,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identknee.diagnosis.advice.isolability import LEAST_DISTANCE, Distances
-from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.explanations.attribution import Step
-from identknee.diagnosis.explanations.causes import Estimate, ligament_estimates
+from identknee.diagnosis.explanations.causes import Estimate
 from identknee.diagnosis.noise.data_noise import load_curves
 from identknee.diagnosis.noise.noise_model import Curve
-from identknee.diagnosis.score.localisation import LEVEL, Localisation
+from identknee.diagnosis.score.localisation import LEVEL, CellScore
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
+from identknee.model.effects.units import unit_of
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
 from identknee.report.wrench_figure import wrench_figure
 from identknee.runs.arrays import Array
+from identknee.subject.knee import Knee
+from identknee.verbs.diagnosis import (
+    AddedVariable,
+    ByLigament,
+    Diagnosis,
+    IntervalsByLigament,
+    StepScores,
+)
 
 N_CANDIDATES = 3
 SMALL, TINY = 8, 7
@@ -26,7 +33,7 @@ DARK = 0.6
 QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "reference strain [%]"}
 
 
-def misfit_figure(localisation: Localisation) -> Figure:
+def misfit_figure(cells: Sequence[CellScore], sentence: str) -> Figure:
     """The map of misfit: scores by coordinate, flexion and load direction.
 
     Red where more was measured than predicted, blue where less; bold and framed where noise alone
@@ -35,10 +42,11 @@ def misfit_figure(localisation: Localisation) -> Figure:
 
     Parameters
     ----------
-    localisation
-        Map of misfit of a diagnosis.
+    cells
+        Fields of the map.
+    sentence
+        Where the misfit is.
     """
-    cells = localisation.cells
     rows = [x for x in COORDINATES if x in {y.coordinate for y in cells}]
     angles = sorted({x.flexion_deg for x in cells})
     directions = list(dict.fromkeys(x.direction for x in cells))
@@ -46,7 +54,7 @@ def misfit_figure(localisation: Localisation) -> Figure:
     scores = np.full((len(rows), len(columns)), np.nan)
     size = (2.9 + 0.5 * len(columns), 2.1 + 0.42 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle(localisation.sentence, fontsize=9)
+    figure.suptitle(sentence, fontsize=9)
     if not cells:
         return figure
     axes = figure.add_subplot()
@@ -70,7 +78,7 @@ def misfit_figure(localisation: Localisation) -> Figure:
     return figure
 
 
-def residual_curves_figure(found: Diagnosis) -> Figure | None:
+def residual_curves_figure(answer: Diagnosis) -> Figure | None:
     """What the base model leaves along every load curve, with what the leading causes explain.
 
     None where no three trials make a curve.
@@ -78,15 +86,17 @@ def residual_curves_figure(found: Diagnosis) -> Figure | None:
     Dots are measured less predicted values, the band is two standard deviations of the noise. Lines
     are what the model changes when a cause joins it and everything is fitted again: the cause that
     is right goes through the dots.
-
-    Parameters
-    ----------
-    found
-        The diagnosis.
     """
-    residuals = found.base.fitted.compared.differences(found.base.fitted.theta)
-    changes = _changes(found, residuals)
-    return residuals_figure(found.laxity.protocol, residuals, found.noise.sd, changes)
+    if answer.trials is None or answer.residuals is None:
+        return None
+    left = answer.residuals.before
+    changes = {
+        " and ".join(x.names): left - x.residuals
+        for x in answer.explanations
+        if x.names and np.isfinite(x.chi_square)
+    }
+    leading = dict(list(changes.items())[:N_CANDIDATES])
+    return residuals_figure(answer.trials.protocol, left, answer.residuals.sd, leading)
 
 
 def residuals_figure(
@@ -136,27 +146,13 @@ def residuals_figure(
     return figure
 
 
-def added_variable_figure(found: Diagnosis) -> Figure:
+def added_variable_figure(added: AddedVariable) -> Figure:
     """What is left of the data against what the leading cause would leave, by flexion.
 
     Both without what the fitted parameters explain. A cause that is right puts all points on the
     line; clusters of one angle away from it speak against it.
-
-    Parameters
-    ----------
-    found
-        The diagnosis.
     """
-    step = found.attribution.steps[0]
-    names = found.explanation.names
-    scored = [x for x in step.scores.candidates if x.name in names]
-    candidate = [*scored, *step.scores.candidates][0]
-    signature = step.test.signature(candidate.name, candidate.variant)
-    fitted, n = found.base.fitted, found.base.fitted.n_data
-    left = step.test.projector.project(fitted.residual_rows())[:n]
-    expected = (signature.projected @ candidate.amplitude)[:n]
-    measured = found.laxity.is_measured
-    flexion = np.broadcast_to(found.laxity.protocol.flexion_deg[:, None], measured.shape)[measured]
+    expected, left, flexion = added.expected, added.left, added.flexion_deg
     figure = Figure(figsize=(5.0, 4.4), layout="constrained")
     axes = figure.add_subplot()
     for k, angle in enumerate(np.unique(flexion)):
@@ -172,41 +168,35 @@ def added_variable_figure(found: Diagnosis) -> Figure:
         )
     reach = 1.05 * np.abs(expected).max() * np.array([-1.0, 1.0])
     axes.plot(reach, reach, color=BLACK, linewidth=1.0, label="as the cause would have it")
-    axes.set_xlabel(f"expected of {candidate.name} [sd of the noise]")
+    axes.set_xlabel(f"expected of {added.name} [sd of the noise]")
     axes.set_ylabel("left of the data [sd of the noise]")
-    variant = f"\n{candidate.variant}" if candidate.variant else ""
-    axes.set_title(f"{candidate.name}, score {candidate.score:.1f}{variant}", fontsize=9)
+    variant = f"\n{added.variant}" if added.variant else ""
+    axes.set_title(f"{added.name}, score {added.score:.1f}{variant}", fontsize=9)
     axes.legend(fontsize=SMALL, frameon=False)
     _bare(axes)
     return figure
 
 
-def scores_figure(found: Diagnosis) -> Figure:
+def scores_figure(steps: Sequence[StepScores]) -> Figure:
     """The scores of all effects beside the model without causes, and beside the explanation.
 
     Right of the line lies the largest score of all in 5 % of data without any effect.
-
-    Parameters
-    ----------
-    found
-        The diagnosis.
     """
-    first, *others = found.attribution.steps
-    explanation = found.explanation
-    shown = [first, *(x for x in others if x.at is explanation)]
-    order = [x.name for x in first.scores.candidates]
+    order = list(steps[0].scores)
     figure = Figure(figsize=(6.4, 1.3 + 0.24 * len(order)), layout="constrained")
     axes = figure.add_subplot()
-    height = 0.8 / len(shown)
-    for k, step in enumerate(shown):
-        places = np.arange(len(order)) + (k - 0.5 * (len(shown) - 1)) * height
-        axes.barh(places, _scores(step, order), height, color=COLOURS[k], label=_beside(step))
-        axes.axvline(step.scores.quantile, color=COLOURS[k], linestyle=STYLES[1], linewidth=1.0)
+    height = 0.8 / len(steps)
+    for k, step in enumerate(steps):
+        places = np.arange(len(order)) + (k - 0.5 * (len(steps) - 1)) * height
+        # What is in the fit already has no score beside it.
+        scores = [step.scores.get(x, 0.0) for x in order]
+        axes.barh(places, scores, height, color=COLOURS[k], label=_beside(step))
+        axes.axvline(step.quantile, color=COLOURS[k], linestyle=STYLES[1], linewidth=1.0)
     axes.set_yticks(range(len(order)), order, fontsize=SMALL)
     axes.set_ylim(len(order) - 0.4, -0.6)
     axes.set_xlim(left=0.0)
     axes.set_xlabel("score [normal deviate]; broken line: the largest of all by chance in 5 %")
-    if len(shown) > 1:
+    if len(steps) > 1:
         axes.legend(fontsize=SMALL, frameon=False, loc="lower right")
     _bare(axes)
     return figure
@@ -244,21 +234,21 @@ def isolability_figure(distances: Distances) -> Figure:
 
 
 def parameters_before_after_figure(
-    found: Diagnosis, truth: Mapping[str, float] | None = None
+    answer: Diagnosis, truth: Mapping[str, float] | None = None
 ) -> Figure:
     """The ligaments' parameters without and with the causes, with their 95 % intervals.
 
     Parameters
     ----------
-    found
+    answer
         The diagnosis.
     truth
         True values by whole name, where they are known.
     """
-    explanation = found.explanation
-    fits = {"without cause": ligament_estimates(found.base)}
-    if explanation.causes:
-        fits[f"with {' and '.join(explanation.names)}"] = ligament_estimates(explanation)
+    fits = {"without cause": _estimates(answer.parameters_before, answer.parameters_before_ci95)}
+    if answer.causes:
+        after = _estimates(answer.parameters_after, answer.parameters_after_ci95)
+        fits[f"with {' and '.join(answer.cause_names)}"] = after
     return estimates_figure(fits, truth)
 
 
@@ -297,30 +287,32 @@ def estimates_figure(
     return figure
 
 
-def diagnosis_figures(found: Diagnosis) -> dict[str, Figure]:
-    """All figures that a diagnosis has something for, by the name of their file."""
+def diagnosis_figures(answer: Diagnosis, knee: Knee) -> dict[str, Figure]:
+    """All figures that a diagnosis of a knee has something for, by the name of their file."""
+    misfit, added = answer.misfit, answer.added_variable
+    if misfit is None or added is None:
+        return {}
     drawn = {
-        "misfit": misfit_figure(found.localisation),
-        "residuals": residual_curves_figure(found),
-        "added_variable": added_variable_figure(found),
-        "scores": scores_figure(found),
-        "parameters": parameters_before_after_figure(found),
-        "missing_wrench": wrench_figure(found),
+        "misfit": misfit_figure(misfit.map, misfit.sentence),
+        "residuals": residual_curves_figure(answer),
+        "added_variable": added_variable_figure(added),
+        "scores": scores_figure(answer.steps),
+        "parameters": parameters_before_after_figure(answer),
+        "missing_wrench": wrench_figure(answer, knee),
     }
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
-def _changes(found: Diagnosis, residuals: Array) -> dict[str, Array]:
-    """What the leading explanations change of the predictions, shape ``(n, 5)`` each."""
-    attribution = found.attribution
-    refits = [found.explanation, attribution.best, *(x.refit for x in attribution.rivals)]
-    # The explanation is mostly the best one, too: names come once.
-    changes = {
-        " and ".join(x.names): residuals - x.fitted.compared.differences(x.fitted.theta)
-        for x in refits
-        if x.causes and x.fitted.evaluation.is_finite
+def _estimates(
+    values: ByLigament | None, intervals: IntervalsByLigament | None
+) -> dict[str, dict[str, Estimate]]:
+    return {
+        ligament: {
+            name: Estimate(name=name, value=x, unit=unit_of(name), ci95=own[name])
+            for name, x in (values or {})[ligament].items()
+        }
+        for ligament, own in (intervals or {}).items()
     }
-    return dict(list(changes.items())[:N_CANDIDATES])
 
 
 def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> None:
@@ -343,14 +335,8 @@ def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
             axes.plot([k], [value], marker=arrow, color=colour, markersize=14)
 
 
-def _scores(step: Step, names: Sequence[str]) -> list[float]:
-    """The score of each effect, 0 for those that are in the model already."""
-    by_name = {x.name: x.score for x in step.scores.candidates}
-    return [by_name.get(x, 0.0) for x in names]
-
-
-def _beside(step: Step) -> str:
-    return f"with {' and '.join(step.at.names)}" if step.at.causes else "without cause"
+def _beside(step: StepScores) -> str:
+    return f"with {' and '.join(step.beside)}" if step.beside else "without cause"
 
 
 def _curve_title(protocol: Protocol, curve: Curve) -> str:

@@ -1,42 +1,28 @@
-"""What a diagnosis leaves in a folder: the extended subject, trials to measure, its figures."""
+"""The figures of a diagnosis as files."""
 
 from pathlib import Path
 
-import numpy as np
-
-from identknee.diagnosis.diagnose import Diagnosis
-from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import Laxity, write_laxity
-from identknee.report.diagnosis_figures import diagnosis_figures
+from identknee.diagnosis.advice.isolability import Distances
+from identknee.report.diagnosis_figures import diagnosis_figures, isolability_figure
 from identknee.report.picture import png
 from identknee.runs.files import write_atomically
-from identknee.subject.folder import write_subject
+from identknee.subject.knee import Knee
+from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.isolability import Isolability
 
-EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
 
-
-def write_diagnosis_files(diagnosis: Diagnosis, out: Path) -> None:
-    """Write figures, the extended subject, where its fit lies, and the trials to add.
-
-    All figures are drawn before any is written, so that no half of them is left.
-    """
-    pictures = {name: png(figure) for name, figure in diagnosis_figures(diagnosis).items()}
+def write_diagnosis_figures(answer: Diagnosis, knee: Knee, out: Path) -> None:
+    """Write all figures; all are drawn before any is written, so that no half of them is left."""
+    pictures = {name: png(x) for name, x in diagnosis_figures(answer, knee).items()}
     for name, picture in pictures.items():
         write_atomically(out / f"{name}.png", picture)
-    folder = write_subject(diagnosis.extended_knee, out / EXTENDED)
-    lines = ["# Where the fit of the extended model lies: --start of other verbs."]
-    for owner, values in diagnosis.explanation.fitted_values.items():
-        lines += ["", f"[{owner}]", *(f"{name} = {value!r}" for name, value in values.items())]
-    write_atomically(folder / FITTED, "\n".join(lines) + "\n")
-    if diagnosis.advice is not None:
-        write_laxity(_blank(diagnosis.laxity, diagnosis.advice.trials), out / ADVICE)
 
 
-def _blank(laxity: Laxity, trials: Protocol) -> Laxity:
-    """Trials to measure, their coordinates to be filled in."""
-    return Laxity(
-        protocol=trials,
-        coordinates=np.full((trials.n, laxity.coordinates.shape[1]), np.nan),
-        zero=laxity.zero,
-        comments=("Trials advised by identknee diagnose: measure, fill in, append to the data.",),
-    )
+def write_isolability_figure(answer: Isolability, out: Path) -> None:
+    """Write the distances of all causes from one another as a figure."""
+    write_atomically(out / "isolability.png", png(isolability_figure(distances_of(answer))))
+
+
+def distances_of(answer: Isolability) -> Distances:
+    """The distances of all causes from one another."""
+    return Distances(effects=answer.rivals, rivals=answer.rivals, values=answer.distances)

@@ -10,12 +10,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
-from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.missing_line.wrench import MissingPull
 from identknee.report.figures import COLOURS, GREY
 from identknee.report.scene import View
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
+from identknee.verbs.diagnosis import Diagnosis, LineEnds, Pull
 
 # Right is lateral, up is anterior: a right knee's plateau as the femur sees it.
 ABOVE = View(right=np.array([0.0, 0.0, 1.0]), up=np.eye(3)[0], toward=np.eye(3)[1])
@@ -29,7 +28,7 @@ SHOWN, LINES = COLOURS[1], (COLOURS[0], COLOURS[2], COLOURS[3])
 SMALL, TINY = 8, 7
 
 
-def wrench_figure(found: Diagnosis) -> Figure:
+def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     """What else would have to act on the tibia, on its plateau, by flexion and direction of load.
 
     Straight arrows are forces, arcs moments about the tibial axis, both means over the trials and
@@ -40,10 +39,12 @@ def wrench_figure(found: Diagnosis) -> Figure:
 
     Parameters
     ----------
-    found
+    answer
         The diagnosis.
+    knee
+        The subject.
     """
-    knee, pulls = found.base.fitted.model.knee, found.missing_pulls
+    pulls = answer.missing_wrench
     angles = sorted({x.flexion_deg for x in pulls})
     directions = list(dict.fromkeys(x.direction for x in pulls))
     size = (0.8 + 2.1 * max(len(directions), 1), 1.2 + 1.45 * max(len(angles), 1))
@@ -53,7 +54,7 @@ def wrench_figure(found: Diagnosis) -> Figure:
         return figure
     grid = figure.subplots(len(angles), len(directions), squeeze=False)
     force, moment = _largest(pulls)
-    lines = _lines(found, knee)
+    lines = _lines(answer, knee)
     for axes in grid.flat:
         _draw_plateau(axes, knee, lines)
     for pull in pulls:
@@ -67,21 +68,25 @@ def wrench_figure(found: Diagnosis) -> Figure:
     return figure
 
 
-def _largest(pulls: Sequence[MissingPull]) -> tuple[float, float]:
-    """The largest force [N] and moment [N mm] that are not noise, or of all where all are."""
+def _largest(pulls: Sequence[Pull]) -> tuple[float, float]:
+    """The largest force [N] and moment [N·m] that are not noise, or of all where all are."""
     known = [x for x in pulls if x.p_value <= LEVEL] or pulls
-    forces = [float(np.hypot(*x.mean[:2])) for x in known]
-    moments = [abs(float(x.mean[2])) for x in known]
+    forces = [_force(x) for x in known]
+    moments = [abs(x.internal_moment_Nm) for x in known]
     least = np.finfo(np.float64).tiny
     return max(*forces, least), max(*moments, least)
 
 
-def _lines(found: Diagnosis, knee: Knee) -> dict[str, Array]:
+def _force(pull: Pull) -> float:
+    return float(np.hypot(pull.anterior_force_N, pull.lateral_force_N))
+
+
+def _lines(answer: Diagnosis, knee: Knee) -> dict[str, Array]:
     """Femoral and tibial end of each structure that the diagnosis gives, in tibial axes (2, 3)."""
-    given = {x.name: x.line for x in found.causes if x.line is not None}
-    if found.line is not None and not given:
-        given = {"the line tried": np.stack([found.line.femur, found.line.tibia])}
-    return {name: knee.tibia_frame.to_local(line) for name, line in given.items()}
+    given: dict[str, LineEnds] = {x.name: x.line for x in answer.causes if x.line is not None}
+    if answer.line is not None and not given:
+        given = {"the line tried": answer.line}
+    return {k: knee.tibia_frame.to_local(x.in_common_frame(knee)) for k, x in given.items()}
 
 
 def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array]) -> None:
@@ -113,11 +118,11 @@ def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array]) -> None:
     axes.set_autoscale_on(False)
 
 
-def _draw_pull(axes: Axes, pull: MissingPull, mm_per_N: float, deg_per_Nmm: float) -> None:
+def _draw_pull(axes: Axes, pull: Pull, mm_per_N: float, deg_per_Nm: float) -> None:
     """The force from the tibial origin, the moment around it, and how sure they are."""
     colour = SHOWN if pull.p_value <= LEVEL else GREY
-    tip = mm_per_N * pull.mean[[1, 0]]
-    values, vectors = np.linalg.eigh(mm_per_N**2 * pull.covariance[:2, :2])
+    tip = mm_per_N * np.array([pull.lateral_force_N, pull.anterior_force_N])
+    values, vectors = np.linalg.eigh(mm_per_N**2 * pull.force_covariance)
     width, height = 2.0 * WITHIN_95 * np.sqrt(np.maximum(values[::-1], 0.0))
     turn = float(np.degrees(np.arctan2(vectors[0, 1], vectors[1, 1])))
     axes.add_patch(
@@ -126,9 +131,9 @@ def _draw_pull(axes: Axes, pull: MissingPull, mm_per_N: float, deg_per_Nmm: floa
         )
     )
     _draw_arrow(axes, np.zeros(2), tip, colour)
-    _draw_moment(axes, deg_per_Nmm * float(pull.mean[2]), colour)
-    size, sd = np.hypot(*pull.mean[:2]), 0.001 * pull.sd[2]
-    text = f"{size:.0f} N, {0.001 * pull.mean[2]:+.1f} ± {sd:.1f} N·m"
+    _draw_moment(axes, deg_per_Nm * pull.internal_moment_Nm, colour)
+    moment, sd = pull.internal_moment_Nm, pull.sd_internal_moment_Nm
+    text = f"{_force(pull):.0f} N, {moment:+.1f} ± {sd:.1f} N·m"
     axes.text(0.5, -0.02, text, transform=axes.transAxes, ha="center", va="top", fontsize=TINY)
 
 

@@ -7,6 +7,7 @@ from .executors import threads as threads
 from .files import digest as digest
 from .files import prepare_folder as prepare_folder
 from .files import write_atomically as write_atomically
+from .findings import Finding as Finding
 from .findings import Severity as Severity
 from .resume import open_work as open_work
 from .resume import resumable_map as resumable_map

@@ -31,6 +31,8 @@ ANSWERS = {
     "demo": "identknee.verbs.demo:Demonstration",
     "simulate": "identknee.verbs.simulate:Simulation",
     "fit": "identknee.verbs.fit:Calibration",
+    "diagnose": "identknee.verbs.diagnosis:Diagnosis",
+    "isolability": "identknee.verbs.isolability:Isolability",
 }
 Given = TypeVar("Given", bound=Answer)
 

@@ -12,6 +12,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
+from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.files import PathLike, digest, prepare_folder
 from identknee.runs.record import record
@@ -29,6 +30,8 @@ NOT_DECIDING = frozenset({"out", "workers", "subject", "data"})
 BESIDE = "__not_deciding__"
 # Files that a name is read from, and what a folder of results is known by.
 READ, SUMMARY = (".toml", ".json"), "result.json"
+# Kept by their names in the record of a call.
+_NAMED = (Knee, Protocol, MechanicalEffect, ObservationEffect)
 SubjectLike = Knee | PathLike
 LaxityLike = Laxity | PathLike
 Arguments = ParamSpec("Arguments")
@@ -215,7 +218,9 @@ def _protocol_digest(protocol: Protocol) -> str:
 
 
 def _setting(value: Any) -> Any:
-    """An argument as the record keeps it: a knee by its name, a table by what it is."""
-    if isinstance(value, Knee | Protocol):
+    """An argument as the record keeps it: a knee or effects by name, a table by what it is."""
+    if isinstance(value, _NAMED):
         return value.name
+    if isinstance(value, list | tuple) and any(isinstance(x, _NAMED) for x in value):
+        return [_setting(x) for x in value]
     return "a table in memory" if isinstance(value, Laxity) else value

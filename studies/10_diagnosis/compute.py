@@ -27,7 +27,7 @@ from common.records import (
 )
 
 import identknee as ik
-from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
+from identknee.runs.plain_records import summary_of
 
 KNEE = "reference"
 SIGNALS = (12.0, 6.0)
@@ -101,9 +101,9 @@ def case_row(case: Mapping[str, Any]) -> Row:
     except ValueError as error:
         return {**row, "error": str(error)}
     began = time.perf_counter()
-    found = ik.diagnose(knee, blind.laxity)
+    answer = ik.diagnose(knee, blind.laxity)
     seconds = time.perf_counter() - began
-    summary = untestable_summary("no prediction") if found is None else diagnosis_summary(found)
+    summary = summary_of(answer)
     judged = ik.blind.score(blind.truth, summary)
     row |= {
         "signal": blind.truth.signal,

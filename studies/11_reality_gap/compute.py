@@ -132,7 +132,7 @@ def by_row(laxity: ik.Laxity, values: ik.runs.Array) -> ik.runs.Array:
 def diagnosed(knee: ik.Knee, sd: float | None, seed: int, without: str = "") -> Row:
     """The diagnosis of the published values, were their errors that large."""
     began = time.perf_counter()
-    found = ik.diagnose(knee, measured(sd, without), seed=seed)
+    found = ik.diagnosis.investigate(knee, measured(sd, without), seed=seed)
     row: Row = {"assumed_sd": sd, "verdict": None}
     if found is None:
         return row
@@ -187,7 +187,7 @@ def fitted(knee: ik.Knee, seed: int) -> Row | None:
     )
 
 
-def base_facts(found: ik.Diagnosis) -> Row:
+def base_facts(found: ik.diagnosis.Investigation) -> Row:
     """The fit without a cause: what it leaves, and what the data said of each parameter."""
     fitted = found.base.fitted
     jacobian, n = fitted.evaluation.jacobian, fitted.n_data
@@ -207,7 +207,7 @@ def base_facts(found: ik.Diagnosis) -> Row:
     }
 
 
-def extensions(found: ik.Diagnosis) -> Row:
+def extensions(found: ik.diagnosis.Investigation) -> Row:
     """Prediction of each value from the 12 others, without a cause and with each of the best."""
     tried = [x for x in found.attribution.steps[0].refits if x.fitted.evaluation.is_finite]
     best = found.attribution.best
@@ -223,7 +223,7 @@ def extensions(found: ik.Diagnosis) -> Row:
 
 
 def extension(
-    found: ik.Diagnosis,
+    found: ik.diagnosis.Investigation,
     before: ik.diagnosis.HeldOut,
     refit: ik.diagnosis.Refit,
     folds: Sequence[ik.diagnosis.Fold],
@@ -255,7 +255,7 @@ def extension(
 
 
 def left_out(
-    found: ik.Diagnosis, refit: ik.diagnosis.Refit, folds: Sequence[ik.diagnosis.Fold]
+    found: ik.diagnosis.Investigation, refit: ik.diagnosis.Refit, folds: Sequence[ik.diagnosis.Fold]
 ) -> ik.diagnosis.HeldOut:
     """Each value predicted by the model fitted to the 12 others."""
     fitted = refit.fitted

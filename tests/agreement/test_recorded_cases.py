@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from data_files import DATA
 
-from identknee.diagnosis.diagnose import diagnose
 from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.investigation import investigate
 from identknee.laxity.table import read_laxity
 from identknee.subject.folder import example
 
@@ -24,6 +24,6 @@ def test_the_case_is_a_whole_table() -> None:
 @pytest.mark.slow
 def test_wrong_insertions_are_not_passed_as_adequate() -> None:
     """It once ended in a singular matrix, of trials that a candidate cause had lost."""
-    found = diagnose(example("lenhart2015_stable"), read_laxity(CASE))
+    found = investigate(example("lenhart2015_stable"), read_laxity(CASE))
     assert found is not None
     assert found.conclusion.verdict is not Verdict.ADEQUATE

@@ -7,7 +7,7 @@ from knees import knee
 from rows import Measure, Row, median_of
 
 from identknee.blind.case import blind_case
-from identknee.diagnosis.diagnose import diagnose
+from identknee.diagnosis.investigation import investigate
 
 MOST_S = 15.0
 # Every third effect of the library, drawn with seeds of their own, and nothing.
@@ -34,7 +34,7 @@ def measure(options: argparse.Namespace) -> Row:
         signal = SIGNAL if effects else None
         case = blind_case(subject, seed=FIRST_SEED + i, effect=effects or None, signal=signal)
         began = time.perf_counter()
-        found = diagnose(subject, case.laxity)
+        found = investigate(subject, case.laxity)
         seconds.append(time.perf_counter() - began)
         verdict = "NOT_TESTABLE" if found is None else found.conclusion.verdict.value
         notes.append(f"{' and '.join(effects) or 'nothing'}: {verdict}, {seconds[-1]:.1f} s")

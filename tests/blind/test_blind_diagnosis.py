@@ -9,8 +9,8 @@ import pytest
 from blind_diagnoses import BlindTask, outcome_of
 
 from identknee.blind.case import blind_case
-from identknee.diagnosis.diagnose import diagnose
 from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.investigation import investigate
 from identknee.laxity.table import Laxity
 from identknee.subject.reference import reference_knee
 
@@ -69,7 +69,7 @@ def test_shuffled_load_labels_destroy_the_verdict() -> None:
     knee = reference_knee()
     case = blind_case(knee, seed=FIRST_SEED, effect="rig_compliance_IE", signal=SIGNAL)
     shuffled = _shuffled(case.laxity)
-    found = diagnose(knee, shuffled)
+    found = investigate(knee, shuffled)
     named = () if found is None else found.conclusion.best.names
     assert found is None or found.conclusion.verdict is not Verdict.NAMED or "rig" not in named[0]
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from identknee.blind.case import BlindCase, blind_case
-from identknee.diagnosis.diagnose import Diagnosis, diagnose
 from identknee.diagnosis.explanations import fitting
 from identknee.diagnosis.explanations.candidates import library_variants
+from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.noise.noise_model import build_noise_model
 from identknee.diagnosis.score.misfit import Projector
 from identknee.diagnosis.score.score import score_test
@@ -25,18 +25,18 @@ def null() -> BlindCase:
 
 
 @pytest.fixture(scope="module")
-def found(null: BlindCase) -> Diagnosis:
-    diagnosis = diagnose(reference_knee(), null.laxity)
+def found(null: BlindCase) -> Investigation:
+    diagnosis = investigate(reference_knee(), null.laxity)
     assert diagnosis is not None
     return diagnosis
 
 
-def signatures(found: Diagnosis) -> list[Signature]:
+def signatures(found: Investigation) -> list[Signature]:
     fitted = found.base.fitted
     return [x.signature for x in library_variants(fitted, library(fitted.model.knee))]
 
 
-def test_without_the_projector_near_equivalent_fits_are_effects(found: Diagnosis) -> None:
+def test_without_the_projector_near_equivalent_fits_are_effects(found: Investigation) -> None:
     """A shift of the fitted parameters: nothing with the projector, a find without."""
     base = found.base
     jacobian = base.fitted.evaluation.jacobian
@@ -52,7 +52,7 @@ def test_without_the_projector_near_equivalent_fits_are_effects(found: Diagnosis
     assert without.max_score > with_it.max_score + 2.0
 
 
-def test_without_signs_a_structure_that_pushes_is_one(found: Diagnosis) -> None:
+def test_without_signs_a_structure_that_pushes_is_one(found: Investigation) -> None:
     base = found.base
     given = signatures(found)
     structure = next(x for x in given if x.name == "anterolateral")

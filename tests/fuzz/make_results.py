@@ -57,7 +57,7 @@ VERBS = {
         *("--samples", "4"),
     ],
     "diagnose": ["diagnose", "reference", "FRAMED"],
-    "planned": [
+    "isolability": [
         *("diagnose", "reference", "--protocol", "PROTOCOL", "--noise", "0.3mm,0.3deg"),
     ],
     "design": [

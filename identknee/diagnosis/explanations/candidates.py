@@ -1,7 +1,7 @@
 """What every effect of a library would add to the residuals of a fit, and which they exclude."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -30,6 +30,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.setting import PER_KN
 from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.declare import declared, entries, entry
 
 # Reference strains [%] and shifts of the insertions [mm] at which a missing structure is tried.
 STRAINS = (-4.0, 0.0, 4.0, 8.0)
@@ -238,47 +239,30 @@ def _signs(parameters: Parameters) -> IntArray:
     return np.asarray(positive.astype(np.int64) - negative.astype(np.int64))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Visibility:
-    """Which size of an effect the data, or the trials of a protocol, would show.
+    """Which size of an effect the data, or the trials of a protocol, would show."""
 
-    Attributes
-    ----------
-    name
-        The effect.
-    parameter, unit
-        Its amplitude that the rest is about: of those in the unit of the first, the hardest to see.
-    detectable
-        Size that the test finds in nine of ten data sets; infinite where it never does.
-    relevant
-        The smallest size worth knowing.
-    power
-        How often the test finds that size.
-    """
-
-    name: str
-    parameter: str
-    unit: str
-    detectable: float
-    relevant: float
-    power: float
+    name: str = entry("Name of the effect")
+    parameter: str = entry(
+        "Amplitude that the sizes are of: in the unit of the first, the hardest to see"
+    )
+    unit: str = entry("Unit of the amplitude")
+    detectable: float = entry(
+        "Size that the test finds in nine of ten data sets; null where it never does",
+        unit="unit of the amplitude",
+    )
+    relevant: float = entry("The smallest size worth knowing", unit="unit of the amplitude")
+    power: float = entry("How often the test finds that size", unit="1")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Exclusion(Visibility):
-    """What data say of one effect: seen, excluded, or beyond their power.
+    """What data say of one effect: seen, excluded, or beyond their power."""
 
-    Attributes
-    ----------
-    cell
-        The answer.
-    score, p_value
-        Score of the effect, and the probability of a largest score as high by chance.
-    """
-
-    cell: Cell
-    score: float
-    p_value: float
+    cell: Cell = entry("The answer: significant or not, crossed with power")
+    score: float = entry("Score of the effect, as a z-score", unit="1")
+    p_value: float = entry("Probability of a largest score as high by chance", unit="1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -332,7 +316,7 @@ class Candidates:
         scored = next((x for x in scores.candidates if x.name == effect.name), None)
         score, p_value = (0.0, 1.0) if scored is None else (scored.score, scored.p_value)
         return Exclusion(
-            **{x.name: getattr(seen, x.name) for x in fields(seen)},
+            **{name: getattr(seen, name) for name in entries(Visibility)},
             cell=judge(is_significant=p_value <= LEVEL, power=seen.power),
             score=score,
             p_value=p_value,

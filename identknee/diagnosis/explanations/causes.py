@@ -14,6 +14,7 @@ from identknee.model.effects.structures import MissingStructure
 from identknee.model.effects.units import PLAIN, unit_of
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.declare import declared, entry
 
 # Share of a standard deviation that rounding may move an end by.
 ROUNDING = 1e-9
@@ -132,27 +133,20 @@ def _logs(values: Array, is_log: BoolArray) -> Array:
         return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Estimate:
-    """A number found by a fit.
+    """A number found by a fit."""
 
-    Attributes
-    ----------
-    name
-        Name of the parameter, without its owner; ``"total"`` for the length of a vector of several.
-    value
-        In its unit.
-    unit
-        ``"1"`` for a plain number.
-    ci95
-        Ends of its 95 % interval; None where the data give no limit: at a bound, or where the fit
-        that it is the interval of was stopped.
-    """
-
-    name: str
-    value: float
-    unit: str
-    ci95: Interval
+    name: str = entry(
+        "Name of the parameter, without its owner; total for the length of a vector of several"
+    )
+    value: float = entry("Its value", unit="as the field unit says")
+    unit: str = entry("Its unit; 1 for a plain number")
+    ci95: Interval = entry(
+        "95 % interval; null where the data give no limit: at a bound, or where the fit that it "
+        "is the interval of was stopped",
+        unit="as the field unit says",
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

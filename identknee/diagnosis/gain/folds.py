@@ -9,6 +9,7 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, Laxity
 from identknee.laxity.unloaded import SAME_ANGLE_DEG
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.declare import declared, entry
 
 FLEXION = "flexion"
 DIRECTION = "load direction"
@@ -108,28 +109,15 @@ def _flexions(flexion_deg: Array) -> list[tuple[str, BoolArray]]:
     ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Rmse:
-    """Root-mean-square errors; NaN where there is nothing to compare.
+    """Root-mean-square errors; NaN, in a file null, where there is nothing to compare."""
 
-    Attributes
-    ----------
-    mm
-        Error of the translations [mm].
-    deg
-        Error of the rotations [deg].
-    noise
-        Error of all values, each in units of its own noise: 1 where nothing but noise is left.
-    """
-
-    mm: float
-    deg: float
-    noise: float
-
-    def to_json(self) -> dict[str, float | None]:
-        """The same by name; null where there is nothing to compare."""
-        values = {"mm": self.mm, "deg": self.deg, "noise": self.noise}
-        return {name: x if np.isfinite(x) else None for name, x in values.items()}
+    mm: float = entry("Error of the translations", unit="mm")
+    deg: float = entry("Error of the rotations", unit="deg")
+    noise: float = entry(
+        "Error of all values in units of their noise: 1 where nothing but noise is left", unit="1"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

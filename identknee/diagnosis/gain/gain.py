@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identknee.calibrate.evaluation import Evaluation, evaluate
-from identknee.diagnosis.explanations.causes import Laplace, laplace
+from identknee.diagnosis.explanations.causes import Interval, Laplace, laplace
 from identknee.diagnosis.explanations.fitting import Fitted, weighed
 from identknee.diagnosis.gain.discrepancy import Discrepancy, fit_discrepancy
 from identknee.diagnosis.gain.folds import (
@@ -22,6 +22,7 @@ from identknee.diagnosis.score.misfit import Check, base_projector, omnibus_chec
 from identknee.laxity.table import COORDINATES
 from identknee.model.tensions import tensions_of
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import OF_PARAMETER, declared, entry
 
 # Squared distance of two predictions in units of the noise below which they are the same.
 LEAST_SIGNATURE = 1.0
@@ -179,32 +180,25 @@ class Assessment:
         object.__setattr__(self, "errors", frozen(self.errors, None, name="errors"))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ParameterChange:
-    """A parameter of both models, before and after.
+    """A parameter of both models, before and after."""
 
-    Attributes
-    ----------
-    name
-        Name of the parameter.
-    before, after
-        Its values, in its own unit.
-    interval_before, interval_after
-        95 % intervals; an end is None where the data give none, as in `Estimate`.
-    shift
-        How far it moved, in standard errors of before.
-    interval_ratio
-        Length of the interval after over before: the honest price of one more cause; NaN where one
-        of them is open.
-    """
-
-    name: str
-    before: float
-    after: float
-    interval_before: tuple[float | None, float | None]
-    interval_after: tuple[float | None, float | None]
-    shift: float
-    interval_ratio: float
+    name: str = entry("Name of the parameter")
+    before: float = entry("Its value without the cause", unit=OF_PARAMETER)
+    after: float = entry("Its value with the cause", unit=OF_PARAMETER)
+    interval_before: Interval = entry(
+        "95 % interval without; an open end is null", unit=OF_PARAMETER, key="ci95_before"
+    )
+    interval_after: Interval = entry("95 % interval with", unit=OF_PARAMETER, key="ci95_after")
+    shift: float = entry(
+        "How far it moved, in standard errors of before", unit="1", key="shift_in_se"
+    )
+    interval_ratio: float = entry(
+        "Length of the interval after over before, the price of one more cause; null where one of "
+        "them is open",
+        unit="1",
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,6 +8,7 @@ import numpy as np
 from identknee.diagnosis.noise.noise_model import NoiseModel
 from identknee.diagnosis.score.misfit import Projector
 from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.declare import declared, entry
 
 LEVEL = 0.05
 N_DRAWS = 4000
@@ -65,26 +66,21 @@ class TrialLayout:
         return {**sides, UNLOADED: np.all(self.loads == 0, axis=1)}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class CellScore:
-    """Misfit of one coordinate at one flexion angle under loads of one direction.
+    """Misfit of one coordinate at one flexion angle under loads of one direction."""
 
-    Attributes
-    ----------
-    coordinate, flexion_deg, direction
-        Which cell; ``"no load"`` for unloaded trials.
-    score
-        Normal deviate of a shift of the cell's values, the fitted parameters free; positive where
-        more was measured than predicted.
-    p_value
-        Probability that any cell's score is as far from 0 if there is no misfit.
-    """
-
-    coordinate: str
-    flexion_deg: float
-    direction: str
-    score: float
-    p_value: float
+    coordinate: str = entry("Coordinate of the cell")
+    flexion_deg: float = entry("Its flexion", unit="deg")
+    direction: str = entry("Direction of its load; no load for unloaded trials")
+    score: float = entry(
+        "Z-score of a shift of its values, the fitted parameters free; positive where more was "
+        "measured than predicted",
+        unit="1",
+    )
+    p_value: float = entry(
+        "Probability that any cell's score is as far from 0 if there is no misfit", unit="1"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

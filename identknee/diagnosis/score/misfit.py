@@ -8,6 +8,7 @@ from scipy import stats
 from scipy.special import gammaincc, gammaln, log_ndtr, ndtri_exp
 
 from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.declare import declared, entry
 
 # Share of the largest singular value. Directions the data hardly see are kept on purpose: each
 # costs one degree of freedom and makes every statistic indifferent to which near-equivalent fit was
@@ -105,23 +106,13 @@ def _orthonormal(columns: Array, sizes: Array) -> Array:
     return np.asarray(left[:, size > LEAST_SINGULAR_VALUE * size[0]])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Check:
-    """One test of residuals.
+    """One test of residuals."""
 
-    Attributes
-    ----------
-    statistic
-        A chi-square, an F ratio or a z-score.
-    degrees_of_freedom
-        What a chi-square or the numerator of an F ratio has; 1 for a z-score.
-    p_value
-        Probability of a statistic as large if the residuals are noise.
-    """
-
-    statistic: float
-    degrees_of_freedom: int
-    p_value: float
+    statistic: float = entry("A chi-square, or an F ratio", unit="1")
+    degrees_of_freedom: int = entry("Degrees of freedom of it, or of its numerator", unit="1")
+    p_value: float = entry("Probability of one as large if the residuals are noise", unit="1")
 
 
 def omnibus_check(

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from identknee.report.answers.demo import demo_statements
+from identknee.report.answers.diagnose import diagnosis_statements, isolability_statements
 from identknee.report.answers.equivalents import equivalents_statements
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.information import information_statements
@@ -14,9 +15,11 @@ from identknee.report.answers.sweep import sweep_statements
 from identknee.report.statement import Statement
 from identknee.verbs.answer import Answer
 from identknee.verbs.demo import Demonstration
+from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.fit import Calibration
 from identknee.verbs.information import LocalIdentifiability
+from identknee.verbs.isolability import Isolability
 from identknee.verbs.profile import Profiles
 from identknee.verbs.sensitivity import GlobalSensitivity
 from identknee.verbs.simulate import Simulation
@@ -31,6 +34,8 @@ _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
     Demonstration: demo_statements,
     Simulation: simulate_statements,
     Calibration: fit_statements,
+    Diagnosis: diagnosis_statements,
+    Isolability: isolability_statements,
 }
 
 

@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.model.parameters import STIFFNESS, STRAIN
-
 Groups = Mapping[str, xarray.Dataset]
 
 
@@ -21,7 +19,7 @@ def disagreement(summary: Mapping[str, Any], groups: Groups) -> tuple[str, str] 
     groups
         The arrays, as theirs wants them.
     """
-    checks = (_targets, _parameters, _draws)
+    checks = (_targets, _draws)
     return next((found for check in checks for found in check(summary, groups)), None)
 
 
@@ -50,11 +48,3 @@ def _draws(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
             for x in data.data_vars.values()
         ):
             yield f"group {name}", "some of its draws are missing"
-
-
-def _parameters(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
-    if "residuals" not in groups:
-        return
-    values = summary.get("parameters_before") or {}
-    if not values or any(not {STIFFNESS, STRAIN} <= x.keys() for x in values.values()):
-        yield "group residuals", "result.json does not hold the parameters they belong to"

@@ -56,21 +56,6 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
         "coordinates": _BY_COORDINATE,
         "sd": _wanted("number", "trial", "coordinate", is_optional=True),
     },
-    "residuals": {
-        **_names("trial", "coordinate"),
-        **dict.fromkeys(("before", "after", "sd"), _BY_COORDINATE),
-    },
-    "misfit": {
-        **_names("coordinate", "direction"),
-        FLEXION: _wanted("known", FLEXION),
-        **dict.fromkeys(
-            ("score", "p_value"), _wanted("number", "coordinate", FLEXION, "direction")
-        ),
-    },
-    "isolability": {
-        **_names("effect", "rival"),
-        "distance": _wanted("number", "effect", "rival"),
-    },
     "profile": {
         **_names("quantity", "parameter"),
         **dict.fromkeys(
@@ -157,6 +142,6 @@ def _different_trials(groups: Groups) -> Iterator[tuple[str, str]]:
         return
     if set(constant["load"].values) != set(LOADS):
         yield "group constant_data, variable load", f"it is not {', '.join(LOADS)}"
-    for name in ("observed_data", "residuals", "posterior_predictive"):
+    for name in ("observed_data", "posterior_predictive"):
         if name in groups and not np.array_equal(groups[name]["trial"], constant["trial"]):
             yield f"group {name}, variable trial", "its trials are not those of constant_data"

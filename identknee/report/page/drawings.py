@@ -10,7 +10,11 @@ from identknee.identify.sweep.sweep import OUTCOMES
 from identknee.report.equivalents_figures import ranges_figure, sets_figure
 from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
 from identknee.report.page.drawing import Drawing
-from identknee.report.page.model_drawings import design_drawings, diagnosis_drawings
+from identknee.report.page.model_drawings import (
+    design_drawings,
+    diagnosis_drawings,
+    isolability_drawings,
+)
 from identknee.report.page.results import Result
 from identknee.report.profile_figures import intervals_figure, profiles_figure
 from identknee.report.sample_figures import corner_figure, forces_figure, prior_posterior_figure
@@ -266,5 +270,6 @@ _BY_VERB: Mapping[str, Callable[[Result], Iterator[Drawing]]] = {
     "sweep": _sweep,
     "sensitivity": _sensitivity,
     "diagnose": diagnosis_drawings,
+    "isolability": isolability_drawings,
     "design": design_drawings,
 }

@@ -17,6 +17,7 @@ from identknee.report.page.results import Findings, Result
 from identknee.report.page.stored import coordinates
 from identknee.report.words import listed
 from identknee.runs.arrays import Array
+from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.fit import Calibration
 from identknee.verbs.simulate import SimulatedLaxity, Simulation
@@ -58,6 +59,8 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
 def _curves(result: Result, findings: Findings) -> LaxityCurves | None:
     if isinstance(result.answer, SimulatedLaxity):
         return _of_answer(result, result.answer, findings)
+    if isinstance(result.answer, Diagnosis):
+        return _diagnosed(result.answer)
     protocol = result.protocol
     if protocol is None:
         return None
@@ -66,13 +69,7 @@ def _curves(result: Result, findings: Findings) -> LaxityCurves | None:
     is_data = observed is not None and result.verb != "demo"
     measured = coordinates(observed) if observed is not None and is_data else None
     simulated: dict[str, Array] = {}
-    if result.verb == "diagnose" and measured is not None and "residuals" in result.groups:
-        residuals = result.groups["residuals"]
-        simulated["model"] = measured - coordinates(residuals, "before")
-        causes = listed(x["name"] for x in result.summary["causes"])
-        if causes:
-            simulated[f"with {causes}"] = measured - coordinates(residuals, "after")
-    elif "predictions" in result.groups:
+    if "predictions" in result.groups:
         values = coordinates(result.groups["predictions"])
         simulated["simulated"] = _as_measured(values, observed, protocol)
     else:
@@ -103,6 +100,24 @@ def _of_answer(result: Result, answer: SimulatedLaxity, findings: Findings) -> L
         measured=None if data is None else data.coordinates,
         sd=None if data is None else data.sd,
         band=_band(result, findings, as_measured) if isinstance(answer, Calibration) else None,
+    )
+
+
+def _diagnosed(answer: Diagnosis) -> LaxityCurves | None:
+    """The laxity of the model without and with the causes; None where nothing was tested."""
+    trials, residuals = answer.trials, answer.residuals
+    if trials is None or residuals is None:
+        return None
+    simulated = {"model": trials.coordinates - residuals.before}
+    if answer.causes:
+        with_causes = f"with {listed(answer.cause_names)}"
+        simulated[with_causes] = trials.coordinates - residuals.after
+    return LaxityCurves(
+        protocol=trials.protocol,
+        simulated=simulated,
+        measured=trials.coordinates,
+        sd=trials.sd,
+        band=None,
     )
 
 

@@ -5,41 +5,42 @@ from collections.abc import Iterator
 import numpy as np
 import xarray
 
-from identknee.diagnosis.advice.isolability import Distances
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol
 from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure
 from identknee.report.diagnosis_figures import (
-    estimates_figure,
     isolability_figure,
     misfit_figure,
+    parameters_before_after_figure,
     residuals_figure,
 )
+from identknee.report.diagnosis_files import distances_of
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Result
-from identknee.report.page.stored import coordinates, stored_estimates, stored_localisation
 from identknee.report.words import label, listed
+from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.isolability import Isolability
 
 
 def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
     """Where the model is wrong, what the cause explains, and the parameters with and without."""
-    if "isolability" in result.groups:
-        yield _isolability(result.groups["isolability"])
-    protocol = result.protocol
-    if protocol is None or "residuals" not in result.groups:
+    answer = result.answer
+    if not isinstance(answer, Diagnosis):
         return
-    localisation = stored_localisation(result)
+    misfit, trials, residuals = answer.misfit, answer.trials, answer.residuals
+    # None of them where the data cannot be tested.
+    if misfit is None or trials is None or residuals is None:
+        return
     yield Drawing(
         name="misfit",
-        figure=misfit_figure(localisation),
+        figure=misfit_figure(misfit.map, misfit.sentence),
         caption="Where the model is wrong: red where more was measured than it can explain, blue "
         "where less; framed where noise alone hardly does that.",
-        description=f"Map of the misfit by coordinate, flexion and load. {localisation.sentence}.",
+        description=f"Map of the misfit by coordinate, flexion and load. {misfit.sentence}.",
     )
-    residuals = result.groups["residuals"]
-    before, after, sd = (coordinates(residuals, x) for x in ("before", "after", "sd"))
-    causes = listed(x["name"] for x in result.summary["causes"])
-    changes = {f"what {causes} explains": before - after} if causes else {}
-    if (figure := residuals_figure(protocol, before, sd, changes)) is not None:
+    causes = listed(answer.cause_names)
+    before = residuals.before
+    changes = {f"what {causes} explains": before - residuals.after} if causes else {}
+    if (figure := residuals_figure(trials.protocol, before, residuals.sd, changes)) is not None:
         yield Drawing(
             name="residuals",
             figure=figure,
@@ -49,28 +50,26 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
             description="Measured less predicted laxity along every load curve"
             + (f", with the part that {causes} explains." if causes else "."),
         )
-    fits = {"without cause": stored_estimates(result, "before")}
-    if causes:
-        fits[f"with {causes}"] = stored_estimates(result, "after")
     yield Drawing(
         name="before-after",
-        figure=estimates_figure(fits),
+        figure=parameters_before_after_figure(answer),
         caption="The ligaments' parameters with their 95 % intervals"
         + (", without and with the cause." if causes else "."),
-        description=f"Fitted parameters {listed(fits)} of {listed(fits['without cause'])}.",
+        description=f"Fitted parameters of {listed(answer.parameters_before or ())}"
+        + (f", without and with {causes}." if causes else "."),
     )
 
 
-def _isolability(data: xarray.Dataset) -> Drawing:
-    names = tuple(str(x) for x in data["effect"].values)
-    distances = Distances(effects=names, rivals=names, values=data["distance"].values)
-    return Drawing(
-        name="isolability",
-        figure=isolability_figure(distances),
-        caption="How far the data of each cause (rows) are from what each other one could explain "
-        "in its place (columns): dark cells cannot be told apart.",
-        description=f"Distances between {len(names)} causes.",
-    )
+def isolability_drawings(result: Result) -> Iterator[Drawing]:
+    """Which causes the trials of a protocol could tell apart."""
+    if isinstance(answer := result.answer, Isolability):
+        yield Drawing(
+            name="isolability",
+            figure=isolability_figure(distances_of(answer)),
+            caption="How far the data of each cause (rows) are from what each other one could "
+            "explain in its place (columns): dark cells cannot be told apart.",
+            description=f"Distances between {len(answer.rivals)} causes.",
+        )
 
 
 def design_drawings(result: Result) -> Iterator[Drawing]:

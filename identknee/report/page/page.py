@@ -8,7 +8,7 @@ from html import escape
 from importlib.resources import files
 
 from identknee.report.answers.statements import statements_of
-from identknee.report.page.diagnosis_sentences import design_findings, diagnosis_findings
+from identknee.report.page.design_sentences import design_findings
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
 from identknee.report.page.knee_scene import KneeScene
@@ -41,7 +41,8 @@ TAGS = {
     Question.LAXITY: "Laxity",
     Question.SEARCH: "Fit",
 }
-PLACES = {"diagnose": Question.WRONG, "design": Question.NEXT, "sweep": Question.SEARCH}
+PLACES = dict.fromkeys(("diagnose", "isolability"), Question.WRONG)
+PLACES |= {"design": Question.NEXT, "sweep": Question.SEARCH}
 PLACES |= {"sensitivity": Question.LAXITY, "demo-starts": Question.SEARCH}
 # Left by a diagnosis as pictures only, as they need all of it.
 PICTURES = {
@@ -66,7 +67,6 @@ FURTHER = {
 }
 _SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
     "sample": sample_findings,
-    "diagnose": diagnosis_findings,
     "design": design_findings,
 }
 

@@ -14,20 +14,21 @@ import xarray
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.report.page.agreement import disagreement
 from identknee.report.page.array_schema import array_fault
-from identknee.report.page.summaries import schema_of
+from identknee.report.page.summaries import SCHEMAS
 from identknee.report.page.summary_parts import AGAIN
 from identknee.report.result_files import ARRAYS, SUMMARY
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest
 from identknee.runs.schema import Fault, read_json, shown, validated
 from identknee.verbs.answer import Answer
+from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import ANSWERS, loaded
 from identknee.verbs.simulate import SimulatedLaxity
 
 # In the order of the flow; verbs that are not here leave nothing to report on.
 FLOW = (
     *("demo", "simulate", "fit", "sweep", "profile", "sample", "information"),
-    *("equivalents", "sensitivity", "diagnose", "design"),
+    *("equivalents", "sensitivity", "diagnose", "isolability", "design"),
 )
 DEPTH = 2
 REMEDY = (
@@ -87,6 +88,8 @@ class Result:
         """The trials; None where the result keeps none."""
         if isinstance(self.answer, SimulatedLaxity):
             return self.answer.protocol
+        if isinstance(self.answer, Diagnosis):
+            return None if self.answer.trials is None else self.answer.trials.protocol
         constant = self.groups.get("constant_data")
         if constant is None:
             return None
@@ -166,8 +169,7 @@ def _read(path: Path) -> Result | None:
         return None
     if verb in ANSWERS:
         return Result(folder=path.parent, summary=summary, groups={}, answer=loaded(path, summary))
-    schema = schema_of(verb, summary)
-    validated(schema, summary, lambda fault: _error(path, fault))
+    validated(SCHEMAS[verb], summary, lambda fault: _error(path, fault))
     arrays = path.with_name(ARRAYS)
     groups = _groups(arrays, record.get("arrays")) if arrays.is_file() else {}
     if (fault := array_fault(groups)) is not None:

@@ -1,8 +1,5 @@
 """The knee of a subject's results, ready to be turned."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from identknee.calibrate.starts import load_start
@@ -15,6 +12,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
+from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.simulate import SimulatedLaxity
 
 EXTENDED, FITTED = "extended", "fitted.toml"
@@ -40,7 +38,7 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
         if result.verb == "diagnose" and extended.is_dir():
             model = LaxityModel(knee=read_subject(extended), protocol=protocol)
             theta = load_start(str(extended / FITTED), model.parameters)
-            return model_scene(model, theta, missing_line=_line(result.summary, model.knee))
+            return model_scene(model, theta, missing_line=_line(result, model.knee))
         if isinstance(result.answer, SimulatedLaxity):
             model = LaxityModel(knee=knee, protocol=protocol)
             if result.answer.parameter_names == model.parameters.names:
@@ -61,9 +59,7 @@ def _theta(result: Result, model: LaxityModel) -> Array:
     return np.array([values[name] for name in model.parameters.names])
 
 
-def _line(summary: Mapping[str, Any], knee: Knee) -> Array | None:
+def _line(result: Result, knee: Knee) -> Array | None:
     """Ends of the missing line of action in the common frame [mm]; None where there is none."""
-    line = summary.get("line")
-    if not line or not line["is_line"] or line["femur"] is None:
-        return None
-    return knee.as_scanned(np.array([line["femur"], line["tibia"]], dtype=np.float64))
+    line = result.answer.line if isinstance(result.answer, Diagnosis) else None
+    return line.in_common_frame(knee) if line is not None and line.is_line else None

@@ -1,12 +1,11 @@
 """What the page reads of the summary of each verb, as schemas."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
 from identknee.identify.profile.result import ProfileVerdict, SideStatus
-from identknee.report.page.diagnosis_summaries import Diagnosis, Planned
 from identknee.report.page.summary_parts import (
     Count,
     Ends,
@@ -103,13 +102,5 @@ class Design(Summary):
 
 SCHEMAS: Mapping[str, type[Summary]] = {
     "sample": Sample,
-    "diagnose": Diagnosis,
     "design": Design,
 }
-
-
-def schema_of(verb: str, summary: Mapping[str, Any]) -> type[Summary]:
-    """The schema of a verb's summary: some verbs leave less where there was nothing to compute."""
-    if verb == "diagnose" and "verdict" not in summary:
-        return Planned
-    return SCHEMAS[verb]

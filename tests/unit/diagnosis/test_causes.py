@@ -13,8 +13,9 @@ from identknee.diagnosis.explanations.causes import (
 )
 from identknee.model.effects.library import library
 from identknee.model.effects.units import unit_of
-from identknee.report import diagnosis_text
+from identknee.report.answers.diagnose import size_words
 from identknee.subject.knee import Knee
+from identknee.verbs.diagnosis import CauseFound
 
 UNITS = {"kN", "%", "mm", "deg", "N", "N·m", "N/mm", "N/N·m", "deg/N·m", "1"}
 
@@ -61,17 +62,25 @@ def test_every_ligament_has_both_parameters_within_their_intervals(reference: Kn
 @pytest.mark.parametrize(
     ("ends", "said"),
     [
-        ((1.0, 3.0), "2 mm, 95 % 1 to 3"),
-        ((None, 3.0), "2 mm, 95 % open below, up to 3"),
-        ((1.0, None), "2 mm, 95 % from 1, open above"),
-        ((None, None), "2 mm, 95 % open to both sides"),
+        ((1.0, 3.0), "2 mm (95 % from 1 to 3 mm)"),
+        ((None, 3.0), "2 mm (95 % open below, up to 3 mm)"),
+        ((1.0, None), "2 mm (95 % from 1 mm, open above)"),
+        ((None, None), "2 mm (95 % open to both sides)"),
     ],
 )
 def test_an_open_end_is_said_and_not_printed_as_a_limit(
     ends: tuple[float | None, float | None], said: str
 ) -> None:
-    estimate = Estimate(name="shift_mm", value=2.0, unit="mm", ci95=ends)
-    assert diagnosis_text._shown(estimate) == said
+    cause = CauseFound(
+        name=FRAME,
+        amplitude=2.0,
+        unit="mm",
+        ci95=ends,
+        parameter="shift_mm",
+        parameters={},
+        line=None,
+    )
+    assert size_words(cause) == said
 
 
 def test_a_length_has_no_limit_where_a_component_has_none() -> None:

@@ -7,8 +7,8 @@ import pytest
 from diagnoses import FRAME, diagnosed, short_data
 from posed_knees import posed_reference
 
-from identknee.diagnosis.diagnose import diagnose
 from identknee.diagnosis.explanations.refit import Refit
+from identknee.diagnosis.investigation import investigate
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.folder import read_subject, write_subject
@@ -33,7 +33,7 @@ def _predicted(refit: Refit, folder: Path) -> np.ndarray:
 def test_a_posed_and_mirrored_knee_keeps_its_causes(tmp_path: Path) -> None:
     knee = read_subject(write_subject(posed_reference(1), tmp_path / "subject"))
     candidates = [effect_named(knee, x) for x in (FRAME, "flexion_offset")]
-    found = diagnose(knee, short_data(knee, FRAME), effects=candidates)
+    found = investigate(knee, short_data(knee, FRAME), effects=candidates)
     assert found is not None
     best = found.explanation
     assert FRAME in found.conclusion.group

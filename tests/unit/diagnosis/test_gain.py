@@ -18,9 +18,11 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.loads import compression
 from identknee.model.effects.structures import MissingStructure, structure_at
 from identknee.model.laxity_model import LaxityModel
-from identknee.report.gain_summary import gain_summary
 from identknee.runs.arrays import Array
+from identknee.runs.files import plain
+from identknee.runs.plain_records import summary_of
 from identknee.subject.knee import Knee
+from identknee.verbs.diagnosis_gain import gain_found
 
 SD_MM, SD_DEG = 0.02, 0.1
 PLANTED = [0.08, 1.0]  # kN, %
@@ -149,7 +151,7 @@ def test_what_each_coordinate_gains_is_told() -> None:
 
 def test_the_summary_is_ready_for_a_file() -> None:
     gain = planted()
-    found = json.loads(json.dumps(gain_summary(gain), allow_nan=False))
+    found = plain(summary_of(gain_found(gain)))
     assert found["rmse_held_out_before"] == gain.rmse_held_out(gain.before).noise
     assert found["rmse_held_out_after"] == gain.rmse_held_out(gain.after).noise
     assert found["elpd_difference"] == gain.elpd.difference
@@ -168,7 +170,7 @@ def test_a_cause_that_is_not_there_gains_nothing() -> None:
     assert gain.rmse_held_out(gain.after).noise == pytest.approx(
         gain.rmse_held_out(gain.before).noise, rel=0.05
     )
-    json.dumps(gain_summary(gain), allow_nan=False)
+    json.dumps(plain(summary_of(gain_found(gain))), allow_nan=False)
 
 
 def test_where_the_knee_lies_in_the_scanner_does_not_matter() -> None:

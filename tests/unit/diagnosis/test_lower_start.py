@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.diagnose import LOWER, diagnose, lower_start
 from identknee.diagnosis.explanations.fitting import fit_from
+from identknee.diagnosis.investigation import LOWER, investigate, lower_start
 from identknee.laxity.noise import add_noise
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
@@ -16,7 +16,7 @@ from identknee.subject.knee import Knee
 def test_a_better_minimum_of_the_base_model_is_a_start(reference: Knee) -> None:
     model = LaxityModel(knee=reference, protocol=short_trials())
     laxity = add_noise(model.simulate(model.parameters.center), sd_mm=SD, sd_deg=SD, seed=2)
-    found = diagnose(reference, laxity, effects=[compression()])
+    found = investigate(reference, laxity, effects=[compression()])
     assert found is not None
     assert lower_start(found.attribution) is None
     base = found.base.fitted

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.diagnose import Diagnosis, diagnose
 from identknee.diagnosis.explanations.fitting import fit_from
 from identknee.diagnosis.explanations.refit import Refit, refit
 from identknee.diagnosis.explanations.verdict import FAR_OFF, Verdict, shift_mm, site_p_value
+from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity
 from identknee.model.effects.library import effect_named
@@ -35,7 +35,7 @@ def data_with(knee: Knee, away_mm: float, seed: int = 4) -> Laxity:
     return add_noise(model.simulate(theta), sd_mm=SD / 3, sd_deg=SD / 3, seed=seed)
 
 
-def fitted(knee: Knee, found: Diagnosis) -> Refit:
+def fitted(knee: Knee, found: Investigation) -> Refit:
     structure = structure_of(knee)
     base = found.base
     start = np.r_[base.fitted.theta, structure.parameters.center]
@@ -47,7 +47,7 @@ def fitted(knee: Knee, found: Diagnosis) -> Refit:
 def test_a_structure_far_from_its_place_is_improbable(
     reference: Knee, away_mm: float, is_rare: bool
 ) -> None:
-    found = diagnose(reference, data_with(reference, away_mm), effects=[structure_of(reference)])
+    found = investigate(reference, data_with(reference, away_mm), effects=[structure_of(reference)])
     assert found is not None
     best = fitted(reference, found)
     p_value = site_p_value(best, structure_of(reference))
@@ -60,14 +60,14 @@ def test_a_structure_far_from_its_place_is_improbable(
 
 
 def test_fixed_insertions_are_where_they_are(reference: Knee) -> None:
-    found = diagnose(reference, data_with(reference, 0.0), effects=[structure_of(reference)])
+    found = investigate(reference, data_with(reference, 0.0), effects=[structure_of(reference)])
     assert found is not None
     fixed = replace(structure_of(reference), sites_vary=False)
     assert site_p_value(found.base, fixed) == 1.0
 
 
 def test_a_structure_without_stiffness_may_lie_anywhere(reference: Knee) -> None:
-    found = diagnose(reference, data_with(reference, 0.0), effects=[structure_of(reference)])
+    found = investigate(reference, data_with(reference, 0.0), effects=[structure_of(reference)])
     assert found is not None
     base = found.base
     extended = base.fitted.model.with_effects([*base.fitted.model.effects, structure_of(reference)])

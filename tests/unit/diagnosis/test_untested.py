@@ -29,11 +29,11 @@ from identknee.diagnosis.score.score import LEVEL
 from identknee.model import soundness
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import effect_named
-from identknee.report.diagnosis_summary import diagnosis_summary
-from identknee.report.diagnosis_text import diagnosis_lines
+from identknee.report.answers.diagnose import diagnosis_statements
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
+from identknee.verbs.diagnose import diagnosis_of
 
 OTHERS = ("shank_gravity", "compression")
 
@@ -204,16 +204,16 @@ def test_what_fails_from_everywhere_is_said_everywhere(monkeypatch: pytest.Monke
     if conclusion.verdict is Verdict.UNEXPLAINED:
         assert conclusion.sentence == UNTESTED
     whole = replace(found, attribution=attribution, conclusion=conclusion)
-    summary = diagnosis_summary(whole)
-    entries = [x for x in summary["rivals"] if FRAME in x["causes"]]
-    assert {x["state"] for x in entries} == {"not tested"}
-    assert not any(x["is_excluded"] for x in entries)
-    assert {x["log_evidence_below"] for x in entries} == {None}
-    assert all(f"{FRAME} could not be tested" in x["reason"] for x in entries)
-    assert any(f"{FRAME} could not be tested" in x for x in summary["reasons"])
-    lines = diagnosis_lines(whole)
-    said = " ".join(next(iter(lines.values())))
-    assert f"{FRAME} could not be tested" in said
+    answer = diagnosis_of(whole)
+    entries = [x for x in answer.rivals if FRAME in x.causes]
+    assert {x.state for x in entries} == {RivalState.NOT_TESTED}
+    assert not any(x.is_excluded for x in entries)
+    assert {x.log_evidence_deficit for x in entries} == {None}
+    reason = f"{FRAME} could not be tested"
+    assert all(reason in str(x.reason) for x in entries)
+    assert any(reason in x for x in answer.reasons)
+    first, *_ = diagnosis_statements(answer)
+    assert reason in first.sentence
 
 
 def test_the_diagnosis_says_what_its_fits_lack(others: tuple[Refit, ...]) -> None:

@@ -31,16 +31,11 @@ NAME = "ACL.stiffness_kN"
 RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
     "subject check": ("subject check", ["--protocol", "drawer", "--samples", "2"]),
     "subject export": ("subject check", []),
-    "diagnose": ("diagnose", ["FRAMED"]),
 }
 SLOW_RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
     "design": (
         "design",
         ["DATA", *FEW, "--n-trials", "1", "--target", NAME, "--candidates", "drawer"],
-    ),
-    "diagnose --protocol": (
-        "diagnose --protocol",
-        ["--protocol", "drawer", "--noise", "0.3mm,0.3deg"],
     ),
     "sample": ("sample", ["DATA", *FEW, "--ensembles", "2", "--nested"]),
     "blind": ("blind", ["--effect", "compression", "--signal", "12"]),

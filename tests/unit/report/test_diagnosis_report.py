@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnoses import FRAME, diagnosed
+from diagnoses import FRAME, answered, diagnosed
 
 from identknee.diagnosis.advice.isolability import Distances
-from identknee.diagnosis.diagnose import Diagnosis
-from identknee.diagnosis.explanations.refit import refit
+from identknee.diagnosis.explanations.refit import RivalState, refit
 from identknee.diagnosis.explanations.verdict import Conclusion, Verdict
+from identknee.diagnosis.investigation import Investigation
 from identknee.diagnosis.missing_line.line import LineFinding
-from identknee.diagnosis.score.localisation import Localisation
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import MISSING_LINE
 from identknee.model.effects.structures import structure_at
+from identknee.report.answers.diagnose import diagnosis_statements
 from identknee.report.diagnosis_figures import (
     added_variable_figure,
     diagnosis_figures,
@@ -25,12 +25,13 @@ from identknee.report.diagnosis_figures import (
     residual_curves_figure,
     residuals_figure,
 )
-from identknee.report.diagnosis_groups import diagnosis_groups
-from identknee.report.diagnosis_summary import diagnosis_summary, untestable_summary
-from identknee.report.diagnosis_text import diagnosis_lines
 from identknee.report.picture import png
+from identknee.runs.array_groups import groups_of
+from identknee.runs.plain_records import summary_of
 from identknee.subject.knee import Knee
 from identknee.subject.place_names import name_of_place
+from identknee.subject.reference import reference_knee
+from identknee.verbs.diagnose import diagnosis_of, untestable
 
 EFFECTS = (None, FRAME)
 
@@ -41,28 +42,28 @@ def _unexplained(conclusion: Conclusion) -> Conclusion:
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_every_figure_can_be_drawn(effect: str | None) -> None:
-    for figure in diagnosis_figures(diagnosed(effect)).values():
+    for figure in diagnosis_figures(answered(effect), reference_knee()).values():
         assert png(figure).startswith(b"\x89PNG")
 
 
 def test_the_map_frames_what_is_significant_and_nothing_else() -> None:
     for effect in EFFECTS:
-        cells = diagnosed(effect).localisation.cells
-        axes = misfit_figure(diagnosed(effect).localisation).axes[0]
+        misfit = answered(effect).misfit
+        assert misfit is not None
+        cells = misfit.map
+        axes = misfit_figure(cells, misfit.sentence).axes[0]
         assert len(axes.texts) == len(cells) + len({x.flexion_deg for x in cells})
         frames = [x for x in axes.lines if np.size(x.get_xdata()) == 5]
         assert len(frames) == sum(x.p_value <= 0.05 for x in cells)
 
 
 def test_an_empty_map_is_drawn_too() -> None:
-    nothing = Localisation(cells=(), region=(), share=0.0)
-    assert png(misfit_figure(nothing)).startswith(b"\x89PNG")
+    assert png(misfit_figure((), "No region stands out.")).startswith(b"\x89PNG")
 
 
 def test_the_cause_goes_through_the_residuals_of_its_curves() -> None:
     """The line of the right cause leaves less than the base model does."""
-    found = diagnosed(FRAME)
-    figure = residual_curves_figure(found)
+    figure = residual_curves_figure(answered(FRAME))
     assert figure is not None
     panels = [x for x in figure.axes if x.lines]
     assert len(panels) == len(COORDINATES) * 4
@@ -79,7 +80,9 @@ def test_the_cause_goes_through_the_residuals_of_its_curves() -> None:
 
 
 def test_the_points_of_the_right_cause_follow_the_line() -> None:
-    axes = added_variable_figure(diagnosed(FRAME)).axes[0]
+    added = answered(FRAME).added_variable
+    assert added is not None
+    axes = added_variable_figure(added).axes[0]
     dots = [x for x in axes.lines if x.get_linestyle() == "None"]
     x, y = (np.concatenate([np.asarray(d.get_data()[k]) for d in dots]) for k in range(2))
     # Its amplitude is that of least squares, shrunk a little by its prior.
@@ -87,8 +90,7 @@ def test_the_points_of_the_right_cause_follow_the_line() -> None:
 
 
 def test_truth_is_drawn_where_it_is_known() -> None:
-    found = diagnosed(FRAME)
-    figure = parameters_before_after_figure(found, {"ACL.stiffness_kN": 10.0})
+    figure = parameters_before_after_figure(answered(FRAME), {"ACL.stiffness_kN": 10.0})
     first, second, *_ = figure.axes
     assert len(first.lines) == len(second.lines) + 1
 
@@ -101,28 +103,28 @@ def test_distances_below_the_limit_are_written() -> None:
 
 
 def test_what_cannot_be_tested_has_the_same_keys() -> None:
-    found = diagnosed(None)
-    tested = diagnosis_summary(found)
-    assert set(untestable_summary("why")) == set(tested)
-    assert untestable_summary("why")["reasons"] == ["why"]
+    nothing = summary_of(untestable("why"))
+    assert set(nothing) == set(summary_of(answered(None)))
+    assert nothing["reasons"] == ["why"]
 
 
 def test_rivals_that_are_open_come_with_their_own_numbers() -> None:
-    found = diagnosed(FRAME)
-    for rival in diagnosis_summary(found)["rivals"]:
-        assert bool(rival["amplitudes"]) == (rival["state"] == "open")
-        assert (rival["parameters"] is None) == (rival["state"] != "open")
-        assert rival["is_excluded"] == (rival["state"] == "excluded")
+    for rival in answered(FRAME).rivals:
+        assert bool(rival.amplitudes) == (rival.state is RivalState.OPEN)
+        assert (rival.parameters is None) == (rival.state is not RivalState.OPEN)
+        assert rival.is_excluded == (rival.state is RivalState.EXCLUDED)
 
 
 def test_an_unexplained_misfit_changes_no_parameter() -> None:
     found = diagnosed(FRAME)
     unexplained = replace(found, conclusion=_unexplained(found.conclusion))
     assert unexplained.explanation is found.base
-    summary = diagnosis_summary(unexplained)
-    assert summary["causes"] == []
-    assert summary["parameters_after"] == summary["parameters_before"]
-    assert "Cause" not in diagnosis_lines(unexplained)
+    answer = diagnosis_of(unexplained)
+    assert answer.causes == ()
+    assert answer.parameters_after == answer.parameters_before
+    said = " ".join(x.sentence for x in diagnosis_statements(answer))
+    assert "by the model as it is" in said
+    assert "With the cause" not in said
 
 
 def test_lines_of_a_left_knee_are_where_it_was_scanned(reference: Knee) -> None:
@@ -132,12 +134,15 @@ def test_lines_of_a_left_knee_are_where_it_was_scanned(reference: Knee) -> None:
     model = replace(fitted.model, knee=replace(fitted.model.knee, side="left"))
     left = replace(found.line.refit, fitted=replace(fitted, model=model))
     mirrored = replace(found, line=replace(found.line, refit=left))
-    one, other = (diagnosis_summary(x)["line"] for x in (found, mirrored))
+    one, other = (diagnosis_of(x).line for x in (found, mirrored))
+    assert one is not None
+    assert other is not None
     for end in ("femur", "tibia"):
-        np.testing.assert_array_equal(one[end] * [1.0, 1.0, -1.0], other[end])
+        np.testing.assert_array_equal(getattr(one, end) * [1.0, 1.0, -1.0], getattr(other, end))
+    np.testing.assert_array_equal(other.in_common_frame(model.knee), one.in_common_frame(reference))
 
 
-def _with_line(found: Diagnosis, knee: Knee) -> Diagnosis:
+def _with_line(found: Investigation, knee: Knee) -> Investigation:
     """As if the data were unexplained and a line along the MCL had been found."""
     ends = knee.ligament("MCL").femur, knee.ligament("MCL").tibia
     cause = structure_at(knee, MISSING_LINE, [ends], stiffness_sd=1.0, sites_vary=False)
@@ -160,34 +165,45 @@ def _with_line(found: Diagnosis, knee: Knee) -> Diagnosis:
 
 
 def test_a_line_of_force_is_a_cause_that_the_library_lacks(reference: Knee) -> None:
-    found = _with_line(diagnosed(None), reference)
-    summary = diagnosis_summary(found)
-    assert summary["line"]["side"] == "medial"
-    assert [x["name"] for x in summary["causes"]] == [MISSING_LINE]
-    assert summary["causes"][0]["unit"] == "kN"
-    for figure in diagnosis_figures(found).values():
+    answer = diagnosis_of(_with_line(diagnosed(None), reference))
+    assert answer.line is not None
+    assert answer.line.side == "medial"
+    assert answer.cause_names == (MISSING_LINE,)
+    assert answer.causes[0].unit == "kN"
+    for figure in diagnosis_figures(answer, reference).values():
         assert png(figure).startswith(b"\x89PNG")
-    names = diagnosis_groups(found)["refits"]["explanation"]
-    assert names.to_numpy().tolist()[:2] == ["none", MISSING_LINE]
-    assert "Where it would act" in diagnosis_lines(found)
+    assert [x.label for x in answer.explanations][:2] == ["none", MISSING_LINE]
+    first, *_ = diagnosis_statements(answer)
+    assert answer.line.sentence in first.sentence
+    (effect,) = [x for x in answer.extended_knee(reference).effects if x.name == MISSING_LINE]
+    np.testing.assert_array_equal(effect.lines[0][0], reference.ligament("MCL").femur)
 
 
 def test_a_line_that_does_not_explain_the_data_is_no_cause(reference: Knee) -> None:
     """A turned frame is no force along a line."""
-    found = _with_line(diagnosed(FRAME), reference)
-    summary = diagnosis_summary(found)
-    assert not summary["line"]["is_line"]
-    assert summary["causes"] == []
+    answer = diagnosis_of(_with_line(diagnosed(FRAME), reference))
+    assert answer.line is not None
+    assert not answer.line.is_line
+    assert answer.causes == ()
 
 
 def test_every_array_stands_over_the_trials_and_effects_it_is_of() -> None:
-    found = diagnosed(FRAME)
-    groups = diagnosis_groups(found)
+    found, answer = diagnosed(FRAME), answered(FRAME)
+    groups = groups_of(answer)
     assert groups["residuals"]["after"].shape == found.laxity.coordinates.shape
     after = groups["residuals"]["after"].to_numpy()
     assert np.nanstd(after) < np.nanstd(groups["residuals"]["before"].to_numpy())
     assert groups["scores"]["effect"].to_numpy().tolist() == [x.name for x in found.exclusions]
-    assert int(np.isfinite(groups["misfit"]["score"]).sum()) == len(found.localisation.cells)
+    assert groups["misfit"]["score"].shape == (len(found.localisation.cells),)
+    assert groups["refits"]["residuals"].dims == ("explanation", "trial", "coordinate")
+
+
+def test_the_extended_knee_is_that_of_the_fit(reference: Knee) -> None:
+    made = answered(FRAME).extended_knee(reference)
+    expected = diagnosed(FRAME).extended_knee
+    assert [(x.name, x.values) for x in made.effects] == [
+        (x.name, x.values) for x in expected.effects
+    ]
 
 
 def test_without_load_curves_there_is_no_figure_of_residuals() -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from report_folders import (
     few_trials,
     fit_folder,
     profile_folder,
+    write_given,
     write_verb,
 )
 
@@ -25,6 +25,7 @@ from identknee.report.page.results import by_subject, found_results
 from identknee.report.page.scenes import scene_of
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
+from identknee.verbs.diagnose import untestable
 from identknee.verbs.fit import Calibration
 
 EVIL = '<script>alert(1)</script> & "knee"'
@@ -247,15 +248,6 @@ def test_what_is_no_result_is_passed_over(tmp_path: Path) -> None:
 
 
 def test_a_result_that_could_not_be_had_is_still_reported(tmp_path: Path) -> None:
-    summary: dict[str, Any] = {
-        **{x: [] for x in ("causes", "group", "rivals", "advised_trials")},
-        **dict.fromkeys(("p_value", "line", "misfit", "noise", "advice", "gain")),
-        "parameters_before": None,
-        "effects": {},
-        "verdict": "NOT_TESTABLE",
-        "sentence": "The data cannot say whether the model gets anything wrong.",
-        "reasons": ["The data state no noise."],
-    }
-    write_verb(tmp_path, "diagnose", summary, {})
+    write_given(tmp_path, "diagnose", untestable("The data state no noise."))
     page = report_html(found_results(tmp_path))
     assert "The data cannot say whether the model gets anything wrong. The data state no" in page

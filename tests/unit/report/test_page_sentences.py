@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from report_folders import straight_profiles, write_given, write_verb
 
+from identknee.diagnosis.explanations.candidates import Visibility
 from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
+from identknee.report.answers.diagnose import isolability_statements
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.profile import parameter_statements
-from identknee.report.page.diagnosis_sentences import diagnosis_findings
 from identknee.report.page.page import report_html
 from identknee.report.page.results import Result, found_results
 from identknee.report.page.warnings import warnings
@@ -19,7 +20,9 @@ from identknee.report.statement import Question
 from identknee.runs.findings import Finding, Severity
 from identknee.subject.reference import reference_knee
 from identknee.verbs.fit import fit
+from identknee.verbs.isolability import Confused, Isolability
 from identknee.verbs.simulate import simulate
+from identknee.verbs.trials import AdvisedTrial
 
 
 def profile(
@@ -166,19 +169,32 @@ def test_a_start_that_failed_is_not_called_a_fit() -> None:
     assert said.sentence.startswith("The model has no prediction at")
 
 
-def test_a_plan_says_what_it_could_not_tell_apart(tmp_path: Path) -> None:
-    trial = {"trial": "a", "flexion_deg": 90.0, "anterior_force_N": -134.0}
-    effect = {"unit": "kN", "detectable": None, "relevant": 0.2}
-    summary = {
-        "protocol": "seed63",
-        "n_trials": 63,
-        "groups": [{"effects": ["a", "b"], "advised_trials": [trial]}],
-        "look_alikes": {"a": ["b"], "b": ["a"]},
-        "effects": {"a": effect, "b": effect},
+def test_a_plan_says_what_it_could_not_tell_apart() -> None:
+    trial = AdvisedTrial(trial="a", flexion_deg=90.0, anterior_force_N=-134.0)
+    seen = {
+        name: Visibility(
+            name=name, parameter="k", unit="kN", detectable=np.inf, relevant=0.2, power=0.05
+        )
+        for name in "ab"
     }
-    plan, advice = diagnosis_findings(result(tmp_path, "diagnose", summary))
+    group = Confused(
+        effects=("a", "b"), distance=2.0, distance_with_advised_trials=7.0, advised_trials=(trial,)
+    )
+    answer = Isolability(
+        protocol="seed63",
+        n_trials=63,
+        groups=(group,),
+        look_alikes={"a": ("b",), "b": ("a",)},
+        effects=seen,
+        rivals=("a", "b"),
+        distances=np.full((2, 2), 2.0),
+        root_noncentrality=8.0,
+        least_distance=5.0,
+    )
+    plan, advice = isolability_statements(answer)
     assert plan.sentence == "The 63 trials of seed63 could not tell a from b."
     assert plan.tables[0].texts()[0] == ["a", "never", "0.2 kN", "b"]
     assert advice.sentence == (
-        "To tell a and b apart, add posterior force of 134 N at 90 deg of flexion."
+        "To tell a and b apart, add posterior force of 134 N at 90 deg of flexion: 7.0 instead of "
+        "2.0 units of noise between the closest two."
     )

@@ -3,19 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
-from diagnoses import FRAME, diagnosed
+from diagnoses import FRAME, answered, diagnosed
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.missing_line.wrench import missing_wrench
 from identknee.report.wrench_figure import LEVEL, SHOWN, wrench_figure
+from identknee.subject.reference import reference_knee
 
 
 def test_every_flexion_and_direction_has_a_force_and_its_ellipse() -> None:
-    found = diagnosed(FRAME)
-    pulls = found.missing_pulls
-    panels = [x for x in wrench_figure(found).axes if x.patches]
+    pulls = answered(FRAME).missing_wrench
+    figure = wrench_figure(answered(FRAME), reference_knee())
+    panels = [x for x in figure.axes if x.patches]
     assert len(panels) == len({x.flexion_deg for x in pulls}) * len({x.direction for x in pulls})
     drawn = [[type(x) for x in panel.patches] for panel in panels]
     assert sum(x.count(Ellipse) for x in drawn) == len(pulls)
@@ -26,11 +27,11 @@ def test_every_flexion_and_direction_has_a_force_and_its_ellipse() -> None:
 
 def test_what_may_be_noise_is_grey() -> None:
     for effect in (None, FRAME):
-        found = diagnosed(effect)
-        panels = wrench_figure(found).axes
+        answer = answered(effect)
+        panels = wrench_figure(answer, reference_knee()).axes
         ellipses = [x for axes in panels for x in axes.patches if type(x) is Ellipse]
         bright = [x for x in ellipses if np.allclose(x.get_facecolor()[:3], to_rgb(SHOWN))]
-        assert len(bright) == sum(x.p_value <= LEVEL for x in found.missing_pulls)
+        assert len(bright) == sum(x.p_value <= LEVEL for x in answer.missing_wrench)
 
 
 def test_it_is_what_is_missing_beside_the_ligaments_of_the_explanation() -> None:

@@ -22,8 +22,10 @@ OTHER = replace(LAXITY, coordinates=LAXITY.coordinates + 1.0)
 def arguments_of(verb: str) -> dict[str, Any]:
     """The arguments of a call with all options as they are by default."""
     given: dict[str, Any] = {"subject": ik.reference_knee(), "data": LAXITY}
+    # What has no default.
+    given |= {"protocol": "drawer", "noise": "0.3mm,0.3deg"}
     return {
-        name: given.get(name, x.default)
+        name: given[name] if x.default is x.empty else x.default
         for name, x in inspect.signature(getattr(ik, verb)).parameters.items()
     }
 

@@ -22,7 +22,7 @@ from identknee.diagnosis.missing_line.wrench import (
     missing_pulls,
     missing_wrench,
 )
-from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
+from identknee.diagnosis.noise.data_noise import DataNoise
 from identknee.diagnosis.score.localisation import Localisation, TrialLayout, localise
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.effects.effect import Effect
@@ -50,8 +50,8 @@ LEAST_PROMISE = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Diagnosis:
-    """What the data say against the model of a subject.
+class Investigation:
+    """The fits behind a diagnosis, and what follows from them.
 
     What follows from the fits (causes, exclusions, the gain and so on) is computed when it is first
     asked for, once.
@@ -175,14 +175,14 @@ class Diagnosis:
         return _library(self.base.fitted.model.knee, self.laxity)
 
 
-def diagnose(
+def investigate(
     knee: Knee,
     laxity: Laxity,
     *,
     starts: Sequence[Array | str | os.PathLike[str]] = (),
     effects: Sequence[Effect] | None = None,
     seed: int = 0,
-) -> Diagnosis | None:
+) -> Investigation | None:
     """What the data say against the model of a knee; None where they cannot be tested.
 
     Parameters
@@ -221,7 +221,7 @@ def diagnose(
         advice = advise(attribution.best, attribution.open_rivals, known)
     if conclusion.verdict is Verdict.UNEXPLAINED:
         line = find_line(base, seed=seed)
-    return Diagnosis(
+    return Investigation(
         laxity=laxity,
         noise=noise,
         base=base,
@@ -231,19 +231,6 @@ def diagnose(
         advice=advice,
         line=line,
         seed=seed,
-    )
-
-
-def why_untestable(knee: Knee, laxity: Laxity) -> str:
-    """Why data cannot be tested, as a sentence."""
-    if noise_of(laxity, laxity.coordinates) is None:
-        return (
-            "The data state no noise and their load curves are too short to show it: state it with "
-            "--noise, for example --noise 0.3mm,0.3deg."
-        )
-    return (
-        "No parameters near the subject's have a prediction in every measured trial. See: "
-        f"identknee subject check; or leave the cells of such trials of {knee.name} blank."
     )
 
 

@@ -1,0 +1,350 @@
+"""What a diagnosis says: what the model gets wrong, why, and which tests would tell more."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeVar
+
+from identknee.diagnosis.explanations.candidates import Exclusion, Visibility
+from identknee.diagnosis.explanations.causes import Interval
+from identknee.diagnosis.explanations.refit import RivalState
+from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.score.score import Cell
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import (
+    amount,
+    coordinate_words,
+    label,
+    listed,
+    parameter_words,
+    trial_words,
+)
+from identknee.runs.plain_records import summary_of
+from identknee.verbs.diagnosis import CauseFound, Diagnosis, Misfit, RivalFound
+from identknee.verbs.diagnosis_gain import GainFound
+from identknee.verbs.isolability import Isolability
+from identknee.verbs.trials import AdvisedTrial
+
+Value = TypeVar("Value")
+HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested."
+MOST_PARAMETERS = 3
+
+
+def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
+    """The verdict, where the misfit is, what the cause changes, and the trials that would tell."""
+    yield Statement(
+        question=Question.WRONG,
+        sentence=verdict_sentence(answer),
+        tables=_verdict_tables(answer),
+        is_answer=True,
+    )
+    if answer.misfit is not None and answer.misfit.cells:
+        yield _where(answer.misfit)
+    # Null where no trial could be held out.
+    if answer.gain is not None and answer.gain.rmse_held_out["after"].noise >= 0.0:
+        yield _gain(answer.gain)
+    if answer.parameters_before is not None:
+        yield _change(answer)
+    if (whichever := _whichever(answer)) is not None:
+        yield whichever
+    if answer.noise is not None:
+        yield Statement(question=Question.WRONG, sentence=answer.noise.sentence)
+    if answer.effects:
+        yield _tried(answer.effects)
+    if answer.advised_trials:
+        said = "" if answer.advice is None else answer.advice.sentence
+        yield Statement(
+            question=Question.NEXT,
+            sentence=f"Next test: {_trials(answer.advised_trials)}. {said}",
+            tables=(_trial_table(answer.advised_trials),),
+            is_answer=True,
+        )
+
+
+def isolability_statements(answer: Isolability) -> Iterator[Statement]:
+    """What a protocol could show, before there are data."""
+    rows = tuple(
+        (name, *_sizes_seen(x), listed(answer.look_alikes.get(name, ())) or "-")
+        for name, x in answer.effects.items()
+    )
+    names = ("cause", "seen from", "would matter from", "looks like")
+    table = Table(
+        title="What these trials could show in nine of ten data sets",
+        columns=tuple(Column(name=x) for x in names),
+        rows=rows,
+    )
+    trials = f"The {answer.n_trials} trials of {answer.protocol}"
+    together = "; ".join(listed(x.effects, "from") for x in answer.groups)
+    said = f"could not tell {together}." if answer.groups else "tell all causes apart."
+    yield Statement(
+        question=Question.WRONG, sentence=f"{trials} {said}", tables=(table,), is_answer=True
+    )
+    for group in answer.groups:
+        if group.advised_trials:
+            yield Statement(
+                question=Question.NEXT,
+                sentence=f"To tell {listed(group.effects)} apart, add "
+                f"{_trials(group.advised_trials)}: {group.distance_with_advised_trials:.1f} "
+                f"instead of {group.distance:.1f} units of noise between the closest two.",
+                tables=(_trial_table(group.advised_trials),),
+            )
+
+
+def verdict_sentence(answer: Diagnosis) -> str:
+    """The verdict with its causes, or with what would have to be known."""
+    if answer.verdict is Verdict.NAMED:
+        means = " ".join(x.meaning for x in answer.causes)
+        return (
+            "The data show something the model lacks, and only one known cause fits: "
+            f"{listed(answer.cause_names)}. {means} Its size is "
+            f"{listed(map(size_words, answer.causes))}. {HYPOTHESIS}"
+        )
+    untested = [x.reason for x in answer.rivals if x.reason and x.could_matter]
+    if answer.verdict is Verdict.AMBIGUOUS:
+        names = listed(answer.group, "or")
+        said = [answer.sentence, *([f"It may be {names}."] if names else [])]
+        return " ".join([*said, *untested])
+    if answer.verdict is Verdict.UNEXPLAINED and answer.line is not None:
+        return f"{answer.sentence} {answer.line.sentence}"
+    if answer.verdict is Verdict.NOT_TESTABLE:
+        return " ".join([answer.verdict.sentence, *answer.reasons])
+    return " ".join([answer.sentence, *untested])
+
+
+def size_words(cause: CauseFound) -> str:
+    """The amplitude of a cause with its interval."""
+    (low, high), unit = cause.ci95, cause.unit
+    value = amount(cause.amplitude, unit)
+    if low is None and high is None:
+        return f"{value} (95 % open to both sides)"
+    if low is None:
+        return f"{value} (95 % open below, up to {amount(high, unit)})"
+    if high is None:
+        return f"{value} (95 % from {amount(low, unit)}, open above)"
+    return f"{value} (95 % from {amount(low, '')} to {amount(high, unit)})"
+
+
+def _verdict_tables(answer: Diagnosis) -> tuple[Table, ...]:
+    tables = [_reasons(answer), _sizes(answer.causes), _compared(answer.rivals)]
+    if answer.misfit is not None:
+        tables.append(_clarity(answer, answer.misfit))
+    return tuple(x for x in tables if x.rows)
+
+
+def _reasons(answer: Diagnosis) -> Table:
+    return Table(
+        title=f"Verdict: {answer.verdict.value}",
+        columns=(Column(name="why"),),
+        rows=tuple((x,) for x in answer.reasons),
+    )
+
+
+def _sizes(causes: Sequence[CauseFound]) -> Table:
+    rows = tuple(
+        (f"{cause.name}, {label(name)}", x.value, *map(_end, x.ci95), cause.source)
+        for cause in causes
+        for name, x in cause.parameters.items()
+    )
+    columns = (
+        Column(name="amplitude"),
+        Column(name="value", decimals=None),
+        Column(name="95 % from", decimals=None),
+        Column(name="to", decimals=None),
+        Column(name="plausible"),
+    )
+    return Table(title="Size of the cause", columns=columns, rows=rows)
+
+
+def _compared(rivals: Sequence[RivalFound]) -> Table:
+    rows = tuple(
+        (listed(x.causes) or "no cause", x.log_evidence_deficit, x.distance, x.state.value)
+        for x in rivals
+    )
+    columns = (
+        Column(name="other explanation"),
+        Column(name="log evidence below", decimals=1),
+        Column(name="distance", unit="sd of the noise", decimals=1),
+        Column(name="state"),
+    )
+    return Table(title="Other explanations", columns=columns, rows=rows)
+
+
+def _clarity(answer: Diagnosis, misfit: Misfit) -> Table:
+    rows = (
+        ("probability of a misfit as clear by noise alone", answer.p_value),
+        ("chi-square without the cause", misfit.chi_square_before),
+        ("chi-square with the cause", misfit.chi_square_after),
+        ("measured values", misfit.n_measured),
+    )
+    columns = (Column(name="test"), Column(name="value", decimals=None))
+    return Table(title="How clear it is", columns=columns, rows=rows)
+
+
+def _where(misfit: Misfit) -> Statement:
+    angles: dict[tuple[str, str], list[str]] = {}
+    for x in misfit.cells:
+        place = coordinate_words(x.coordinate), x.direction
+        angles.setdefault(place, []).append(f"{x.flexion_deg:g}")
+    places = listed(
+        f"{coordinate} under {direction} at {listed(own)} deg of flexion"
+        for (coordinate, direction), own in angles.items()
+    )
+    rows = tuple(
+        (label(x.coordinate), x.flexion_deg, x.direction, x.score, x.p_value) for x in misfit.cells
+    )
+    columns = (
+        Column(name="coordinate"),
+        Column(name="flexion", unit="deg", decimals=0),
+        Column(name="load"),
+        Column(name="score", decimals=1),
+        Column(name="p", decimals=None),
+    )
+    return Statement(
+        question=Question.WRONG,
+        sentence=f"It is wrong mostly in {places}: "
+        f"{100 * misfit.share:.0f} % of the misfit beyond the noise.",
+        tables=(Table(title="Cells that stand out", columns=columns, rows=rows),),
+        is_answer=True,
+    )
+
+
+def _gain(gain: GainFound) -> Statement:
+    held, expected = gain.rmse_held_out, gain.rmse_held_out_expected
+    names = {
+        "before": "without the cause",
+        "after": "with the cause",
+        "absorbed": "with a Gaussian process that explains nothing",
+    }
+    rows = tuple(
+        (words, held[key].mm, held[key].deg, held[key].noise, expected[key].noise)
+        for key, words in names.items()
+    )
+    columns = (
+        Column(name="model"),
+        Column(name="error", unit="mm"),
+        Column(name="error", unit="deg"),
+        Column(name="error", unit="sd of the noise"),
+        Column(name="expected of a right model", unit="sd of the noise"),
+    )
+    return Statement(
+        question=Question.WRONG,
+        sentence="With the cause the model predicts trials it has not seen with an error of "
+        f"{held['after'].noise:.2f} instead of {held['before'].noise:.2f} times the noise; their "
+        f"log predictive density rises by {amount(gain.elpd_difference, '')} ± "
+        f"{amount(gain.elpd_se, '')}.",
+        tables=(Table(title="Errors of trials held out", columns=columns, rows=rows),),
+    )
+
+
+def _change(answer: Diagnosis) -> Statement:
+    before, after = (_flat(x) for x in (answer.parameters_before, answer.parameters_after))
+    old, new = (_flat(x) for x in (answer.parameters_before_ci95, answer.parameters_after_ci95))
+    rows = tuple(
+        (label(x), value, *map(_end, old[x]), after[x], *map(_end, new[x]))
+        for x, value in before.items()
+    )
+    moves = {x: abs(after[x] - value) / _width(old[x]) for x, value in before.items()}
+    columns = tuple(
+        Column(name=x, decimals=2)
+        for x in ("parameter", "without", "95 % from", "to", "with", "95 % from", "to")
+    )
+    sentence = "These are the ligaments' parameters by the model as it is."
+    if answer.causes:
+        most = sorted(moves, key=lambda x: -moves[x])[:MOST_PARAMETERS]
+        words = listed(map(parameter_words, most))
+        sentence = f"With the cause the ligaments' parameters change, most of all {words}."
+    title = "Parameters without and with the cause"
+    return Statement(
+        question=Question.WRONG,
+        sentence=sentence,
+        tables=(Table(title=title, columns=columns, rows=rows),),
+    )
+
+
+def _whichever(answer: Diagnosis) -> Statement | None:
+    """What the ligaments' parameters are under every explanation that is open."""
+    rivals = [_flat(x.parameters) for x in answer.rivals if x.state is RivalState.OPEN]
+    if not rivals or not answer.causes:
+        return None
+    intervals, rows, held = _flat(answer.parameters_after_ci95), [], []
+    for name, best in _flat(answer.parameters_after).items():
+        values = [best, *(x[name] for x in rivals)]
+        low, high = intervals[name]
+        # Beyond an open end nothing is said.
+        is_free = (low is None or low <= min(values)) and (high is None or max(values) <= high)
+        rows.append((label(name), min(values), max(values), "no" if is_free else "yes"))
+        held += [] if is_free else [parameter_words(name)]
+    names = ("parameter", "from", "to", "depends on the cause")
+    said = f"depend on which cause it is: {listed(held)}" if held else "do not depend on it"
+    return Statement(
+        question=Question.WRONG,
+        sentence="Whichever of the open causes it is, the ligaments' parameters are those below; "
+        f"beyond their intervals they {said}.",
+        tables=(
+            Table(
+                title="Parameters under all open explanations",
+                columns=tuple(Column(name=x) for x in names),
+                rows=tuple(rows),
+            ),
+        ),
+    )
+
+
+def _tried(effects: Mapping[str, Exclusion]) -> Statement:
+    missed = [name for name, x in effects.items() if x.cell is Cell.INCONCLUSIVE]
+    rows = tuple((name, x.cell.value, x.score, *_sizes_seen(x)) for name, x in effects.items())
+    columns = (
+        Column(name="cause"),
+        Column(name="state"),
+        Column(name="score", decimals=1),
+        Column(name="seen from"),
+        Column(name="would matter from"),
+    )
+    said = f"{len(effects)} known causes were tried."
+    if missed:
+        said += f" The data could not have shown {listed(missed)} at a size that matters."
+    return Statement(
+        question=Question.WRONG,
+        sentence=said,
+        tables=(Table(title="Every cause tried", columns=columns, rows=rows),),
+    )
+
+
+def _sizes_seen(x: Visibility) -> tuple[str, str]:
+    """The size from which on an effect is seen, and the one that would matter."""
+    # Not finite in a computed answer, not a number in a loaded one.
+    seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "never"
+    return seen, amount(x.relevant, x.unit)
+
+
+def _flat(tree: Mapping[str, Mapping[str, Value]] | None) -> dict[str, Value]:
+    return {f"{owner}.{k}": x for owner, own in (tree or {}).items() for k, x in own.items()}
+
+
+def _width(ends: Interval) -> float:
+    """Width of an interval, for ranking; infinite where it is open."""
+    low, high = ends
+    return float("inf") if low is None or high is None else max(high - low, 1e-12)
+
+
+def _end(end: float | None) -> float | str:
+    return "open" if end is None else end
+
+
+def _trials(trials: Sequence[AdvisedTrial]) -> str:
+    counts: dict[str, int] = {}
+    for trial in trials:
+        words = _trial_words(trial)
+        counts[words] = counts.get(words, 0) + 1
+    return listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
+
+
+def _trial_words(trial: AdvisedTrial) -> str:
+    return trial_words(summary_of(trial))
+
+
+def _trial_table(trials: Sequence[AdvisedTrial]) -> Table:
+    return Table(
+        title="Trials to add, the most telling first",
+        columns=(Column(name="trial"), Column(name="what to do")),
+        rows=tuple((x.trial, _trial_words(x)) for x in trials),
+    )

@@ -1,0 +1,378 @@
+"""What the model of a subject gets wrong in measured laxity, and which physical cause it has."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identknee.diagnosis.explanations.causes import Cause, Estimate, causes_of, ligament_estimates
+from identknee.diagnosis.explanations.refit import Refit, Rival, RivalState
+from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.missing_line.line import LineFinding
+from identknee.diagnosis.missing_line.wrench import MissingPull
+from identknee.diagnosis.noise.data_noise import noise_of
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
+from identknee.model.effects.effect import Effect
+from identknee.runs.arrays import Array
+from identknee.runs.files import PathLike, write_atomically
+from identknee.subject.effect_choice import EffectChoice
+from identknee.subject.folder import write_subject
+from identknee.subject.knee import Knee
+from identknee.verbs.diagnosis import (
+    PULL,
+    WRENCH,
+    AddedEffect,
+    AddedVariable,
+    AdviceFound,
+    CauseFound,
+    Diagnosis,
+    Explanation,
+    LineEnds,
+    LineFound,
+    Misfit,
+    NoiseFound,
+    Pull,
+    Residuals,
+    RivalFound,
+    StepScores,
+    TrialWrench,
+)
+from identknee.verbs.diagnosis_gain import gain_found
+from identknee.verbs.identification import warm_up, with_noise
+from identknee.verbs.trials import advised, trials_of
+from identknee.verbs.values import NoiseLike
+from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+
+EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
+# From N mm to N·m, for the components of a wrench and of a pull.
+WRENCH_UNITS, PULL_UNITS = np.array([0.001, 0.001, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, 0.001])
+
+
+@verb
+def diagnose(
+    run: Run,
+    subject: SubjectLike,
+    data: LaxityLike,
+    *,
+    noise: NoiseLike = None,
+    start: str = "subject",
+    effects: Sequence[Effect] | None = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> Diagnosis:
+    """What the model of a subject gets wrong in the data, and which physical cause it has.
+
+    The verdict says whether one cause of the library, several or none explain the misfit, with what
+    else would and which trials would tell. In a folder it leaves ``extended``, the subject with the
+    causes found, for every other verb.
+
+    Parameters
+    ----------
+    subject
+        A knee, its folder, or the name of one that comes with identknee.
+    data
+        Measured laxity, its CSV file, or the name of a subject that comes with one.
+    noise
+        Standard deviations of lengths and angles [mm, deg], in place of those of the data.
+    start
+        Where one more fit of the model without causes begins: the name of a start or a file;
+        ``"subject"`` for none.
+    effects
+        Candidates; the whole library if None.
+    out
+        Folder for the results; nothing is written if None.
+    seed
+        Seed of all random numbers.
+    workers
+        Taken as by other verbs; one thread does it.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do.
+    """
+    laxity = with_noise(run.laxity, noise)
+    warm_up(run.knee, laxity.protocol)
+    run.start_clock()
+    starts = [] if start == "subject" else [start]
+    found = investigate(run.knee, laxity, starts=starts, effects=effects, seed=seed)
+    if found is None:
+        return untestable(_why_untestable(run.knee, laxity))
+    answer = diagnosis_of(found)
+    if run.out is not None:
+        _write_extension(found, run.out)
+    return answer
+
+
+def untestable(reason: str) -> Diagnosis:
+    """The answer where the data cannot be tested."""
+    verdict = Verdict.NOT_TESTABLE
+    return Diagnosis(verdict=verdict, sentence=verdict.sentence, reasons=(reason,))
+
+
+def diagnosis_of(found: Investigation) -> Diagnosis:
+    """The answer that fits and tests give."""
+    conclusion, base, best = found.conclusion, found.base, found.explanation
+    before, after = ligament_estimates(base), ligament_estimates(best)
+    knee, n = base.fitted.model.knee, base.fitted.model.n_ligament_parameters
+    wrench = found.missing_wrench
+    return Diagnosis(
+        verdict=conclusion.verdict,
+        sentence=conclusion.sentence,
+        p_value=conclusion.p_value,
+        reasons=conclusion.reasons,
+        causes=_causes(best),
+        group=conclusion.group,
+        line=None if found.line is None else _line(found.line),
+        rivals=tuple(_rival(x) for x in found.attribution.rivals),
+        misfit=_misfit(found),
+        missing_wrench=tuple(_pull(x) for x in found.missing_pulls),
+        noise=_noise(found),
+        advised_trials=() if found.advice is None else advised(found.advice.trials),
+        advice=_advice(found),
+        gain=None if found.gain is None else gain_found(found.gain),
+        parameters_before=_values(before),
+        parameters_after=_values(after),
+        parameters_before_ci95=_intervals(before),
+        parameters_after_ci95=_intervals(after),
+        effects={x.name: x for x in found.exclusions},
+        trials=trials_of(found.laxity),
+        residuals=Residuals(before=_residuals(base), after=_residuals(best), sd=found.noise.sd),
+        trial_wrench=TrialWrench(
+            components=WRENCH,
+            whole=WRENCH_UNITS * wrench.wrench,
+            sd_whole=WRENCH_UNITS * _sds(wrench.covariance),
+            outside=WRENCH_UNITS * wrench.outside,
+            sd_outside=WRENCH_UNITS * _sds(wrench.outside_covariance),
+        ),
+        parameter_names=base.fitted.model.parameters.names[:n],
+        explanations=tuple(_explanation(x, n) for x in _compared(found)),
+        steps=_steps(found),
+        added_variable=_added_variable(found),
+        extension=tuple(_added_effect(x, knee) for x in found.extended_knee.effects),
+        findings=found.findings,
+    )
+
+
+def _why_untestable(knee: Knee, laxity: Laxity) -> str:
+    if noise_of(laxity, laxity.coordinates) is None:
+        return (
+            "The data state no noise and their load curves are too short to show it: state it with "
+            "--noise, for example --noise 0.3mm,0.3deg."
+        )
+    return (
+        "No parameters near the subject's have a prediction in every measured trial. See: "
+        f"identknee subject check; or leave the cells of such trials of {knee.name} blank."
+    )
+
+
+def _write_extension(found: Investigation, out: Path) -> None:
+    """The extended subject, where its fit lies, and the trials to add."""
+    folder = write_subject(found.extended_knee, out / EXTENDED)
+    lines = ["# Where the fit of the extended model lies: --start of other verbs."]
+    for owner, values in found.explanation.fitted_values.items():
+        lines += ["", f"[{owner}]", *(f"{name} = {value!r}" for name, value in values.items())]
+    write_atomically(folder / FITTED, "\n".join(lines) + "\n")
+    if found.advice is not None:
+        write_laxity(_blank(found.laxity, found.advice.trials), out / ADVICE)
+
+
+def _blank(laxity: Laxity, trials: Protocol) -> Laxity:
+    """Trials to measure, their coordinates to be filled in."""
+    return Laxity(
+        protocol=trials,
+        coordinates=np.full((trials.n, laxity.coordinates.shape[1]), np.nan),
+        zero=laxity.zero,
+        comments=("Trials advised by identknee diagnose: measure, fill in, append to the data.",),
+    )
+
+
+def _causes(refit: Refit) -> tuple[CauseFound, ...]:
+    return tuple(_cause(x, refit.fitted.model.knee) for x in causes_of(refit))
+
+
+def _cause(cause: Cause, knee: Knee) -> CauseFound:
+    size = cause.amplitude
+    return CauseFound(
+        name=cause.name,
+        amplitude=size.value,
+        unit=size.unit,
+        ci95=size.ci95,
+        parameter=size.name,
+        parameters={x.name: x for x in cause.parameters},
+        line=None if cause.line is None else LineEnds(**_ends(cause.line, knee)),
+    )
+
+
+def _ends(line: Array, knee: Knee) -> dict[str, Array]:
+    femur, tibia = knee.as_scanned(line)
+    return {"femur": femur, "tibia": tibia}
+
+
+def _line(line: LineFinding) -> LineFound:
+    low, high = line.force_interval.tolist()
+    return LineFound(
+        **_ends(np.stack([line.femur, line.tibia]), line.refit.fitted.model.knee),
+        is_line=line.is_line,
+        sentence=line.sentence,
+        offset_95=line.offset_95,
+        angle_95=line.angle_95_deg,
+        side=line.side,
+        near=dict(line.place.shares),
+        force=line.force,
+        force_interval=(low, high),
+        trial=line.trial,
+        p_value=line.p_value,
+    )
+
+
+def _rival(rival: Rival) -> RivalFound:
+    is_open, is_tested = rival.state is RivalState.OPEN, rival.state is not RivalState.NOT_TESTED
+    return RivalFound(
+        causes=rival.refit.names,
+        log_evidence_deficit=rival.log_evidence_deficit if is_tested else None,
+        distance=rival.distance if is_tested else None,
+        state=rival.state,
+        reason=rival.reason or None,
+        could_matter=rival.could_matter,
+        is_excluded=rival.is_excluded,
+        amplitudes=_causes(rival.refit) if is_open else (),
+        parameters=_values(ligament_estimates(rival.refit)) if is_open else None,
+    )
+
+
+def _misfit(found: Investigation) -> Misfit:
+    base, best = found.base, found.explanation
+    return Misfit(
+        sentence=found.localisation.sentence,
+        share=found.localisation.share,
+        cells=found.localisation.region,
+        map=found.localisation.cells,
+        chi_square_before=base.fitted.misfit,
+        chi_square_after=best.fitted.misfit,
+        n_measured=base.fitted.n_data,
+        p_value_before=base.misfit_p_value,
+        p_value_after=best.misfit_p_value,
+        p_value_largest_score=found.attribution.steps[0].scores.p_value,
+    )
+
+
+def _pull(pull: MissingPull) -> Pull:
+    values: dict[str, Any] = {}
+    means, errors = (PULL_UNITS * pull.mean).tolist(), (PULL_UNITS * pull.sd).tolist()
+    for name, mean, error in zip(PULL, means, errors, strict=True):
+        values |= {name: mean, f"sd_{name}": error}
+    return Pull(
+        flexion_deg=pull.flexion_deg,
+        direction=pull.direction,
+        n_trials=pull.n_trials,
+        p_value=pull.p_value,
+        force_covariance=pull.covariance[:2, :2],
+        **values,
+    )
+
+
+def _noise(found: Investigation) -> NoiseFound:
+    noise = found.noise
+    columns = {"mm": noise.sd[:, TRANSLATIONS], "deg": noise.sd[:, ROTATIONS]}
+    known = {unit: sd[np.isfinite(sd)] for unit, sd in columns.items()}
+    return NoiseFound(
+        sentence=noise.sentence,
+        source=noise.source,
+        sd={unit: float(np.median(sd)) if sd.size else None for unit, sd in known.items()},
+        correlation=noise.correlation,
+        times_stated=noise.factors,
+        degrees_of_freedom=noise.degrees_of_freedom,
+    )
+
+
+def _advice(found: Investigation) -> AdviceFound | None:
+    if found.advice is None:
+        return None
+    return AdviceFound(
+        sentence=found.advice.sentence,
+        rivals=found.advice.rivals,
+        distance_before=tuple(found.advice.before.tolist()),
+        distance_after=tuple(found.advice.after.tolist()),
+    )
+
+
+def _compared(found: Investigation) -> list[Refit]:
+    """The base model, the best explanations, their rivals, each once."""
+    attribution = found.attribution
+    best = {x.names: x for x in (found.explanation, attribution.best) if x.causes}
+    rivals = [x.refit for x in attribution.rivals if x.refit is not found.base]
+    return [found.base, *best.values(), *rivals]
+
+
+def _explanation(refit: Refit, n: int) -> Explanation:
+    return Explanation(
+        label=" + ".join(refit.names) or "none",
+        names=refit.names,
+        log_evidence=refit.log_evidence,
+        chi_square=refit.fitted.misfit,
+        p_value=refit.misfit_p_value,
+        outcome=refit.fitted.outcome,
+        theta=refit.fitted.theta[:n],
+        residuals=_residuals(refit),
+    )
+
+
+def _residuals(refit: Refit) -> Array:
+    return refit.fitted.compared.differences(refit.fitted.theta)
+
+
+def _steps(found: Investigation) -> tuple[StepScores, ...]:
+    first, *others = found.attribution.steps
+    return tuple(
+        StepScores(
+            beside=x.at.names,
+            quantile=x.scores.quantile,
+            scores={y.name: y.score for y in x.scores.candidates},
+        )
+        for x in (first, *(x for x in others if x.at is found.explanation))
+    )
+
+
+def _added_variable(found: Investigation) -> AddedVariable:
+    step, fitted = found.attribution.steps[0], found.base.fitted
+    scored = [x for x in step.scores.candidates if x.name in found.explanation.names]
+    candidate = [*scored, *step.scores.candidates][0]
+    signature = step.test.signature(candidate.name, candidate.variant)
+    measured = found.laxity.is_measured
+    flexion = np.broadcast_to(found.laxity.protocol.flexion_deg[:, None], measured.shape)
+    return AddedVariable(
+        name=candidate.name,
+        variant=candidate.variant,
+        score=candidate.score,
+        expected=(signature.projected @ candidate.amplitude)[: fitted.n_data],
+        left=step.test.projector.project(fitted.residual_rows())[: fitted.n_data],
+        flexion_deg=flexion[measured],
+    )
+
+
+def _added_effect(choice: EffectChoice, knee: Knee) -> AddedEffect:
+    return AddedEffect(
+        name=choice.name,
+        values=choice.values,
+        fixed=choice.fixed,
+        lines=tuple(LineEnds(**_ends(np.stack(x), knee)) for x in choice.lines),
+        stiffness_sd=choice.stiffness_sd_kN,
+        site_sd=choice.site_sd_mm,
+    )
+
+
+def _sds(covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum("nii->ni", covariance)))
+
+
+def _values(tree: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, float]]:
+    return {owner: {k: x.value for k, x in own.items()} for owner, own in tree.items()}
+
+
+def _intervals(tree: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, Any]]:
+    return {owner: {k: x.ci95 for k, x in own.items()} for owner, own in tree.items()}

@@ -1,0 +1,381 @@
+"""What a diagnosis gives back: the verdict with all that it stands on."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from identknee.diagnosis.explanations.candidates import Exclusion
+from identknee.diagnosis.explanations.causes import Estimate, Interval
+from identknee.diagnosis.explanations.refit import RivalState
+from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.noise.data_noise import NoiseSource
+from identknee.diagnosis.score.localisation import CellScore
+from identknee.laxity.table import COORDINATES
+from identknee.model.effects.facts import FACTS
+from identknee.model.parameters import STIFFNESS, STRAIN
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.outcome import Outcome
+from identknee.subject.effect_choice import EffectChoice
+from identknee.subject.knee import Knee
+from identknee.subject.place_names import PlaceSide
+from identknee.verbs.answer import Answer
+from identknee.verbs.diagnosis_gain import GainFound
+from identknee.verbs.trials import AdvisedTrial, Trials
+
+OF_THE_CALLER = "The library does not know it: it was given by the caller."
+OF_AMPLITUDE = "unit of the amplitude"
+OF_WRENCH = "N or N·m, as the component's name says"
+WRENCH = ("varus_Nm", "internal_Nm", "x_N", "y_N", "z_N")
+PULL = ("anterior_force_N", "lateral_force_N", "internal_moment_Nm")
+ByLigament = Mapping[str, Mapping[str, float]]
+IntervalsByLigament = Mapping[str, Mapping[str, Interval]]
+
+
+@declared
+class LineEnds:
+    """Ends of a line of action in the scanned pose, in the axes of the scan."""
+
+    femur: Array = array("Femoral end", "axis", unit="mm", is_in_json=True, is_in_arrays=False)
+    tibia: Array = array("Tibial end", "axis", unit="mm", is_in_json=True, is_in_arrays=False)
+
+    def in_common_frame(self, knee: Knee) -> Array:
+        """Both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
+        return knee.as_scanned(np.stack([self.femur, self.tibia]))
+
+
+@declared
+class CauseFound:
+    """A cause with its amplitudes."""
+
+    name: str = entry("Name of the cause in the library")
+    amplitude: float = entry("The one number that says how large it is", unit=OF_AMPLITUDE)
+    unit: str = entry("Unit of the amplitude")
+    ci95: Interval = entry(
+        "95 % interval; an end at a bound, or of a fit that was stopped, is open and null",
+        unit=OF_AMPLITUDE,
+    )
+    parameter: str = entry("What the amplitude is called")
+    parameters: Mapping[str, Estimate] = entry("Every amplitude by its name")
+    line: LineEnds | None = entry("Its line of action", only="a structure of one line")
+
+    @property
+    @derived("What the cause is, as a sentence")
+    def meaning(self) -> str:
+        """What the cause is, as a sentence."""
+        return FACTS[self.name].sentence if self.name in FACTS else OF_THE_CALLER
+
+    @property
+    @derived("Where its plausible size comes from")
+    def source(self) -> str:
+        """Where its plausible size comes from."""
+        return FACTS[self.name].source if self.name in FACTS else OF_THE_CALLER
+
+
+@declared
+class LineFound(LineEnds):
+    """The line of force that explains most where no known cause does."""
+
+    is_line: bool = entry("Whether one line of force explains the data")
+    sentence: str = entry("What is near it")
+    offset_95: float = entry("How far it may be off, with 95 %", unit="mm", key="offset_95_mm")
+    angle_95: float = entry("The same of its direction", unit="deg", key="angle_95_deg")
+    side: PlaceSide = entry("Side on which it crosses the joint")
+    near: Mapping[str, float] = entry("Share of likely lines by the place they are near to")
+    force: float = entry("Force along it in its trial", unit="N", key="force_N")
+    force_interval: tuple[float, float] = entry(
+        "95 % interval of the force", unit="N", key="force_ci95_N"
+    )
+    trial: str = entry("Trial in which the line pulls most", key="force_trial")
+    p_value: float = entry("Probability that noise gives some line as high a score", unit="1")
+
+
+@declared
+class RivalFound:
+    """Another explanation, and what the data say of it."""
+
+    causes: tuple[str, ...] = entry("Names of its causes")
+    log_evidence_deficit: float | None = entry(
+        "How far its log evidence is below the best; null if not tested",
+        unit="1",
+        key="log_evidence_below",
+    )
+    distance: float | None = entry(
+        "Distance from what the best explanation expects, in units of noise; null if not tested",
+        unit="1",
+    )
+    state: RivalState = entry("Whether it is open, excluded, or no fit with it could be finished")
+    reason: str | None = entry("Why it was not tested; null if it was")
+    could_matter: bool = entry(
+        "Whether its score leaves it possible; a rival not tested then blocks NAMED"
+    )
+    is_excluded: bool = entry("Whether the data exclude it")
+    amplitudes: tuple[CauseFound, ...] = entry("Its causes", only="an open rival")
+    parameters: ByLigament | None = entry(
+        "Ligaments' parameters with it", unit=OF_PARAMETER, only="an open rival"
+    )
+
+
+@declared
+class Misfit:
+    """Where the model is wrong, and how clearly."""
+
+    sentence: str = entry("Where the misfit is")
+    share: float = entry("Share of the excess misfit that is there", unit="1")
+    cells: tuple[CellScore, ...] = entry("Fields of the map that stand out together")
+    map: tuple[CellScore, ...] = entry("All fields of the map", rows="cell", group="misfit")
+    chi_square_before: float = entry("Chi-square of the data without causes", unit="1")
+    chi_square_after: float = entry("Chi-square of the data with the causes", unit="1")
+    n_measured: int = entry("Values measured", unit="1")
+    p_value_before: float = entry(
+        "Probability of size and pattern of the residuals without causes", unit="1"
+    )
+    p_value_after: float = entry("The same with the causes", unit="1")
+    p_value_largest_score: float = entry(
+        "Probability of the library's largest score under noise", unit="1"
+    )
+
+    def __post_init__(self) -> None:
+        unknown = [x.coordinate for x in self.map if x.coordinate not in COORDINATES]
+        if unknown:
+            raise ValueError(f"there is no coordinate {unknown[0]!r} on the map of misfit")
+
+
+@declared
+class Pull:
+    """What else would have to act on the tibia, on average over the trials of one kind."""
+
+    flexion_deg: float = entry("Flexion of the trials", unit="deg")
+    direction: str = entry("Direction of their load")
+    n_trials: int = entry("Trials averaged", unit="1")
+    p_value: float = entry("Probability that nothing is missing", unit="1")
+    anterior_force_N: float = entry("Mean anterior force", unit="N")  # noqa: N815 - key in files
+    lateral_force_N: float = entry("Mean lateral force", unit="N")  # noqa: N815
+    internal_moment_Nm: float = entry("Mean internal moment", unit="N m")  # noqa: N815
+    sd_anterior_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
+    sd_lateral_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
+    sd_internal_moment_Nm: float = entry("Its standard error", unit="N m")  # noqa: N815
+    force_covariance: Array = array(
+        *("Covariance of both forces", "force", "force_too"),
+        unit="N2",
+        is_in_json=True,
+        is_in_arrays=False,
+    )
+
+
+@declared
+class NoiseFound:
+    """The noise of the data."""
+
+    sentence: str = entry("Where its size comes from")
+    source: NoiseSource = entry("The same in a word")
+    sd: Mapping[str, float | None] = entry("Typical standard deviation by unit, mm and deg")
+    correlation: float = entry(
+        "Correlation that the errors of a trial share", unit="1", key="within_trial_correlation"
+    )
+    times_stated: tuple[float, float] | None = entry(
+        "Noise found over noise stated, of lengths and angles; null where none is stated"
+    )
+    degrees_of_freedom: float = entry(
+        "Degrees of freedom of its estimate; null where it is taken as stated", unit="1"
+    )
+
+
+@declared
+class AdviceFound:
+    """What the advised trials would do."""
+
+    sentence: str = entry("What they would do")
+    rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
+    distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
+    distance_after: tuple[float, ...] = entry("The same with the trials")
+
+
+@declared
+class Explanation:
+    """A model that was compared with others in the end: without causes, the best, a rival."""
+
+    label: str = entry("Its causes, joined by +; none without any", key="explanation")
+    names: tuple[str, ...] = entry("Names of its causes")
+    log_evidence: float = entry("Log evidence up to a constant of the data", unit="1")
+    chi_square: float = entry("Chi-square of the data", unit="1")
+    p_value: float = entry("Probability of its misfit under noise", unit="1")
+    outcome: Outcome = entry("How its fit ended")
+    theta: Array = array("Ligaments' parameters", "parameter", unit=OF_PARAMETER)
+    residuals: Array = array("Measured less predicted", "trial", "coordinate", unit=OF_COORDINATE)
+
+
+@declared
+class Residuals:
+    """Measured less predicted laxity."""
+
+    before: Array = array("Without causes", "trial", "coordinate", unit=OF_COORDINATE)
+    after: Array = array("With the causes", "trial", "coordinate", unit=OF_COORDINATE)
+    sd: Array = array("Noise used", "trial", "coordinate", unit=OF_COORDINATE)
+
+
+@declared
+class TrialWrench:
+    """What else would have to act in every trial, in axes that turn with flexion."""
+
+    components: tuple[str, ...] = array("Components", "component", is_in_arrays=False)
+    whole: Array = array("All of it", "trial", "component", unit=OF_WRENCH)
+    sd_whole: Array = array("Its standard error", "trial", "component", unit=OF_WRENCH)
+    outside: Array = array("Its part outside contact", "trial", "component", unit=OF_WRENCH)
+    sd_outside: Array = array("Standard error of that part", "trial", "component", unit=OF_WRENCH)
+
+
+@declared
+class StepScores:
+    """Scores of all effects beside one fit."""
+
+    beside: tuple[str, ...] = entry("Causes in the fit")
+    quantile: float = entry("Largest score of all by chance in 5 % of data", unit="1")
+    scores: Mapping[str, float] = entry("Score of each effect, as a z-score")
+
+
+@declared
+class AddedVariable:
+    """What is left of the data against what the leading cause would leave, fit taken out."""
+
+    name: str = entry("Name of the cause")
+    variant: str = entry("Its variant that scores highest")
+    score: float = entry("Its score", unit="1")
+    expected: Array = array("Expected of the cause, in units of noise", "value")
+    left: Array = array("Left of the data, in units of noise", "value")
+    flexion_deg: Array = array("Flexion of the trial", "value", unit="deg")
+
+
+@declared
+class AddedEffect:
+    """An effect of the extended subject, as its file holds it."""
+
+    name: str = entry("Name of the effect")
+    values: Mapping[str, float] = entry("Amplitudes by name")
+    fixed: tuple[str, ...] = entry("Amplitudes that are not calibrated")
+    lines: tuple[LineEnds, ...] = entry("Lines of a structure, in the axes of the scan")
+    stiffness_sd: float | None = entry(
+        "Prior standard deviation of its stiffness", unit="kN", key="stiffness_sd_kN"
+    )
+    site_sd: float | None = entry(
+        "Prior standard deviation of its insertions", unit="mm", key="site_sd_mm"
+    )
+
+
+@declared
+class Diagnosis(Answer):
+    """What the data say against the model of a subject."""
+
+    verdict: Verdict = entry("ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE")
+    sentence: str = entry("The verdict as a sentence")
+    reasons: tuple[str, ...] = entry("Why this verdict and no other")
+    p_value: float | None = entry(
+        "How often noise alone would leave a misfit as clear", unit="1", default=None
+    )
+    causes: tuple[CauseFound, ...] = entry("Causes of the best explanation", default=())
+    group: tuple[str, ...] = entry(
+        "Names that the data leave open, those of the causes among them", default=()
+    )
+    line: LineFound | None = entry(
+        "Line of force where no known cause explains the data", only="UNEXPLAINED", default=None
+    )
+    rivals: tuple[RivalFound, ...] = entry("Other explanations, likeliest first", default=())
+    misfit: Misfit | None = entry("Where the model is wrong", default=None)
+    missing_wrench: tuple[Pull, ...] = entry(
+        "What else would have to act on the tibia, by flexion and direction of load", default=()
+    )
+    noise: NoiseFound | None = entry("Noise of the data", default=None)
+    advised_trials: tuple[AdvisedTrial, ...] = entry(
+        "Trials that would tell the rivals apart", only="AMBIGUOUS", default=()
+    )
+    advice: AdviceFound | None = entry("What they would do", only="AMBIGUOUS", default=None)
+    gain: GainFound | None = entry("What the causes gain", only="a cause found", default=None)
+    parameters_before: ByLigament | None = entry(
+        "Ligaments' parameters fitted without causes", unit=OF_PARAMETER, default=None
+    )
+    parameters_after: ByLigament | None = entry(
+        "Ligaments' parameters fitted with the causes", unit=OF_PARAMETER, default=None
+    )
+    parameters_before_ci95: IntervalsByLigament | None = entry(
+        "95 % intervals without causes; an open end is null", unit=OF_PARAMETER, default=None
+    )
+    parameters_after_ci95: IntervalsByLigament | None = entry(
+        "95 % intervals with the causes; an open end is null", unit=OF_PARAMETER, default=None
+    )
+    effects: Mapping[str, Exclusion] = entry(
+        "What the data say of every effect of the library",
+        rows="effect",
+        group="scores",
+        default_factory=dict,
+    )
+    trials: Trials | None = entry("The data", group="observed_data", default=None)
+    residuals: Residuals | None = entry("What is left of them", group="residuals", default=None)
+    trial_wrench: TrialWrench | None = entry(
+        "What is missing in every trial", group="missing_wrench", default=None
+    )
+    parameter_names: tuple[str, ...] = array(
+        "Names of the ligaments' parameters", "parameter", is_in_arrays=False, default=()
+    )
+    explanations: tuple[Explanation, ...] = entry(
+        "Models compared in the end: without causes, the best, its rivals",
+        rows="explanation",
+        group="refits",
+        default=(),
+    )
+    steps: tuple[StepScores, ...] = entry(
+        "Scores beside the model without causes, and beside the explanation", default=()
+    )
+    added_variable: AddedVariable | None = entry(
+        "The leading cause against the data", group="added_variable", default=None
+    )
+    extension: tuple[AddedEffect, ...] = entry(
+        "Effects of the subject extended by the causes", default=()
+    )
+
+    def __post_init__(self) -> None:
+        trees = (
+            self.parameters_before,
+            self.parameters_after,
+            self.parameters_before_ci95,
+            self.parameters_after_ci95,
+        )
+        named = {_names(x) for x in trees if x is not None}
+        if len(named) > 1 or (None in trees and any(trees)):
+            raise ValueError("the parameters before and after do not name the same")
+        if any(
+            {STIFFNESS, STRAIN} - names.keys() for names in (self.parameters_before or {}).values()
+        ):
+            raise ValueError("a ligament lacks its stiffness or its reference strain")
+        if self.misfit is not None and not (self.trials and self.residuals and self.steps):
+            raise ValueError("the data that the misfit is of are missing")
+
+    @property
+    def cause_names(self) -> tuple[str, ...]:
+        """Names of the causes found."""
+        return tuple(x.name for x in self.causes)
+
+    def extended_knee(self, knee: Knee) -> Knee:
+        """The subject with the causes found, for every other calculation.
+
+        Parameters
+        ----------
+        knee
+            The subject that was diagnosed.
+        """
+        return knee.with_effects([_choice(x, knee) for x in self.extension])
+
+
+def _names(tree: Mapping[str, Mapping[str, object]]) -> tuple[tuple[str, ...], ...]:
+    return tuple((owner, *own) for owner, own in tree.items())
+
+
+def _choice(effect: AddedEffect, knee: Knee) -> EffectChoice:
+    lines = [x.in_common_frame(knee) for x in effect.lines]
+    return EffectChoice(
+        name=effect.name,
+        values=dict(effect.values),
+        fixed=effect.fixed,
+        lines=tuple((x[0], x[1]) for x in lines),
+        stiffness_sd_kN=effect.stiffness_sd,
+        site_sd_mm=effect.site_sd,
+    )

@@ -1,0 +1,123 @@
+"""Which causes the trials of a protocol could show and tell apart, before any data."""
+
+from collections.abc import Mapping
+
+from identknee.diagnosis.advice.isolability import LEAST_DISTANCE
+from identknee.diagnosis.advice.protocol import ROOT, GroupAdvice, protocol_isolability
+from identknee.diagnosis.explanations.candidates import Visibility
+from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
+from identknee.runs.errors import NotComputed
+from identknee.runs.files import PathLike
+from identknee.verbs.answer import Answer
+from identknee.verbs.identification import warm_up
+from identknee.verbs.trials import AdvisedTrial, advised
+from identknee.verbs.values import noise_of
+from identknee.verbs.verb import Run, SubjectLike, verb
+
+
+@declared
+class Confused:
+    """Causes that a protocol cannot tell apart, and the trials that would."""
+
+    effects: tuple[str, ...] = entry("Names of the causes")
+    distance: float = entry("Distance of the closest two, in units of noise", unit="1")
+    distance_with_advised_trials: float = entry("The same with the trials", unit="1")
+    advised_trials: tuple[AdvisedTrial, ...] = entry("Trials that would tell them apart")
+
+
+@declared
+class Isolability(Answer):
+    """What the trials of a protocol could show and tell apart on a subject."""
+
+    protocol: str = entry("Name of the protocol")
+    n_trials: int = entry("Its trials with a prediction", unit="1")
+    groups: tuple[Confused, ...] = entry("Causes that it cannot tell apart")
+    look_alikes: Mapping[str, tuple[str, ...]] = entry(
+        "What each cause could be taken for, the closest first"
+    )
+    effects: Mapping[str, Visibility] = entry(
+        "Which size of each cause it would show", rows="effect", group="isolability"
+    )
+    rivals: tuple[str, ...] = array(
+        "Names of the causes fitted in place of the true one", "rival", is_in_arrays=False
+    )
+    distances: Array = array(
+        "Distance of each cause, if true, from each other one, in units of noise",
+        *("effect", "rival"),
+        key="distance",
+        group="isolability",
+    )
+    root_noncentrality: float = entry("How far each stands out of the noise", unit="1")
+    least_distance: float = entry(
+        "Distance from which on two causes are told apart, in units of noise", unit="1"
+    )
+
+
+@verb
+def isolability(
+    run: Run,
+    subject: SubjectLike,
+    protocol: Protocol | PathLike,
+    noise: str | tuple[float, float],
+    *,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: int = 1,
+) -> Isolability:
+    """Which causes the trials of a protocol could show and tell apart on a subject.
+
+    Parameters
+    ----------
+    subject
+        A knee, its folder, or the name of one that comes with identknee.
+    protocol
+        The trials, the name of a protocol, or its file.
+    noise
+        Standard deviations of lengths and angles [mm, deg].
+    out
+        Folder for the results; nothing is written if None.
+    seed
+        Seed of all random numbers.
+    workers
+        Taken as by other verbs; one thread does it.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do.
+    NotComputed
+        If the subject has no prediction in any trial.
+    """
+    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol)
+    mm, deg = noise_of(noise)
+    warm_up(run.knee, trials)
+    run.start_clock()
+    found = protocol_isolability(run.knee, trials, sd_mm=mm, sd_deg=deg, seed=seed)
+    if found is None:
+        raise NotComputed(
+            "the subject's own values have no prediction in any trial of the protocol. See: "
+            f"identknee subject check {run.knee.name}"
+        )
+    order = [found.distances.rivals.index(x) for x in found.distances.effects]
+    return Isolability(
+        protocol=found.protocol.name,
+        n_trials=found.protocol.n,
+        groups=tuple(_confused(x) for x in found.advice),
+        look_alikes=found.look_alikes,
+        effects={x.name: x for x in found.visibility},
+        rivals=found.distances.effects,
+        distances=found.distances.values[:, order],
+        root_noncentrality=ROOT,
+        least_distance=LEAST_DISTANCE,
+    )
+
+
+def _confused(advice: GroupAdvice) -> Confused:
+    return Confused(
+        effects=advice.names,
+        distance=advice.before,
+        distance_with_advised_trials=advice.after,
+        advised_trials=advised(advice.trials),
+    )
