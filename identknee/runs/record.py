@@ -10,7 +10,6 @@ from typing import Any
 
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import plain
-from identknee.runs.plain_records import to_plain
 
 PACKAGES = ("identknee", "numpy", "scipy", "numba")
 
@@ -36,6 +35,9 @@ class Record:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain JSON types."""
+        # It loads what schemas need, which the start of a command should not wait for.
+        from identknee.runs.plain_records import to_plain
+
         return {name: x for name, x in plain(to_plain(self)).items() if name != "arrays"}
 
 

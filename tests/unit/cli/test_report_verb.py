@@ -1,6 +1,7 @@
 """`identknee report`: one page from whatever results there are."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,7 @@ def test_figures_for_a_paper_lie_beside_the_page(folder: Path, tmp_path: Path) -
 
 
 def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "fit", tmp_path, dirs_exist_ok=True)
     kept = json.loads((folder / "fit" / "result.json").read_text(encoding="utf-8"))
     for subject, why in ((str(tmp_path / "gone"), "gone"), ("reference", "has changed since")):
         kept["record"]["settings"]["subject"] = subject
