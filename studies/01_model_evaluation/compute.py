@@ -10,17 +10,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import model_of
-from common.records import (
-    Row,
-    begun,
-    parsed_options,
-    rounded,
-    study_knee,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.mechanics.grood_suntay import coordinates_from_pose
@@ -40,10 +33,10 @@ RAMPS = (
 
 def main() -> None:
     """Compute all and write the record."""
-    options = parsed_options(__file__)
+    options = records.parsed_options(__file__)
     knees = {name: study_knee(name) for name in KNEES}
     record = {
-        **begun(options, KNEES, ramps=RAMPS, ramp_flexion_deg=RAMP_FLEXION_DEG),
+        **records.begun(options, KNEES, ramps=RAMPS, ramp_flexion_deg=RAMP_FLEXION_DEG),
         "coordinates": ik.laxity.COORDINATES,
     }
     with ik.runs.threads(options.workers) as executor:

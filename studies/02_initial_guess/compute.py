@@ -14,18 +14,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import truth_of
-from common.records import (
-    Row,
-    begun,
-    parsed_options,
-    rounded,
-    say,
-    study_knee,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee
 import identknee as ik
@@ -86,24 +78,26 @@ def setting(knee_name: str) -> Setting:
 
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
-    options = parsed_options(__file__, seeds=20, budget=ik.calibrate.BUDGET, box_samples=1000)
-    record = begun(options, KNEES)
+    options = records.parsed_options(
+        __file__, seeds=20, budget=ik.calibrate.BUDGET, box_samples=1000
+    )
+    record = records.begun(options, KNEES)
     inputs = record["head"]["inputs"]
     with (
         ik.runs.Store(options.store.with_suffix(".sqlite")) as store,
         ik.runs.process_pool(options.workers) as executor,
     ):
         for name in KNEES:
-            say(f"{name}: profile")
+            records.say(f"{name}: profile")
             record["knees"][name] = part = {"profile": profile(name)}
             for method in METHODS:
                 tasks = fit_tasks(name, method, options.seeds, options.budget)
                 part[method] = finished(tasks, store, executor, inputs[name])
                 write(record, options.record)
-            say(f"{name}: branches")
+            records.say(f"{name}: branches")
             part["branches"] = branches(name, part, executor, options.box_samples)
             write(record, options.record)
-    say(f"written: {options.record.name}")
+    records.say(f"written: {options.record.name}")
 
 
 def fit_tasks(knee_name: str, method: str, n_seeds: int, budget: int) -> list[Row]:
@@ -133,7 +127,7 @@ def finished(
     rows = executor.map(fit_row, [task for _, task in open_])
     for number, ((key, task), row) in enumerate(zip(open_, rows, strict=True), 1):
         store.put_many({key: row})
-        say(
+        records.say(
             f"{task['knee']} {task['method']} {number}/{len(open_)} {task['start']} "
             f"{row['outcome']} objective {row['objective']:.3g} "
             f"({time.perf_counter() - began:.0f} s)"

@@ -7,7 +7,6 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
 from common.page import draw_study
 from common.records import study_knee

@@ -13,19 +13,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import exact_problem, model_of, truth_of
-from common.records import (
-    Row,
-    begun,
-    knee_digest,
-    parsed_options,
-    rounded,
-    say,
-    study_knee,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.calibrate.fit import fit
@@ -90,10 +81,10 @@ PARTS = (
 
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
-    options = parsed_options(__file__, "a hundredth of the starts")
+    options = records.parsed_options(__file__, "a hundredth of the starts")
     knees = {name: study_knee(name) for name in KNEES}
     numbers = {x.name: x.numbers for x in PARTS}
-    record = begun(options, KNEES, seed=SEED, distances=DISTANCES, numbers=numbers)
+    record = records.begun(options, KNEES, seed=SEED, distances=DISTANCES, numbers=numbers)
     record["knees"] = {name: described(problem_of(knee)) for name, knee in knees.items()}
     with ik.runs.process_pool(options.workers) as executor:
         for wanted in PARTS:
@@ -108,8 +99,8 @@ def main() -> None:
             row["cliffs"] = cliff_row(name, problem_of(knee), options, executor)
             row["planes"] = plane_rows(problem_of(knee), 5 if options.quick else PLANE)
             write_record(options.record, record)
-            say(f"{name}: cliffs and planes")
-    say(f"written: {options.record.name}")
+            records.say(f"{name}: cliffs and planes")
+    records.say(f"written: {options.record.name}")
 
 
 def problem_of(knee: ik.Knee) -> ik.LaxityResiduals:
@@ -140,7 +131,7 @@ def swept(
     n = max(1, n // 100) if options.quick else n
     starts = starts_of(problem, wanted.design, n)
     about = {
-        "knee": knee_digest(problem.model.knee),
+        "knee": records.knee_digest(problem.model.knee),
         "numbers": fingerprint(problem),
         "design": wanted.design,
         "distances": DISTANCES,
@@ -154,7 +145,7 @@ def swept(
         found = sweep(
             problem, starts, method=wanted.method, seed=SEED, executor=executor, store=store
         )
-    say(f"{knee}: {found} ({time.perf_counter() - began:.0f} s)")
+    records.say(f"{knee}: {found} ({time.perf_counter() - began:.0f} s)")
     return found
 
 
@@ -275,7 +266,11 @@ def cliff_row(
     truth = truth_of(problem.parameters)
     n = 4 if options.quick else N_WAYS[knee]
     starts = ik.identify.sobol_starts(problem.parameters, n, seed=SEED)
-    about = {"knee": knee_digest(problem.model.knee), "numbers": fingerprint(problem), "ways": n}
+    about = {
+        "knee": records.knee_digest(problem.model.knee),
+        "numbers": fingerprint(problem),
+        "ways": n,
+    }
     path = options.store / f"{knee}_cliffs{'_quick' * options.quick}.sqlite"
     with ik.runs.open_work(path, about) as store:
         found = ik.identify.map_cliffs(

@@ -10,18 +10,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import model_of, noisy_problem, truth_of
-from common.records import (
-    Row,
-    begun,
-    parsed_options,
-    rounded,
-    study_knee,
-    working,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.identify.profile.profile import profile
@@ -44,10 +36,10 @@ Item = tuple[str, float, int]
 
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
-    options = parsed_options(__file__, "few trials and data sets")
-    record = begun(options, KNEES, seed=SEED, noises_mm_deg=NOISES, n_data_sets=N_DATA_SETS)
+    options = records.parsed_options(__file__, "few trials and data sets")
+    record = records.begun(options, KNEES, seed=SEED, noises_mm_deg=NOISES, n_data_sets=N_DATA_SETS)
     known = {"inputs": record["head"]["inputs"], "seed": SEED, "noises_mm_deg": NOISES}
-    with working(options, quick=options.quick, **known) as kept:
+    with records.working(options, quick=options.quick, **known) as kept:
         for name in KNEES:
             part = record["knees"][name] = described(name)
             own = (name, NOISE, SEED)

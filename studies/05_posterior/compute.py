@@ -12,19 +12,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import TRUTH, model_of, noisy_problem, truth_of
-from common.records import (
-    Row,
-    begun,
-    knee_digest,
-    parsed_options,
-    rounded,
-    say,
-    study_knee,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.identify.posterior.sample import sample
@@ -44,18 +35,18 @@ DIGITS = 5
 
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
-    options = parsed_options(__file__, "a short sample of one knee")
+    options = records.parsed_options(__file__, "a short sample of one knee")
     knees = {name: study_knee(name) for name in KNEES}
     if options.quick:
         knees = {"reference": knees["reference"]}
-    record = begun(options, knees, noise_mm=NOISE, noise_deg=NOISE, seed=SEED, truth=TRUTH)
+    record = records.begun(options, knees, noise_mm=NOISE, noise_deg=NOISE, seed=SEED, truth=TRUTH)
     with ik.runs.process_pool(options.workers) as executor:
         for name, knee in knees.items():
             record["knees"][name] = {}
             for row in parts(name, knee, options, executor):
                 record["knees"][name].update(rounded(row, DIGITS))
                 write_record(options.record, record)
-    say(f"written: {options.record.name}")
+    records.say(f"written: {options.record.name}")
 
 
 def parts(
@@ -65,12 +56,12 @@ def parts(
     problem = problem_of(knee)
     model = problem.model
     truth = truth_of(model.parameters)
-    about = {"knee": knee_digest(knee), "truth": truth, "noise": [NOISE, NOISE]}
+    about = {"knee": records.knee_digest(knee), "truth": truth, "noise": [NOISE, NOISE]}
     rule = QUICK if options.quick else ik.identify.StopRule()
     began = time.perf_counter()
     with ik.runs.open_work(options.store / f"{name}.sqlite", {**about, "seed": SEED}) as store:
         found = sample(problem, rule=rule, seed=SEED, executor=executor, store=store)
-        say(f"{name}: {found.outcome.value}, {time.perf_counter() - began:.0f} s")
+        records.say(f"{name}: {found.outcome.value}, {time.perf_counter() - began:.0f} s")
         yield {
             "parameters": model.parameters.names,
             "truth": truth,
@@ -151,7 +142,7 @@ def second_opinion(found: ik.Posterior, problem: ik.LaxityResiduals, *, quick: b
     nested = ik.identify.nested_posterior(
         problem, n_live=QUICK_LIVE if quick else N_LIVE, seed=SEED
     )
-    say(f"nested sampling: {time.perf_counter() - began:.0f} s")
+    records.say(f"nested sampling: {time.perf_counter() - began:.0f} s")
     return {
         "log_evidence": nested.log_evidence,
         "log_evidence_error": nested.log_evidence_error,

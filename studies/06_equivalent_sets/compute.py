@@ -13,18 +13,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import model_of, truth_of
-from common.records import (
-    Row,
-    begun,
-    parsed_options,
-    rounded,
-    say,
-    study_knee,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.identify.equivalents.equivalents import EquivalentSets, equivalents
@@ -72,9 +64,9 @@ CASES = (
 
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
-    options = parsed_options(__file__, "one case and few forces only", n_sets=N_SETS)
+    options = records.parsed_options(__file__, "one case and few forces only", n_sets=N_SETS)
     knees = {name: study_knee(name) for name in KNEES}
-    record = begun(options, KNEES, seed=SEED, paper_limits=ik.model.PAPER_LIMITS)
+    record = records.begun(options, KNEES, seed=SEED, paper_limits=ik.model.PAPER_LIMITS)
     inputs = record["head"]["inputs"]
     with ik.runs.process_pool(options.workers) as executor:
         for name, knee in knees.items():
@@ -90,8 +82,8 @@ def main() -> None:
                     "seconds": round(time.perf_counter() - began, 1),
                 }
                 write_record(options.record, record)
-                say(f"{name}, {case.name}: {found.n_simulations} simulations")
-    say(f"written: {options.record.name}")
+                records.say(f"{name}, {case.name}: {found.n_simulations} simulations")
+    records.say(f"written: {options.record.name}")
 
 
 def region_of(model: ik.LaxityModel, case: Case) -> ik.identify.Region:

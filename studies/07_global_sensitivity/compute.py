@@ -11,19 +11,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import model_of, truth_of
-from common.records import (
-    Row,
-    begun,
-    knee_digest,
-    parsed_options,
-    rounded,
-    say,
-    study_knee,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.calibrate.fit import fit
@@ -45,12 +36,12 @@ DIGITS = 4
 
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
-    options = parsed_options(__file__, "few simulations of one knee")
+    options = records.parsed_options(__file__, "few simulations of one knee")
     knees = {name: study_knee(name) for name in KNEES}
     if options.quick:
         knees = {"reference": knees["reference"]}
     numbers = {name: QUICK if options.quick else KNEES[name] for name in knees}
-    record = begun(
+    record = records.begun(
         options, knees, numbers=numbers, noise_mm=NOISE_MM, noise_deg=NOISE_DEG, seed=SEED
     )
     with ik.runs.process_pool(options.workers) as executor:
@@ -59,7 +50,7 @@ def main() -> None:
             for row in analysed(knee, numbers[name], options.store, executor):
                 record["knees"][name].update(row)
                 write_record(options.record, record)
-    say(f"written: {options.record.name}")
+    records.say(f"written: {options.record.name}")
 
 
 def analysed(
@@ -75,7 +66,7 @@ def analysed(
     }
     draws = posterior_draws(model, truth, numbers["draws"])
     yield {"posterior": posterior_row(draws)}
-    about = {"knee": knee_digest(knee), "truth": truth, "seed": SEED}
+    about = {"knee": records.knee_digest(knee), "truth": truth, "seed": SEED}
     for method in (*OVER_BOX, *OVER_POSTERIOR):
         over: ik.identify.Box | ik.runs.Array = box if method in OVER_BOX else draws
         began = time.perf_counter()
@@ -86,7 +77,7 @@ def analysed(
             found = sensitivity(
                 outputs, over, method=method, n_samples=n, seed=SEED, executor=executor, store=store
             )
-        say(f"{knee.name} {method}: {time.perf_counter() - began:.0f} s")
+        records.say(f"{knee.name} {method}: {time.perf_counter() - began:.0f} s")
         yield {method: row_of(found, time.perf_counter() - began)}
 
 

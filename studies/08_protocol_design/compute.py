@@ -13,18 +13,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import noisy_problem, truth_of
-from common.records import (
-    Row,
-    begun,
-    parsed_options,
-    rounded,
-    study_knee,
-    working,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.calibrate.fit import fit
@@ -44,13 +36,13 @@ Case = tuple[str, str]
 
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
-    options = parsed_options(__file__, "one protocol, one data set")
+    options = records.parsed_options(__file__, "one protocol, one data set")
     settings = {"seed": SEED, "noise_mm_deg": NOISE, "n_trials": N_TRIALS}
-    record = begun(options, KNEES, n_random=N_RANDOM, n_data_sets=N_DATA_SETS, **settings)
+    record = records.begun(options, KNEES, n_random=N_RANDOM, n_data_sets=N_DATA_SETS, **settings)
     record["knees"] = {name: described(name) for name in KNEES}
     known = {"inputs": record["head"]["inputs"], **settings}
     criteria = ik.identify.CRITERIA[-1:] if options.quick else ik.identify.CRITERIA
-    with working(options, quick=options.quick, **known) as kept:
+    with records.working(options, quick=options.quick, **known) as kept:
         for name in KNEES:
             for made in MADE[:1] if options.quick else MADE:
                 case, label = (name, made), f"{name} {made}"

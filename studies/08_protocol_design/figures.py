@@ -5,7 +5,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
 from common.page import draw_study
 from design_tables import Row, cases, number, relative, tables

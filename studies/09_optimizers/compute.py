@@ -12,19 +12,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
+from common import records
 from common.problems import exact_problem, model_of, truth_of
-from common.records import (
-    Row,
-    begun,
-    knee_digest,
-    parsed_options,
-    rounded,
-    say,
-    study_knee,
-    write_record,
-)
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.calibrate.fit import fit
@@ -41,9 +32,11 @@ COUNTS = (1, 3, 5, 7, 10, 15, 20, 40, 70, 100, 150, 200, 300, 400, 600, 800, 100
 
 def main() -> None:
     """Compute what the stores do not hold yet and write the record."""
-    options = parsed_options(__file__, "one seed and one shell only", budget=ik.calibrate.BUDGET)
+    options = records.parsed_options(
+        __file__, "one seed and one shell only", budget=ik.calibrate.BUDGET
+    )
     knees = {name: study_knee(name) for name in NUMBERS}
-    record = begun(options, NUMBERS, numbers=NUMBERS, distances=DISTANCES, seed=SEED)
+    record = records.begun(options, NUMBERS, numbers=NUMBERS, distances=DISTANCES, seed=SEED)
     with ik.runs.process_pool(options.workers) as executor:
         for name, knee in knees.items():
             problem = problem_of(knee)
@@ -51,8 +44,8 @@ def main() -> None:
             for method in ik.calibrate.METHODS:
                 part["methods"][method] = searched(name, problem, method, options, executor)
                 write_record(options.record, record)
-                say(f"{name}: {method}")
-    say(f"written: {options.record.name}")
+                records.say(f"{name}: {method}")
+    records.say(f"written: {options.record.name}")
 
 
 def problem_of(knee: ik.Knee) -> ik.LaxityResiduals:
@@ -96,7 +89,7 @@ def searched(
     """A row for each start, those in the store not computed again."""
     names, starts = starts_of(problem, knee, quick=options.quick)
     about = {
-        "knee": knee_digest(problem.model.knee),
+        "knee": records.knee_digest(problem.model.knee),
         "numbers": fingerprint(problem, method),
         "method": method,
         "budget": options.budget,

@@ -14,17 +14,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
-from common.records import (
-    Row,
-    begun,
-    parsed_options,
-    rounded,
-    study_knee,
-    working,
-    write_record,
-)
+from common import records
+from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.runs.plain_records import summary_of
@@ -47,11 +39,11 @@ DIGITS = 5
 
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
-    options = parsed_options(__file__, "four cases", replicates=1)
-    record = begun(options, [KNEE], signals=SIGNALS, pairs=PAIRS, first_seed=FIRST_SEED)
+    options = records.parsed_options(__file__, "four cases", replicates=1)
+    record = records.begun(options, [KNEE], signals=SIGNALS, pairs=PAIRS, first_seed=FIRST_SEED)
     tasks = quick_tasks() if options.quick else all_tasks(options.replicates)
     began = time.perf_counter()
-    with working(options, inputs=record["head"]["inputs"], seed=FIRST_SEED) as kept:
+    with records.working(options, inputs=record["head"]["inputs"], seed=FIRST_SEED) as kept:
         record["knees"][KNEE] = {"cases": kept(case_row, tasks, "cases")}
     record["seconds_last_run"] = rounded(time.perf_counter() - began, 3)
     write_record(options.record, record)

@@ -10,17 +10,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
-from common.records import (
-    BUNDLES,
-    Row,
-    begun,
-    parsed_options,
-    rounded,
-    study_knee,
-    write_record,
-)
+from common import records
+from common.records import BUNDLES, Row, rounded, study_knee, write_record
 
 import identknee as ik
 
@@ -45,9 +37,9 @@ FAMILY = "one value"
 
 def main() -> None:
     """Compute everything and write the record."""
-    options = parsed_options(__file__, seed=0)
+    options = records.parsed_options(__file__, seed=0)
     began = time.perf_counter()
-    record = begun(options, KNEES, assumed_sds=ASSUMED_SDS)
+    record = records.begun(options, KNEES, assumed_sds=ASSUMED_SDS)
     record["rows"] = [row_facts(x) for x in ik.laxity.TABLE2]
     for name in KNEES:
         knee = study_knee(name)

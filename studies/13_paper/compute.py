@@ -12,16 +12,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-
 import numpy as np
-from common.records import (
-    Row,
-    begun,
-    parsed_options,
-    rounded,
-    study_knee,
-    write_record,
-)
+from common import records
+from common.records import Row, rounded, study_knee, write_record
 from other_studies import module_of
 
 import identknee as ik
@@ -64,9 +57,9 @@ class Watched:
 
 def main() -> None:
     """Compute all and write the record."""
-    options = parsed_options(__file__, seeds=SEEDS, draws=DRAWS)
+    options = records.parsed_options(__file__, seeds=SEEDS, draws=DRAWS)
     knees = {name: study_knee(name) for name in GUESSES.KNEES}
-    record = begun(
+    record = records.begun(
         options, knees, checkpoints=CHECKPOINTS, draws_seed=DRAWS_SEED, one_way_factor=ONE_WAY
     )
     with ik.runs.process_pool(options.workers) as executor:
