@@ -122,7 +122,7 @@ def _draw_pull(axes: Axes, pull: Pull, mm_per_N: float, deg_per_Nm: float) -> No
     """The force from the tibial origin, the moment around it, and how sure they are."""
     colour = SHOWN if pull.p_value <= LEVEL else GREY
     tip = mm_per_N * np.array([pull.lateral_force_N, pull.anterior_force_N])
-    values, vectors = np.linalg.eigh(mm_per_N**2 * pull.force_covariance)
+    values, vectors = np.linalg.eigh(mm_per_N**2 * np.array(pull.force_covariance))
     width, height = 2.0 * WITHIN_95 * np.sqrt(np.maximum(values[::-1], 0.0))
     turn = float(np.degrees(np.arctan2(vectors[0, 1], vectors[1, 1])))
     axes.add_patch(

@@ -208,8 +208,8 @@ def _cause(cause: Cause, knee: Knee) -> CauseFound:
     )
 
 
-def _ends(line: Array, knee: Knee) -> dict[str, Array]:
-    femur, tibia = knee.as_scanned(line)
+def _ends(line: Array, knee: Knee) -> dict[str, Any]:
+    femur, tibia = map(tuple, knee.as_scanned(line).tolist())
     return {"femur": femur, "tibia": tibia}
 
 
@@ -271,9 +271,13 @@ def _pull(pull: MissingPull) -> Pull:
         direction=pull.direction,
         n_trials=pull.n_trials,
         p_value=pull.p_value,
-        force_covariance=pull.covariance[:2, :2],
+        force_covariance=(_pair(pull.covariance[0]), _pair(pull.covariance[1])),
         **values,
     )
+
+
+def _pair(values: Array) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
 
 
 def _noise(found: Investigation) -> NoiseFound:

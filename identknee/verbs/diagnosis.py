@@ -28,6 +28,8 @@ OF_AMPLITUDE = "unit of the amplitude"
 OF_WRENCH = "N or N·m, as the component's name says"
 WRENCH = ("varus_Nm", "internal_Nm", "x_N", "y_N", "z_N")
 PULL = ("anterior_force_N", "lateral_force_N", "internal_moment_Nm")
+Point = tuple[float, float, float]
+Pair = tuple[float, float]
 ByLigament = Mapping[str, Mapping[str, float]]
 IntervalsByLigament = Mapping[str, Mapping[str, Interval]]
 
@@ -36,12 +38,12 @@ IntervalsByLigament = Mapping[str, Mapping[str, Interval]]
 class LineEnds:
     """Ends of a line of action in the scanned pose, in the axes of the scan."""
 
-    femur: Array = array("Femoral end", "axis", unit="mm", is_in_json=True, is_in_arrays=False)
-    tibia: Array = array("Tibial end", "axis", unit="mm", is_in_json=True, is_in_arrays=False)
+    femur: Point = entry("Femoral end", unit="mm")
+    tibia: Point = entry("Tibial end", unit="mm")
 
     def in_common_frame(self, knee: Knee) -> Array:
         """Both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
-        return knee.as_scanned(np.stack([self.femur, self.tibia]))
+        return knee.as_scanned(np.array([self.femur, self.tibia]))
 
 
 @declared
@@ -155,12 +157,7 @@ class Pull:
     sd_anterior_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
     sd_lateral_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
     sd_internal_moment_Nm: float = entry("Its standard error", unit="N m")  # noqa: N815
-    force_covariance: Array = array(
-        *("Covariance of both forces", "force", "force_too"),
-        unit="N2",
-        is_in_json=True,
-        is_in_arrays=False,
-    )
+    force_covariance: tuple[Pair, Pair] = entry("Covariance of both forces", unit="N2")
 
 
 @declared

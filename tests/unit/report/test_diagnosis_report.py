@@ -138,7 +138,9 @@ def test_lines_of_a_left_knee_are_where_it_was_scanned(reference: Knee) -> None:
     assert one is not None
     assert other is not None
     for end in ("femur", "tibia"):
-        np.testing.assert_array_equal(getattr(one, end) * [1.0, 1.0, -1.0], getattr(other, end))
+        np.testing.assert_array_equal(
+            np.multiply(getattr(one, end), [1.0, 1.0, -1.0]), getattr(other, end)
+        )
     np.testing.assert_array_equal(other.in_common_frame(model.knee), one.in_common_frame(reference))
 
 
