@@ -10,8 +10,6 @@ from . import subject as subject
 from .blind.case import blind_case as blind_case
 from .calibrate.starts import load_start as load_start
 from .diagnosis.explanations.verdict import Verdict as Verdict
-from .identify.design.design import Design as Design
-from .identify.design.design import design as design
 from .identify.posterior.posterior import Posterior as Posterior
 from .identify.posterior.sample import sample as sample
 from .identify.profile.profiles import profile_parameters as profile_parameters
@@ -39,6 +37,8 @@ from .subject.knee import Knee as Knee
 from .subject.opensim import import_opensim as import_opensim
 from .subject.reference import reference_knee as reference_knee
 from .verbs.demo import demo as demo
+from .verbs.design import Design as Design
+from .verbs.design import design as design
 from .verbs.diagnose import diagnose as diagnose
 from .verbs.diagnosis import Diagnosis as Diagnosis
 from .verbs.equivalents import Equivalents as Equivalents

@@ -1,5 +1,6 @@
 from .design.added_trials import WithTrials as WithTrials
 from .design.criteria import CRITERIA as CRITERIA
+from .design.design import ChosenTrials as ChosenTrials
 from .equivalents.equivalents import EquivalentSets as EquivalentSets
 from .equivalents.equivalents import Extrema as Extrema
 from .equivalents.region import Region as Region

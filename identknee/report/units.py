@@ -43,7 +43,6 @@ BY_DIMENSION = {
             *("lower_error", "upper_error", "lower_reached", "upper_reached"),
         ),
     ),
-    "target": (AS_QUANTITY, ("before", "after", "predicted", "sd")),
 }
 
 

@@ -12,7 +12,6 @@ from identknee.identify.equivalents.equivalents import EquivalentSets
 from identknee.identify.equivalents.equivalents import equivalents as equivalent_sets
 from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.table import COORDINATES
 from identknee.model.equivalence import largest_loads, rms_blocks
 from identknee.model.quantities import ligament_forces
 from identknee.model.residuals import LaxityResiduals
@@ -57,9 +56,6 @@ class Equivalents(Answer):
         is_inline=True,
     )
     trials: tuple[str, ...] = array("Names of the trials", "trial", is_in_arrays=False)
-    coordinate_names: tuple[str, ...] = array(
-        "Names of the coordinates", "coordinate", is_in_arrays=False
-    )
     ligaments: tuple[str, ...] = array("Names of the ligaments", "ligament", is_in_arrays=False)
     coordinates: Array = array(
         "Laxity that each set predicts",
@@ -157,7 +153,6 @@ def equivalents(
         fit=dict(zip(model.parameters.names, fitted, strict=True)),
         region=sets,
         trials=model.protocol.trials,
-        coordinate_names=COORDINATES,
         ligaments=tuple(x.name for x in model.knee.ligaments),
         coordinates=np.array([x.coordinates for x in predictions]),
         tension_N=np.array([tensions_of(model, x) for x in predictions]),

@@ -33,6 +33,7 @@ ANSWERS = {
     "fit": "identknee.verbs.fit:Calibration",
     "diagnose": "identknee.verbs.diagnosis:Diagnosis",
     "isolability": "identknee.verbs.isolability:Isolability",
+    "design": "identknee.verbs.design:Design",
 }
 Given = TypeVar("Given", bound=Answer)
 

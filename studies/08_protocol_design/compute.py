@@ -121,7 +121,7 @@ def advice(item: tuple[Case, Criterion]) -> Row:
         "n_made": problem.laxity.n,
         "n_candidates": len(found.names),
         "targets": found.targets,
-        "best": [x.optimum_value for x in found.before],
+        "best": [x.optimum_value for x in found.before.values()],
         "chosen": found.chosen,
         "trials": found.trials,
         "excluded": [x.name for x in found.excluded],
@@ -129,19 +129,21 @@ def advice(item: tuple[Case, Criterion]) -> Row:
         "alone": [None if np.isnan(x) else x for x in found.alone],
         "losses": found.losses,
         "predicted": open_as_none(found.predicted),
-        "before": [ends(x) for x in found.before],
-        "after": [ends(x) for x in found.after],
-        "statuses": [[x.lower_status.value, x.upper_status.value] for x in found.before],
-        "statuses_after": [[x.lower_status.value, x.upper_status.value] for x in found.after],
+        "before": [ends(x) for x in found.before.values()],
+        "after": [ends(x) for x in found.after.values()],
+        "statuses": [[x.lower_status.value, x.upper_status.value] for x in found.before.values()],
+        "statuses_after": [
+            [x.lower_status.value, x.upper_status.value] for x in found.after.values()
+        ],
         "n_simulations": found.n_simulations,
         "seconds": time.perf_counter() - began,
-        "lengths": lengths(case, found.after),
-        "lengths_before": lengths(case, found.before),
+        "lengths": lengths(case, tuple(found.after.values())),
+        "lengths_before": lengths(case, tuple(found.before.values())),
         **gains(found),
     }
 
 
-def gains(found: ik.Design) -> Row:
+def gains(found: ik.identify.ChosenTrials) -> Row:
     """How much the targets' intervals shrink by each candidate alone, on geometric mean [%]."""
     change = (found.alone - found.losses[0]) / len(found.targets)
     return {"gains": [None if np.isnan(x) else 100.0 * (1.0 - np.exp(x)) for x in change]}

@@ -1,7 +1,6 @@
 """Which trials to add, so that the data tell what they leave open: chosen, predicted, verified."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Unpack
 
@@ -16,70 +15,78 @@ from identknee.identify.design.predictions import Excluded, paths_of, predict_ca
 from identknee.identify.design.search import choose
 from identknee.identify.profile.profiles import ProfileSettings, profile_quantities
 from identknee.identify.profile.result import Profile
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 
 ProfilesOf = Callable[[Problem, ArrayLike, Sequence[Quantity]], tuple[Profile, ...]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Design:
-    """Trials to add, with what was predicted of them and what they achieve.
+@declared
+class ChosenTrials:
+    """Trials to add, with what was predicted of them and what they achieve."""
 
-    Attributes
-    ----------
-    criterion
-        What was made small: see `design`.
-    names
-        Of all k candidates.
-    chosen
-        The trials to add, the most helpful first; one that comes twice is to be made twice.
-    excluded
-        Candidates that were not offered.
-    losses
-        The loss before and after each added trial, shape ``(n_trials + 1,)``.
-    alone
-        The loss with each candidate alone added, shape ``(k,)``; NaN for those excluded.
-    predicted
-        Predicted interval of each of the t targets before and after each added trial, shape
-        ``(n_trials + 1, t, 2)``; NaN for an end that stays open.
-    sds
-        Standard deviations of the targets by the linear model at the best fit, shape ``(n_trials +
-        1, t)``.
-    before, after
-        Profiles of the targets on the data as they are, and with the added trials simulated at
-        the best fit.
-    n_simulations
-        Simulations made, profiles included.
-    """
-
-    criterion: Criterion
-    names: tuple[str, ...]
-    chosen: tuple[int, ...]
-    excluded: tuple[Excluded, ...]
-    losses: Array
-    alone: Array
-    predicted: Array
-    sds: Array
-    before: tuple[Profile, ...]
-    after: tuple[Profile, ...]
-    n_simulations: int
+    criterion: Criterion = entry("What was made small")
+    names: tuple[str, ...] = array("Names of the candidates", "candidate", is_in_arrays=False)
+    targets: tuple[str, ...] = array(
+        "Quantities whose intervals were to shrink", "target", is_in_arrays=False
+    )
+    chosen: tuple[int, ...] = entry(
+        "Places of the trials to add among the candidates, the most helpful first; one that comes "
+        "twice is to be made twice",
+        unit="1",
+    )
+    excluded: tuple[Excluded, ...] = entry("Candidates that were not offered")
+    losses: Array = array("Loss before and after each added trial", "step", key="loss")
+    alone: Array = array(
+        "Loss with each candidate alone added; NaN for those excluded",
+        "candidate",
+        key="loss_alone",
+    )
+    predicted: Array = array(
+        "Predicted interval of each target before and after each added trial; NaN for an end that "
+        "stays open",
+        *("step", "target", "end"),
+        unit=OF_QUANTITY,
+    )
+    sds: Array = array(
+        "Standard deviation of each target by the linear model at the best fit",
+        *("step", "target"),
+        unit=OF_QUANTITY,
+        key="sd",
+    )
+    before: Mapping[str, Profile] = entry(
+        "Profile of each target on the data as they are", rows="target", group="profile_before"
+    )
+    after: Mapping[str, Profile] = entry(
+        "Profile of each target with the added trials simulated at the best fit",
+        rows="target",
+        group="profile_after",
+    )
+    n_simulations: int = entry("Simulations made, profiles included", unit="1")
 
     def __post_init__(self) -> None:
-        steps, t = len(self.chosen) + 1, len(self.before)
-        shapes = {
-            "losses": (steps,),
-            "alone": (len(self.names),),
-            "predicted": (steps, t, 2),
-            "sds": (steps, t),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+        if not self.before or any(tuple(x) != self.targets for x in (self.before, self.after)):
+            raise ValueError("the profiles are not those of the targets")
+        if not all(0 <= i < len(self.names) for i in self.chosen):
+            raise ValueError("a trial that was chosen is none of the candidates")
 
     @property
-    def targets(self) -> tuple[str, ...]:
-        """Names of the quantities whose intervals were to shrink."""
-        return tuple(profile.name for profile in self.before)
+    @derived(
+        "Predicted ends of each target's interval with all trials added; null where it stays open",
+        unit=OF_QUANTITY,
+        key="predicted",
+    )
+    def predicted_ends(self) -> dict[str, tuple[float | None, float | None]]:
+        """Ends of each target's interval as predicted with all trials added."""
+        ends = [tuple(None if np.isnan(x) else float(x) for x in row) for row in self.predicted[-1]]
+        return {name: (low, high) for name, (low, high) in zip(self.targets, ends, strict=True)}
+
+    @property
+    @derived("Number of candidates", unit="1")
+    def n_candidates(self) -> int:
+        """Number of candidates."""
+        return len(self.names)
 
     @property
     def trials(self) -> tuple[str, ...]:
@@ -97,7 +104,7 @@ def design(
     criterion: Criterion = "width",
     executor: Executor = serial,
     **settings: Unpack[ProfileSettings],
-) -> Design:
+) -> ChosenTrials:
     """The trials that, added to the data, close or shrink the intervals of the targets most.
 
     The targets are profiled on the data. Every candidate is predicted along these profiles; one
@@ -157,17 +164,18 @@ def design(
     chosen = choose(loss, made, trials, allowed, n_trials)
     whole = _with_trials(problem, candidates, chosen, points.thetas[0])
     after = profiles_of(whole, points.thetas[0], quantities)
-    return Design(
+    return ChosenTrials(
         criterion=criterion,
-        names=candidates.names,
+        names=tuple(candidates.names),
+        targets=tuple(x.name for x in before),
         chosen=chosen,
         excluded=excluded,
         losses=loss(_sums(made, trials, chosen)),
         alone=np.where(allowed, loss(made + trials), np.nan),
         predicted=_intervals(width, _sums(*points.features(width, allowed), chosen)),
         sds=np.sqrt(local.variances(_sums(*points.features(local, allowed), chosen))),
-        before=before,
-        after=after,
+        before={x.name: x for x in before},
+        after={x.name: x for x in after},
         n_simulations=points.n_simulations + sum(x.n_simulations for x in (*before, *after)),
     )
 

@@ -12,30 +12,23 @@ from identknee.identify.design.criteria import Loss, Path, directions_across
 from identknee.identify.information.information import scaled_units
 from identknee.identify.profile.result import Profile
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import declared
+from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import Executor
 
 
 @declared
 class Excluded:
-    """A candidate that is not offered, and why.
+    """A candidate that is not offered, and why."""
 
-    Attributes
-    ----------
-    name
-        Name of the trial.
-    failures, tried
-        At how many of the parameter sets that the data allow it has no prediction, of how many.
-    at_fit
-        Whether the best fit is one of them.
-    """
-
-    name: str
-    failures: int
-    tried: int
-    at_fit: bool
+    name: str = entry("Name of the trial", key="trial")
+    failures: int = entry(
+        "Parameter sets that the data allow at which it has no prediction", unit="1"
+    )
+    tried: int = entry("Parameter sets at which it was predicted", unit="1")
+    at_fit: bool = entry("Whether it has no prediction at the best fit")
 
     @property
+    @derived("Why it is not offered", key="reason")
     def sentence(self) -> str:
         """Why, in a sentence."""
         if self.at_fit:

@@ -73,7 +73,7 @@ class EquivalentSets:
         "Names of the parameters", "parameter", is_in_arrays=False
     )
     parameters: Mapping[str, Extrema] = entry(
-        "Range of each parameter by its name", rows="quantity", group="parameter_ranges"
+        "Range of each parameter by its name", rows="ranged_parameter", group="parameter_ranges"
     )
     quantities: Mapping[str, Extrema] = entry(
         "Range of each other quantity by its name", rows="quantity", group="quantity_ranges"
@@ -109,7 +109,7 @@ class EquivalentSets:
     )
     pair: Array = array(
         "The two points that far apart",
-        *("end", "parameter"),
+        *("member", "parameter"),
         unit=OF_PARAMETER,
         key="farthest_pair",
     )

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from identknee.report.answers.demo import demo_statements
+from identknee.report.answers.design import design_statements
 from identknee.report.answers.diagnose import diagnosis_statements, isolability_statements
 from identknee.report.answers.equivalents import equivalents_statements
 from identknee.report.answers.fit import fit_statements
@@ -15,6 +16,7 @@ from identknee.report.answers.sweep import sweep_statements
 from identknee.report.statement import Statement
 from identknee.verbs.answer import Answer
 from identknee.verbs.demo import Demonstration
+from identknee.verbs.design import Design
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.fit import Calibration
@@ -36,6 +38,7 @@ _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
     Calibration: fit_statements,
     Diagnosis: diagnosis_statements,
     Isolability: isolability_statements,
+    Design: design_statements,
 }
 
 

@@ -19,20 +19,8 @@ def disagreement(summary: Mapping[str, Any], groups: Groups) -> tuple[str, str] 
     groups
         The arrays, as theirs wants them.
     """
-    checks = (_targets, _draws)
+    checks = (_draws,)
     return next((found for check in checks for found in check(summary, groups)), None)
-
-
-def _targets(summary: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:
-    if "design" not in groups:
-        return
-    data = groups["design"]
-    for name in map(str, data["target"].values):
-        if name not in summary["targets"]:
-            yield "group design, variable target", f"{name} is not in result.json"
-    chosen = data["chosen"].values
-    if chosen.min() < 0 or chosen.max() >= data.sizes["candidate"]:
-        yield "group design, variable chosen", "a number is of no candidate"
 
 
 def _draws(_: Mapping[str, Any], groups: Groups) -> Iterator[tuple[str, str]]:

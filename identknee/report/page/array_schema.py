@@ -44,7 +44,6 @@ def _names(*axes: str) -> dict[str, Wanted]:
 
 
 _BY_COORDINATE = _wanted("number", "trial", "coordinate")
-_CURVE = ("quantity", "point")
 SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
     "constant_data": {
         **_names("trial", "load"),
@@ -56,29 +55,10 @@ SCHEMA: Mapping[str, Mapping[str, Wanted]] = {
         "coordinates": _BY_COORDINATE,
         "sd": _wanted("number", "trial", "coordinate", is_optional=True),
     },
-    "profile": {
-        **_names("quantity", "parameter"),
-        **dict.fromkeys(
-            ("value", "nll", "delta_deviance", "slope", "branch"), _wanted("number", *_CURVE)
-        ),
-        "theta": _wanted("number", *_CURVE, "parameter"),
-        "optimum": _wanted("known", "quantity", "parameter"),
-    },
     "posterior_predictive": {
         **_names("trial", "coordinate", "ligament"),
         "coordinates": _wanted("number", "chain", "draw", "trial", "coordinate"),
         "tension_N": _wanted("number", "chain", "draw", "trial", "ligament"),
-    },
-    "design": {
-        **_names("candidate", "target"),
-        "added": _wanted("text", "added"),
-        FLEXION: _wanted("known", "candidate"),
-        **{x: _wanted("known", "candidate") for x in LOADS},
-        "predicted": _wanted("number", "step", "target", "end"),
-        **dict.fromkeys(("before", "after"), _wanted("number", "target", "end")),
-        "loss": _wanted("known", "step"),
-        "loss_alone": _wanted("number", "candidate"),
-        "chosen": _wanted("whole", "added"),
     },
 }
 # These must name the same things in the same order as another group's.

@@ -7,6 +7,7 @@ import xarray
 
 from identknee.identify.profile.result import Profile
 from identknee.identify.sweep.sweep import OUTCOMES
+from identknee.laxity.table import COORDINATES
 from identknee.report.equivalents_figures import ranges_figure, sets_figure
 from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
 from identknee.report.page.drawing import Drawing
@@ -159,7 +160,7 @@ def _equivalents(result: Result) -> Iterator[Drawing]:
         return
     region, names = answer.region, answer.region.parameter_names
     apart = answer.coordinates - answer.coordinates.mean(axis=0)
-    bands = {label(x): apart[:, :, j] for j, x in enumerate(answer.coordinate_names)}
+    bands = {label(x): apart[:, :, j] for j, x in enumerate(COORDINATES)}
     yield Drawing(
         name="sets",
         figure=sets_figure(names, region.sets, region.fit, bands, origin="their mean"),

@@ -1,11 +1,10 @@
 """Figures of what the model gets wrong, and of the trials that would tell."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-import xarray
 
-from identknee.laxity.protocol import FLEXION, LOADS, Protocol
+from identknee.identify.profile.result import Profile
 from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure
 from identknee.report.diagnosis_figures import (
     isolability_figure,
@@ -17,6 +16,8 @@ from identknee.report.diagnosis_files import distances_of
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Result
 from identknee.report.words import label, listed
+from identknee.runs.arrays import Array
+from identknee.verbs.design import Design
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.isolability import Isolability
 
@@ -74,25 +75,23 @@ def isolability_drawings(result: Result) -> Iterator[Drawing]:
 
 def design_drawings(result: Result) -> Iterator[Drawing]:
     """What the advised trials would bring, and all that were to choose from."""
-    data = result.groups["design"]
-    targets = [str(x) for x in data["target"].values]
-    predicted = data["predicted"].values
-    best = [float(result.summary["targets"][x]["before"]["value"]) for x in targets]
-    ends = {"before": data["before"].values, "predicted": predicted[-1]}
-    ends["achieved"] = data["after"].values
-    names = [label(x) for x in targets]
-    trials = [str(x) for x in data["added"].values]
+    answer = result.answer
+    if not isinstance(answer, Design):
+        return
+    choice = answer.choice
+    before, after = (list(x.values()) for x in (choice.before, choice.after))
+    ends = {"before": _ends(before), "predicted": choice.predicted[-1], "achieved": _ends(after)}
+    names, trials = [label(x) for x in choice.targets], listed(answer.advised)
     yield Drawing(
         name="design-intervals",
-        figure=intervals_figure(names, best, ends),
+        figure=intervals_figure(names, [x.optimum_value for x in before], ends),
         caption="The interval of each target now, as the advised trials are predicted to leave "
         "it, and as simulated trials left it.",
-        description=f"Intervals of {listed(names)} before and after adding {listed(trials)}.",
+        description=f"Intervals of {listed(names)} before and after adding {trials}.",
     )
-    widths = predicted[..., 1] - predicted[..., 0]
+    widths = np.diff(choice.predicted)[..., 0]
     relative = {x: widths[:, t] / widths[0, t] for t, x in enumerate(names)}
-    after = ends["achieved"][:, 1] - ends["achieved"][:, 0]
-    achieved = {x: float(after[t] / widths[0, t]) for t, x in enumerate(names)}
+    achieved = dict(zip(names, (np.diff(ends["achieved"])[:, 0] / widths[0]).tolist(), strict=True))
     yield Drawing(
         name="design-steps",
         figure=steps_figure(relative, achieved),
@@ -100,24 +99,16 @@ def design_drawings(result: Result) -> Iterator[Drawing]:
         description=f"Relative widths by the number of trials added, down to "
         f"{listed(f'{x:.2f}' for x in achieved.values())}.",
     )
-    yield _candidates(data, trials)
-
-
-def _candidates(data: xarray.Dataset, trials: list[str]) -> Drawing:
-    protocol = Protocol(
-        name="candidates",
-        trials=tuple(str(x) for x in data["candidate"].values),
-        flexion_deg=data[FLEXION].values,
-        loads=np.column_stack([data[x].values for x in LOADS]),
-    )
-    loss = data["loss"].values
-    return Drawing(
+    gains = choice.losses[0] - choice.alone
+    yield Drawing(
         name="design-candidates",
-        figure=candidates_figure(
-            protocol, loss[0] - data["loss_alone"].values, data["chosen"].values.tolist(),
-            "gain of one such trial",
-        ),
+        figure=candidates_figure(answer.candidates, gains, choice.chosen, "gain of one such trial"),
         caption="What each possible trial alone would gain; circles are the trials advised, with "
         "their order and how often each comes.",
-        description=f"Gain of {protocol.n} candidate trials; chosen are {listed(trials)}.",
-    )  # fmt: skip
+        description=f"Gain of {choice.n_candidates} candidate trials; chosen are {trials}.",
+    )
+
+
+def _ends(profiles: Sequence[Profile]) -> Array:
+    """Both ends of each interval, shape ``(t, 2)``; NaN where open."""
+    return np.array([(x.lower, x.upper) for x in profiles], dtype=np.float64)

@@ -8,7 +8,6 @@ from html import escape
 from importlib.resources import files
 
 from identknee.report.answers.statements import statements_of
-from identknee.report.page.design_sentences import design_findings
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
 from identknee.report.page.knee_scene import KneeScene
@@ -67,7 +66,6 @@ FURTHER = {
 }
 _SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
     "sample": sample_findings,
-    "design": design_findings,
 }
 
 

@@ -32,11 +32,11 @@ def test_advice_is_given_verified_and_can_be_appended(noisy: Path, tmp_path: Pat
     assert result.exit_code == 0, result.output
     assert "predicted" in result.stdout
     summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
-    assert list(summary["targets"]) == ["LCL.stiffness_kN"]
-    target = summary["targets"]["LCL.stiffness_kN"]
-    before = target["before"]["upper"] - target["before"]["lower"]
-    after = target["after"]["upper"] - target["after"]["lower"]
-    predicted = target["predicted"]["upper"] - target["predicted"]["lower"]
+    assert list(summary["before"]) == list(summary["after"]) == ["LCL.stiffness_kN"]
+    before, after = (summary[x]["LCL.stiffness_kN"] for x in ("before", "after"))
+    before, after = (x["upper"] - x["lower"] for x in (before, after))
+    low, high = summary["predicted"]["LCL.stiffness_kN"]
+    predicted = high - low
     assert after < before
     assert predicted == pytest.approx(after, rel=0.05)
     with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
@@ -65,7 +65,7 @@ def test_noise_that_is_not_stated_is_estimated(noisy: Path, tmp_path: Path) -> N
     assert summary["degrees_of_freedom"] > 0
     assert summary["criterion"] == "c"
     assert any("estimated" in x for x in summary["assumptions"])
-    threshold = summary["targets"]["LCL.stiffness_kN"]["before"]["threshold"]
+    threshold = summary["before"]["LCL.stiffness_kN"]["threshold"]
     assert threshold == pytest.approx(ik.identify.f_threshold(0.95, summary["degrees_of_freedom"]))
 
 

@@ -10,7 +10,7 @@ from trial_formulas import FormulaTrials, linear_trials
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.design.added_trials import WithTrials
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, directions_across
-from identknee.identify.design.design import Design, design
+from identknee.identify.design.design import ChosenTrials, design
 from identknee.identify.profile.result import SideStatus
 from identknee.runs.arrays import Array
 from identknee.runs.executors import threads
@@ -48,7 +48,7 @@ def test_on_a_linear_model_predicted_is_achieved_is_the_formula(criterion: Crite
         np.testing.assert_allclose(found.sds[step], sd, rtol=1e-5)
         widths = found.predicted[step, :, 1] - found.predicted[step, :, 0]
         np.testing.assert_allclose(widths, 2.0 * Z95 * sd, rtol=ENDS)
-    for predicted, after in zip(found.predicted[-1], found.after, strict=True):
+    for predicted, after in zip(found.predicted[-1], found.after.values(), strict=True):
         assert after.lower is not None
         assert after.upper is not None
         width = after.upper - after.lower
@@ -104,7 +104,7 @@ def test_an_open_interval_is_closed_as_predicted() -> None:
     problem, trials = _decay(np.array([0.05, 0.5, 1.0, 1.7, 3.0]))
     found = design(problem, problem.minimum, trials, n_trials=2)
     assert "x0.value_pct" in found.targets
-    before, after = found.before[0], found.after[0]
+    before, after = found.before["x0.value_pct"], found.after["x0.value_pct"]
     assert before.upper_status is SideStatus.OPEN_AT_BOUND
     assert np.isnan(found.predicted[0, 0, 1])
     assert after.upper_status is SideStatus.CLOSED
@@ -124,7 +124,7 @@ def test_the_width_beats_the_variance_where_the_interval_is_open() -> None:
     for criterion in ("width", "c"):
         after = design(
             problem, problem.minimum, trials, n_trials=1, targets=target, criterion=criterion
-        ).after[0]
+        ).after["x0.value_pct"]
         assert after.lower is not None
         widths.append(8.0 if after.upper is None else after.upper - after.lower)
     assert widths[0] <= widths[1] * 1.05
@@ -162,7 +162,7 @@ def test_any_function_can_be_the_target() -> None:
     assert found.sds[1, 0] == pytest.approx(min(expected), rel=1e-4)
 
 
-def _same(first: Design, second: Design) -> bool:
+def _same(first: ChosenTrials, second: ChosenTrials) -> bool:
     return first.chosen == second.chosen and np.array_equal(first.predicted, second.predicted)
 
 

@@ -14,7 +14,6 @@ from identknee.report.units import AS_COORDINATE, AS_PARAMETER, AS_QUANTITY, uni
         # The log prior density, which ArviZ calls by the name of what it is a density of.
         ("theta", ("chain", "draw"), "1"),
         ("sd", ("trial", "coordinate"), AS_COORDINATE),
-        ("sd", ("step", "target"), AS_QUANTITY),
         ("lower", ("quantity",), AS_QUANTITY),
         ("lower", ("end", "distance"), "1"),
         ("distance", ("set", "block"), "1"),

@@ -25,6 +25,7 @@ CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
         ik.sweep,
         {"n_starts": 12, "design": "shells", "distances": "0,1,3", "paths": 4},
     ),
+    "design": (ik.design, {"n_trials": 1, "candidates": "drawer", "criterion": "c"}),
     "equivalents": (ik.equivalents, {"n_sets": 4, "forces": "largest", "seed": 3}),
 }
 

@@ -1,0 +1,60 @@
+"""Which trials to measure next, and what they would tell."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import capital, label, listed, parameter_words, trial_words
+from identknee.verbs.design import ADVICE, Design
+
+
+def design_statements(answer: Design) -> Iterator[Statement]:
+    """The trials that shrink open intervals most and by how much, then what was not offered."""
+    choice = answer.choice
+    name = choice.targets[0]
+    before, after = choice.before[name], choice.after[name]
+    counts = Counter(trial_words(x) for x in answer.trials)
+    trials = listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
+    yield Statement(
+        question=Question.NEXT,
+        sentence=f"Next test for {listed(map(parameter_words, choice.targets))}: {trials}. "
+        f"{capital(parameter_words(name))} would then be known from "
+        f"{_ends(after.lower, after.upper)} instead of {_ends(before.lower, before.upper)} "
+        f"{before.unit}. {ADVICE} lists the trials, to be filled in and appended to the data.",
+        tables=(_targets(answer), _trials(answer)),
+        is_answer=True,
+    )
+    if choice.excluded:
+        yield Statement(
+            question=Question.NEXT,
+            sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were not "
+            f"offered: {choice.excluded[0].sentence}",
+        )
+
+
+def _targets(answer: Design) -> Table:
+    choice = answer.choice
+    rows = tuple(
+        (
+            label(name),
+            _ends(choice.before[name].lower, choice.before[name].upper),
+            _ends(*choice.predicted_ends[name]),
+            _ends(choice.after[name].lower, choice.after[name].upper),
+        )
+        for name in choice.targets
+    )
+    columns = tuple(Column(name=x) for x in ("target", "now", "predicted", "simulated"))
+    return Table(title="Intervals of the targets", columns=columns, rows=rows)
+
+
+def _trials(answer: Design) -> Table:
+    return Table(
+        title="Trials to add, the most telling first",
+        columns=(Column(name="trial"), Column(name="what to do")),
+        rows=tuple((str(x["trial"]), trial_words(x)) for x in answer.trials),
+    )
+
+
+def _ends(*ends: float | None) -> str:
+    return " to ".join("open" if x is None else f"{x:.3g}" for x in ends)
