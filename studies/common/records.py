@@ -33,14 +33,18 @@ def study_knee(name: str) -> ik.Knee:
 
 
 def knee_digest(knee: ik.Knee) -> str:
-    """SHA-256 of all numbers of a knee: surfaces, frames and ligaments."""
+    """SHA-256 of all numbers of a knee: surfaces, frames and ligaments.
+
+    Stiffnesses and strains count to nine digits: a strain may come from a norm, whose last bits
+    hang on the processor.
+    """
     parts: list[bytes] = []
     for surface in (knee.femur, *knee.tibia):
         parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
     for frame in (knee.femur_frame, knee.tibia_frame):
         parts += [frame.origin.tobytes(), frame.axes.tobytes()]
     for ligament in knee.ligaments:
-        numbers = (ligament.stiffness_kN, ligament.reference_strain_pct)
+        numbers = f"{ligament.stiffness_kN:.9g} {ligament.reference_strain_pct:.9g}"
         parts += [f"{ligament.name} {numbers}".encode()]
         parts += [ligament.femur.tobytes(), ligament.tibia.tobytes()]
     return ik.runs.digest(b"".join(parts))

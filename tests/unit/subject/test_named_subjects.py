@@ -30,8 +30,8 @@ FACTS = {
 # Of the folders that these knees were before they came with identknee: recorded numbers hang on
 # every bit, the order of the vertices included.
 DIGESTS = {
-    "lenhart2015": "0293c4525214f625d25173e80fd0666dcaecee0ba39aa8024339dc91f2647942",
-    "lenhart2015_stable": "9823ebd96b02cf096a39485dd131a32c58e9ba5fec61dbc2b4db3f99d4fad42f",
+    "lenhart2015": "68f3af8045e37df5382b77526f2ce6354d4797e73634a63de40d93704c722dfd",
+    "lenhart2015_stable": "e9d4e4680b54709c97833f7bd99ea8b985bf854cd5dad1f3cc0f39061f54d2be",
 }
 # The same of places rounded to a nanometre.
 ROUNDED = {
