@@ -3,11 +3,13 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray
 from cli_runs import refused, run, short_protocol
 
 import identknee as ik
+from identknee.verbs.files import load
 
 HELD = [
     word
@@ -45,6 +47,10 @@ def test_advice_is_given_verified_and_can_be_appended(noisy: Path, tmp_path: Pat
     advised = ik.read_laxity(tmp_path / "advised_trials.csv")
     assert list(advised.protocol.trials) == summary["advised"]
     assert not advised.is_measured.any()
+    answer = load(tmp_path)
+    assert isinstance(answer, ik.Design)
+    assert answer.to_measure.protocol.trials == advised.protocol.trials
+    assert np.array_equal(answer.to_measure.protocol.loads, advised.protocol.loads)
     # Below the measured ones, the rows make one table.
     rows = (tmp_path / "advised_trials.csv").read_text("utf-8").splitlines()
     measured = noisy.read_text("utf-8").splitlines()
