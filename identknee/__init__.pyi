@@ -10,8 +10,6 @@ from . import subject as subject
 from .blind.case import blind_case as blind_case
 from .calibrate.starts import load_start as load_start
 from .diagnosis.explanations.verdict import Verdict as Verdict
-from .identify.posterior.posterior import Posterior as Posterior
-from .identify.posterior.sample import sample as sample
 from .identify.profile.profiles import profile_parameters as profile_parameters
 from .identify.profile.result import Profile as Profile
 from .laxity.examples import example_laxity as example_laxity
@@ -51,6 +49,8 @@ from .verbs.information import information as information
 from .verbs.isolability import isolability as isolability
 from .verbs.profile import Profiles as Profiles
 from .verbs.profile import profile as profile
+from .verbs.sample import Sample as Sample
+from .verbs.sample import sample as sample
 from .verbs.sensitivity import GlobalSensitivity as GlobalSensitivity
 from .verbs.sensitivity import sensitivity as sensitivity
 from .verbs.simulate import Simulation as Simulation

@@ -20,6 +20,7 @@ from .posterior.density import LogPosterior as LogPosterior
 from .posterior.nested import NestedPosterior as NestedPosterior
 from .posterior.nested import nested_posterior as nested_posterior
 from .posterior.nested import quantile_differences as quantile_differences
+from .posterior.posterior import Posterior as Posterior
 from .posterior.power_scaling import prior_sensitivity as prior_sensitivity
 from .posterior.sample import Ensembles as Ensembles
 from .profile.pairs import PairProfile as PairProfile

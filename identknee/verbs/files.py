@@ -26,6 +26,7 @@ ANSWERS = {
     "profile": "identknee.verbs.profile:Profiles",
     "sweep": "identknee.verbs.sweep:Sweep",
     "sensitivity": "identknee.verbs.sensitivity:GlobalSensitivity",
+    "sample": "identknee.verbs.sample:Sample",
     "information": "identknee.verbs.information:LocalIdentifiability",
     "equivalents": "identknee.verbs.equivalents:Equivalents",
     "demo": "identknee.verbs.demo:Demonstration",

@@ -20,7 +20,9 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee as ik
 from identknee.identify.posterior.sample import sample
 from identknee.identify.profile.profiles import profile_parameters
-from identknee.report.sample_groups import predictive_groups, sample_summary
+from identknee.runs.plain_records import summary_of
+from identknee.verbs.sample import as_answer
+from identknee.verbs.sample_records import predictive
 
 KNEES = ("reference", "lenhart2015_stable")
 NOISE = 0.5  # mm and deg
@@ -65,11 +67,11 @@ def parts(
         yield {
             "parameters": model.parameters.names,
             "truth": truth,
-            "sample": {**sample_summary(found), "seconds": time.perf_counter() - began},
+            "sample": {**summary_of(as_answer(found)), "seconds": time.perf_counter() - began},
             "tau": {"kept": [x.kept for x in found.checks], "tau": [x.tau for x in found.checks]},
             **draws(found),
         }
-        yield {"predictions": predictions(found, model, problem, truth)}
+        yield {"predictions": predictions(found, model, truth)}
         sensitivity = ik.identify.prior_sensitivity(found)
         yield {
             "leaning": {
@@ -99,19 +101,20 @@ def intervals(
     }
 
 
-def draws(found: ik.Posterior) -> Row:
+def draws(found: ik.identify.Posterior) -> Row:
     """Draws as good as independent, and of the prior."""
     places = found.independent(N_DRAWS, or_fewer=True)
     return {"draws": found.kept[tuple(places.T)], "prior": found.prior}
 
 
 def predictions(
-    found: ik.Posterior, model: ik.LaxityModel, problem: ik.LaxityResiduals, truth: ik.runs.Array
+    found: ik.identify.Posterior,
+    model: ik.LaxityModel,
+    truth: ik.runs.Array,
 ) -> Row:
     """Forces in the trials of the highest load, and how well laxity is known."""
-    data = predictive_groups(found, model, problem.laxity, n_draws=N_DRAWS)["posterior_predictive"]
-    forces = data["tension_N"].to_numpy()[0]
-    laxity = data["coordinates"].to_numpy()[0]
+    predicted = predictive(found, model, n_draws=N_DRAWS)
+    forces, laxity = predicted.tension_N[0], predicted.coordinates[0]
     true = model.predict(truth, derivatives=False)
     loads = np.abs(model.protocol.loads)
     chosen = np.flatnonzero(((loads == loads.max(axis=0)) & (loads > 0.0)).any(axis=1))
@@ -136,7 +139,9 @@ def predictions(
     }
 
 
-def second_opinion(found: ik.Posterior, problem: ik.LaxityResiduals, *, quick: bool) -> Row:
+def second_opinion(
+    found: ik.identify.Posterior, problem: ik.LaxityResiduals, *, quick: bool
+) -> Row:
     """Nested sampling of the same posterior."""
     began = time.perf_counter()
     nested = ik.identify.nested_posterior(

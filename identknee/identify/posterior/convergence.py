@@ -1,7 +1,6 @@
 """The convergence check at which sampling stops, every number of it kept."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import Enum, unique
 
 import numpy as np
@@ -46,36 +45,38 @@ _SENTENCES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class StopRule:
-    """What a sample must reach, all of it, before sampling stops, and when it stops anyway.
+    """What a sample must reach, all of it, before sampling stops, and when it stops anyway."""
 
-    Attributes
-    ----------
-    autocorrelation_times
-        Steps after burn-in, in the largest autocorrelation time.
-    drift
-        Largest change of an autocorrelation time since the check before, relative; the checks are
-        one autocorrelation time apart or more.
-    rhat
-        Largest R-hat between the halves of the ensembles.
-    effective_draws
-        Fewest effective draws, of the bulk and of the tails, over all ensembles.
-    effective_draws_each
-        Fewest of one ensemble.
-    mean_error
-        Largest Monte Carlo standard error of a mean, relative to the standard deviation.
-    budget
-        Simulations after which sampling stops in any case, at the end of a block of steps.
-    """
-
-    autocorrelation_times: float = 50.0
-    drift: float = 0.01
-    rhat: float = 1.01
-    effective_draws: float = 400.0
-    effective_draws_each: float = 100.0
-    mean_error: float = 0.05
-    budget: int = 400_000
+    autocorrelation_times: float = entry(
+        "Steps after burn-in, in the largest autocorrelation time", unit="1", default=50.0
+    )
+    drift: float = entry(
+        "Largest relative change of an autocorrelation time since the check before; the checks are "
+        "one autocorrelation time apart or more",
+        unit="1",
+        default=0.01,
+    )
+    rhat: float = entry("Largest R-hat between the halves of the ensembles", unit="1", default=1.01)
+    effective_draws: float = entry(
+        "Fewest effective draws, of the bulk and of the tails, over all ensembles",
+        unit="1",
+        default=400.0,
+    )
+    effective_draws_each: float = entry(
+        "Fewest effective draws of one ensemble", unit="1", default=100.0
+    )
+    mean_error: float = entry(
+        "Largest Monte Carlo standard error of a mean, relative to the standard deviation",
+        unit="1",
+        default=0.05,
+    )
+    budget: int = entry(
+        "Simulations after which sampling stops in any case, at the end of a block of steps",
+        unit="1",
+        default=400_000,
+    )
 
     def __post_init__(self) -> None:
         if self.budget < 1:
@@ -92,7 +93,8 @@ class ConvergenceCheck:
     tau: Array = array("Autocorrelation time of each parameter", "parameter", unit="steps")
     drift: float = entry(
         "Largest relative change of an autocorrelation time since the check at least one such time "
-        "before; infinite at the first"
+        "before; infinite at the first",
+        unit="1",
     )
     rhat: Array = array("R-hat of each parameter", "parameter")
     bulk: Array = array("Effective draws of the bulk", "parameter", "ensemble")

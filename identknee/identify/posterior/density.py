@@ -108,26 +108,17 @@ def prior_draws(parameters: Parameters, n: int, generator: np.random.Generator) 
 
 @declared
 class ExcludedMass:
-    """How much of the prior the posterior cannot reach.
+    """How much of the prior the posterior cannot reach."""
 
-    Attributes
-    ----------
-    beyond_bounds
-        Part of the priors that the bounds cut off, exact.
-    without_prediction
-        Part of the prior within the bounds where the model has no prediction, estimated; NaN
-        without draws.
-    low, high
-        95 % confidence limits of that estimate, by Clopper and Pearson.
-    n_draws
-        How many draws of the prior were simulated for it.
-    """
-
-    beyond_bounds: float
-    without_prediction: float
-    low: float
-    high: float
-    n_draws: int
+    beyond_bounds: float = entry("Part of the priors that the bounds cut off, exact", unit="1")
+    without_prediction: float = entry(
+        "Part of the prior within the bounds where the model has no prediction, estimated; null "
+        "without draws",
+        unit="1",
+    )
+    low: float = entry("Lower 95 % confidence limit of that estimate", unit="1")
+    high: float = entry("Upper 95 % confidence limit of that estimate", unit="1")
+    n_draws: int = entry("Draws of the prior simulated for it", unit="1")
 
     # typing.override came with Python 3.12.
     def __str__(self) -> str:  # type: ignore[explicit-override]

@@ -36,6 +36,7 @@ from identknee.identify.posterior.posterior import Posterior
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial
+from identknee.runs.plain_records import to_plain
 from identknee.runs.record import record
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
@@ -198,7 +199,7 @@ class _Run:
             "n_walkers": self._task.n_walkers,
             "moves": self._task.moves,
             "block_steps": self._task.steps,
-            "rule": {name: getattr(rule, name) for name in StopRule.__slots__},
+            "rule": to_plain(rule),
         }
 
     def prior(self, n_draws: int) -> tuple[Array, ExcludedMass]:

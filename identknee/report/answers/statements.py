@@ -10,6 +10,7 @@ from identknee.report.answers.equivalents import equivalents_statements
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.information import information_statements
 from identknee.report.answers.profile import profile_statements
+from identknee.report.answers.sample import sample_statements
 from identknee.report.answers.sensitivity import sensitivity_statements
 from identknee.report.answers.simulate import simulate_statements
 from identknee.report.answers.sweep import sweep_statements
@@ -23,6 +24,7 @@ from identknee.verbs.fit import Calibration
 from identknee.verbs.information import LocalIdentifiability
 from identknee.verbs.isolability import Isolability
 from identknee.verbs.profile import Profiles
+from identknee.verbs.sample import Sample
 from identknee.verbs.sensitivity import GlobalSensitivity
 from identknee.verbs.simulate import Simulation
 from identknee.verbs.sweep import Sweep
@@ -30,6 +32,7 @@ from identknee.verbs.sweep import Sweep
 _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
     Profiles: profile_statements,
     Sweep: sweep_statements,
+    Sample: sample_statements,
     GlobalSensitivity: sensitivity_statements,
     LocalIdentifiability: information_statements,
     Equivalents: equivalents_statements,

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
-import xarray
 
 from identknee.identify.profile.result import Profile
 from identknee.identify.sweep.sweep import OUTCOMES
@@ -23,10 +22,13 @@ from identknee.report.sensitivity_figures import effects_figure, map_figure
 from identknee.report.starts_figure import starts_figure
 from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
 from identknee.report.words import label, listed
+from identknee.runs.arrays import Array
 from identknee.verbs.demo import Demonstration
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.information import LocalIdentifiability
 from identknee.verbs.profile import Profiles
+from identknee.verbs.sample import Sample
+from identknee.verbs.sample_records import Predictive
 from identknee.verbs.sensitivity import GlobalSensitivity
 from identknee.verbs.sweep import Sweep
 
@@ -87,21 +89,18 @@ def _profiles(profiles: Sequence[Profile]) -> Iterator[Drawing]:
 
 
 def _sample(result: Result) -> Iterator[Drawing]:
-    posterior = result.groups.get("posterior")
-    if posterior is None:
+    answer = result.answer
+    if not isinstance(answer, Sample) or answer.draws is None:
         return
-    names, draws = _draws(posterior)
+    names, draws = answer.space.names, _thinned(answer.draws.theta)
     told = listed(map(label, names))
-    prior = result.groups.get("prior")
-    if prior is not None:
-        before = _draws(prior)[1]
-        yield Drawing(
-            name="prior-posterior",
-            figure=prior_posterior_figure(names, before, {"posterior": draws}),
-            caption="What was assumed of each parameter before the data (grey), and what is "
-            "probable after them.",
-            description=f"Densities of {told} before and after the data.",
-        )
+    yield Drawing(
+        name="prior-posterior",
+        figure=prior_posterior_figure(names, _thinned(answer.prior.theta), {"posterior": draws}),
+        caption="What was assumed of each parameter before the data (grey), and what is "
+        "probable after them.",
+        description=f"Densities of {told} before and after the data.",
+    )
     yield Drawing(
         name="corner",
         figure=corner_figure(names, draws),
@@ -109,27 +108,25 @@ def _sample(result: Result) -> Iterator[Drawing]:
         "Oblong shapes are parameters that make up for one another.",
         description=f"Pairwise posterior of {told}.",
     )
-    predictive = result.groups.get("posterior_predictive")
-    if predictive is not None:
-        yield _forces(predictive)
+    if answer.predictive is not None and answer.data is not None:
+        yield _forces(answer.predictive, answer.data.protocol.trials)
 
 
-def _forces(predictive: xarray.Dataset) -> Drawing:
-    tensions = predictive["tension_N"].transpose(..., "trial", "ligament")
+def _forces(predictive: Predictive, names: Sequence[str]) -> Drawing:
+    tensions = predictive.tension_N.reshape(-1, *predictive.tension_N.shape[-2:])
     # A trial may have no prediction anywhere.
-    values = tensions.dropna("trial", how="all")
-    spread = np.nanquantile(values.values.reshape(-1, *values.shape[-2:]), QUANTILES, axis=0)
+    known = np.flatnonzero(np.isfinite(tensions).any(axis=(0, 2)))
+    spread = np.nanquantile(tensions[:, known], QUANTILES, axis=0)
     widths = (spread[-1] - spread[0]).max(axis=1)
     chosen = np.sort(np.argsort(-widths)[:MOST_FORCES])
-    trials = [str(x) for x in values["trial"].values[chosen]]
-    ligaments = [str(x) for x in values["ligament"].values]
+    trials = [names[i] for i in known[chosen]]
     return Drawing(
         name="forces",
-        figure=forces_figure(trials, ligaments, np.moveaxis(spread[:, chosen], 0, -1)),
+        figure=forces_figure(trials, predictive.ligaments, np.moveaxis(spread[:, chosen], 0, -1)),
         caption="Ligament forces as far as the data determine them, in the trials where they are "
         "least certain: thick half, thin 95 % of the posterior.",
-        description=f"Ranges of the tension of {listed(ligaments)} in {len(trials)} trials; the "
-        f"widest has {widths.max():.0f} N.",
+        description=f"Ranges of the tension of {listed(predictive.ligaments)} in {len(trials)} "
+        f"trials; the widest has {widths.max():.0f} N.",
     )
 
 
@@ -248,16 +245,11 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
         )
 
 
-def _draws(data: xarray.Dataset) -> tuple[list[str], np.ndarray]:
-    """Names and draws, evenly thinned, from one variable for all or one for each parameter."""
-    if "theta" in data:
-        names = [str(x) for x in data["parameter"].values]
-        flat = data["theta"].transpose(..., "parameter").values.reshape(-1, len(names))
-    else:
-        names = [str(x) for x in data.data_vars]
-        flat = np.column_stack([data[x].values.ravel() for x in names])
+def _thinned(theta: Array) -> Array:
+    """Some of the draws of all chains, evenly apart, shape ``(n, p)``."""
+    flat = theta.reshape(-1, theta.shape[-1])
     chosen = np.linspace(0, len(flat) - 1, min(len(flat), MOST_DRAWS)).astype(int)
-    return names, flat[chosen]
+    return np.asarray(flat[chosen])
 
 
 def _end(value: float | None) -> str:

@@ -20,6 +20,7 @@ from identknee.runs.arrays import Array
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.fit import Calibration
+from identknee.verbs.sample import Sample
 from identknee.verbs.simulate import SimulatedLaxity, Simulation
 
 BAND_ENDS = (0.025, 0.975)
@@ -132,8 +133,8 @@ def _band(
         if isinstance(other.answer, Equivalents):
             drawn = np.array([as_measured(x) for x in other.answer.coordinates])
             return "equivalent sets", np.quantile(drawn, (0.0, 1.0), axis=0)
-        if "posterior_predictive" in other.groups:
-            values = coordinates(other.groups["posterior_predictive"])
+        if isinstance(other.answer, Sample) and other.answer.predictive is not None:
+            values = other.answer.predictive.coordinates
             drawn = np.array([as_measured(x) for x in values.reshape(-1, *values.shape[-2:])])
             return "95 % of the posterior", np.quantile(drawn, BAND_ENDS, axis=0)
     return None

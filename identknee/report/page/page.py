@@ -2,7 +2,7 @@
 
 import json
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -11,9 +11,6 @@ from identknee.report.answers.statements import statements_of
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
 from identknee.report.page.knee_scene import KneeScene
-from identknee.report.page.known_sentences import (
-    sample_findings,
-)
 from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import (
     bullets,
@@ -63,9 +60,6 @@ FURTHER = {
     "sensitivity": "Which parameter moves which laxity?",
     "diagnose": "What does the model get wrong, and why?",
     "design": "Which trials would close the gap?",
-}
-_SAY: Mapping[str, Callable[[Result], Iterator[Statement]]] = {
-    "sample": sample_findings,
 }
 
 
@@ -182,7 +176,7 @@ def _subject(findings: Findings, number: int, level: int, scene: KneeScene | Non
 
 def _statements(result: Result) -> Iterable[Statement]:
     if result.answer is None:
-        return _SAY[result.verb](result)
+        return ()
     taken = result.answer.assumptions
     assumed = [Statement(question=Question.KNOWN, sentence=" ".join(taken))] if taken else []
     return [*statements_of(result.answer), *assumed]

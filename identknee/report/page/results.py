@@ -1,10 +1,6 @@
 """The results in a folder, as the verbs left them."""
 
-import gc
-import sys
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,14 +8,10 @@ from typing import Any
 import xarray
 
 from identknee.laxity.protocol import LOADS, Protocol
-from identknee.report.page.agreement import disagreement
-from identknee.report.page.array_schema import array_fault
-from identknee.report.page.summaries import SCHEMAS
 from identknee.report.page.summary_parts import AGAIN
-from identknee.report.result_files import ARRAYS, SUMMARY
+from identknee.report.result_files import SUMMARY
 from identknee.runs.errors import InputError
-from identknee.runs.files import digest
-from identknee.runs.schema import Fault, read_json, shown, validated
+from identknee.runs.schema import read_json
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import ANSWERS, loaded
@@ -165,48 +157,6 @@ def _read(path: Path) -> Result | None:
     summary = read_json(path, AGAIN)
     record = summary.get("record") if isinstance(summary, dict) else None
     verb = record.get("verb") if isinstance(record, dict) else None
-    if record is None or not isinstance(verb, str) or verb not in FLOW:
+    if record is None or not isinstance(verb, str) or verb not in FLOW or verb not in ANSWERS:
         return None
-    if verb in ANSWERS:
-        return Result(folder=path.parent, summary=summary, groups={}, answer=loaded(path, summary))
-    validated(SCHEMAS[verb], summary, lambda fault: _error(path, fault))
-    arrays = path.with_name(ARRAYS)
-    groups = _groups(arrays, record.get("arrays")) if arrays.is_file() else {}
-    if (fault := array_fault(groups)) is not None:
-        raise InputError(arrays, *fault, AGAIN)
-    if fault := disagreement(summary, groups):
-        raise InputError(arrays, *fault, AGAIN)
-    return Result(folder=path.parent, summary=summary, groups=groups)
-
-
-def _error(path: Path, fault: Fault) -> InputError:
-    where = "/".join(str(x) for x in (*fault.place, *([fault.key] * bool(fault.key))))
-    return InputError(path, where, fault.why, fault.remedy or AGAIN)
-
-
-def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
-    if sha is not None and digest(path) != sha:
-        why = "it is not the file that was written with result.json"
-        raise InputError(path, "", why, AGAIN)
-    with warnings.catch_warnings(), _files_closed_in_silence():
-        warnings.simplefilter("ignore")
-        try:
-            with xarray.open_datatree(path, engine="h5netcdf") as tree:
-                return {name: node.to_dataset().load() for name, node in tree.children.items()}
-        # The libraries below raise errors of many types at a damaged file.
-        except Exception as error:  # noqa: BLE001
-            why = f"the arrays cannot be read ({type(error).__name__}: {shown(str(error))})"
-    raise InputError(path, "", why, AGAIN)
-
-
-@contextmanager
-def _files_closed_in_silence() -> Iterator[None]:
-    """Keep off the terminal what the library prints when it closes a file it could not open."""
-    shown_before = sys.unraisablehook
-    sys.unraisablehook = lambda _: None
-    try:
-        yield
-        # What failed may wait for its end in a circle.
-        gc.collect()
-    finally:
-        sys.unraisablehook = shown_before
+    return Result(folder=path.parent, summary=summary, groups={}, answer=loaded(path, summary))

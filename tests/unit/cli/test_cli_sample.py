@@ -42,7 +42,7 @@ def test_a_short_sample_and_its_files(table: Path, tmp_path: Path) -> None:
         theta = tree["posterior"]["theta"]
         assert theta.dims == ("chain", "draw", "parameter")
         assert theta.sizes["chain"] == 40
-        assert set(np.unique(theta["ensemble"])) == {0, 1, 2, 3}
+        assert set(np.unique(tree["sample_stats"]["ensemble"])) == {0, 1, 2, 3}
         assert float(theta.sel(parameter="ACL.stiffness_kN").mean()) == pytest.approx(one["mean"])
         predictive = tree["posterior_predictive"]
         assert predictive["tension_N"].dims == ("chain", "draw", "trial", "ligament")
@@ -82,7 +82,7 @@ def test_other_data_in_the_folder_of_an_unfinished_run_are_refused(
     table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # As a run that was killed leaves it.
-    monkeypatch.setattr("identknee.cli.sample.finish_work", lambda _: None)
+    monkeypatch.setattr("identknee.verbs.verb.finish_work", lambda _: None)
     words = (*HELD, "--budget", 500, "--out", tmp_path)
     assert run("sample", "reference", table, *words).exit_code == 0
     other = ik.write_laxity(

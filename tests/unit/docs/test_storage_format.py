@@ -33,7 +33,6 @@ RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
     "subject export": ("subject check", []),
 }
 SLOW_RUNS: Mapping[str, tuple[str, Sequence[str]]] = {
-    "sample": ("sample", ["DATA", *FEW, "--ensembles", "2", "--nested"]),
     "blind": ("blind", ["--effect", "compression", "--signal", "12"]),
 }
 Row = tuple[tuple[str, ...], str]

@@ -20,6 +20,7 @@ CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
     "fit": (ik.fit, {"start": "IG2", "method": "complex", "budget": 40, "seed": 2}),
     "profile": (ik.profile, {"level": 0.9, "budget": 200}),
     "information": (ik.information, {"scaling": "prior"}),
+    "sample": (ik.sample, {"moves": "difference", "budget": 700}),
     "sensitivity": (ik.sensitivity, {"method": "morris", "samples": 4}),
     "sweep": (
         ik.sweep,

@@ -1,0 +1,79 @@
+"""What a sample of the posterior says: how probable values are, and whether to rely on it."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from identknee.identify.posterior.convergence import SampleOutcome
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import between, label, listed, parameter_words
+from identknee.verbs.sample import Sample
+from identknee.verbs.sample_records import Marginal, Nested
+
+STIFFNESS = "stiffness_kN"
+# More of them in one sentence are no answer any more.
+MOST_NAMED = 5
+
+
+def sample_statements(answer: Sample) -> Iterator[Statement]:
+    """What is probable, whether the sample converged, and what the prior excludes."""
+    if answer.last_check is None:
+        yield _statement(_trusted(answer))
+        return
+    yield _statement(
+        f"Given the stated assumptions before the data, {_probable(answer.parameters)}. "
+        f"{_trusted(answer)}",
+        _table(answer.parameters),
+    )
+    yield _statement(str(answer.last_check).replace("\n", " "))
+    yield _statement(f"{answer.excluded} {answer.n_simulations} simulations.")
+    if answer.nested is not None:
+        yield _statement(_opinion(answer.nested))
+
+
+def _statement(sentence: str, *tables: Table) -> Statement:
+    return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
+
+
+def _trusted(answer: Sample) -> str:
+    """Whether the sample may be relied on."""
+    if answer.outcome is SampleOutcome.CONVERGED:
+        return "Independent samplers agree on it."
+    unmet = sum(not x["met"] for x in answer.gate.values())
+    count = f" {unmet} of {len(answer.gate)} conditions are not met." if answer.gate else ""
+    is_short = answer.outcome is SampleOutcome.BUDGET
+    remedy = " The same command with a larger --budget goes on from here." if is_short else ""
+    return f"Do not rely on it yet: {answer.sentence}{count}{remedy}"
+
+
+def _probable(marginals: Mapping[str, Marginal]) -> str:
+    """Of at most so many parameters, the stiffnesses where there are any."""
+    names = [x for x in marginals if x.endswith(STIFFNESS)] or list(marginals)
+    parts = []
+    for name in names[:MOST_NAMED]:
+        unit = "kN" if name.endswith("_kN") else "%" if name.endswith("_pct") else ""
+        limits = (marginals[name].q025, marginals[name].q975)
+        parts.append(f"{parameter_words(name)} is {between(limits, unit)}")
+    return f"with 95 % probability {listed(parts)}"
+
+
+def _table(marginals: Mapping[str, Marginal]) -> Table:
+    heads = ("parameter", "mean", "sd", "2.5 %", "97.5 %", "R-hat", "effective draws")
+    return Table(
+        title="Posterior of the parameters",
+        columns=tuple(Column(name=x, decimals=None) for x in heads),
+        rows=tuple(
+            (label(name), x.mean, x.sd, x.q025, x.q975, x.rhat, x.ess_bulk)
+            for name, x in marginals.items()
+        ),
+    )
+
+
+def _opinion(nested: Nested) -> str:
+    worst = float(np.max(np.abs(nested.quantile_differences)))
+    return (
+        f"Nested sampling: log evidence {nested.log_evidence:.2f} +- "
+        f"{nested.log_evidence_error:.2f}; its quantiles differ by {worst:.1f} joint standard "
+        "errors at most."
+    )
