@@ -51,7 +51,8 @@ def package_page(package: str) -> str:
     place = import_module(own)
     if names := _names(package, place) if "attach_stub" in vars(place) else "":
         parts += [f"``ik.{package}`` has these names beside those of the root.\n\n"]
-        parts += [f".. autosummary::\n\n{names}\n\n"]
+        # Whole paths are meant from nowhere, which keeps them short on the page.
+        parts += [f".. currentmodule:: None\n\n.. autosummary::\n\n{names}\n\n"]
     for path in sorted((ROOT / package).rglob("*.py")):
         module = ".".join(path.relative_to(ROOT.parent).with_suffix("").parts)
         if path.name == "__init__.py":
