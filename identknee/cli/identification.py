@@ -1,18 +1,8 @@
-"""Options of the verbs of identifiability, and what they share, loaded when it is first used."""
+"""Options of the verbs that compare a model with data in units of the noise."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
-
-from identknee.cli.digests import file_digests
-
-if TYPE_CHECKING:
-    from identknee.cli.set_up import Identification
-else:
-    Identification = object
-
-WORK = "unfinished.sqlite"
-__all__ = ["WORK", "Identification", "file_digests"]
 
 Noise = Annotated[
     str | None,
@@ -45,33 +35,3 @@ Bounds = Annotated[
         "repeatable.",
     ),
 ]
-
-
-def identification(*words: Any, **options: Any) -> "Identification":
-    """As `identknee.cli.set_up.identification`."""
-    from identknee.cli.set_up import identification as made
-
-    return made(*words, **options)
-
-
-def measured(subject: str, data: Any, noise: str | None) -> Any:
-    """Subject and data, the noise of the data as `--noise` says where it is given."""
-    from identknee.laxity.table import read_laxity
-    from identknee.subject.folder import read_subject
-    from identknee.verbs.identification import with_noise
-
-    return read_subject(subject), with_noise(read_laxity(data), noise)
-
-
-def best_fits(setup: Any, **options: Any) -> Any:
-    """As `identknee.verbs.identification.best_fits`."""
-    from identknee.verbs import identification as shared
-
-    return shared.best_fits(setup, **options)
-
-
-def no_prediction(setup: Any) -> Exception:
-    """As `identknee.verbs.identification.no_prediction`."""
-    from identknee.verbs import identification as shared
-
-    return shared.no_prediction(setup)

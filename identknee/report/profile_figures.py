@@ -14,9 +14,11 @@ from identknee.identify.profile.pairs import PairProfile
 from identknee.identify.profile.result import Interval, Profile, SideStatus
 from identknee.model.parameters import Parameters
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
-from identknee.report.profile_groups import PAIR_LEVELS, nested
 from identknee.runs.arrays import Array, BoolArray
 
+# Nested sets beside the profile's own.
+LEVELS = (0.5, 0.8, 0.9)
+PAIR_LEVELS = (0.5, 0.8)
 COLUMNS = 4
 N_COMPENSATORS = 3
 PER_SEGMENT = 12
@@ -25,9 +27,9 @@ THICKNESSES = (9.0, 6.0, 3.5, 1.5)
 
 
 def profiles_figure(profiles: Sequence[Profile]) -> Figure:
-    """The rise of the deviance of each quantity, with its points, threshold and likely values.
+    """The rise of the deviance of each quantity, with its points, threshold and confidence set.
 
-    A panel each. The shaded stretch is the set of likely values; where it is open it ends in an
+    A panel each. The shaded stretch is the confidence set; where it is open it ends in an
     arrow. Further local optima have other markers.
 
     Parameters
@@ -85,7 +87,7 @@ def paths_figure(profiles: Sequence[Profile], parameters: Parameters) -> Figure:
 
 
 def intervals_figure(profiles: Sequence[Profile]) -> Figure:
-    """Nested sets of likely values as bars, one row a quantity, thinner for higher levels.
+    """Nested sets of confidence set as bars, one row a quantity, thinner for higher levels.
 
     Each row is scaled to its own 95 % (or other) set, the optimum in the middle of the panel; an
     open end is an arrow to the place reached, or a cross where only the model ends.
@@ -171,6 +173,12 @@ def smooth_edge(edge: Array) -> Array:
     steps = np.arange(len(closed))
     curve = scipy.interpolate.CubicSpline(steps, closed, bc_type="periodic")
     return np.asarray(curve(np.linspace(0, len(edge), PER_SEGMENT * len(edge) + 1)))
+
+
+def nested(profile: Profile) -> dict[float, tuple[Interval, ...]]:
+    """Sets of values not excluded by level, from low levels to the profile's own."""
+    levels = [x for x in LEVELS if x < profile.level]
+    return {level: profile.intervals_at(level) for level in (*levels, profile.level)}
 
 
 def _draw_profile(axes: Axes, profile: Profile) -> None:

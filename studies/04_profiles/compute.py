@@ -18,7 +18,7 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee as ik
 from identknee.identify.profile.profile import profile
 from identknee.identify.profile.profiles import profile_parameters
-from identknee.report.profile_groups import PAIR_LEVELS, nested
+from identknee.report.profile_figures import PAIR_LEVELS, nested
 from identknee.runs.plain_records import to_plain
 
 KNEES = ("reference", "lenhart2015_stable")

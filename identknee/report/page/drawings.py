@@ -40,17 +40,14 @@ INDICES = {"mu_star": "mean absolute effect, mu*", "ST": "total Sobol index, ST"
 
 def drawings(result: Result) -> tuple[Drawing, ...]:
     """All figures of a result, the most telling first; none of a verb whose answer is a table."""
-    answer = result.answer
-    if isinstance(answer, Demonstration):
-        return tuple(_demo(answer))
-    if isinstance(answer, Profiles):
-        return tuple(_profiles(answer.profiles))
     draw = _BY_VERB.get(result.verb)
-    has_numbers = bool(result.groups) or answer is not None
-    return tuple(draw(result)) if draw is not None and has_numbers else ()
+    return () if draw is None else tuple(draw(result))
 
 
-def _demo(answer: Demonstration) -> Iterator[Drawing]:
+def _demo(result: Result) -> Iterator[Drawing]:
+    answer = result.answer
+    if not isinstance(answer, Demonstration):
+        return
     methods = listed(dict.fromkeys(x.method for x in answer.starts))
     yield Drawing(
         name="starts",
@@ -61,10 +58,15 @@ def _demo(answer: Demonstration) -> Iterator[Drawing]:
         f"{max(x.rmse_deg.max() for x in answer.starts):.2f} deg at worst, with stiffnesses up to "
         f"{max(x.error_kN.max() for x in answer.starts):.2f} kN wrong on average.",
     )
-    yield from _profiles(tuple(answer.profiles.values()))
+    yield from _profile_drawings(tuple(answer.profiles.values()))
 
 
-def _profiles(profiles: Sequence[Profile]) -> Iterator[Drawing]:
+def _profiles(result: Result) -> Iterator[Drawing]:
+    if isinstance(result.answer, Profiles):
+        yield from _profile_drawings(result.answer.profiles)
+
+
+def _profile_drawings(profiles: Sequence[Profile]) -> Iterator[Drawing]:
     names = listed(label(x.name) for x in profiles)
     ends = "; ".join(
         f"{label(x.name)} {_end(x.lower)} to {_end(x.upper)}, {x.verdict.value.replace('_', ' ')}"
@@ -257,6 +259,8 @@ def _end(value: float | None) -> str:
 
 
 _BY_VERB: Mapping[str, Callable[[Result], Iterator[Drawing]]] = {
+    "demo": _demo,
+    "profile": _profiles,
     "sample": _sample,
     "information": _information,
     "equivalents": _equivalents,

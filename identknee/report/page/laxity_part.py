@@ -3,9 +3,7 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import xarray
 
-from identknee.laxity.protocol import Protocol
 from identknee.laxity.unloaded import from_unloaded
 from identknee.report.laxity_figures import (
     LaxityCurves,
@@ -14,7 +12,6 @@ from identknee.report.laxity_figures import (
 )
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Findings, Result
-from identknee.report.page.stored import coordinates
 from identknee.report.words import listed
 from identknee.runs.arrays import Array
 from identknee.verbs.diagnosis import Diagnosis
@@ -62,26 +59,7 @@ def _curves(result: Result, findings: Findings) -> LaxityCurves | None:
         return _of_answer(result, result.answer, findings)
     if isinstance(result.answer, Diagnosis):
         return _diagnosed(result.answer)
-    protocol = result.protocol
-    if protocol is None:
-        return None
-    observed = result.groups.get("observed_data")
-    # A demo observes what it simulates, noise-free.
-    is_data = observed is not None and result.verb != "demo"
-    measured = coordinates(observed) if observed is not None and is_data else None
-    simulated: dict[str, Array] = {}
-    if "predictions" in result.groups:
-        values = coordinates(result.groups["predictions"])
-        simulated["simulated"] = _as_measured(values, observed, protocol)
-    else:
-        return None
-    has_sd = observed is not None and "sd" in observed
-    return LaxityCurves(
-        protocol=protocol,
-        simulated=simulated,
-        measured=measured,
-        sd=coordinates(observed, "sd") if observed is not None and has_sd else None,
-    )
+    return None
 
 
 def _of_answer(result: Result, answer: SimulatedLaxity, findings: Findings) -> LaxityCurves:
@@ -138,13 +116,6 @@ def _band(
             drawn = np.array([as_measured(x) for x in values.reshape(-1, *values.shape[-2:])])
             return "95 % of the posterior", np.quantile(drawn, BAND_ENDS, axis=0)
     return None
-
-
-def _as_measured(values: Array, observed: xarray.Dataset | None, protocol: Protocol) -> Array:
-    """Predictions as changes from the unloaded pose where the data are."""
-    if observed is None or observed.attrs.get("zero") != "unloaded":
-        return values
-    return from_unloaded(values, protocol)
 
 
 def _caption(curves: LaxityCurves) -> str:

@@ -175,8 +175,6 @@ def _subject(findings: Findings, number: int, level: int, scene: KneeScene | Non
 
 
 def _statements(result: Result) -> Iterable[Statement]:
-    if result.answer is None:
-        return ()
     taken = result.answer.assumptions
     assumed = [Statement(question=Question.KNOWN, sentence=" ".join(taken))] if taken else []
     return [*statements_of(result.answer), *assumed]

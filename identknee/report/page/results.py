@@ -5,16 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import xarray
-
-from identknee.laxity.protocol import LOADS, Protocol
-from identknee.report.page.summary_parts import AGAIN
-from identknee.report.result_files import SUMMARY
+from identknee.laxity.protocol import Protocol
 from identknee.runs.errors import InputError
 from identknee.runs.schema import read_json
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
-from identknee.verbs.files import ANSWERS, loaded
+from identknee.verbs.files import AGAIN, ANSWERS, SUMMARY, loaded
 from identknee.verbs.simulate import SimulatedLaxity
 
 # In the order of the flow; verbs that are not here leave nothing to report on.
@@ -38,16 +34,13 @@ class Result:
         Where it is.
     summary
         `result.json`.
-    groups
-        The groups of `result.nc` by name; empty where there is no such file.
     answer
-        What the verb gave back; None for a verb whose answer is read from its summary.
+        What the verb gave back.
     """
 
     folder: Path
     summary: Mapping[str, Any]
-    groups: Mapping[str, xarray.Dataset]
-    answer: Answer | None = None
+    answer: Answer
 
     @property
     def verb(self) -> str:
@@ -82,15 +75,7 @@ class Result:
             return self.answer.protocol
         if isinstance(self.answer, Diagnosis):
             return None if self.answer.trials is None else self.answer.trials.protocol
-        constant = self.groups.get("constant_data")
-        if constant is None:
-            return None
-        return Protocol(
-            name=str(constant.attrs.get("protocol", "")),
-            trials=tuple(str(x) for x in constant["trial"].values),
-            flexion_deg=constant["flexion_deg"].values,
-            loads=constant["loads"].sel(load=list(LOADS)).values,
-        )
+        return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,4 +144,4 @@ def _read(path: Path) -> Result | None:
     verb = record.get("verb") if isinstance(record, dict) else None
     if record is None or not isinstance(verb, str) or verb not in FLOW or verb not in ANSWERS:
         return None
-    return Result(folder=path.parent, summary=summary, groups={}, answer=loaded(path, summary))
+    return Result(folder=path.parent, summary=summary, answer=loaded(path, summary))

@@ -1,15 +1,10 @@
 """The knee of a subject's results, ready to be turned."""
 
-import numpy as np
-
 from identknee.calibrate.starts import load_start
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.page.knee_scene import KneeScene, model_scene
 from identknee.report.page.results import Findings, Result
-from identknee.report.page.summary_parts import AGAIN
-from identknee.report.result_files import ARRAYS
 from identknee.runs.arrays import Array
-from identknee.runs.errors import InputError
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import Diagnosis
@@ -43,20 +38,7 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
             model = LaxityModel(knee=knee, protocol=protocol)
             if result.answer.parameter_names == model.parameters.names:
                 return model_scene(model, result.answer.theta)
-        if "predictions" in result.groups:
-            model = LaxityModel(knee=knee, protocol=protocol)
-            return model_scene(model, _theta(result, model))
     return None
-
-
-def _theta(result: Result, model: LaxityModel) -> Array:
-    data = result.groups["predictions"]
-    values = dict(zip(map(str, data["parameter"].values), data["theta"].values, strict=True))
-    lacking = [name for name in model.parameters.names if name not in values]
-    if lacking:
-        why = f"there is no {lacking[0]}"
-        raise InputError(result.folder / ARRAYS, "group predictions", why, AGAIN)
-    return np.array([values[name] for name in model.parameters.names])
 
 
 def _line(result: Result, knee: Knee) -> Array | None:

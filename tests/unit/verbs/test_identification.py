@@ -2,17 +2,19 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from identknee.cli.identification import best_fits, file_digests, identification
 from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity, write_laxity
+from identknee.laxity.table import Laxity, read_laxity, write_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.errors import NotComputed
 from identknee.runs.executors import serial
 from identknee.runs.findings import Severity
+from identknee.subject.reference import reference_knee
+from identknee.verbs.identification import Identification, best_fits, identification
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +30,13 @@ def written(laxity: Laxity, folder: Path) -> Path:
     return path
 
 
+def identified(path: Path, **options: Any) -> Identification:
+    """The set-up of the reference knee and a table."""
+    return identification(reference_knee(), read_laxity(path), **options)
+
+
 def test_stated_noise_gives_residuals_of_variance_one(measured: Laxity, tmp_path: Path) -> None:
-    setup = identification("reference", written(measured, tmp_path))
+    setup = identified(written(measured, tmp_path))
     residuals = setup.problem.residuals(setup.problem.parameters.center)
     # The mean square of 315 standard normal residuals has sd sqrt(2 / 315); 4 of them.
     assert np.mean(residuals**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 315))
@@ -38,7 +45,7 @@ def test_stated_noise_gives_residuals_of_variance_one(measured: Laxity, tmp_path
 
 
 def test_unstated_noise_is_estimated_and_said(measured: Laxity, tmp_path: Path) -> None:
-    setup = identification("reference", written(replace(measured, sd=None), tmp_path))
+    setup = identified(written(replace(measured, sd=None), tmp_path))
     assert setup.degrees_of_freedom == 315 - 8
     (sentence,) = setup.assumptions
     assert "state no noise" in sentence
@@ -49,13 +56,13 @@ def test_unstated_noise_is_estimated_and_said(measured: Laxity, tmp_path: Path) 
 def test_noise_on_the_command_line_replaces_that_of_the_file(
     measured: Laxity, tmp_path: Path
 ) -> None:
-    setup = identification("reference", written(measured, tmp_path), noise="0.4mm,0.8deg")
+    setup = identified(written(measured, tmp_path), noise="0.4mm,0.8deg")
     assert setup.laxity.sd is not None
     np.testing.assert_array_equal(setup.laxity.sd[0], [0.4, 0.4, 0.4, 0.8, 0.8])
 
 
 def test_fixed_parameters_keep_their_value(measured: Laxity, tmp_path: Path) -> None:
-    setup = identification("reference", written(measured, tmp_path), fixed=["PCL.stiffness_kN"])
+    setup = identified(written(measured, tmp_path), fixed=["PCL.stiffness_kN"])
     names = setup.model.parameters.names
     assert setup.problem.parameters.names == tuple(n for n in names if n != "PCL.stiffness_kN")
     several = np.arange(14.0).reshape(2, 7)
@@ -69,7 +76,7 @@ def test_blank_columns_and_few_values_are_said(measured: Laxity, tmp_path: Path)
     coordinates = np.full_like(measured.coordinates, np.nan)
     coordinates[:5, 1] = measured.coordinates[:5, 1]
     few = replace(measured, coordinates=coordinates)
-    setup = identification("reference", written(few, tmp_path))
+    setup = identified(written(few, tmp_path))
     said = " ".join(setup.assumptions)
     assert "varus_deg was not measured" in said
     assert "5 measured values cannot determine 8 parameters" in said
@@ -87,13 +94,13 @@ def test_wrong_options_are_refused(
     measured: Laxity, tmp_path: Path, change: dict[str, str], sentence: str
 ) -> None:
     with pytest.raises(ValueError, match=sentence):
-        identification("reference", written(measured, tmp_path), **change)
+        identified(written(measured, tmp_path), **change)
 
 
 def test_data_without_a_value_are_refused(measured: Laxity, tmp_path: Path) -> None:
     blank = replace(measured, coordinates=np.full_like(measured.coordinates, np.nan), sd=None)
     with pytest.raises(ValueError, match="no coordinate was measured"):
-        identification("reference", written(blank, tmp_path))
+        identified(written(blank, tmp_path))
 
 
 def test_noise_stated_of_some_coordinates_only_is_refused(measured: Laxity, tmp_path: Path) -> None:
@@ -103,12 +110,12 @@ def test_noise_stated_of_some_coordinates_only_is_refused(measured: Laxity, tmp_
     kept = [",".join(row[:column] + row[column + 1 :]) for row in rows]
     path.write_text("\n".join(kept) + "\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"sd_varus_deg is missing\..*--noise 0\.5mm,0\.5deg"):
-        identification("reference", path)
-    assert identification("reference", path, noise="0.2mm,0.4deg").assumptions == ()
+        identified(path)
+    assert identified(path, noise="0.2mm,0.4deg").assumptions == ()
 
 
 def test_a_misfit_beyond_the_noise_is_said(measured: Laxity, tmp_path: Path) -> None:
-    setup = identification("reference", written(measured, tmp_path))
+    setup = identified(written(measured, tmp_path))
     # 315 values, 8 parameters: noise leaves 307, with a standard deviation of 25.
     assert setup.findings_at(setup.start, 307.0) == ()
     (found,) = setup.findings_at(setup.start, 614.0)
@@ -121,7 +128,7 @@ def test_an_estimated_noise_that_no_instrument_has_is_said(
 ) -> None:
     mirrored = measured.coordinates * [1.0, 1.0, 1.0, 1.0, -1.0]
     wrong = replace(measured, coordinates=mirrored, sd=None)
-    setup = identification("reference", written(wrong, tmp_path))
+    setup = identified(written(wrong, tmp_path))
     assert setup.estimated_noise[1] is not None
     (found,) = setup.findings_at(setup.problem.parameters.center, 307.0)
     assert (found.severity, found.where) == (Severity.ERROR, "data")
@@ -129,21 +136,10 @@ def test_an_estimated_noise_that_no_instrument_has_is_said(
 
 
 def test_a_parameter_held_is_no_choice(measured: Laxity, tmp_path: Path) -> None:
-    setup = identification("reference", written(measured, tmp_path), fixed=["ACL.stiffness_kN"])
+    setup = identified(written(measured, tmp_path), fixed=["ACL.stiffness_kN"])
     assert setup.free_index("PCL.stiffness_kN", "--pair") == 0
     with pytest.raises(ValueError, match=r"--pair ACL\.stiffness_kN: --fix holds this parameter"):
         setup.free_index("ACL.stiffness_kN", "--pair")
-
-
-def test_the_content_of_a_start_file_is_an_input(measured: Laxity, tmp_path: Path) -> None:
-    start = tmp_path / "start.toml"
-    start.write_text("[ACL]\nstiffness_kN = 9.0\n", encoding="utf-8")
-    first = identification("reference", written(measured, tmp_path), start=str(start)).inputs
-    start.write_text("[ACL]\nstiffness_kN = 8.0\n", encoding="utf-8")
-    second = identification("reference", written(measured, tmp_path), start=str(start)).inputs
-    assert set(first) == {"subject", "data", "start"}
-    assert first["start"] != second["start"]
-    assert file_digests(trials="seed63", other=None) == {}
 
 
 def test_no_prediction_names_the_trials(measured: Laxity, tmp_path: Path) -> None:
@@ -151,9 +147,7 @@ def test_no_prediction_names_the_trials(measured: Laxity, tmp_path: Path) -> Non
     start = tmp_path / "slack.toml"
     start.write_text(slack, encoding="utf-8")
     bounds = [f"{x}.reference_strain_pct=-15:-14.9" for x in ("ACL", "PCL", "LCL", "MCL")]
-    setup = identification(
-        "reference", written(measured, tmp_path), start=str(start), bounds=bounds
-    )
+    setup = identified(written(measured, tmp_path), start=str(start), bounds=bounds)
     with pytest.raises(NotComputed, match="at the start 63 of 63 trials have none; flexion0_"):
         best_fits(setup, seed=0, executor=serial)
 
@@ -166,11 +160,11 @@ def test_noise_to_be_estimated_without_a_prediction_is_no_mistake_of_the_input(
     start.write_text(slack, encoding="utf-8")
     silent = written(replace(measured, sd=None), tmp_path)
     with pytest.raises(NotComputed, match="at the start 63 of 63 trials have none; flexion0_"):
-        identification("reference", silent, start=str(start))
+        identified(silent, start=str(start))
 
 
 def test_a_start_outside_the_bounds_is_refused(measured: Laxity, tmp_path: Path) -> None:
     bounds = ["ACL.stiffness_kN=20:30"]
-    setup = identification("reference", written(measured, tmp_path), bounds=bounds)
+    setup = identified(written(measured, tmp_path), bounds=bounds)
     with pytest.raises(ValueError, match="stiffness_kN is 10, outside its bounds 20 to 30"):
         best_fits(setup, seed=0, executor=serial)

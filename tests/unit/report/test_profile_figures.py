@@ -1,10 +1,7 @@
-"""Profiles as datasets, words and figures."""
-
-import json
+"""Figures of profiles, and the nested sets in them."""
 
 import numpy as np
 import pytest
-import xarray
 from problems import ClosedForm, linear, plain_parameters
 
 from identknee.calibrate.problem import with_bounds
@@ -13,19 +10,13 @@ from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.report.picture import png
 from identknee.report.profile_figures import (
+    LEVELS,
     intervals_figure,
+    nested,
     pairs_figure,
     paths_figure,
     profiles_figure,
 )
-from identknee.report.profile_groups import (
-    LEVELS,
-    nested,
-    pair_summary,
-    profile_groups,
-    profile_summary,
-)
-from identknee.runs.files import plain
 
 NAMES = ("x0.value_pct", "x1.value_pct")
 
@@ -61,28 +52,6 @@ def pair() -> PairProfile:
     return profile_pair(problem, problem.minimum, NAMES)
 
 
-def test_groups_hold_curves_and_sets(profiles: tuple[Profile, ...], pair: PairProfile) -> None:
-    names = linear().parameters.names
-    groups = profile_groups(profiles, names, [pair])
-    assert set(groups) == {"profile", "ci", "profile_pairs"}
-    curves, sets = groups["profile"], groups["ci"]
-    first = profiles[0]
-    n = len(first.values)
-    np.testing.assert_array_equal(curves["value"][0, :n], first.values)
-    assert np.isnan(curves["value"][0, n:]).all()
-    np.testing.assert_array_equal(curves["z"][0, :n], first.z)
-    assert curves["theta"].dims == ("quantity", "point", "parameter")
-    np.testing.assert_allclose(
-        2.0 * curves["nll"][0, :n] - first.deviance, first.deltas, atol=1e-12
-    )
-    assert sets["upper_open"].values.tolist() == [False, False, False, True]
-    assert np.isnan(sets["upper"][3])
-    assert sets["upper_status"].values[3] == "open_at_bound"
-    assert groups["profile_pairs"].sizes["ray"] == len(pair.rays)
-    tree = xarray.DataTree.from_dict(groups)
-    assert "profile" in tree.children
-
-
 def test_nested_sets_lie_in_one_another(profiles: tuple[Profile, ...]) -> None:
     widths = []
     for ((low, high),) in nested(profiles[0]).values():
@@ -91,22 +60,6 @@ def test_nested_sets_lie_in_one_another(profiles: tuple[Profile, ...]) -> None:
         widths.append(high - low)
     assert len(widths) == len(LEVELS) + 1
     assert widths == sorted(widths)
-
-
-def test_the_summary_has_null_for_an_open_end(profiles: tuple[Profile, ...]) -> None:
-    words = json.loads(json.dumps(plain(profile_summary(profiles[3]))))
-    assert words["upper"] is None
-    assert words["upper_status"] == "open_at_bound"
-    assert words["verdict"] == "one_sided"
-    assert words["sentence"].startswith("The data bound the value on one side")
-    assert words["intervals"][0][1] is None
-    assert words["n_simulations"] > 0
-
-
-def test_a_pair_has_a_summary(pair: PairProfile) -> None:
-    words = plain(pair_summary(pair))
-    assert len(words["edge"]) == len(pair.rays)
-    assert set(words["statuses"]) == {"closed"}
 
 
 def test_every_figure_is_drawn(
