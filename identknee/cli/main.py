@@ -5,11 +5,10 @@ import signal
 import sys
 from types import FrameType
 
+from identknee.cli.library_threads import LIBRARY_THREADS
+
 NOT_COMPUTED, INTERRUPTED = 1, 130
 STOPPED = "identknee: stopped while starting"
-# Threads inside linear algebra on matrices of eight columns cost more than they bring, the more so
-# beside other processes. Libraries read these when they are loaded.
-LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def main() -> None:
