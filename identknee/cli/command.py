@@ -249,21 +249,6 @@ def run_verb(
     return answer
 
 
-def nested(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Values by parameter name as ligament, then quantity.
-
-    Examples
-    --------
-    >>> nested({"ACL.stiffness_kN": 10.0, "ACL.reference_strain_pct": 8.0})
-    {'ACL': {'stiffness_kN': 10.0, 'reference_strain_pct': 8.0}}
-    """
-    tree: dict[str, dict[str, float]] = {}
-    for name, value in values.items():
-        owner, _, quantity = name.rpartition(".")
-        tree.setdefault(owner, {})[quantity] = float(value)
-    return tree
-
-
 def timed(function: Callable[[], Result]) -> tuple[Result, float]:
     """What the function returns, and how long it took [s]."""
     began = time.perf_counter()

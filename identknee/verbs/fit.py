@@ -1,7 +1,7 @@
 """One parameter set from measured laxity and one start, and what speaks against it."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -24,11 +24,12 @@ from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
-from identknee.verbs.values import BoundsLike, bounds_of, by_ligament
+from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 
 # How many trials without equilibrium are listed by name for each reason.
 MOST_LISTED = 6
+Weighting = Literal["unit", "noise"]
 
 
 @declared
@@ -112,7 +113,7 @@ def fit(
     start: str = "subject",
     method: str = "least-squares",
     budget: int | None = None,
-    weighting: Literal["unit", "noise"] = "unit",
+    weighting: Weighting = "unit",
     priors: bool = False,
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
@@ -159,6 +160,8 @@ def fit(
         If an argument or a file is wrong; the message says what to do. That the model has no
         prediction at the start is no error: the outcome says it.
     """
+    check_word("continuation", continuation, get_args(Continuation))
+    check_word("weighting", weighting, get_args(Weighting))
     laxity = run.laxity
     model = LaxityModel(knee=run.knee, protocol=laxity.protocol, continuation=continuation)
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=weighting)

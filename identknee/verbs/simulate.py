@@ -1,6 +1,6 @@
 """The laxity of a knee under a protocol, and how each trial ended."""
 
-from typing import Any
+from typing import Any, get_args
 
 from identknee.calibrate.starts import load_start
 from identknee.laxity.noise import add_noise
@@ -17,7 +17,14 @@ from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import warm_up
-from identknee.verbs.values import NoiseLike, ValuesLike, by_ligament, noise_of, values_of
+from identknee.verbs.values import (
+    NoiseLike,
+    ValuesLike,
+    by_ligament,
+    check_word,
+    noise_of,
+    values_of,
+)
 from identknee.verbs.verb import Run, SubjectLike, verb
 
 LAXITY_FILE = "laxity.csv"
@@ -164,6 +171,8 @@ def simulate(
             "--noise-correlation and --noise-student say of what kind the noise is; "
             "say how large with --noise, for example --noise 0.3mm,0.3deg"
         )
+    check_word("continuation", continuation, get_args(Continuation))
+    check_word("contact", contact, get_args(Contact))
     sizes = None if noise is None else noise_of(noise)
     trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol)
     chosen = values_of(values)

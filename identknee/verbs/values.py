@@ -22,6 +22,11 @@ def noise_of(noise: str | tuple[float, float]) -> tuple[float, float]:
     """
     if isinstance(noise, str):
         return noise_sizes(noise)
+    if len(noise) != 2:
+        raise ValueError(
+            f"noise {noise}: these are not two sizes. Give the standard deviations of translations "
+            "[mm] and of rotations [deg], for example (0.3, 0.3)"
+        )
     mm, deg = noise
     return noise_sizes(f"{mm}mm,{deg}deg")
 

@@ -139,17 +139,23 @@ def _reasons(answer: Diagnosis) -> Table:
 
 
 def _sizes(causes: Sequence[CauseFound]) -> Table:
+    # What is plausible is known of a cause's size, which is its first amplitude.
     rows = tuple(
-        (f"{cause.name}, {label(name)}", x.value, *map(_end, x.ci95), cause.source)
+        (
+            f"{cause.name}, {label(name)}",
+            x.value,
+            *map(_end, x.ci95),
+            cause.source if k == 0 else "",
+        )
         for cause in causes
-        for name, x in cause.parameters.items()
+        for k, (name, x) in enumerate(cause.parameters.items())
     )
     columns = (
         Column(name="amplitude"),
         Column(name="value", decimals=None),
         Column(name="95 % from", decimals=None),
         Column(name="to", decimals=None),
-        Column(name="plausible"),
+        Column(name="plausible size"),
     )
     return Table(title="Size of the cause", columns=columns, rows=rows)
 

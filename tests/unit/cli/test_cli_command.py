@@ -14,7 +14,7 @@ import typer
 from typer.testing import CliRunner
 
 import identknee as ik
-from identknee.cli.command import Verb, Verbs, nested
+from identknee.cli.command import Verb, Verbs
 from identknee.runs import unforeseen
 from identknee.runs.arrays import frozen
 from identknee.runs.errors import NotComputed
@@ -177,13 +177,6 @@ def test_warnings_go_to_the_log_and_not_to_the_terminal(
     assert "RuntimeWarning: divided by zero" in log
     assert "some.library: cannot read this" in log
     assert not unforeseen.are_warnings_logged()
-
-
-def test_nested_splits_at_the_last_dot() -> None:
-    assert nested({"a.b.k": 1.0, "a.b.e": 2.0, "c.k": 3.0}) == {
-        "a.b": {"k": 1.0, "e": 2.0},
-        "c": {"k": 3.0},
-    }
 
 
 def test_the_digest_of_a_knee_changes_with_any_number_of_it() -> None:

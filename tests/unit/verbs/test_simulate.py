@@ -1,5 +1,7 @@
 """`simulate`: parameters by name, outcomes in sentences."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.reference import reference_knee
 from identknee.verbs.simulate import simulate
+from identknee.verbs.values import by_ligament
 
 
 def test_it_is_the_models_own_prediction() -> None:
@@ -31,3 +34,23 @@ def test_every_trial_has_its_reason() -> None:
 def test_an_unknown_name_is_refused() -> None:
     with pytest.raises(ValueError, match=r"there is no parameter 'ACL\.stiffness'"):
         simulate(reference_knee(), load_protocol("drawer"), {"ACL.stiffness": 9.0})
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"continuation": "jump"}, "continuation jump: it is none of continuation, single-step"),
+        ({"contact": "soft"}, "contact soft: it is none of field, mesh"),
+        ({"noise": (0.3,)}, "these are not two sizes"),
+    ],
+)
+def test_wrong_words_from_python_are_refused(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        simulate("reference", "drawer", **options)
+
+
+def test_parameters_are_split_at_the_last_dot() -> None:
+    assert by_ligament({"a.b.k": 1.0, "a.b.e": 2.0, "c.k": 3.0}) == {
+        "a.b": {"k": 1.0, "e": 2.0},
+        "c": {"k": 3.0},
+    }
