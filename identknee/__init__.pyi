@@ -7,7 +7,6 @@ from . import model as model
 from . import report as report
 from . import runs as runs
 from . import subject as subject
-from .blind.case import blind_case as blind_case
 from .calibrate.starts import load_start as load_start
 from .diagnosis.explanations.verdict import Verdict as Verdict
 from .identify.profile.profiles import profile_parameters as profile_parameters
@@ -25,6 +24,7 @@ from .model.laxity_model import LaxityModel as LaxityModel
 from .model.parameters import Parameters as Parameters
 from .model.residuals import LaxityResiduals as LaxityResiduals
 from .report.scene import scene as scene
+from .report.turnable import scene_3d as scene_3d
 from .runs.errors import InputError as InputError
 from .runs.outcome import Outcome as Outcome
 from .subject.check import check_geometry as check_geometry

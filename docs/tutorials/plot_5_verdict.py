@@ -15,7 +15,7 @@ from identknee.report.diagnosis_figures import (
 )
 
 knee = ik.reference_knee()
-case = ik.blind_case(knee, seed=7, effect="anterolateral", signal=12.0)
+case = ik.blind.blind_case(knee, seed=7, effect="anterolateral", signal=12.0)
 diagnosis = ik.diagnose(knee, case.laxity)
 
 # %%

@@ -1,4 +1,5 @@
 from .case import BlindCase as BlindCase
+from .case import blind_case as blind_case
 from .effects import LISTED as LISTED
 from .effects import UNLISTED as UNLISTED
 from .folder import write_blind as write_blind

@@ -43,7 +43,7 @@ def blind(
     knee = ik.read_subject(subject)
     recording = record("blind", _told(context.params), {"subject": knee_digest(knee)}, seed)
     case, seconds = timed(
-        lambda: ik.blind_case(knee, seed=seed, effect=_chosen(effect), signal=signal)
+        lambda: ik.blind.blind_case(knee, seed=seed, effect=_chosen(effect), signal=signal)
     )
     ik.blind.write_blind(case, out)
     if signal is not None:

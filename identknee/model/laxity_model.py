@@ -27,6 +27,7 @@ from identknee.model.prediction import Prediction
 from identknee.model.setting import PER_KN, PER_PCT, Setting
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.outcome import Outcome
+from identknee.runs.short_repr import short_repr
 from identknee.subject.knee import Knee
 
 Contact = Literal["field", "mesh"]
@@ -99,6 +100,8 @@ class LaxityModel:
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
     extension: Extension = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         joint = joint_of(self.knee, self.n_points)

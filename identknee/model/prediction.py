@@ -8,6 +8,7 @@ from identknee.mechanics.equilibria import stability_margins
 from identknee.mechanics.kernel import CONVERGED
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.outcome import Outcome
+from identknee.runs.short_repr import short_repr
 
 # A trial with more of its contact force near a rim than this is worth a word to the user.
 NOTEWORTHY_RIM_SHARE = 0.05
@@ -67,6 +68,8 @@ class Prediction:
     centres: Array
     rim_share: Array
     node_poses: Array
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for values in (self.theta, self.coordinates, self.codes, self.poses):

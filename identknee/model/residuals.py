@@ -10,6 +10,7 @@ from identknee.laxity.unloaded import from_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray
+from identknee.runs.short_repr import short_repr
 
 Weighting = Literal["unit", "noise"]
 
@@ -40,6 +41,8 @@ class LaxityResiduals:
     laxity: Laxity
     weighting: Weighting = "unit"
     _whitening: Array = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self.model.with_tests(self.laxity))

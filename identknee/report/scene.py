@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from identknee.mechanics.placement import Placement, place
 from identknee.mechanics.pose import start_pose
+from identknee.report.picture import show_figures
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.subject.knee import Knee
 
@@ -99,6 +100,7 @@ def scene(
         figure = Figure(figsize=(6.0, 6.4), layout="constrained")
     axes = figure.add_subplot()
     draw_scene(axes, knee, view, pose=pose, flexion_deg=flexion_deg)
+    show_figures()
     return figure
 
 

@@ -1,16 +1,20 @@
 """Results in a folder as one page for people, and every figure of it."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from identknee.report.notebook import result_of
 from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.page import report_drawings, report_html
-from identknee.report.page.results import Findings, Result, by_subject, found_results
+from identknee.report.page.results import Findings, Result, by_subject, found_results, in_order
 from identknee.report.page.scenes import scene_of
 from identknee.report.picture import vector
-from identknee.runs.files import prepare_folder, write_atomically
+from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.folder import read_subject
+from identknee.subject.knee import Knee
+from identknee.verbs.answer import Answer
 from identknee.verbs.knee_digest import knee_digest
 
 FIGURES = "figures"
@@ -18,13 +22,51 @@ FIGURES = "figures"
 
 def write_report(folder: Path, page: Path, figures: str | None = None) -> dict[str, Any]:
     """What was found and written; the page is at `page`."""
-    results = found_results(folder)
+    return write_page(found_results(folder), page, figures)
+
+
+def report_on(
+    results: Answer | PathLike | Sequence[Answer | PathLike],
+    path: PathLike,
+    *,
+    knee: Knee | None = None,
+) -> Path:
+    """The page at `path`, written from results of any verbs.
+
+    Parameters
+    ----------
+    results
+        Answers of verbs, folders of results, or several of either.
+    path
+        The HTML file to write.
+    knee
+        The subject, to be shown in three dimensions; read by its name if None.
+
+    Raises
+    ------
+    InputError
+        If a folder holds no results, or the page cannot be written.
+    """
+    given = [results] if isinstance(results, Answer | str | os.PathLike) else results
+    found = [
+        y
+        for x in given
+        for y in ([result_of(x)] if isinstance(x, Answer) else found_results(Path(x)))
+    ]
+    write_page(in_order(found), Path(path), knee=knee)
+    return Path(path)
+
+
+def write_page(
+    results: Sequence[Result], page: Path, figures: str | None = None, knee: Knee | None = None
+) -> dict[str, Any]:
+    """What was written of these results; the page is at `page`."""
     prepare_folder(page.parent)
     remarks: list[str] = []
     scenes = {
         x.results[0].subject_digest: scene
         for x in by_subject(results)
-        if (scene := _scene(x, remarks)) is not None
+        if (scene := _scene(x, remarks, knee)) is not None
     }
     write_atomically(page, report_html(results, scenes))
     return {
@@ -35,11 +77,11 @@ def write_report(folder: Path, page: Path, figures: str | None = None) -> dict[s
     }
 
 
-def _scene(findings: Findings, remarks: list[str]) -> KneeScene | None:
+def _scene(findings: Findings, remarks: list[str], knee: Knee | None) -> KneeScene | None:
     """The knee in three dimensions; without it a remark says why."""
     name = findings.subject
     try:
-        knee = read_subject(name)
+        knee = knee or read_subject(name)
     except ValueError as error:
         remarks.append(f"The knee itself is not shown: {error}")
         return None

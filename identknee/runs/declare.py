@@ -12,6 +12,7 @@ from typing import Any, TypeVar, dataclass_transform
 import numpy as np
 
 from identknee.runs.arrays import frozen
+from identknee.runs.short_repr import short_repr
 
 ENTRY, DERIVED = "entry", "__entry__"
 OF_PARAMETER = "kN or %, as the parameter's name says"
@@ -120,7 +121,7 @@ def declared(cls: type[Made]) -> type[Made]:
     """A frozen data class, compared by identity, with read-only copies of its arrays and mappings.
 
     The class's own ``__post_init__`` runs after they are made. The meanings of its entries become
-    the section *Attributes* of its docstring.
+    the section *Attributes* of its docstring, and it prints as `short_repr` says.
 
     Raises
     ------
@@ -151,7 +152,9 @@ def declared(cls: type[Made]) -> type[Made]:
     # Neither read-only arrays nor mappings survive a pickle, and records travel between processes.
     if "__reduce__" not in cls.__dict__:
         setattr(cls, "__reduce__", _reduced)  # noqa: B010
-    made = dataclass(frozen=True, slots=True, kw_only=True, eq=False)(cls)
+    if cls.__repr__ is object.__repr__:
+        setattr(cls, "__repr__", short_repr)  # noqa: B010
+    made = dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)(cls)
     _document(made)
     return made
 

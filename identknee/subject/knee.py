@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.short_repr import short_repr
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.frames import Frame
 from identknee.subject.ligament import Ligament
@@ -85,6 +86,8 @@ class Knee:
     landmarks: tuple[Landmark, ...] = ()
     effects: tuple[EffectChoice, ...] = ()
     femur_distance: Callable[[Array], Array] | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.side not in ("right", "left"):

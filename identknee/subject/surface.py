@@ -15,6 +15,7 @@ from trimesh.exchange.stl import export_stl
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers, too_far
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
+from identknee.runs.short_repr import short_repr
 
 FORMATS = (".stl", ".ply", ".obj")
 # With a handler of its own what the parser logs is not printed: its errors are told in a sentence.
@@ -44,6 +45,8 @@ class Surface:
     normals: Array = field(init=False, repr=False)
     areas: Array = field(init=False, repr=False)
     vertex_areas: Array = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         vertices = frozen(self.vertices, None, 3, name="vertices")

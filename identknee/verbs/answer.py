@@ -1,13 +1,22 @@
 """What every answer carries beside its numbers: what speaks against it, and how it was made."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.record import Record
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# What draws stands above what computes, and is loaded when something is to be seen.
+SHOWN_BY = "identknee.report.notebook"
+
 
 @declared
 class Answer:
-    """The result of a verb."""
+    """The result of a verb: printed as sentences and tables, drawn in a notebook."""
 
     seconds: float = entry("Time taken, without loading and compiling", unit="s", default=0.0)
     assumptions: tuple[str, ...] = entry("What was taken for granted, as sentences", default=())
@@ -21,3 +30,36 @@ class Answer:
     def failure(self) -> str:
         """Why nothing could be computed; empty where something was."""
         return ""
+
+    def plot(self, name: str | None = None) -> "Figure":
+        """A figure of the result, which a notebook shows as a picture.
+
+        Parameters
+        ----------
+        name
+            Which of its figures, such as ``"profiles"``; the most telling one if None.
+
+        Raises
+        ------
+        ValueError
+            If the result has no figure, or none of that name; the message lists those it has.
+        """
+        figure: Figure = _shown_by().answer_figure(self, name)
+        return figure
+
+    # typing.override came with Python 3.12.
+    def __repr__(self) -> str:  # type: ignore[explicit-override]
+        """What the result says, on at most 25 lines."""
+        return str(_shown_by().answer_text(self))
+
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """All that the result says, as the command line prints it."""
+        return "\n".join(_shown_by().terminal_lines(self))
+
+    def _repr_html_(self) -> str:
+        """The result in a notebook: its sentences, its table and one figure."""
+        return str(_shown_by().answer_html(self))
+
+
+def _shown_by() -> Any:
+    return import_module(SHOWN_BY)

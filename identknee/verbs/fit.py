@@ -98,11 +98,6 @@ class Calibration(SimulatedLaxity):
         where = f" {lost[0].trial}: {lost[0].reason}" if lost else ""
         return f"{self.sentence}{where} Choose another --start, or see: identknee subject check"
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
-        """A short table: start and end of each parameter, and how the search ended."""
-        return str(self.search)
-
 
 @verb
 def fit(

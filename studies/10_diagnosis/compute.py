@@ -87,7 +87,7 @@ def case_row(case: Mapping[str, Any]) -> Row:
     """What came of a case; ``error`` where no such case could be drawn."""
     knee, row = reference(), dict(case)
     try:
-        blind = ik.blind_case(
+        blind = ik.blind.blind_case(
             knee, seed=case["seed"], effect=case["effects"] or None, signal=case["wanted"]
         )
     except ValueError as error:

@@ -86,6 +86,8 @@ def test_packages_hold_their_docstring_and_at_most_a_stub(path: Path) -> None:
     """The names of a package stand in its stub alone."""
     if path.parent != ROOT:
         names = [ast.unparse(x) for x in _tree(path).body[1:]]
+        if path.parent.name == "report":  # a package that is also called, as `ik.report`
+            names = [x for x in names if x in ATTACHED]
         assert names == (ATTACHED if path.with_suffix(".pyi").exists() else [])
 
 

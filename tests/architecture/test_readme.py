@@ -33,7 +33,7 @@ def test_the_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
     (code,) = blocks("python")
     exec(compile(code, "README.md", "exec"), {})
     said = capsys.readouterr().out
-    assert "ACL.stiffness_kN" in said
+    assert "ACL stiffness [kN]" in said
     assert "minimum" in said
 
 

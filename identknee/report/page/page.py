@@ -101,7 +101,7 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
         + element("main", main, id="main")
         + element("footer", paragraph(f"{_maker()}. This page works offline."))
     )
-    return _document(title, body, has_viewer=bool(shown))
+    return document(title, body, has_viewer=bool(shown))
 
 
 def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
@@ -114,7 +114,8 @@ def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
             yield f"{beside}{result.verb}-{drawing.name}", drawing
 
 
-def _document(title: str, body: str, *, has_viewer: bool) -> str:
+def document(title: str, body: str, *, has_viewer: bool) -> str:
+    """A page with its style and code; with a viewer also the library that draws it."""
     here = files("identknee.report.page")
     style = (here / "style.css").read_text(encoding="utf-8")
     code = (here / "page.js").read_text(encoding="utf-8")

@@ -124,7 +124,12 @@ def found_results(folder: Path) -> tuple[Result, ...]:
     found = [result for path in places if (result := _read(path)) is not None]
     if not found:
         raise InputError(folder, "", "there are no results in it", REMEDY)
-    return tuple(sorted(found, key=lambda x: (FLOW.index(x.verb), x.record["started"])))
+    return in_order(found)
+
+
+def in_order(results: Sequence[Result]) -> tuple[Result, ...]:
+    """The results in the order of the flow, older ones first within a verb."""
+    return tuple(sorted(results, key=lambda x: (FLOW.index(x.verb), x.record["started"])))
 
 
 def by_subject(results: Sequence[Result]) -> tuple[Findings, ...]:

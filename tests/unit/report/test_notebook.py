@@ -1,0 +1,126 @@
+"""What a notebook shows of answers, and that a notebook with them runs."""
+
+import asyncio
+import inspect
+import pydoc
+from collections.abc import Callable
+from pathlib import Path
+
+import nbformat
+import pytest
+from cli_runs import short_protocol
+from diagnoses import answered
+from matplotlib.figure import Figure
+from nbclient import NotebookClient
+from report_folders import straight_profiles
+
+import identknee as ik
+from identknee.runs.record import record
+from identknee.verbs.answer import Answer
+
+HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
+Made = Callable[[ik.Knee, ik.Laxity], Answer]
+ANSWERS: dict[str, Made] = {
+    "simulate": lambda knee, data: ik.simulate(knee, data.protocol),
+    "fit": lambda knee, data: ik.fit(knee, data, start="IG2"),
+    "information": lambda knee, data: ik.information(knee, data),
+    "sample": lambda knee, data: ik.sample(knee, data, fixed=HELD, budget=400),
+    "sensitivity": lambda knee, data: ik.sensitivity(knee, data, fixed=HELD, samples=4),
+    "sweep": lambda knee, data: ik.sweep(knee, data, n_starts=6, fixed=HELD),
+    "equivalents": lambda knee, data: ik.equivalents(knee, data, n_sets=4, fixed=HELD),
+    "design": lambda knee, data: ik.design(knee, data, n_trials=1, candidates="drawer", fixed=HELD),
+    "profile": lambda knee, data: straight_profiles(),
+    "diagnose": lambda knee, data: answered("anterolateral"),
+}
+CELLS = (
+    "import identknee as ik",
+    "knee = ik.reference_knee()",
+    "data = ik.simulate(knee, 'drawer', noise='0.3mm,0.3deg', seed=1).noisy",
+    "answer = ik.fit(knee, data, start='IG2')",
+    "answer",
+    "answer.plot()",
+    "ik.scene(knee)",
+    "ik.scene_3d(knee, answer)",
+    "ik.report(answer, 'page/report.html', knee=knee)",
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> ik.Laxity:
+    protocol = ik.load_protocol(short_protocol(tmp_path_factory.mktemp("seen")))
+    laxity = ik.simulate(ik.reference_knee(), protocol).laxity
+    return ik.add_noise(laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
+
+
+@pytest.mark.parametrize("verb", ANSWERS)
+def test_every_answer_is_short_to_see(verb: str, data: ik.Laxity) -> None:
+    answer = ANSWERS[verb](ik.reference_knee(), data)
+    text, html = repr(answer), answer._repr_html_()
+    assert text.startswith(f"{type(answer).__name__}:\n")
+    assert len(text.splitlines()) <= 25
+    assert max(map(len, text.splitlines())) <= 100
+    assert len(html.encode()) <= 200_000
+    assert '<img src="data:image/png' in html
+    assert isinstance(answer.plot(), Figure)
+    with pytest.raises(ValueError, match="there is no figure 'none'; choose from"):
+        answer.plot("none")
+
+
+def test_data_and_models_are_short_too(data: ik.Laxity) -> None:
+    knee = ik.reference_knee()
+    model = ik.LaxityModel(knee=knee, protocol=ik.load_protocol("seed63"))
+    prediction = model.predict(ik.load_start("subject", model.parameters))
+    seen = (knee, knee.femur, model, model.protocol, model.parameters, prediction, data)
+    for value in (*seen, ik.LaxityResiduals(model=model, laxity=data), straight_profiles().record):
+        assert len(repr(value).splitlines()) <= 25
+        assert len(repr(value)) <= 2_000
+
+
+def test_help_fits_a_screen() -> None:
+    text = pydoc.plain(pydoc.render_doc(ik))
+    assert len(text.splitlines()) <= 45
+    for name in ("read_subject", "fit", "profile", "diagnose", "report"):
+        assert name in inspect.cleandoc(str(ik.__doc__))
+
+
+def test_the_report_takes_answers_folders_or_both(data: ik.Laxity, tmp_path: Path) -> None:
+    knee = ik.reference_knee()
+    ik.simulate(knee, data.protocol, out=tmp_path / "one")
+    made = ik.fit(knee, data, start="IG2")
+    page = ik.report([tmp_path / "one", made], tmp_path / "new" / "report.html")  # type: ignore[operator]
+    text = page.read_text("utf-8")
+    assert "From simulate, fit" in text
+    assert "knee-viewer" in text
+
+
+def test_an_answer_of_no_call_is_shown_as_that_of_its_verb() -> None:
+    from identknee.report.notebook import result_of
+
+    assert result_of(straight_profiles()).verb == "profile"
+    given = record("other", {}, {}).finish()
+    assert given.verb == "other"
+
+
+def test_a_knee_to_turn_needs_poses(data: ik.Laxity) -> None:
+    with pytest.raises(ValueError, match="Profiles holds no poses of this knee"):
+        ik.scene_3d(ik.reference_knee(), straight_profiles())
+
+
+def test_a_notebook_runs_and_shows_pictures(tmp_path: Path) -> None:
+    cells = [{"cell_type": "code", "metadata": {}, "source": x, "outputs": []} for x in CELLS]
+    written = {"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 4}
+    notebook = nbformat.from_dict(written)  # type: ignore[no-untyped-call]
+    client = NotebookClient(
+        notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
+    )
+    asyncio.run(client.async_execute())
+    shown = {x.source: [y.get("data", {}) for y in x.outputs] for x in notebook.cells}
+    (answer,) = shown["answer"]
+    assert "The best fit reproduces" in answer["text/html"]
+    assert answer["text/plain"].startswith("Calibration:")
+    assert any("image/png" in x for x in shown["answer.plot()"])
+    assert any("image/png" in x for x in shown["ik.scene(knee)"])
+    (turned,) = shown["ik.scene_3d(knee, answer)"]
+    assert turned["text/html"].startswith("<iframe")
+    assert turned["text/plain"] == "Scene3D()"
+    assert (tmp_path / "page" / "report.html").is_file()
