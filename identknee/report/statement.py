@@ -44,10 +44,13 @@ class Statement:
     tables
         The numbers behind it.
     is_answer
-        Whether it belongs at the head of the page.
+        Whether it leads its part of the page.
+    is_warning
+        Whether it speaks against the result, and so stands at the head of the page.
     """
 
     question: Question
     sentence: str
     tables: tuple[Table, ...] = ()
     is_answer: bool = False
+    is_warning: bool = False

@@ -69,6 +69,31 @@ def label(name: str) -> str:
     return f"{plain} in {trial}" if at else plain
 
 
+def unit_of(name: str) -> str:
+    """The unit that a name ends in, as people write it; empty where it ends in none.
+
+    Examples
+    --------
+    >>> unit_of("ACL.stiffness_kN"), unit_of("ACL.tension_N@a"), unit_of("x.value_pct")
+    ('kN', 'N', '%')
+    """
+    words, _, unit = name.partition("@")[0].rpartition("_")
+    return UNITS.get(unit, unit) if words else ""
+
+
+def label_without_unit(name: str) -> str:
+    """A parameter or force for a table whose cells have units.
+
+    Examples
+    --------
+    >>> label_without_unit("ACL.reference_strain_pct"), label_without_unit("ACL.tension_N@a")
+    ('ACL reference strain', 'ACL tension in a')
+    """
+    quantity, at, trial = name.partition("@")
+    words = (quantity.rpartition("_")[0] or quantity).replace(".", " ").replace("_", " ")
+    return f"{words} in {trial}" if at else words
+
+
 def amount(value: float | None, unit: str, digits: int = 3) -> str:
     """A number with its unit.
 

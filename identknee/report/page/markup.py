@@ -34,7 +34,18 @@ def paragraph(text: str, **attributes: str) -> str:
     >>> paragraph("at most 2 kN")
     '<p>at most 2&nbsp;kN</p>'
     """
-    return element("p", UNIT.sub(r"\1&nbsp;", escape(text)), **attributes)
+    return element("p", escaped(text), **attributes)
+
+
+def escaped(text: str) -> str:
+    """Plain text as HTML, a number and its unit on one line.
+
+    Examples
+    --------
+    >>> escaped("at most 2 kN")
+    'at most 2&nbsp;kN'
+    """
+    return UNIT.sub(r"\1&nbsp;", escape(text))
 
 
 def bullets(items: Iterable[str]) -> str:

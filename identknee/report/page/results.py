@@ -1,7 +1,7 @@
 """The results in a folder, as the verbs left them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from identknee.runs.schema import read_json
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import AGAIN, ANSWERS, SUMMARY, loaded
+from identknee.verbs.profile import Profiles
 from identknee.verbs.simulate import SimulatedLaxity
 
 # In the order of the flow; verbs that are not here leave nothing to report on.
@@ -69,6 +70,11 @@ class Result:
         return str(self.record["settings"].get("data") or "")
 
     @property
+    def data_digest(self) -> str:
+        """SHA-256 of the laxity table; empty for none."""
+        return str(self.record["inputs"].get("data") or "")
+
+    @property
     def protocol(self) -> Protocol | None:
         """The trials; None where the result keeps none."""
         if isinstance(self.answer, SimulatedLaxity):
@@ -93,9 +99,31 @@ class Findings:
     subject: str
     results: tuple[Result, ...]
 
+    @property
+    def title(self) -> str:
+        """The subject's name; of a path its last part."""
+        return self.subject.replace("\\", "/").rstrip("/").rpartition("/")[2] or self.subject
+
     def of(self, *verbs: str) -> tuple[Result, ...]:
         """The results of these verbs, in the order of the verbs given."""
         return tuple(x for verb in verbs for x in self.results if x.verb == verb)
+
+    @property
+    def of_main_data(self) -> tuple[Result, ...]:
+        """The results that stand on the table that most stand on; of equals the latest."""
+        used = [x.data_digest for x in self.results if x.data_digest]
+        latest = {x: k for k, x in enumerate(used)}
+        main = max(used, key=lambda x: (used.count(x), latest[x]), default="")
+        return tuple(x for x in self.results if x.data_digest == main)
+
+    @property
+    def merged(self) -> "Findings":
+        """The same with all profiles of one table as one result, whose later ones count."""
+        kept: dict[object, Result] = {}
+        for k, x in enumerate(self.results):
+            key = (x.verb, x.data_digest) if isinstance(x.answer, Profiles) else k
+            kept[key] = _joined(kept[key], x) if key in kept else x
+        return replace(self, results=tuple(kept.values()))
 
 
 def found_results(folder: Path) -> tuple[Result, ...]:
@@ -140,6 +168,21 @@ def by_subject(results: Sequence[Result]) -> tuple[Findings, ...]:
         for digest in digests
         if (own := tuple(x for x in results if x.subject_digest == digest))
     )
+
+
+def _joined(first: Result, later: Result) -> Result:
+    """The profiles of two results as those of the first."""
+    one, other = first.answer, later.answer
+    if not isinstance(one, Profiles) or not isinstance(other, Profiles):
+        return later
+    answer = replace(
+        one,
+        parameters={**one.parameters, **other.parameters},
+        quantities={**one.quantities, **other.quantities},
+        pairs=(*one.pairs, *other.pairs),
+        assumptions=tuple(dict.fromkeys((*one.assumptions, *other.assumptions))),
+    )
+    return replace(first, answer=answer)
 
 
 def _read(path: Path) -> Result | None:

@@ -23,5 +23,5 @@ def warnings(result: Result) -> Iterator[Statement]:
         yield Statement(
             question=PLACES.get(str(x["where"]), otherwise),
             sentence=f"{severity.prefix}{x['sentence']}",
-            is_answer=severity is not Severity.INFO,
+            is_warning=severity is not Severity.INFO,
         )

@@ -113,6 +113,7 @@ def test_the_answer_comes_first_and_headings_are_in_order(page: str) -> None:
         "What is known, and what is not",
         "What the model gets wrong, and why",
         "Measured and simulated laxity",
+        "How the parameters were searched for",
         "How this was computed",
         "What further verbs would answer",
     ]
@@ -169,10 +170,18 @@ def test_what_was_not_done_is_offered_with_its_command(page: str) -> None:
     assert "identknee sweep &#x27;&lt;script&gt;alert(1)&lt;/script&gt; &amp; " in page
 
 
-def test_numbers_stand_behind_every_answer(page: str) -> None:
-    answer = page[page.index('class="answers"') : page.index("<nav")]
-    assert answer.count("<li") == answer.count("<details") >= 3
-    assert answer.count("<table") >= 3
+def test_the_answer_is_a_verdict_and_a_table(page: str) -> None:
+    answer = page[page.index('id="answer-1"') : page.index("<nav")]
+    assert answer.count('class="verdict wrong"') == 1
+    assert answer.count('class="overview"') == 1
+    # Nothing of it is folded.
+    assert "<details" not in answer
+    assert answer.count('<th scope="row">') == len(set(re.findall(r'row">([^<]+)', answer))) > 2
+
+
+def test_numbers_stand_behind_what_is_said(page: str) -> None:
+    said = page[page.index("<nav") :]
+    assert said.count("<summary>The numbers behind it") >= 5
 
 
 def test_two_subjects_are_kept_apart(tmp_path: Path) -> None:
@@ -250,4 +259,6 @@ def test_what_is_no_result_is_passed_over(tmp_path: Path) -> None:
 def test_a_result_that_could_not_be_had_is_still_reported(tmp_path: Path) -> None:
     write_given(tmp_path, "diagnose", untestable("The data state no noise."))
     page = report_html(found_results(tmp_path))
+    assert 'class="verdict open"' in page
+    assert "Why the model could not be tested" in page
     assert "The data cannot say whether the model gets anything wrong. The data state no" in page

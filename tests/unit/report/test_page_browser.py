@@ -141,9 +141,10 @@ def test_the_keyboard_reaches_the_answer_and_opens_its_numbers(browser: Any) -> 
     browser.refresh()
     ActionChains(browser).send_keys(TAB).perform()
     assert browser.switch_to.active_element.text == "Skip to the answer"
-    first = browser.find_element("css selector", ".answers details")
+    assert browser.find_element("css selector", ".verdict").is_displayed()
+    first = browser.find_element("css selector", "main li details")
     assert first.get_attribute("open") is None
-    browser.execute_script("document.querySelector('.answers summary').focus()")
+    browser.execute_script("document.querySelector('main li summary').focus()")
     ActionChains(browser).send_keys(ENTER).perform()
     assert first.get_attribute("open") == "true"
     assert first.find_element("css selector", "table").is_displayed()

@@ -148,7 +148,7 @@ def test_stored_findings_stand_where_they_belong_and_lead(tmp_path: Path) -> Non
     )
     answer = replace(straight_profiles(), findings=findings)
     (found,) = found_results(write_given(tmp_path, "profile", answer))
-    said = [(x.question, x.sentence, x.is_answer) for x in warnings(found)]
+    said = [(x.question, x.sentence, x.is_warning) for x in warnings(found)]
     assert said == [
         (Question.WRONG, "Error: A sign is wrong.", True),
         (Question.KNOWN, "Warning: A bound decided.", True),

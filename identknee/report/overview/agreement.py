@@ -1,0 +1,142 @@
+"""Whether methods agree on a quantity, and if not how they differ."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum, unique
+from math import sqrt
+
+from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source
+from identknee.report.words import between, listed
+
+# Ends as near as this share of a set's width are the same for every purpose.
+NEAR = 0.15
+
+
+@unique
+class Relation(Enum):
+    """How one range lies to another; the value follows the name of its method."""
+
+    SAME = "agrees"
+    NARROWER = "is narrower"
+    WIDER = "is wider"
+    LOWER = "lies lower"
+    HIGHER = "lies higher"
+    APART = "contradicts"
+    CLOSED = "closes it"
+    OPEN = "leaves it open"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Agreement:
+    """What other methods say of a quantity beside the main one.
+
+    Attributes
+    ----------
+    main
+        What the table shows.
+    others
+        Every other method with how it lies to it.
+    """
+
+    main: Range
+    others: tuple[tuple[Range, Relation], ...]
+
+    @property
+    def differing(self) -> tuple[tuple[Range, Relation], ...]:
+        """Those that do not agree."""
+        return tuple(x for x in self.others if x[1] is not Relation.SAME)
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether a method excludes all that the main one allows."""
+        return any(relation is Relation.APART for _, relation in self.others)
+
+    def sentence(self, unit: str) -> str:
+        """Which methods agree, and how the others differ.
+
+        Parameters
+        ----------
+        unit
+            Of the quantity.
+        """
+        n = 1 + len(self.others)
+        if n == 1:
+            return f"{self.main.source.value} only"
+        agreeing = n - len(self.differing)
+        if agreeing == n:
+            return f"{'both' if n == 2 else f'all {n}'} agree"
+        parts = [f"{agreeing} of {n} agree"] if agreeing > 1 else []
+        parts += [
+            f"{x.source.value} {relation.value} ({_range(x, unit)})"
+            for x, relation in self.differing
+        ]
+        return "; ".join(parts)
+
+
+def agreement(ranges: Sequence[Range]) -> Agreement:
+    """The first of these ranges, and how each of the others lies to it."""
+    main, *others = ranges
+    return Agreement(main=main, others=tuple((x, relation(main, x)) for x in others))
+
+
+def relation(main: Range, other: Range) -> Relation:
+    """How `other` lies to `main`, scaled to the same limit of misfit where that is known."""
+    low, high = _scaled(other)
+    if main.low is None or main.high is None:
+        is_same = (main.low is None) == (low is None) and (main.high is None) == (high is None)
+        return Relation.SAME if is_same else Relation.CLOSED
+    if low is None or high is None:
+        return Relation.OPEN
+    if high < main.low or low > main.high:
+        return Relation.APART
+    slack = NEAR * (main.high - main.low)
+    below, above = main.low - low, high - main.high
+    if abs(below) <= slack and abs(above) <= slack:
+        return Relation.SAME
+    if below > -slack and above > -slack:
+        return Relation.WIDER
+    if below <= slack and above <= slack:
+        return Relation.NARROWER
+    return Relation.HIGHER if above > 0 else Relation.LOWER
+
+
+def reasons(agreements: Iterable[Agreement]) -> str:
+    """Which methods are compared and why some differ, in one line; empty where one stands alone."""
+    seen = list(agreements)
+    ranges = [x for own in seen for x in (own.main, *(other for other, _ in own.others))]
+    sources = [x for x in Source if any(y.source is x for y in ranges)]
+    if len(sources) < 2:
+        return ""
+    differing = {x.source for own in seen for x, _ in own.differing}
+    said = [f"Compared are {listed(x.value for x in sources)}."]
+    said += [_WHY[x] for x in sources if x in differing and x in _WHY]
+    if any(x.status == NOT_CONVERGED for x in ranges):
+        said.append("The posterior has not converged yet.")
+    scales = sorted({x.reach for x in ranges if x.reach not in (None, 1.0)} - {None})
+    said += [
+        f"Equivalent sets stand for {x:.2g} of the squared misfit of a 95 % set, and are scaled up "
+        "for the comparison."
+        for x in scales
+    ]
+    return " ".join(said)
+
+
+_WHY = {
+    Source.POSTERIOR: "The posterior adds the prior to the data.",
+    Source.DIAGNOSIS: "The diagnosis takes the noise from the scatter of the data, and the model "
+    "as linear near the fit.",
+    Source.CAUSE: "With the cause the model is another one, so its values may differ.",
+    Source.INFORMATION: "The local approximation takes the model as linear near the fit.",
+    Source.EQUIVALENTS: "Equivalent sets ask how far the fit can move, not what the data exclude.",
+}
+
+
+def _scaled(x: Range) -> tuple[float | None, float | None]:
+    if x.low is None or x.high is None or x.value is None or x.reach in (None, 1.0):
+        return x.low, x.high
+    factor = 1.0 / sqrt(x.reach or 1.0)
+    return x.value + factor * (x.low - x.value), x.value + factor * (x.high - x.value)
+
+
+def _range(x: Range, unit: str) -> str:
+    return between((x.low, x.high), unit).removeprefix("from ")

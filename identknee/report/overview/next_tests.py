@@ -1,0 +1,43 @@
+"""The tests to do next, from every result that advises some."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from identknee.report.words import between, listed, parameter_words, trial_words, unit_of
+from identknee.runs.plain_records import summary_of
+from identknee.verbs.answer import Answer
+from identknee.verbs.design import Design
+from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.isolability import Isolability
+
+
+def next_tests(answers: Sequence[Answer]) -> tuple[str, ...]:
+    """A sentence a purpose: the trials, and what they would bring."""
+    return tuple(said for answer in answers for said in _advice(answer))
+
+
+def _advice(answer: Answer) -> Iterator[str]:
+    if isinstance(answer, Design):
+        choice = answer.choice
+        name = choice.targets[0]
+        before, after = choice.before[name], choice.after[name]
+        now, then = (between((x.lower, x.upper), unit_of(name)) for x in (before, after))
+        yield (
+            f"{_trials(answer.trials)}. This would narrow {parameter_words(name)} to "
+            f"{then.removeprefix('from ')}; it is {now.removeprefix('from ')} now."
+        )
+    elif isinstance(answer, Diagnosis) and answer.advised_trials:
+        said = "" if answer.advice is None else f" {answer.advice.sentence}"
+        yield f"{_trials([summary_of(x) for x in answer.advised_trials])}.{said}"
+    elif isinstance(answer, Isolability):
+        for group in answer.groups:
+            if group.advised_trials:
+                trials = _trials([summary_of(x) for x in group.advised_trials])
+                yield f"{trials}. This would tell {listed(group.effects, 'from')}."
+
+
+def _trials(trials: Sequence[Mapping[str, Any]]) -> str:
+    counts = Counter(map(trial_words, trials))
+    told = listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
+    return told[:1].upper() + told[1:]

@@ -1,0 +1,101 @@
+"""What all fits say together: how well they fit, and whether they end at the same parameters."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from identknee.identify.sweep.survey import WITHIN
+from identknee.report.answers.fit import fit_statements
+from identknee.report.answers.statements import statements_of
+from identknee.report.words import amount, listed, parameter_words, unit_of
+from identknee.runs.outcome import Outcome
+from identknee.verbs.answer import Answer
+from identknee.verbs.demo import Demonstration
+from identknee.verbs.fit import Calibration
+from identknee.verbs.sweep import Sweep
+
+# More fits than these are told as a range.
+MOST_TOLD = 4
+MOST_NAMED = 2
+ENDED = {
+    Outcome.MINIMUM: "a minimum",
+    Outcome.VALLEY: "stopped early",
+    Outcome.CLIFF: "stopped at a cliff",
+    Outcome.BUDGET: "budget used up",
+    Outcome.SPREAD: "population shrunk",
+}
+
+
+def searches_sentences(answers: Sequence[Answer]) -> tuple[str, ...]:
+    """Fits, sweeps and the demo in a few sentences; none without a search."""
+    fits = {x: y for x, y in _fits(answers).items() if y.outcome is not Outcome.START_FAILED}
+    failed = [x for x in _fits(answers).values() if x.outcome is Outcome.START_FAILED]
+    others = [x for x in answers if isinstance(x, Sweep | Demonstration)]
+    return (
+        *(_several(fits) if len(fits) > 1 else _each(fits.values())),
+        *_each(failed),
+        *(statements_of(x)[0].sentence for x in others),
+    )
+
+
+def disagreement(answers: Sequence[Answer]) -> str:
+    """That fits from different starts end at different parameters; empty where they do not."""
+    return _disagreement(
+        {x: y for x, y in _fits(answers).items() if y.outcome is not Outcome.START_FAILED}
+    )
+
+
+def _fits(answers: Sequence[Answer]) -> dict[str, Calibration]:
+    """Fits by their start, and by their method too where several began there."""
+    found = [x for x in answers if isinstance(x, Calibration)]
+    starts = [x.start for x in found]
+    return {x.start if starts.count(x.start) == 1 else f"{x.start} ({x.method})": x for x in found}
+
+
+def _each(fits: Iterable[Calibration]) -> Iterator[str]:
+    yield from (next(fit_statements(x)).sentence for x in fits)
+
+
+def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
+    if len(fits) <= MOST_TOLD:
+        told = "; ".join(
+            f"from {name} by {x.method} to {_errors(x)} ({ENDED.get(x.outcome, x.outcome.value)}, "
+            f"{x.n_simulations} simulations)"
+            for name, x in fits.items()
+        )
+        yield f"{len(fits)} fits reproduce the measured laxity (RMSE): {told}."
+    else:
+        best, worst = (f(fits.values(), key=lambda x: x.objective) for f in (min, max))
+        yield (
+            f"{len(fits)} fits reproduce the measured laxity (RMSE) to {_errors(best)} at best and "
+            f"{_errors(worst)} at worst."
+        )
+    if differ := _disagreement(fits):
+        lowest = min(fits, key=lambda x: fits[x].objective)
+        yield f"{differ} The lowest misfit is that from {lowest}."
+    else:
+        yield f"They end at the same parameters, to within {WITHIN:g} kN and {WITHIN:g} %."
+    yield "That a model fits does not show that its parameters are right."
+
+
+def _errors(fit: Calibration) -> str:
+    sizes = ((fit.rmse.mm, "mm"), (fit.rmse.deg, "deg"))
+    return listed(amount(size, unit) for size, unit in sizes if np.isfinite(size))
+
+
+def _disagreement(fits: Mapping[str, Calibration]) -> str:
+    if len(fits) < 2:
+        return ""
+    starts, own = list(fits), list(fits.values())
+    shared = [x for x in own[0].parameter_names if all(x in y.parameter_names for y in own)]
+    ends = np.array([[x.search.theta[x.parameter_names.index(y)] for y in shared] for x in own])
+    spread = np.ptp(ends, axis=0)
+    clauses = []
+    for j in np.argsort(-spread)[:MOST_NAMED]:
+        if spread[j] > WITHIN:
+            name, k = shared[j], sorted((int(ends[:, j].argmin()), int(ends[:, j].argmax())))
+            told = [f"{amount(float(ends[i, j]), unit_of(name))} from {starts[i]}" for i in k]
+            clauses.append(f"{parameter_words(name)} is {listed(told, 'but')}")
+    if not clauses:
+        return ""
+    return f"Different starts end at different parameters: {'; '.join(clauses)}."

@@ -1,0 +1,173 @@
+"""All there is to say of one subject: the answer, then its parts, then how it was computed."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.report.answers.statements import statements_of
+from identknee.report.overview.overview import KNOWN, Overview, overview
+from identknee.report.page.computed_part import computed_html, further_html, short_path
+from identknee.report.page.drawing import Drawing
+from identknee.report.page.drawings import drawings
+from identknee.report.page.knee_scene import KneeScene
+from identknee.report.page.laxity_part import laxity_drawings
+from identknee.report.page.markup import (
+    bullets,
+    disclosed,
+    element,
+    figure_html,
+    paragraph,
+    picture_html,
+    section,
+    table_html,
+)
+from identknee.report.page.overview_part import overview_html
+from identknee.report.page.results import Findings, Result
+from identknee.report.page.svg import inline_svg
+from identknee.report.page.viewer import viewer_html
+from identknee.report.page.warnings import warnings
+from identknee.report.statement import Question, Statement
+from identknee.verbs.diagnosis import Diagnosis
+
+PLACES = dict.fromkeys(("diagnose", "isolability"), Question.WRONG)
+PLACES |= {"design": Question.NEXT, "sweep": Question.SEARCH}
+PLACES |= {"sensitivity": Question.LAXITY, "demo-starts": Question.SEARCH}
+# Left by a diagnosis as pictures only, as they need all of it.
+PICTURES = {
+    "missing_wrench.png": "What else would have to act on the tibia, seen from above: arrows are "
+    "forces, arcs moments; grey is what noise alone may ask for.",
+}
+RIGHT = "What was tested of the model"
+VERDICT_HEADINGS = {
+    Verdict.ADEQUATE: RIGHT,
+    Verdict.NOT_TESTABLE: "Why the model could not be tested",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Said:
+    """A finding with where it is from."""
+
+    finding: Statement
+    source: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Figure:
+    """A figure as HTML, and whether it is among the first that a reader looks at."""
+
+    html: str
+    is_first: bool
+
+
+def subject_html(findings: Findings, number: int, level: int, scene: KneeScene | None) -> str:
+    """The answer, the parts behind it with links to them, and how it was computed.
+
+    Parameters
+    ----------
+    findings
+        All results of one subject.
+    number
+        Of the subject on the page, for identities.
+    level
+        Of its headings.
+    scene
+        Its knee to turn; None for none.
+    """
+    merged = findings.merged
+    main = overview([x.answer for x in findings.of_main_data])
+    said = [
+        _Said(finding=x, source=_source(result))
+        for result in merged.results
+        for x in (*warnings(result), *_statements(result))
+    ]
+    cautions = [x.finding.sentence for x in said if x.finding.is_warning]
+    figures = _figures(merged, number)
+    parts = [("answer", "The answer", overview_html(main, cautions, level))]
+    for question in Question:
+        own = [x for x in said if x.finding.question is question and not x.finding.is_warning]
+        content = _part(own, figures.get(question, []))
+        parts.append((question.value, _heading(question, main, merged), content))
+        if question is Question.NEXT and scene is not None:
+            parts.append(("knee", "The knee in three dimensions", viewer_html(scene)))
+    parts.append(("computed", "How this was computed", computed_html(findings.results)))
+    parts.append(("further", "What further verbs would answer", further_html(findings)))
+    shown = [(f"{key}-{number}", heading, content) for key, heading, content in parts if content]
+    links = bullets(
+        element("a", escape(heading), href=f"#{identity}") for identity, heading, _ in shown[1:]
+    )
+    contents = element("nav", links, aria_label=f"Contents, subject {findings.title}")
+    first, *others = [section(*x, level=level) for x in shown]
+    return first + contents + "".join(others)
+
+
+def _statements(result: Result) -> Iterable[Statement]:
+    taken = result.answer.assumptions
+    assumed = [Statement(question=Question.KNOWN, sentence=" ".join(taken))] if taken else []
+    return [*statements_of(result.answer), *assumed]
+
+
+def _heading(question: Question, main: Overview, findings: Findings) -> str:
+    """The heading of a part, as the verdict has it."""
+    if question is Question.KNOWN and main.rows and all(x.status in KNOWN for x in main.rows):
+        return "What is known"
+    if question is Question.WRONG:
+        verdicts = [x.answer.verdict for x in findings.results if isinstance(x.answer, Diagnosis)]
+        if not verdicts:
+            return RIGHT
+        return VERDICT_HEADINGS.get(verdicts[-1], question.heading)
+    return question.heading
+
+
+def _part(said: Sequence[_Said], figures: Sequence[_Figure]) -> str:
+    """What matters most in the open, the rest one click away."""
+    leading = [x for x in said if x.finding.is_answer] or said[:1]
+    rest = [x for x in said if x not in leading]
+    first = "".join(x.html for x in figures if x.is_first)
+    more = "".join(x.html for x in figures if not x.is_first)
+    return (
+        bullets(map(_item, leading))
+        + disclosed(f"More in words ({len(rest)})", bullets(map(_item, rest)))
+        + first
+        + disclosed("More figures", more)
+    )
+
+
+def _item(said: _Said) -> str:
+    """A sentence, and its numbers with their source one click away."""
+    finding = said.finding
+    tables = "".join(map(table_html, finding.tables))
+    return paragraph(finding.sentence) + disclosed(f"The numbers behind it ({said.source})", tables)
+
+
+def _source(result: Result) -> str:
+    return f"{result.verb} of {short_path(result.data)}" if result.data else result.verb
+
+
+def _figures(findings: Findings, number: int) -> Mapping[Question, list[_Figure]]:
+    """The figures by the question they belong to."""
+    placed: dict[Question, list[_Figure]] = {}
+    for k, result in enumerate(findings.results):
+        for i, (name, html) in enumerate(_of_result(result, f"s{number}r{k}")):
+            question = PLACES.get(name) or PLACES.get(result.verb, Question.KNOWN)
+            placed.setdefault(question, []).append(_Figure(html=html, is_first=i == 0))
+    for k, (_, drawing) in enumerate(laxity_drawings(findings)):
+        html = _figure(drawing, f"s{number}l{k}-{drawing.name}")
+        is_first = drawing.name != "laxity-all"
+        placed.setdefault(Question.LAXITY, []).append(_Figure(html=html, is_first=is_first))
+    return placed
+
+
+def _of_result(result: Result, identity: str) -> Iterator[tuple[str, str]]:
+    """Verb and name of each figure of a result, with its HTML."""
+    for drawing in drawings(result):
+        yield f"{result.verb}-{drawing.name}", _figure(drawing, f"{identity}-{drawing.name}")
+    for name, caption in PICTURES.items():
+        is_shown = isinstance(result.answer, Diagnosis) and result.answer.misfit is not None
+        if is_shown and (picture := result.folder / name).is_file():
+            yield f"{result.verb}-{name}", picture_html(picture.read_bytes(), caption)
+
+
+def _figure(drawing: Drawing, identity: str) -> str:
+    return figure_html(inline_svg(drawing.figure, identity, drawing.description), drawing.caption)

@@ -1,0 +1,173 @@
+"""The head of the report: what methods say together, and whether fits agree."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnoses import FRAME, answered
+from report_folders import few_trials, profile_folder, straight_profiles
+
+from identknee.identify.profile.result import ProfileVerdict
+from identknee.report.overview.agreement import Relation, agreement, reasons, relation
+from identknee.report.overview.overview import Tone, overview
+from identknee.report.overview.ranges import Range, Source, ranges_of
+from identknee.report.overview.searches import disagreement, searches_sentences
+from identknee.report.page.results import by_subject, found_results
+from identknee.runs.arrays import Array
+from identknee.subject.knee import Knee
+from identknee.verbs.diagnose import untestable
+from identknee.verbs.fit import Calibration, fit
+from identknee.verbs.profile import Profiles
+from identknee.verbs.simulate import simulate
+
+
+def a_range(
+    low: float | None,
+    high: float | None,
+    source: Source = Source.POSTERIOR,
+    reach: float | None = 1.0,
+) -> Range:
+    return Range(source=source, low=low, high=high, value=10.0, status="known", reach=reach)
+
+
+MAIN = a_range(8.0, 12.0, Source.PROFILE)
+
+
+@pytest.mark.parametrize(
+    ("other", "expected"),
+    [
+        ((8.5, 11.5), Relation.SAME),
+        ((9.5, 10.5), Relation.NARROWER),
+        ((5.0, 12.5), Relation.WIDER),
+        ((6.0, 10.0), Relation.LOWER),
+        ((10.0, 14.0), Relation.HIGHER),
+        ((13.0, 14.0), Relation.APART),
+        ((8.0, None), Relation.OPEN),
+    ],
+)
+def test_how_one_range_lies_to_another(
+    other: tuple[float | None, float | None], expected: Relation
+) -> None:
+    assert relation(MAIN, a_range(*other)) is expected
+
+
+def test_an_open_end_agrees_with_an_open_end_only() -> None:
+    main = a_range(8.0, None, Source.PROFILE)
+    assert relation(main, a_range(7.0, None)) is Relation.SAME
+    assert relation(main, a_range(7.0, 20.0)) is Relation.CLOSED
+
+
+def test_equivalent_sets_are_scaled_to_the_limit_of_the_profile() -> None:
+    # A quarter of the squared misfit is half the width.
+    narrow = a_range(9.0, 11.0, Source.EQUIVALENTS, reach=0.25)
+    assert relation(MAIN, narrow) is Relation.SAME
+    assert relation(MAIN, replace(narrow, reach=1.0)) is Relation.NARROWER
+    found = agreement([MAIN, narrow])
+    assert found.sentence("kN") == "both agree"
+    assert "0.25 of the squared misfit" in reasons([found])
+
+
+def test_methods_that_differ_are_named_with_their_range_and_reason() -> None:
+    found = agreement([MAIN, a_range(9.9, 10.1), a_range(8.0, 12.0, Source.DIAGNOSIS)])
+    assert found.sentence("kN") == "2 of 3 agree; posterior is narrower (9.9 to 10.1 kN)"
+    assert "The posterior adds the prior" in reasons([found])
+    assert "The diagnosis takes" not in reasons([found])
+
+
+def with_profiles(verdicts: Mapping[str, tuple[float | None, float | None]]) -> Profiles:
+    """Profiles of these ends."""
+    whole = straight_profiles()
+    (one, *_) = whole.parameters.values()
+    made = {}
+    for name, (low, high) in verdicts.items():
+        sides = [
+            replace(one.upper_side, end=x, status=type(one.upper_side.status)("closed"))
+            for x in (low, high)
+        ]
+        made[name] = replace(
+            one,
+            name=name,
+            intervals=((low, high),),
+            lower_side=sides[0],
+            upper_side=sides[1],
+            verdict=ProfileVerdict.IDENTIFIABLE
+            if low is not None and high is not None
+            else ProfileVerdict.ONE_SIDED,
+        )
+    return replace(whole, parameters=made)
+
+
+def test_the_verdict_counts_what_is_known_and_names_what_is_open() -> None:
+    known = with_profiles({"ACL.stiffness_kN": (8.0, 12.0), "PCL.stiffness_kN": (15.0, 22.0)})
+    said = overview([known])
+    assert said.verdict == (
+        "All 2 parameters are known within limits, if the model is right (not tested)."
+    )
+    assert said.tone is Tone.GOOD
+    cut = with_profiles({"ACL.stiffness_kN": (8.0, 12.0), "PCL.stiffness_kN": (15.0, None)})
+    said = overview([cut])
+    assert "1 of 2 parameters" in said.verdict
+    assert "the posterior cruciate's stiffness is open above" in said.verdict
+    assert said.tone is Tone.OPEN
+    assert [x.limits for x in said.rows] == ["8 to 12 kN", "15 kN upwards"]
+
+
+def test_a_cause_found_is_in_the_verdict_and_alarms() -> None:
+    said = overview([answered(FRAME)])
+    assert said.tone is Tone.WRONG
+    assert said.rows
+    assert overview([untestable("No noise is stated.")]).tone is Tone.OPEN
+
+
+def test_methods_that_contradict_each_other_are_in_the_verdict() -> None:
+    diagnosis = answered(FRAME)
+    (name, found), *_ = ranges_of([diagnosis]).items()
+    (main, *_) = found
+    assert main.high is not None
+    far = with_profiles({name: (main.high + 10.0, main.high + 11.0)})
+    said = overview([far, diagnosis])
+    assert "methods contradict one another" in said.verdict
+    assert "contradicts" in said.rows[0].agreement
+
+
+@pytest.fixture(scope="module")
+def fitted(reference: Knee) -> Calibration:
+    laxity = simulate(reference, few_trials(), noise="0.3mm,0.3deg", seed=1).noisy
+    assert laxity is not None
+    return fit(reference, laxity, budget=3)
+
+
+def moved(fitted: Calibration, shift: Array, start: str) -> Calibration:
+    search = replace(fitted.search, theta=fitted.search.theta + shift)
+    return replace(fitted, search=search, start=start)
+
+
+def test_fits_that_end_elsewhere_are_said_to_disagree(fitted: Calibration) -> None:
+    shift = np.zeros(len(fitted.parameter_names))
+    near, far = shift.copy(), shift.copy()
+    near[0], far[1] = 0.1, -3.0
+    one = replace(fitted, start="IG1")
+    agreeing = [one, moved(fitted, near, "IG2")]
+    assert disagreement(agreeing) == ""
+    assert "They end at the same parameters" in " ".join(searches_sentences(agreeing))
+    said = disagreement([one, moved(fitted, far, "IG2")])
+    value = float(fitted.search.theta[1])
+    assert f"is {value:.3g} kN from IG1 but {value - 3.0:.3g} kN from IG2" in said
+    assert (
+        "fits from different starts" in overview([one, moved(fitted, far, "IG2")]).verdict.lower()
+    )
+
+
+def test_many_fits_are_one_paragraph(fitted: Calibration) -> None:
+    many = [replace(fitted, start=f"start{i}") for i in range(20)]
+    assert len(" ".join(searches_sentences(many))) < 400
+
+
+def test_profiles_of_one_table_are_told_once_and_other_tables_apart(tmp_path: Path) -> None:
+    for name in "ab":
+        profile_folder(tmp_path / name)
+    (findings,) = by_subject(found_results(tmp_path))
+    assert len(findings.merged.results) == 1
+    assert len(findings.of_main_data) == 2
