@@ -6,6 +6,7 @@ from . import laxity as laxity
 from . import model as model
 from . import report as report
 from . import runs as runs
+from . import scrutiny as scrutiny
 from . import subject as subject
 from .calibrate.starts import load_start as load_start
 from .diagnosis.explanations.verdict import Verdict as Verdict

@@ -1,4 +1,7 @@
 from .candidates import candidate_trials as candidate_trials
+from .dominant import DominantLoads as DominantLoads
+from .dominant import dominant_loads as dominant_loads
+from .dominant import opposite_pairs as opposite_pairs
 from .protocol import LOADS as LOADS
 from .protocol import concatenate as concatenate
 from .protocol import trial_name as trial_name

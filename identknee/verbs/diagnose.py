@@ -16,8 +16,11 @@ from identknee.diagnosis.noise.data_noise import noise_of
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
 from identknee.model.effects.effect import Effect
+from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.runs.files import PathLike, write_atomically
+from identknee.runs.findings import Finding
+from identknee.scrutiny.broken_convention import convention_findings
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
@@ -98,6 +101,9 @@ def diagnose(
     laxity = with_noise(run.laxity, noise)
     warm_up(run.knee, laxity.protocol)
     run.start_clock()
+    model = LaxityModel(knee=run.knee, protocol=laxity.protocol)
+    if conventions := convention_findings(model, laxity, model.parameters.start):
+        return untestable(conventions[0].sentence, conventions)
     starts = [] if start == "subject" else [start]
     found = investigate(run.knee, laxity, starts=starts, effects=effects, seed=seed)
     if found is None:
@@ -108,10 +114,12 @@ def diagnose(
     return answer
 
 
-def untestable(reason: str) -> Diagnosis:
-    """The answer where the data cannot be tested."""
+def untestable(reason: str, findings: tuple[Finding, ...] = ()) -> Diagnosis:
+    """The answer where the data cannot be tested, with what they say against themselves."""
     verdict = Verdict.NOT_TESTABLE
-    return Diagnosis(verdict=verdict, sentence=verdict.sentence, reasons=(reason,))
+    return Diagnosis(
+        verdict=verdict, sentence=verdict.sentence, reasons=(reason,), findings=findings
+    )
 
 
 def diagnosis_of(found: Investigation) -> Diagnosis:

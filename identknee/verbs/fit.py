@@ -22,6 +22,8 @@ from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
+from identknee.scrutiny.against_load import against_load_findings
+from identknee.scrutiny.broken_convention import convention_findings
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
@@ -200,12 +202,13 @@ def _findings(
 ) -> tuple[Finding, ...]:
     """What speaks against a fit.
 
-    Where the misfit is more than noise, or a parameter stands at a bound, a second search begins
-    elsewhere, so that a bad start is not taken for bad data.
+    Where the misfit is more than noise, or a parameter stands at a bound, conventions of the table
+    are looked at first; then a second search begins elsewhere, so that a bad start is not taken for
+    bad data.
     """
     model, prediction = fitted
     if found.outcome is Outcome.START_FAILED:
-        return _not_fitted(laxity, prediction)
+        return (*against_load_findings(laxity), *_not_fitted(laxity, prediction))
     n_free = found.parameters.n - len(found.fixed)
     if _states_noise(laxity):
         weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
@@ -221,6 +224,8 @@ def _findings(
     findings = (*misfit, *bounds)
     if all(x.severity is Severity.INFO for x in findings):
         return (*findings, *about_the_knee)
+    if conventions := convention_findings(model, laxity, found.start, found.theta):
+        return (*conventions, *findings, *about_the_knee)
     return (*findings, second_search(problem, found).finding, *about_the_knee)
 
 

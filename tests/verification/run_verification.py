@@ -28,6 +28,7 @@ MODULES = {
     "kill": "verify_kill",
     "orphans": "verify_orphans",
     "fuzz": "verify_fuzz",
+    "conventions": "verify_conventions",
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
 }

@@ -134,7 +134,8 @@ def _reasons(answer: Diagnosis) -> Table:
     return Table(
         title=f"Verdict: {answer.verdict.value}",
         columns=(Column(name="why"),),
-        rows=tuple((x,) for x in answer.reasons),
+        # Its sentence holds them where nothing could be tested.
+        rows=tuple((x,) for x in answer.reasons if answer.verdict is not Verdict.NOT_TESTABLE),
     )
 
 

@@ -212,11 +212,24 @@ def test_a_mirrored_rotation_is_said(tmp_path: Path) -> None:
     wrong = run("fit", "reference", data, "--start", "IG2", "--out", tmp_path / "wrong")
     summary = summary_of(tmp_path / "wrong")
     assert summary["rmse"]["deg"] > 5.0
-    found = {x["where"]: x for x in summary["findings"]}
-    assert found["data"]["severity"] == "error"
+    first, *others = summary["findings"]
+    assert first["sentence"].startswith("Negating internal_deg removes")
+    assert first["severity"] == "error"
+    found = {x["where"]: x for x in others}
+    assert found["data"]["sentence"].startswith("The best fit leaves")
     assert found["parameters"]["severity"] == "warning"
     assert all(name in found["parameters"]["sentence"] for name in summary["at_bounds"])
-    # The second search of a fit from IG2 begins at the subject's own values.
-    assert "least squares from subject" in found["starts"]["sentence"]
     assert "A good fit does not show" not in wrong.stdout
-    assert "Error: The best fit leaves" in wrong.stdout
+    assert "Error: Negating internal_deg removes" in wrong.stdout
+
+
+def test_a_misfit_of_no_known_convention_is_searched_again_from_elsewhere(tmp_path: Path) -> None:
+    protocol = ik.load_protocol(short_protocol(tmp_path))
+    simulated = ik.simulate("reference", protocol, noise="0.5mm,0.5deg").noisy
+    assert simulated is not None
+    larger = replace(simulated, coordinates=simulated.coordinates * [1.0, 1.0, 1.0, 1.0, 1.5])
+    answer = ik.fit("reference", larger, start="IG2")
+    found = {x.where: x for x in answer.findings}
+    assert found["data"].sentence.startswith("The best fit leaves")
+    # The second search of a fit from IG2 begins at the subject's own values.
+    assert "least squares from subject" in found["starts"].sentence

@@ -1,0 +1,81 @@
+"""Which load a trial is about, and which trial has the opposite one."""
+
+import numpy as np
+
+from identknee.laxity.protocol import Protocol
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared
+
+# Loads of a usual laxity test: a load counts by its share of these.
+TYPICAL = np.array([5.0, 10.0, 100.0, 100.0, 100.0])
+# Below this share a load is a stray one. A constant load, such as compression, is none of a trial.
+STRAY = 0.1
+# Opposite loads may differ by this share of them, and their flexion angles by so much [deg].
+ALIKE, SAME_FLEXION_DEG = 0.5, 5.0
+
+
+@declared
+class DominantLoads:
+    """The load that each trial is about."""
+
+    axis: IntArray = array("Its place among the loads; -1 where there is none", "trial", dtype=int)
+    size: Array = array(
+        "Its size with its sign, less what all trials hold", "trial", unit="N or N m"
+    )
+
+
+def dominant_loads(protocol: Protocol) -> DominantLoads:
+    """The load that each trial is about: the largest beside a usual test's, stray ones aside.
+
+    Loads are counted from the median of all trials, which is what the rig holds throughout.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> found = dominant_loads(load_protocol("drawer"))
+    >>> found.axis[:3].tolist(), found.size[:3].tolist()
+    ([2, -1, 2], [-100.0, 0.0, 134.0])
+    """
+    loads = protocol.loads - np.median(protocol.loads, axis=0)
+    share = np.abs(loads) / TYPICAL
+    axis = np.argmax(share, axis=1)
+    rows = np.arange(protocol.n)
+    is_stray = share[rows, axis] < STRAY
+    return DominantLoads(
+        axis=np.where(is_stray, -1, axis), size=np.where(is_stray, 0.0, loads[rows, axis])
+    )
+
+
+def opposite_pairs(protocol: Protocol) -> IntArray:
+    """Pairs of trials under opposite loads at about the same flexion, shape ``(k, 2)``.
+
+    The trial with the positive load stands first; each trial is in one pair at most, the most alike
+    in flexion and size first.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> opposite_pairs(load_protocol("drawer"))[0].tolist()
+    [2, 0]
+    """
+    found = dominant_loads(protocol)
+    apart = np.abs(protocol.flexion_deg[:, None] - protocol.flexion_deg)
+    size = np.where(found.size == 0.0, np.inf, np.abs(found.size))
+    unlike = np.abs(found.size[:, None] + found.size) / size
+    fits = (
+        (found.axis[:, None] == found.axis)
+        & (found.size[:, None] > 0.0)
+        & (found.size < 0.0)
+        & (apart <= SAME_FLEXION_DEG)
+        & (unlike <= ALIKE)
+    )
+    first, second = np.nonzero(fits)
+    distance = apart[first, second] / SAME_FLEXION_DEG + unlike[first, second] / ALIKE
+    order = np.lexsort((first, distance))
+    taken: set[int] = set()
+    pairs = []
+    for i, j in zip(first[order].tolist(), second[order].tolist(), strict=True):
+        if not taken & {i, j}:
+            taken |= {i, j}
+            pairs.append((i, j))
+    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)

@@ -1,0 +1,112 @@
+"""Conventions of a table are looked for before physics, from the table to the terminal."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import run
+from planted_conventions import PLANTED, clean_table
+
+import identknee as ik
+from identknee.laxity.protocol import LOADS
+from identknee.laxity.table import COORDINATES
+from identknee.scrutiny.against_load import WORKS_ON, against_load_findings
+from identknee.scrutiny.broken_convention import find_broken_convention
+from identknee.scrutiny.conventions import conventions_of
+
+
+@pytest.fixture(scope="module")
+def clean() -> tuple[ik.LaxityModel, ik.Laxity]:
+    """The reference knee and a table of one like it."""
+    return clean_table("reference", 3)
+
+
+@pytest.mark.parametrize("name", ["varus moment flipped", "angles in radians", "zeroed unloaded"])
+def test_a_broken_convention_is_named(name: str, clean: tuple[ik.LaxityModel, ik.Laxity]) -> None:
+    broken = PLANTED[name].broken(clean[1])
+    model = clean[0].with_protocol(broken.protocol)
+    found = find_broken_convention(model, broken, model.parameters.start)
+    assert found is not None
+    assert found.sentence.startswith(PLANTED[name].said)
+    assert found.removed > 0.8
+    assert found.others == ()
+
+
+def test_nothing_is_named_in_a_clean_table(clean: tuple[ik.LaxityModel, ik.Laxity]) -> None:
+    model, laxity = clean
+    assert find_broken_convention(model, laxity, model.parameters.start) is None
+
+
+def test_a_misfit_that_no_convention_removes_is_left_to_physics(
+    clean: tuple[ik.LaxityModel, ik.Laxity],
+) -> None:
+    model, laxity = clean
+    moved = np.array(laxity.coordinates)
+    moved[:, 4] *= 1.4
+    strange = replace(laxity, coordinates=moved)
+    assert find_broken_convention(model, strange, model.parameters.start) is None
+
+
+def test_fit_and_diagnose_say_it_first(
+    clean: tuple[ik.LaxityModel, ik.Laxity], tmp_path: Path
+) -> None:
+    table = ik.write_laxity(
+        PLANTED["internal rotation flipped"].broken(clean[1]), tmp_path / "x.csv"
+    )
+    said = "Negating internal_deg removes 99 % of the misfit"
+    fit = ik.fit("reference", table)
+    assert fit.findings[0].sentence.startswith(said)
+    assert fit.findings[0].where == "data"
+    shown = run("diagnose", "reference", table, "--out", tmp_path / "out")
+    assert shown.exit_code == 0, shown.output
+    assert said in " ".join(shown.stdout.split()[:20])
+    answer = ik.load(tmp_path / "out")
+    assert isinstance(answer, ik.Diagnosis)
+    assert answer.verdict is ik.Verdict.NOT_TESTABLE
+    assert answer.findings[0].severity.value == "error"
+
+
+@pytest.mark.parametrize("load", LOADS[:3])
+def test_a_tibia_that_moves_against_its_load_is_seen_in_the_table_alone(
+    load: str, clean: tuple[ik.LaxityModel, ik.Laxity]
+) -> None:
+    laxity = clean[1]
+    assert against_load_findings(laxity) == ()
+    k = COORDINATES.index(WORKS_ON[LOADS.index(load)])
+    flipped = np.array(laxity.coordinates)
+    flipped[:, k] *= -1.0
+    (found,) = against_load_findings(replace(laxity, coordinates=flipped))
+    assert found.sentence.startswith(f"{COORDINATES[k]} falls as {load} rises")
+
+
+def test_the_measured_specimen_moves_with_its_loads() -> None:
+    laxity = ik.example_laxity("s192803")
+    assert against_load_findings(laxity) == ()
+    turned = np.array(laxity.coordinates)
+    turned[:, 4] *= -1.0
+    answer = ik.fit("s192803", replace(laxity, coordinates=turned))
+    assert answer.findings[0].sentence.startswith("internal_deg falls as internal_moment_Nm rises")
+
+
+def test_a_change_that_changes_nothing_is_no_candidate() -> None:
+    laxity = ik.example_laxity("s192803")
+    blank = np.array(laxity.coordinates)
+    blank[:, 0] = np.nan
+    lacking = replace(laxity, coordinates=blank)
+    changes = {x.what: x.applied(lacking) for x in conventions_of(lacking)}
+    assert changes["negating lateral_shift_mm"] is None
+    assert changes["exchanging lateral_shift_mm and distraction_mm"] is None
+    assert changes["taking forces for kN and converting them to N"] is None
+    assert changes["negating varus_deg"] is not None
+
+
+def test_a_deviation_too_small_for_the_unit_is_converted_with_it() -> None:
+    laxity = ik.example_laxity("s192803")
+    sd = np.full(laxity.coordinates.shape, 0.5)
+    sd[:, 3] = 0.5 * np.pi / 180.0
+    (angles,) = (x for x in conventions_of(laxity) if x.what.startswith("taking angles for"))
+    changed = angles.applied(replace(laxity, coordinates=0.01 * laxity.coordinates, sd=sd))
+    assert changed is not None
+    assert changed.sd is not None
+    np.testing.assert_allclose(changed.sd, 0.5)
