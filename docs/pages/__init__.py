@@ -5,6 +5,7 @@ from pathlib import Path
 from identknee.verbs.documented import page_of_answers
 from pages.api import write_api
 from pages.commands import write_commands
+from pages.figures import write_figures
 from pages.flow import write_flow
 from pages.records import write_records
 from pages.studies import write_studies
@@ -16,6 +17,7 @@ def write_pages(docs: Path) -> None:
     parts.mkdir(exist_ok=True)
     write_api(docs / "api")
     write_commands(parts / "commands.md")
+    write_figures(parts / "figures.md", docs.parent / "studies")
     write_flow(parts / "flow.html")
     write_records(parts / "records.md", docs.parent / "tests")
     (parts / "answers.md").write_text(page_of_answers(), encoding="utf-8")

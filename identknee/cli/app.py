@@ -48,11 +48,11 @@ def identknee(
         ),
     ] = False,
 ) -> None:
-    """Fit knee ligament parameters to laxity tests, and see how far they can be trusted.
+    """Fit knee ligament parameters to laxity tests, and see how far the fit can be trusted.
 
-    SUBJECT is a subject folder, or a name such as reference or lenhart2015 that identknee subject
-    list knows. A verb that computes leaves result.json, and result.nc where it has arrays, in the
-    folder --out. Exit codes: 0 done, 1 it could not be computed, 2 the input is wrong.
+    SUBJECT is a subject folder, or a name from: identknee subject list. A command that computes
+    writes result.json, and result.nc with all arrays, to the folder --out. Exit codes: 0 done,
+    1 it could not be computed, 2 the input is wrong.
     """
 
 

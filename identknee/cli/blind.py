@@ -13,13 +13,17 @@ from identknee.runs.record import record
 
 Effect = Annotated[
     list[str] | None,
-    typer.Option(metavar="ID", help="A cause, random, or none; two may be given."),
+    typer.Option(
+        metavar="ID", help="The hidden cause: its name, random, or none. Two names may be given."
+    ),
 ]
 # Of the signal asked for: less than this is another case.
 REACHED = 0.9
 Signal = Annotated[
     float | None,
-    typer.Option(help="Size of the effect beside the noise; sizes from the literature without."),
+    typer.Option(
+        help="Size of the effect relative to the noise; taken from the literature if not given."
+    ),
 ]
 
 
@@ -33,11 +37,11 @@ def blind(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Make laxity data of SUBJECT with a hidden effect, by a generator of their own.
+    """Make laxity data of SUBJECT with a hidden effect, to test a diagnosis.
 
-    Writes laxity.csv for `diagnose`, and truth.json, sealed, for `reveal`. The signal is the root
-    of the chi-square that ligament parameters alone cannot fit. One thread does it: more workers
-    change nothing.
+    The data come from an independent generator. Writes laxity.csv for `diagnose`, and a sealed
+    truth.json for `reveal`. The signal is the root of the chi-square that ligament parameters
+    alone cannot fit. It runs on one thread: more workers change nothing.
     """
     prepare_folder(out)
     knee = ik.read_subject(subject)

@@ -61,7 +61,7 @@ Subject = Annotated[
     str,
     typer.Argument(
         metavar="SUBJECT",
-        help="A subject folder, or a name that identknee subject list knows.",
+        help="A subject folder, or a name from: identknee subject list.",
         callback=_subject_word,
     ),
 ]
@@ -69,7 +69,7 @@ SubjectOrReference = Annotated[
     str,
     typer.Argument(
         metavar="[SUBJECT]",
-        help="A subject folder, or a name that identknee subject list knows.",
+        help="A subject folder, or a name from: identknee subject list.",
         callback=_subject_word,
     ),
 ]
@@ -77,7 +77,7 @@ Data = Annotated[
     str,
     typer.Argument(
         metavar="DATA.csv",
-        help="The measured laxity table, or the name of a subject that comes with one.",
+        help="The table of measured laxity, or the name of a subject that comes with one.",
         callback=_data_word,
     ),
 ]
@@ -85,22 +85,22 @@ MaybeData = Annotated[
     str | None,
     typer.Argument(
         metavar="[DATA.csv]",
-        help="The measured laxity table, or the name of a subject that comes with one; none with "
-        "--protocol.",
+        help="The table of measured laxity, or the name of a subject that comes with one. "
+        "Leave it out with --protocol.",
         callback=_data_word,
     ),
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of all random numbers; it is recorded.")]
+Seed = Annotated[
+    int, typer.Option(min=0, help="Seed of all random numbers. It is stored with the result.")
+]
 Workers = Annotated[
-    int, typer.Option(min=1, help="Tasks to work on at once; results are the same.")
+    int, typer.Option(min=1, help="Number of parallel processes. The results do not depend on it.")
 ]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print result.json to standard output, and nothing else.")
-]
+Json = Annotated[bool, typer.Option("--json", help="Print only result.json, to standard output.")]
 Continuation = Annotated[
     Literal["continuation", "single-step"],
-    typer.Option(help="Follow the load, or apply it all at once as the paper did."),
+    typer.Option(help="Apply the load in small steps, or all at once as in the paper."),
 ]
 
 

@@ -9,8 +9,8 @@ import identknee as ik
 from identknee.cli.command import Json, Out, Seed, Workers, run_verb
 from identknee.cli.report import PAGE
 
-Runs = Annotated[int, typer.Option(min=1, help="Runs of Complex from each start.")]
-Budget = Annotated[int, typer.Option(min=1, help="Simulations allowed in each run.")]
+Runs = Annotated[int, typer.Option(min=1, help="Runs of the Complex method from each start.")]
+Budget = Annotated[int, typer.Option(min=1, help="Most simulations per run.")]
 BEGINNING = (
     "Reference knee, 63 trials, noise-free. Short settings.\n"
     "Fitting from the paper's four starts: Complex ({} runs each), least squares. Then profiles "
@@ -27,12 +27,13 @@ def demo(
     workers: Workers = 2,
     as_json: Json = False,
 ) -> None:
-    """The paper's question and its answer, in about a minute.
+    """Ask the question of the paper, and answer it, in about a minute.
 
-    Laxity of known parameters is simulated (63 trials) and fitted from the paper's four initial
-    guesses, by its Complex method and by least squares: does a good fit mean right parameters?
-    Then noise is added, and profiles say within what limits the data determine each parameter.
-    Short settings: a few runs a start. All of it ends in report.html, to open in a browser.
+    Does a good fit mean that the parameters are right? Laxity of known parameters is simulated
+    in 63 trials. It is fitted from the four initial guesses of the paper, by its Complex method
+    and by least squares. Then noise is added, and profiles show within what limits the data
+    determine each parameter. The settings are short, with a few runs per start. Open
+    report.html in a browser to see the answer.
     """
     if not as_json:
         typer.echo(BEGINNING.format(runs), err=True)

@@ -9,34 +9,35 @@ import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Bounds, Fixed, Noise, Start
 
-NTrials = Annotated[int, typer.Option(min=1, help="How many trials to add.")]
+NTrials = Annotated[int, typer.Option(min=1, help="Number of trials to add.")]
 Targets = Annotated[
     list[str] | None,
     typer.Option(
         "--target",
         metavar="NAME",
-        help="Whose interval is to shrink: a parameter, ACL.tension_N@TRIAL or varus_deg@TRIAL; "
-        "repeatable. Without: the parameters with open intervals, or all where none is open.",
+        help="The quantity to pin down: a parameter, ACL.tension_N@TRIAL or "
+        "varus_deg@TRIAL. May be repeated. If not given: the parameters with open "
+        "intervals, or all if none is open.",
     ),
 ]
 CriterionName = Annotated[
     Literal["width", "c", "D", "A", "E"],
     typer.Option(
-        help="What is to shrink. width: the predicted intervals of the targets; c: their "
-        "variances at the best fit; D, A, E: volume, mean and largest axis of the confidence "
-        "ellipsoid of all parameters."
+        help="What the new trials should make small. width: the predicted intervals of the "
+        "targets. c: their variances at the best fit. D, A, E: volume, mean axis and "
+        "largest axis of the confidence ellipsoid of all parameters."
     ),
 ]
 CandidateTrials = Annotated[
     str | None,
     typer.Option(
         metavar="PROTOCOL",
-        help="Trials to choose from: seed63, table2, drawer or a TOML file. Without: drawer, "
-        "varus-valgus and rotation tests, compression and pairs of loads at 0 to 120 deg, and "
-        "repeats.",
+        help="Trials to choose from: seed63, table2, drawer or a TOML file. If not given: "
+        "drawer, varus-valgus and rotation tests, compression and pairs of loads at 0 "
+        "to 120 deg, and repeats.",
     ),
 ]
-Level = Annotated[float, typer.Option(help="Confidence level of the intervals, as in 0.95.")]
+Level = Annotated[float, typer.Option(help="Confidence level of the intervals, such as 0.95.")]
 
 
 def design(
@@ -57,9 +58,9 @@ def design(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Choose laxity trials that would tell what is left open.
+    """Choose the laxity trials that would tell most about what is still open.
 
-    The advice is verified: the trials are simulated at the best fit, added to the data, and the
-    intervals computed again. advised_trials.csv lists them, to be filled in and appended.
+    The advice is checked: the trials are simulated at the best fit and added to the data, and
+    the intervals are computed again. Fill in advised_trials.csv and append it to your data.
     """
     run_verb(context, ik.design)

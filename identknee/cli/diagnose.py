@@ -14,15 +14,15 @@ Planned = Annotated[
     typer.Option(
         "--protocol",
         metavar="PROTOCOL",
-        help="Without data: say what the trials of seed63, table2, drawer or a TOML file could "
-        "tell, with the noise of --noise.",
+        help="Without data: find out what the trials of seed63, table2, drawer or a TOML "
+        "file could show, given --noise.",
     ),
 ]
 Start = Annotated[
     str,
     typer.Option(
-        help="Where one more fit of the model without causes begins: IG1 to IG4 of the paper or a "
-        "file ending in .toml; subject for none."
+        help="Where an extra fit of the plain model starts: IG1 to IG4 of the paper or a "
+        "file ending in .toml; subject for no extra fit."
     ),
 ]
 
@@ -39,12 +39,13 @@ def diagnose(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Say what the model of SUBJECT gets wrong in DATA.csv, and which physical cause it has.
+    """Find what the model of SUBJECT gets wrong in DATA.csv, and the likely physical cause.
 
-    The verdict is one of ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED and NOT_TESTABLE, with what else
-    would explain the data and which trials would tell. The folder extended is the subject with the
-    causes found, for every other verb. With --protocol in place of DATA.csv it says which causes
-    such trials could show and tell apart. One thread does it: more workers change nothing.
+    The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the
+    other causes that would fit, and the trials that would tell them apart. The folder extended
+    is the subject with the causes found, for every other command. With --protocol instead of
+    DATA.csv it says which causes such trials could show and tell apart. It runs on one thread:
+    more workers change nothing.
     """
     if (data is None) == (protocol is None):
         raise ValueError(

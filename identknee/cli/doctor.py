@@ -67,10 +67,10 @@ class Check:
 
 
 def doctor(as_json: Json = False) -> None:
-    """Check this installation: versions, cores, cache, extras, and a self-test of seconds.
+    """Check this installation: versions, cores, cache, extras and a short self-test.
 
-    The self-test repeats known trials of the reference knee. The first one after an installation
-    compiles and takes up to a minute. Exit code 1 if anything is not as it should be.
+    The self-test repeats known trials of the reference knee. The first one after an
+    installation compiles, which takes up to a minute. The exit code is 1 if anything is wrong.
     """
     checks: list[Check] = []
     for part in (versions, machine, cache, extras, self_test):

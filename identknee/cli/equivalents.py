@@ -9,33 +9,36 @@ import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Bounds, Fixed, Noise, Start
 
-NumberOfSets = Annotated[int, typer.Option("--n-sets", min=2, help="Parameter sets wanted.")]
+NumberOfSets = Annotated[
+    int, typer.Option("--n-sets", min=2, help="Number of parameter sets to find.")
+]
 Criterion = Annotated[
     Literal["noise", "paper"],
     typer.Option(
-        help="noise: predictions differ by no more than --limit squared standard deviations in "
-        "all. paper: by 1 mm drawer, 1.2 deg varus and internal rotation (RMSE) at each angle."
+        help="When two sets count as equivalent. noise: the sum of squared differences is "
+        "at most --limit, in standard deviations. paper: the RMSE at each angle is at "
+        "most 1 mm of drawer and 1.2 deg of varus and internal rotation."
     ),
 ]
 Limit = Annotated[
     float,
     typer.Option(
-        help="The largest squared difference, in units of the criterion; 3.84 with noise allows "
-        "sets that a 5 % test would tell apart more often."
+        help="The largest squared difference, in units of the criterion. With noise, 3.84 "
+        "also allows sets that a 5 % test would tell apart more often."
     ),
 ]
 Forces = Annotated[
     Literal["largest", "all", "none"],
     typer.Option(
-        help="Ligament forces to bound: under the largest load of each kind at each angle, in all "
-        "trials, or none."
+        help="Ligament forces to find the range of: under the largest load of each kind at "
+        "each angle, in all trials, or none."
     ),
 ]
 Trials = Annotated[
     str | None,
     typer.Option(
         metavar="PROTOCOL",
-        help="Bound the forces in these trials instead of those of the data: seed63, table2, "
+        help="Take the forces in these trials instead of those of the data: seed63, table2, "
         "drawer or a TOML file.",
     ),
 ]
@@ -61,8 +64,9 @@ def equivalents(
 ) -> None:
     """Find other parameter sets that the data cannot tell apart.
 
-    They are as different as can be and predict the same laxity as the fit. With them come the
-    smallest and largest value that every parameter and ligament force has among all such sets:
-    what could be concluded wrongly. Every set is simulated. A stopped run resumes.
+    They predict the same laxity as the best fit, and are as different from each other as can
+    be. The answer gives the smallest and largest value of every parameter and ligament force
+    among all such sets: what one could wrongly conclude. Every set is simulated. A stopped run
+    resumes.
     """
     run_verb(context, ik.equivalents)

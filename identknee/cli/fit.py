@@ -22,24 +22,31 @@ Method = Annotated[
     str,
     typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
 ]
-Budget = Annotated[int | None, typer.Option(help="Simulations allowed; 2,500 without.")]
+Budget = Annotated[int | None, typer.Option(help="Most simulations; 2,500 if not given.")]
 Weighting = Annotated[
     Literal["unit", "noise"],
-    typer.Option(help="unit: plain mm and deg (equation 6). noise: divided by the sd_ columns."),
+    typer.Option(
+        help="How errors are weighted. unit: in mm and deg, as in equation 6 of the paper. "
+        "noise: divided by the sd_ columns."
+    ),
 ]
 Priors = Annotated[
     bool,
     typer.Option(
-        "--priors", help="Add the priors; with unit weighting errors count as 1 mm and 1 deg."
+        "--priors",
+        help="Use the priors of the parameters. With unit weighting the errors are taken as "
+        "1 mm and 1 deg.",
     ),
 ]
 Fixed = Annotated[
     list[str] | None,
-    typer.Option("--fix", metavar="NAME", help="A parameter to hold at its start; repeatable."),
+    typer.Option(
+        "--fix", metavar="NAME", help="Hold this parameter at its start. May be repeated."
+    ),
 ]
 Bounds = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME=LOW:HIGH", help="Bounds of a parameter; repeatable."),
+    typer.Option(metavar="NAME=LOW:HIGH", help="Bounds of a parameter. May be repeated."),
 ]
 
 
@@ -62,7 +69,7 @@ def fit(
 ) -> None:
     """Fit the parameters of SUBJECT to DATA.csv.
 
-    The fitted parameters, the error left and how the search ended go to result.json. One search is
-    one thread: more workers change nothing.
+    Writes the fitted parameters, the error that is left and how the search ended to
+    result.json. A search runs on one thread: more workers change nothing.
     """
     run_verb(context, ik.fit)

@@ -8,15 +8,15 @@ Noise = Annotated[
     str | None,
     typer.Option(
         metavar="MM,DEG",
-        help="Standard deviations of lengths and angles, as in 0.5mm,0.5deg, in place of the sd_ "
-        "columns of the data.",
+        help="Standard deviations of lengths and angles, such as 0.5mm,0.5deg. They replace "
+        "the sd_ columns of the data.",
     ),
 ]
 Start = Annotated[
     str,
     typer.Option(
-        help="Where fits begin, and the values of --fix: subject (its own values), IG1 to IG4 of "
-        "the paper, or a file ending in .toml."
+        help="Where fits start, and the values of parameters held by --fix: subject (its "
+        "own values), IG1 to IG4 of the paper, or a file ending in .toml."
     ),
 ]
 Fixed = Annotated[
@@ -24,14 +24,14 @@ Fixed = Annotated[
     typer.Option(
         "--fix",
         metavar="NAME",
-        help="A parameter held at its start, such as ACL.stiffness_kN; repeatable.",
+        help="Hold this parameter at its start, such as ACL.stiffness_kN. May be repeated.",
     ),
 ]
 Bounds = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME=LOW:HIGH",
-        help="Bounds in place of 0 to 40 kN and -15 to 15 %, as in ACL.stiffness_kN=5:15; "
-        "repeatable.",
+        help="Bounds of a parameter, such as ACL.stiffness_kN=5:15, in place of 0 to 40 kN "
+        "and -15 to 15 %. May be repeated.",
     ),
 ]

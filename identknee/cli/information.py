@@ -12,8 +12,8 @@ from identknee.cli.identification import Bounds, Fixed, Noise, Start
 ScalingName = Annotated[
     Literal["typical", "prior"],
     typer.Option(
-        help="What directions are measured in. typical: 3 kN and 2 %. prior: the prior's "
-        "standard deviations."
+        help="Scale of the parameters. typical: 3 kN and 2 %. prior: the standard "
+        "deviations of the prior."
     ),
 ]
 
@@ -32,9 +32,10 @@ def information(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Say which combinations of parameters the data determine.
+    """Find which combinations of parameters the data determine, and how well.
 
-    And how well: eigenvalues of the Fisher information at the best fit with the noise of the solver
-    below them, the rank at random points of the box, and where the least known combination leads.
+    Gives the eigenvalues of the Fisher information at the best fit, next to the noise of the
+    solver. It also gives the rank at random points within the bounds, and shows where the least
+    known combination leads.
     """
     run_verb(context, ik.information)

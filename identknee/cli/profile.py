@@ -14,7 +14,7 @@ Parameters = Annotated[
     typer.Option(
         "--parameter",
         metavar="NAME",
-        help="This parameter only, such as ACL.stiffness_kN, instead of all; repeatable.",
+        help="Profile only this parameter, such as ACL.stiffness_kN. May be repeated.",
     ),
 ]
 Quantities = Annotated[
@@ -22,20 +22,23 @@ Quantities = Annotated[
     typer.Option(
         "--quantity",
         metavar="NAME",
-        help="A prediction too: ACL.tension_N@TRIAL or varus_deg@TRIAL, with a name from the "
-        "column trial of the data; repeatable.",
+        help="Also profile a prediction: ACL.tension_N@TRIAL or varus_deg@TRIAL, where "
+        "TRIAL is a name from the column trial of the data. May be repeated.",
     ),
 ]
 Forces = Annotated[
     list[str] | None,
-    typer.Option(metavar="TRIAL", help="The forces of all ligaments in a trial; repeatable."),
+    typer.Option(
+        metavar="TRIAL",
+        help="Also profile the forces of all ligaments in this trial. May be repeated.",
+    ),
 ]
 Trials = Annotated[
     str | None,
     typer.Option(
         metavar="PROTOCOL",
-        help="Where the trials of --quantity and --forces stand, if not in the data: seed63, "
-        "table2, drawer or a TOML file.",
+        help="The protocol that holds the trials of --quantity and --forces, if the data do "
+        "not: seed63, table2, drawer or a TOML file.",
     ),
 ]
 Pairs = Annotated[
@@ -43,20 +46,20 @@ Pairs = Annotated[
     typer.Option(
         "--pair",
         metavar="NAME,NAME",
-        help="The joint set of two parameters, as an outline; repeatable.",
+        help="Also outline the joint confidence region of two parameters. May be repeated.",
     ),
 ]
-Level = Annotated[float, typer.Option(help="Confidence level of the sets, as in 0.95.")]
+Level = Annotated[float, typer.Option(help="Confidence level of the intervals, such as 0.95.")]
 Budget = Annotated[
-    int, typer.Option(min=1, help="Simulations a profile may make; most need 25 to 100.")
+    int, typer.Option(min=1, help="Most simulations per profile. Most profiles need 25 to 100.")
 ]
 Bootstrap = Annotated[
     int,
     typer.Option(
         min=0,
         metavar="N",
-        help="Thresholds from N simulated data sets, at least 20 for a level of 0.95, instead of "
-        "the chi-squared law.",
+        help="Take thresholds from N simulated data sets (at least 20 for a level of 0.95) "
+        "instead of the chi-squared law.",
     ),
 ]
 
@@ -82,9 +85,10 @@ def profile(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Say which values of each parameter of SUBJECT the data allow.
+    """Find which values of each parameter the data allow.
 
-    Each parameter gets the set of values that the data do not exclude, with an end only where the
-    data give it one, and a verdict. An open end is null in result.json. A stopped run resumes.
+    Each parameter gets a verdict and an interval: the values that the data do not exclude. The
+    interval ends only where the data end it; an open end is null in result.json. A stopped run
+    resumes.
     """
     run_verb(context, ik.profile)

@@ -10,7 +10,7 @@ from identknee.cli.command import Json, show
 Folder = Annotated[
     Path,
     typer.Argument(
-        metavar="DIR", help="A folder --out of any verb, or a folder that holds such folders."
+        metavar="DIR", help="Results folder of any command, or a folder of such folders."
     ),
 ]
 File = Annotated[
@@ -18,7 +18,9 @@ File = Annotated[
 ]
 Figures = Annotated[
     Literal["svg", "pdf"] | None,
-    typer.Option(help="Also write every figure for a paper, to a folder figures beside the page."),
+    typer.Option(
+        help="Also write every figure for a paper, to the folder figures beside the page."
+    ),
 ]
 PAGE = "report.html"
 
@@ -28,9 +30,9 @@ def report(
 ) -> None:
     """Write the results in DIR as one page that works offline.
 
-    The answer first, in sentences, with the numbers behind each: what is known and what is not,
-    what the model gets wrong, which test to do next. Results of all verbs in DIR and in the folders
-    in it are taken, subject by subject.
+    The answer comes first, with the numbers behind each sentence: what is known and what is
+    not, what the model gets wrong, which test to do next. It takes the results of all commands
+    in DIR and in the folders in it, subject by subject.
     """
     # This loads xarray and matplotlib, which takes longer than most mistakes.
     from identknee.report.write_report import FIGURES, write_report

@@ -13,24 +13,32 @@ Basins = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="The result.json of a sweep, in whose basins the walkers start; without it they "
-        "start around fits from draws of the prior.",
+        help="The result.json of a sweep. Walkers then start in its basins; otherwise "
+        "around fits that start from draws of the prior.",
     ),
 ]
 NEnsembles = Annotated[
-    int, typer.Option("--ensembles", min=2, help="Independent ensembles of walkers.")
+    int, typer.Option("--ensembles", min=2, help="Number of independent ensembles of walkers.")
 ]
 Budget = Annotated[
     int,
     typer.Option(
-        min=1, help="Simulations after which sampling ends anyway; more in the same --out go on."
+        min=1, help="Most simulations. With a larger number and the same --out the run goes on."
     ),
 ]
 Nested = Annotated[
-    bool, typer.Option("--nested", help="Add a second opinion and the evidence, by dynesty.")
+    bool,
+    typer.Option(
+        "--nested",
+        help="Also run nested sampling (dynesty), as a second opinion and for the evidence.",
+    ),
 ]
 Moves = Annotated[
-    str, typer.Option(help="newton uses the exact Jacobian; difference and stretch do without.")
+    str,
+    typer.Option(
+        help="How walkers move. newton uses the exact Jacobian; difference and stretch do "
+        "not need it."
+    ),
 ]
 
 
@@ -54,8 +62,8 @@ def sample(
 ) -> None:
     """Sample the posterior of the parameters given the data.
 
-    Walkers go on until the written conditions of convergence are met; result.json has their
-    numbers, result.nc all draws, with laxity and ligament forces at some of them. A stopped run
-    resumes.
+    Walkers go on until they pass the checks of convergence, whose numbers are in result.json.
+    All draws are in result.nc, with the laxity and the ligament forces at some of them. A
+    stopped run resumes.
     """
     run_verb(context, ik.sample)

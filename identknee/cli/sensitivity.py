@@ -13,26 +13,28 @@ MethodName = Literal["morris", "sobol", "delta", "pawn", "hdmr", "shapley"]
 ProtocolName = Annotated[
     str | None,
     typer.Option(
-        help="The trials without DATA.csv: seed63 (also without this), table2, drawer or a TOML "
-        "file."
+        help="The trials, if there is no DATA.csv: seed63 (the default), table2, drawer or "
+        "a TOML file."
     ),
 ]
 Method = Annotated[
     MethodName,
     typer.Option(
-        help="morris and sobol vary parameters independently in the box k +-50 %, eps_r +-3 %; the "
-        "others take the draws of --posterior, or draws from the box."
+        help="morris and sobol vary the parameters independently: stiffness by +-50 % and "
+        "reference strain by +-3 %. The others use the draws of --posterior, or draws "
+        "from the same ranges."
     ),
 ]
 Samples = Annotated[
     int | None,
     typer.Option(
-        help="Trajectories (256 without), blocks (1,024) or draws (2,048, at most so many of the "
-        "posterior). More in the same --out continue what is there."
+        help="Number of trajectories for morris (256 if not given), blocks for sobol "
+        "(1,024) or draws (2,048). With a larger number and the same --out the run "
+        "goes on."
     ),
 ]
 Posterior = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder of an identknee sample.")
+    Path | None, typer.Option(metavar="DIR", help="Results folder of: identknee sample.")
 ]
 
 
@@ -51,10 +53,10 @@ def sensitivity(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Say which parameters the laxity of a knee depends on.
+    """Find which parameters the laxity of a knee depends on.
 
-    Outputs are grouped by coordinate, flexion angle and kind of load; failures to converge are an
-    output of their own. The middle of the box is --start. All indices with confidence intervals and
-    their convergence go to result.nc. A stopped run resumes.
+    Laxity is grouped by coordinate, flexion angle and kind of load. Trials without a stable
+    pose are an output of their own. Parameters vary around --start. All indices, with
+    confidence intervals and convergence, are in result.nc. A stopped run resumes.
     """
     run_verb(context, ik.sensitivity)

@@ -14,28 +14,35 @@ ProtocolName = Annotated[
 Values = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="NAME=VALUE", help="A parameter, e.g. ACL.stiffness_kN=9.5; repeatable."
+        "--set",
+        metavar="NAME=VALUE",
+        help="Set a parameter, such as ACL.stiffness_kN=9.5. May be repeated.",
     ),
 ]
 Start = Annotated[
     str,
     typer.Option(
-        help="Parameters of the ligaments: subject (its own values), IG1 to IG4 of the paper, or a "
-        "file ending in .toml; --set changes single ones."
+        help="Ligament parameters: subject (its own values), IG1 to IG4 of the paper, or a "
+        "file ending in .toml. --set changes single ones."
     ),
 ]
 Noise = Annotated[
-    str | None, typer.Option(metavar="MM,DEG", help="Add noise of this sd, e.g. 0.3mm,0.3deg.")
+    str | None,
+    typer.Option(
+        metavar="MM,DEG", help="Add noise with this standard deviation, such as 0.3mm,0.3deg."
+    ),
 ]
-Correlation = Annotated[
-    float, typer.Option(help="Correlation that the five errors of a trial share.")
-]
+Correlation = Annotated[float, typer.Option(help="Correlation between the five errors of a trial.")]
 StudentDegrees = Annotated[
-    float | None, typer.Option(help="Degrees of freedom of heavy-tailed noise; normal without.")
+    float | None,
+    typer.Option(help="Degrees of freedom of Student's t noise; normal noise if not given."),
 ]
 Contact = Annotated[
     Literal["field", "mesh"],
-    typer.Option(help="A smooth field, or the paper's law between triangles, which is slow."),
+    typer.Option(
+        help="field: a smooth distance field. mesh: the law of the paper between triangles, "
+        "which is slow."
+    ),
 ]
 
 
@@ -57,7 +64,7 @@ def simulate(
 ) -> None:
     """Simulate laxity tests of SUBJECT.
 
-    Writes laxity.csv, and how each trial ended to result.json. A trial that did not converge has
-    blank cells. One thread does it: more workers change nothing.
+    Writes laxity.csv, and how each trial ended to result.json. A trial without a stable pose
+    has blank cells. It runs on one thread: more workers change nothing.
     """
     run_verb(context, ik.simulate)

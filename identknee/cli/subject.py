@@ -28,7 +28,7 @@ app = typer.Typer(
 )
 
 Samples = Annotated[
-    int, typer.Option(min=0, help="Parameter vectors to draw from the box; 0 for none.")
+    int, typer.Option(min=0, help="Number of parameter sets to draw from the ranges; 0 for none.")
 ]
 OsimFile = Annotated[
     str,
@@ -39,7 +39,7 @@ OsimFile = Annotated[
 ]
 Bundles = Annotated[
     Literal["separate", "merged"],
-    typer.Option(help="Bundles as they are, or merged to the four single lines."),
+    typer.Option(help="Keep the bundles separate, or merge them to four single lines."),
 ]
 
 app.command("list", epilog="Example: identknee subject list --json")(list_subjects)
@@ -60,12 +60,12 @@ def check(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Check SUBJECT and its stability.
+    """Check SUBJECT, and whether its trials are stable.
 
-    Surfaces, frames and ligaments are checked, then the stability of the model over a protocol.
-    Stability is taken at the subject's own parameters and over a box around them: stiffness
-    +-50 %, reference strain +-3 %. Where trials are lost it says which insertions, moved within
-    their uncertainty, restore them. Exit code 2 if there is an error.
+    Checks surfaces, frames and ligaments, then the stability of the model under a protocol. It
+    does so at the parameters of the subject and in a range around them: stiffness by +-50 %,
+    reference strain by +-3 %. If trials have no stable pose, it says which insertions to move,
+    within their uncertainty. The exit code is 2 if there is an error.
     """
     prepare_folder(out)
     trials, knee = ik.load_protocol(protocol), ik.read_subject(subject)

@@ -9,10 +9,10 @@ from identknee.subject.examples import NAMED_SUBJECTS, NamedSubject
 
 
 def list_subjects(as_json: Json = False) -> None:
-    """List the subjects that come with identknee, with source and licence.
+    """List the subjects that come with identknee, with their sources and licences.
 
-    Each name stands wherever a verb wants SUBJECT; one with measured laxity also stands for it
-    where DATA.csv is wanted.
+    Use a name wherever a command wants SUBJECT. A subject with measured laxity also stands for
+    its DATA.csv.
     """
     subjects = [_facts(x) for x in NAMED_SUBJECTS]
     lines = [line for x in subjects for line in _lines(x)]

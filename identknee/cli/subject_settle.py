@@ -24,8 +24,8 @@ Within = Annotated[
     float,
     typer.Option(
         metavar="MM",
-        help="How far insertions may be from where they are given, up to 8 mm: the uncertainty "
-        "within which they are moved where trials are lost.",
+        help="Uncertainty of the insertions, up to 8 mm. They are moved within it if trials "
+        "have no stable pose.",
     ),
 ]
 
@@ -40,11 +40,11 @@ def settle(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Move insertions of SUBJECT within their uncertainty until its trials converge.
+    """Move the insertions of SUBJECT within their uncertainty until all trials are stable.
 
-    Writes a subject folder with the moved insertions, and says by how much each moved: what moved
-    is no longer what was segmented. Exit code 1 if some trials still do not converge. Nothing is
-    random: the seed changes nothing.
+    Writes a subject folder with the moved insertions, and says how far each one moved. A moved
+    insertion is no longer the one that was segmented. The exit code is 1 if some trials still
+    have no stable pose. Nothing is random: the seed changes nothing.
     """
     prepare_folder(out)
     from identknee.model.insertion_moves import settle as find

@@ -9,30 +9,41 @@ import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Bounds, Fixed, Noise, Start
 
-Starts = Annotated[int, typer.Option("--n-starts", min=1, help="Searches to make.")]
+Starts = Annotated[int, typer.Option("--n-starts", min=1, help="Number of starts.")]
 Method = Annotated[
     str,
     typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
 ]
-Budget = Annotated[int | None, typer.Option(help="Simulations a search may make; 2,500 without.")]
+Budget = Annotated[
+    int | None, typer.Option(help="Most simulations per search; 2,500 if not given.")
+]
 Design = Annotated[
     Literal["sobol", "shells"],
-    typer.Option(help="sobol: evenly over the bounds. shells: at --distances from --start."),
+    typer.Option(
+        help="How starts are placed. sobol: evenly within the bounds. shells: at "
+        "--distances from --start."
+    ),
 ]
 Distances = Annotated[
     str,
-    typer.Option(metavar="D,D,...", help="Of shells: mean difference in kN and in %, as 0.5,1,2."),
+    typer.Option(
+        metavar="D,D,...",
+        help="For shells: mean differences from --start in kN and in %, such as 0.5,1,2.",
+    ),
 ]
 Within = Annotated[
     float,
     typer.Option(
         min=0.0,
-        help="Mean distance in kN and in % from the best end at which it counts as recovered.",
+        help="A search recovers the best fit if it ends within this mean distance of it, in "
+        "kN and in %.",
     ),
 ]
 Paths = Annotated[
     int,
-    typer.Option(min=0, help="Starts whose straight path to the best end is searched for cliffs."),
+    typer.Option(
+        min=0, help="For how many starts to search the straight path to the best fit for cliffs."
+    ),
 ]
 
 
@@ -56,11 +67,12 @@ def sweep(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Search from many starts and say what stopped each search.
+    """Fit from many starts, and see where each search stopped and why.
 
-    A minimum, an optimizer that gave up in a valley, or a cliff where the knee snaps through: each
-    end is polished by least squares with exact derivatives before it counts as a minimum. Basins
-    with their volumes, the recovery of the best end by the distance of the start and the cliffs on
-    the path go to result.json; all ends to result.nc. A stopped run resumes.
+    A search may end in a minimum, give up in a valley, or stop at a cliff, where the simulated
+    knee jumps. Least squares with exact derivatives goes on from each end, so that only real
+    minima count. Writes to result.json the basins with their volumes, how often the best fit is
+    found from how far away, and the cliffs on the way. All ends are in result.nc. A stopped run
+    resumes.
     """
     run_verb(context, ik.sweep)

@@ -29,12 +29,17 @@ def test_two_commands_do_all_set_up() -> None:
     assert "grep -m 1 -- '-m pytest' README.md" in (ROOT / ".ci" / "run").read_text("utf-8")
 
 
-def test_the_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_python_runs(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (code,) = blocks("python")
+    assert code.count("\n") <= 10
     exec(compile(code, "README.md", "exec"), {})
     said = capsys.readouterr().out
     assert "ACL stiffness [kN]" in said
     assert "minimum" in said
+    assert (tmp_path / "identknee-report" / "report.html").is_file()
 
 
 def test_the_laxity_table_can_be_read(tmp_path: Path) -> None:
@@ -55,7 +60,9 @@ def test_the_subject_has_the_form_that_is_written(tmp_path: Path) -> None:
     assert set(shown["ligaments"][0]) == set(written["ligaments"][0])
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "tests/README.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", "CONTRIBUTING.md", "tests/README.md", "docs/diagnosis.md"]
+)
 def test_every_file_named_in_a_page_is_there(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")
     paths = re.findall(r"`((?:identknee|tests)/[\w/]+\.py|(?:identknee|tests)/[\w/]+/)`", text)

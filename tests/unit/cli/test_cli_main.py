@@ -63,7 +63,7 @@ def test_the_module_is_the_command() -> None:
         capture_output=True,
         text=True,
     )
-    assert "SUBJECT is a subject folder, or a name such as reference" in answer.stdout
+    assert "SUBJECT is a subject folder, or a name from: identknee subject list" in answer.stdout
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")

@@ -1,4 +1,4 @@
-"""The README's example of a hidden cause prints what the README shows."""
+"""The example of a hidden cause prints what the page on diagnoses shows."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from cli_runs import run
 
-README = Path(__file__).parents[3] / "README.md"
+PAGE = Path(__file__).parents[3] / "docs" / "diagnosis.md"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 # Of the last digit shown: another rounding, and no more.
 LAST_DIGIT = 1.001
@@ -14,7 +14,7 @@ LAST_DIGIT = 1.001
 
 def shown() -> dict[str, list[str]]:
     """Each command of the example with the lines below it, those left out as ``...``."""
-    text = README.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
     (block,) = re.findall(r"```console\n(.*?)```", text, re.DOTALL)
     parts: dict[str, list[str]] = {}
     for line in block.splitlines():
@@ -47,7 +47,7 @@ def test_every_line_of_the_example_is_printed_in_its_order(
         left = [x for x in result.stdout.splitlines() if x]
         for line in (x for x in lines if x.strip() not in ("...", "")):
             places = [i for i, x in enumerate(left) if is_alike(line, x)]
-            assert places, f"the README shows {line!r}, which is not printed in this place"
+            assert places, f"the page shows {line!r}, which is not printed in this place"
             del left[: places[0] + 1]
 
 
