@@ -1,24 +1,28 @@
-"""Rotation of the tibia in the femur and its three angles."""
+"""Rotations of the tibia in the femur and their three angles."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identknee.runs.arrays import Array
 
 
-def rotation_matrix(flexion: float, varus: float, internal: float) -> Array:
-    """``Rz(-flexion) Rx(varus) Ry(internal)``, angles in rad; shape ``(3, 3)``."""
+def rotation_matrix(flexion: ArrayLike, varus: ArrayLike, internal: ArrayLike) -> Array:
+    """``Rz(-flexion) Rx(varus) Ry(internal)``, angles in rad; shape ``(3, 3, ...)`` of angles."""
     ca, sa = np.cos(flexion), np.sin(flexion)
     cv, sv = np.cos(varus), np.sin(varus)
     ci, si = np.cos(internal), np.sin(internal)
-    about_z = np.array([[ca, sa, 0.0], [-sa, ca, 0.0], [0.0, 0.0, 1.0]])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cv, -sv], [0.0, sv, cv]])
-    about_y = np.array([[ci, 0.0, si], [0.0, 1.0, 0.0], [-si, 0.0, ci]])
-    rotation: Array = about_z @ about_x @ about_y
+    rotation: Array = np.array(
+        [
+            [ca * ci + sa * sv * si, sa * cv, ca * si - sa * sv * ci],
+            [ca * sv * si - sa * ci, ca * cv, -sa * si - ca * sv * ci],
+            [-cv * si, sv, cv * ci],
+        ]
+    )
     return rotation
 
 
-def angles_of(rotation: Array) -> tuple[float, float, float]:
-    """Flexion, varus and internal rotation [rad] of a rotation matrix.
+def angles_of(rotation: Array) -> tuple[Array, Array, Array]:
+    """Flexion, varus and internal rotation [rad] of rotation matrices, shape ``(3, 3, ...)``.
 
     Examples
     --------
@@ -28,7 +32,7 @@ def angles_of(rotation: Array) -> tuple[float, float, float]:
     flexion = np.arctan2(rotation[0, 1], rotation[1, 1])
     varus = np.arcsin(np.clip(rotation[2, 1], -1.0, 1.0))
     internal = np.arctan2(-rotation[2, 0], rotation[2, 2])
-    return float(flexion), float(varus), float(internal)
+    return flexion, varus, internal
 
 
 def start_pose(rotation: Array, translation: Array) -> tuple[float, Array]:
@@ -39,4 +43,4 @@ def start_pose(rotation: Array, translation: Array) -> tuple[float, Array]:
     """
     flexion, varus, internal = angles_of(rotation)
     turned = rotation_matrix(flexion, 0.0, 0.0).T @ translation
-    return flexion, np.array([varus, internal, *turned])
+    return float(flexion), np.array([varus, internal, *turned])

@@ -12,10 +12,10 @@ from identknee.model.effects.effect import (
     Effect,
     MechanicalEffect,
     ObservationEffect,
-    SelfContainedEffect,
     Tests,
+    is_read_in_copies,
 )
-from identknee.model.gradient_change import gradient_changes
+from identknee.model.gradient_change import gradient_columns, low_and_high
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array, IntArray
@@ -39,6 +39,7 @@ class Extension:
     effects: tuple[Effect, ...]
     _mechanical: tuple[tuple[MechanicalEffect, slice], ...] = field(init=False, repr=False)
     _observed: tuple[tuple[ObservationEffect, slice], ...] = field(init=False, repr=False)
+    _steps: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         ends = np.cumsum([0, *(x.parameters.n for x in self.effects)]).tolist()
@@ -46,6 +47,8 @@ class Extension:
         placed = list(zip(self.effects, parts, strict=True))
         mechanical = tuple((x, part) for x, part in placed if isinstance(x, MechanicalEffect))
         observed = tuple((x, part) for x, part in placed if isinstance(x, ObservationEffect))
+        ranges = [x.parameters.upper - x.parameters.lower for x in self.effects]
+        object.__setattr__(self, "_steps", STEP * np.concatenate([np.zeros(0), *ranges]))
         object.__setattr__(self, "_mechanical", mechanical)
         object.__setattr__(self, "_observed", observed)
 
@@ -82,22 +85,7 @@ class Extension:
         nodes
             The node of each trial, shape ``(n,)``.
         """
-        flexion = self.change(unchanged, values).flexion[nodes]
-        columns = np.zeros((len(nodes), 5, len(values)))
-        moves, before = self.moves(), unchanged
-        poses = found.poses[nodes]
-        for place, (effect, part) in enumerate(self._mechanical):
-            if isinstance(effect, SelfContainedEffect):
-                own = effect.gradient_columns(before, values[part], flexion, poses)
-                columns[:, :, part] = -own
-            else:
-                pairs = [
-                    (self._from(place, before, values - x), self._from(place, before, values + x))
-                    for x in moves[part]
-                ]
-                changes = gradient_changes(pairs, flexion, found, nodes)
-                columns[:, :, part] = -changes / (2.0 * np.diag(moves)[part])
-            before = effect.change(before, values[part])
+        columns = -gradient_columns(self._mechanical, unchanged, values, self._steps, found, nodes)
         # Where no equilibrium was found the Hessian may be singular.
         has_pose = found.codes[nodes] == CONVERGED
         columns[~has_pose] = np.nan
@@ -108,40 +96,36 @@ class Extension:
         self, coordinates: Array, values: Array, tests: Tests
     ) -> tuple[Array, Array]:
         """Derivatives of what is measured, by coordinates (n, 5, 5) and amplitudes (n, 5, a)."""
-        by_coordinate = np.broadcast_to(np.eye(5), (len(coordinates), 5, 5))
-        by_amplitude = np.zeros((len(coordinates), 5, len(values)))
         if not self._observed:
-            return by_coordinate, by_amplitude
-        by_coordinate = np.empty(by_coordinate.shape)
-        for j, move in enumerate(COORDINATE_STEP * np.eye(5)):
-            seen = [self.observe(coordinates + s * move, values, tests) for s in (-1.0, 1.0)]
-            by_coordinate[:, :, j] = (seen[1] - seen[0]) / (2.0 * COORDINATE_STEP)
-        moves = self.moves()
-        for k in (k for _, part in self._observed for k in range(part.start, part.stop)):
-            seen = [self.observe(coordinates, values + s * moves[k], tests) for s in (-1.0, 1.0)]
-            by_amplitude[:, :, k] = (seen[1] - seen[0]) / (2.0 * moves[k, k])
-        return by_coordinate, by_amplitude
+            by_coordinate = np.broadcast_to(np.eye(5), (len(coordinates), 5, 5))
+            return by_coordinate, np.zeros((len(coordinates), 5, len(values)))
+        # Readings with one number a little smaller and larger, all below each other: they go
+        # through the effects that act later together.
+        n, moved = len(coordinates), [*range(5)]
+        steps = np.r_[np.full(5, COORDINATE_STEP), self._steps]
+        stack = (coordinates + low_and_high(np.zeros(5), steps[:5])[:, None]).reshape(-1, 5)
+        for effect, part in self._observed:
+            stack = effect.observe(stack, values[part], tests.repeated(len(stack) // n))
+            each = low_and_high(values[part], self._steps[part])
+            stack = np.concatenate([stack, _readings(effect, coordinates, each, tests)])
+            coordinates = effect.observe(coordinates, values[part], tests)
+            moved += range(5 + part.start, 5 + part.stop)
+        low, high = np.moveaxis(stack.reshape(-1, 2, n, 5), 1, 0)
+        slopes = np.zeros((n, 5, 5 + len(values)))
+        slopes[:, :, moved] = np.moveaxis(high - low, 0, 2) / (2.0 * steps[moved])
+        return slopes[:, :, :5], slopes[:, :, 5:]
 
     def moves(self) -> Array:
         """A small change of each amplitude alone, shape ``(a, a)``."""
-        parameters = self.parameters
-        if parameters is None:
-            return np.zeros((0, 0))
-        return np.diag(STEP * (parameters.upper - parameters.lower))
+        return np.diag(self._steps)
 
-    def _from(self, place: int, setting: Setting, values: Array) -> Setting:
-        """The setting with the mechanical effects from number `place` on.
 
-        The later ones are left out where that one changes nothing that they act on.
-        """
-        (effect, part), *later = self._mechanical[place:]
-        changed = effect.change(setting, values[part])
-        if changed.loads is setting.loads and changed.lines is setting.lines:
-            return changed
-        for effect, part in later:
-            if not isinstance(effect, SelfContainedEffect):
-                changed = effect.change(changed, values[part])
-        return changed
+def _readings(effect: ObservationEffect, coordinates: Array, each: Array, tests: Tests) -> Array:
+    """What is measured at amplitudes of `each` row (k, a), below each other, ``(k n, 5)``."""
+    k = len(each)
+    if k and is_read_in_copies(effect):
+        return effect.observe_copies(np.tile(coordinates, (k, 1)), each, tests.repeated(k))
+    return np.concatenate([coordinates[:0], *(effect.observe(coordinates, x, tests) for x in each)])
 
 
 def joined(parts: Sequence[Parameters]) -> Parameters:

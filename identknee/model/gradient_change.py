@@ -1,75 +1,150 @@
-"""How the gradient of the energy at fixed poses changes from one setting to another."""
+"""How the gradient of the energy at fixed poses changes with the amplitudes of effects.
+
+Settings are smooth functions in closed form, and are differenced. Copies of a setting, each with
+one amplitude moved a little, go through the effects that act later together, as one setting.
+"""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.memory import Equilibria
-from identknee.model.setting import Setting
+from identknee.model.effects.effect import MechanicalEffect, is_changed_in_copies, is_self_contained
+from identknee.model.setting import Setting, repeated, with_copies
 from identknee.runs.arrays import Array, IntArray
 
-Pair = tuple[Setting, Setting]
+Placed = tuple[MechanicalEffect, slice]
 
 
-def gradient_changes(
-    pairs: Sequence[Pair], flexion: Array, found: Equilibria, nodes: IntArray
+def gradient_columns(
+    effects: Sequence[Placed],
+    unchanged: Setting,
+    values: Array,
+    steps: Array,
+    found: Equilibria,
+    nodes: IntArray,
 ) -> Array:
-    """Changes from the first to the second setting of each pair, shape ``(n, 5, k)``.
+    """Derivatives of the gradient by the amplitudes at the poses found, shape ``(n, 5, a)``.
 
     Parameters
     ----------
-    pairs
-        The k pairs, close to the setting under which the equilibria were found.
-    flexion
-        Flexion of each trial [rad], shape ``(n,)``.
+    effects
+        The effects, and where their amplitudes stand among `values`.
+    unchanged
+        The setting without effects, at the nodes of the load paths.
+    values, steps
+        All amplitudes, and a small change of each, shape ``(a,)``.
     found
         The equilibria at the nodes, made under a stated contact law.
     nodes
         The node of each trial, shape ``(n,)``.
     """
-    changes = _line_changes(pairs, flexion, found.poses[nodes])
-    for k, (low, high) in enumerate(pairs):
-        changes[:, :, k] += low.loads[nodes] - high.loads[nodes]
-        changes[:, :, k] += (
-            found.gradient_by_flexion[nodes] * (high.flexion - low.flexion)[nodes][:, None]
-        )
-        law = np.array(
-            [np.log(high.law.modulus / low.law.modulus), high.law.exponent - low.law.exponent]
-        )
-        if law.any():
-            # The sensitivities are -H^-1 times the columns that are wanted here.
-            shift = found.sensitivities[nodes][:, :, -2:] @ law
-            changes[:, :, k] -= np.einsum("nij,nj->ni", found.hessians[nodes], shift)
-    return changes
+    settings = [unchanged]
+    for effect, part in effects:
+        settings.append(effect.change(settings[-1], values[part]))
+    flexion, poses = settings[-1].flexion[nodes], found.poses[nodes]
+    columns = np.zeros((len(nodes), 5, len(values)))
+    copies = _Copies(unchanged, len(values))
+    for (effect, part), before in zip(effects, settings, strict=False):
+        if is_self_contained(effect):
+            columns[:, :, part] = effect.gradient_columns(before, values[part], flexion, poses)
+        else:
+            copies.change(effect, values[part])
+            copies.add(effect, before, values[part], steps[part], first=part.start)
+    changes = copies.by_lines(flexion, poses) + copies.by_nodes(found, nodes)
+    return columns + changes / (2.0 * steps)
 
 
-def _line_changes(pairs: Sequence[Pair], flexion: Array, poses: Array) -> Array:
-    """The part of the lines: those alone that change, of all pairs at once."""
-    rows, signs = [], []
-    for k, (low, high) in enumerate(pairs):
-        if low.lines is high.lines and low.stiffness is high.stiffness:
-            continue
-        tables = _table(low), _table(high)
-        changed = np.any(tables[0] != tables[1], axis=1)
-        for table, sign in zip(tables, (-1.0, 1.0), strict=True):
-            rows.append(table[changed])
-            signs.append(np.outer(np.full(changed.sum(), sign), np.arange(len(pairs)) == k))
-    if not rows:
-        return np.zeros((len(poses), 5, len(pairs)))
-    table = np.concatenate(rows)
-    lines = Lines(
-        femoral=table[:, :3],
-        tibial=table[:, 3:6],
-        reference_length=table[:, 6],
-        transition=table[:, 7],
-        wrap_offset=table[:, 8],
-        wrap_place=table[:, 9],
-    )
-    found = ligament_tensions(lines, flexion, poses, table[:, 10], table[:, 11])
-    gradients = found.tensions[:, :, None] * found.lengthening
-    return np.asarray(np.swapaxes(gradients, 1, 2) @ np.concatenate(signs))
+def low_and_high(values: Array, steps: Array) -> Array:
+    """Values (a,) with the first a step smaller, a step larger, then the next, ``(2 a, a)``."""
+    return np.asarray(values + np.kron(np.diag(steps), [[-1.0], [1.0]]))
+
+
+class _Copies:
+    """Copies 2 k and 2 k + 1 of a setting, in which amplitude k is a little smaller and larger.
+
+    All in one setting: first the one in which none is moved, as copy -1, then the lines and the
+    nodes that an amplitude changes. The contact law is one; effects add to its logarithm and to its
+    exponent, whatever they are.
+    """
+
+    def __init__(self, unchanged: Setting, n_values: int) -> None:
+        self._n_nodes, self._n_values = len(unchanged.flexion), n_values
+        self._all = replace(unchanged, copy=np.full(len(unchanged.copy), -1))
+        self._of_nodes: list[int] = []
+        self._laws = np.zeros((2, n_values))
+
+    def change(self, effect: MechanicalEffect, values: Array) -> None:
+        """Change all copies alike."""
+        self._all = effect.change(self._all, values)
+
+    def add(
+        self, effect: MechanicalEffect, before: Setting, values: Array, steps: Array, *, first: int
+    ) -> None:
+        """Add those in which the amplitudes of `effect` are moved, `first` and those after it."""
+        if not values.size:
+            return
+        each = low_and_high(values, steps)
+        copies = 2 * first + np.arange(len(each))
+        if is_changed_in_copies(effect):
+            before = repeated(before, len(each))
+            own = effect.change_copies(before, each)
+            made = [replace(own, copy=2 * first + own.copy)]
+        else:
+            made = [effect.change(before, x) for x in each]
+            for k, (low, high) in enumerate(zip(made[::2], made[1::2], strict=True)):
+                self._laws[0, first + k] = np.log(high.law.modulus / low.law.modulus)
+                self._laws[1, first + k] = high.law.exponent - low.law.exponent
+            made = [x.as_copy(i) for x, i in zip(made, copies.tolist(), strict=True)]
+        others = made[0]
+        has_lines = any(
+            getattr(others, x) is not getattr(before, x)
+            for x in ("lines", "stiffness", "reference_strain")
+        )
+        has_nodes = others.loads is not before.loads or others.flexion is not before.flexion
+        if has_nodes:
+            self._of_nodes += copies.tolist()
+        self._all = with_copies(self._all, made, lines=has_lines, nodes=has_nodes)
+
+    def by_nodes(self, found: Equilibria, nodes: IntArray) -> Array:
+        """What loads, flexion and contact law change in the gradient, shape ``(n, 5, a)``."""
+        # The sensitivities are -H^-1 times the columns that are wanted here.
+        laws = found.sensitivities[nodes][:, :, -2:] @ self._laws
+        changes = -found.hessians[nodes] @ laws
+        loads = self._all.loads.reshape(-1, self._n_nodes, 5)[1:, nodes]
+        flexion = self._all.flexion.reshape(-1, self._n_nodes)[1:, nodes]
+        by_flexion = (flexion[1::2] - flexion[::2])[:, :, None] * found.gradient_by_flexion[nodes]
+        moved = np.array(self._of_nodes[::2], int) // 2
+        changes[:, :, moved] += np.moveaxis(loads[::2] - loads[1::2] + by_flexion, 0, 2)
+        return np.asarray(changes)
+
+    def by_lines(self, flexion: Array, poses: Array) -> Array:
+        """What the lines change in it, those alone that are moved, shape ``(n, 5, a)``."""
+        order = np.argsort(self._all.copy, kind="stable")
+        order = order[np.searchsorted(self._all.copy[order], 0) :]
+        copy, table = self._all.copy[order], _table(self._all)[order]
+        low, high = table[copy % 2 == 0], table[copy % 2 == 1]
+        changed = np.any(low != high, axis=1)
+        if not changed.any():
+            return np.zeros((len(poses), 5, self._n_values))
+        table = np.concatenate([low[changed], high[changed]])
+        lines = Lines(
+            femoral=table[:, :3],
+            tibial=table[:, 3:6],
+            reference_length=table[:, 6],
+            transition=table[:, 7],
+            wrap_offset=table[:, 8],
+            wrap_place=table[:, 9],
+        )
+        found = ligament_tensions(lines, flexion, poses, table[:, 10], table[:, 11])
+        gradients = found.tensions[:, :, None] * found.lengthening
+        less, more = np.split(gradients, 2, axis=1)
+        amplitude = copy[copy % 2 == 0][changed] // 2
+        of = (amplitude[:, None] == np.arange(self._n_values)).astype(float)
+        return np.asarray(np.swapaxes(more - less, 1, 2) @ of)
 
 
 def _table(setting: Setting) -> Array:

@@ -210,6 +210,7 @@ class LaxityModel:
             reference_strain=strain,
             owner=np.arange(m),
             share=np.ones(m),
+            copy=np.zeros(m, int),
             law=ContactLaw(),
             start_flexion=self.joint.start_flexion,
             start=self.joint.start,
@@ -219,7 +220,8 @@ class LaxityModel:
     @property
     def tests(self) -> Tests:
         """The trials as they were run."""
-        return Tests(protocol=self.protocol, order=self.order, phase=self.phase)
+        x = self.protocol
+        return Tests(flexion_deg=x.flexion_deg, loads=x.loads, order=self.order, phase=self.phase)
 
     def predict_once(self, theta: Array) -> Prediction:
         """The prediction at theta with its Jacobian, not made again where it was the last one.

@@ -1,6 +1,8 @@
 """What the laxity model hands to the mechanics, before and after effects have changed it."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +36,9 @@ class Setting:
         none, shape ``(m,)``.
     share
         Share of its owner's stiffness, shape ``(m,)``.
+    copy
+        Which of several settings in one, with the same ligaments, a line belongs to, shape
+        ``(m,)``; -1 for lines added to that as a whole.
     law
         The contact law.
     start_flexion, start
@@ -47,6 +52,7 @@ class Setting:
     reference_strain: Array
     owner: IntArray
     share: Array
+    copy: IntArray
     law: ContactLaw
     start_flexion: float
     start: Array
@@ -55,6 +61,10 @@ class Setting:
         """Which line belongs to which ligament, 1 or 0, shape ``(m, n_ligaments)``."""
         owned: Array = (self.owner[:, None] == np.arange(n_ligaments)).astype(float)
         return owned
+
+    def as_copy(self, number: int) -> "Setting":
+        """The same setting as one copy among several."""
+        return replace(self, copy=np.full(self.stiffness.size, number))
 
     def lengths_at_start(self, lines: Lines) -> Array:
         """Lengths of lines in the scanned pose [mm], shape ``(m,)``."""
@@ -65,19 +75,41 @@ def with_lines(
     setting: Setting, added: Lines, stiffness: Array, reference_strain: Array
 ) -> Setting:
     """The setting with lines added that belong to none of the subject's ligaments."""
-    lines, none = setting.lines, np.full(len(added.femoral), -1)
-    return replace(
+    none = np.full(len(added.femoral), -1)
+    others = replace(
         setting,
-        lines=Lines(
-            femoral=np.vstack([lines.femoral, added.femoral]),
-            tibial=np.vstack([lines.tibial, added.tibial]),
-            reference_length=np.r_[lines.reference_length, added.reference_length],
-            transition=np.r_[lines.transition, added.transition],
-            wrap_offset=np.r_[lines.wrap_offset, added.wrap_offset],
-            wrap_place=np.r_[lines.wrap_place, added.wrap_place],
-        ),
-        stiffness=np.r_[setting.stiffness, stiffness],
-        reference_strain=np.r_[setting.reference_strain, reference_strain],
-        owner=np.r_[setting.owner, none],
-        share=np.r_[setting.share, np.zeros(len(none))],
+        lines=added,
+        stiffness=stiffness,
+        reference_strain=reference_strain,
+        owner=none,
+        share=np.zeros(len(none)),
+        copy=none,
     )
+    return with_copies(setting, [others], lines=True, nodes=False)
+
+
+def with_copies(
+    setting: Setting, others: Sequence[Setting], *, lines: bool, nodes: bool
+) -> Setting:
+    """The setting with the lines, the nodes or both of others after its own."""
+    parts = [setting, *others]
+    changes: dict[str, Any] = {}
+    if nodes:
+        changes["flexion"] = np.concatenate([x.flexion for x in parts])
+        changes["loads"] = np.concatenate([x.loads for x in parts])
+    if lines:
+        changes["lines"] = Lines(
+            **{
+                field.name: np.concatenate([getattr(x.lines, field.name) for x in parts])
+                for field in fields(Lines)
+            }
+        )
+        for name in ("stiffness", "reference_strain", "owner", "share", "copy"):
+            changes[name] = np.concatenate([getattr(x, name) for x in parts])
+    return replace(setting, **changes)
+
+
+def repeated(setting: Setting, n: int) -> Setting:
+    """The setting `n` times in one, as copies 0, 1 and so on."""
+    many = with_copies(setting, (n - 1) * [setting], lines=True, nodes=True)
+    return replace(many, copy=np.repeat(np.arange(n), setting.stiffness.size))

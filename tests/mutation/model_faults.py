@@ -217,8 +217,8 @@ EFFECTS = (
     ),
     _effect(
         "frames.py",
-        "femur.inv() * actual * tibia).as_euler",
-        "femur * actual * tibia).as_euler",
+        'np.einsum("jin,jkn->ikn", femur, actual), tibia)',
+        'np.einsum("ijn,jkn->ikn", femur, actual), tibia)',
         "a turned femoral frame is read as its inverse",
         _READINGS,
     ),

@@ -73,5 +73,6 @@ def _split(setting: Setting, values: Array) -> Setting:
         reference_strain=setting.reference_strain[line] + PER_PCT * side * values[:n][owner],
         owner=owner,
         share=half * setting.share[line],
+        copy=setting.copy[line],
     )
     return remeasured(split, bundled, owner >= 0)

@@ -40,6 +40,15 @@ class SettingChange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CopiesChange(SettingChange):
+    """The same whose function also takes amplitudes (k, a) of each copy."""
+
+    def change_copies(self, setting: Setting, values: Array) -> Setting:
+        """The setting with the effect at amplitudes ``values[i]`` in copy i."""
+        return self.changed(setting, values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReadingError:
     """An effect that turns actual coordinates into those that are read.
 
@@ -59,6 +68,15 @@ class ReadingError:
 
     def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
         """The coordinates read, shape ``(n, 5)`` [mm, deg]."""
+        return self.read(coordinates, values, tests)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CopiesError(ReadingError):
+    """The same whose function also takes amplitudes (k, a) of k copies of the trials."""
+
+    def observe_copies(self, coordinates: Array, values: Array, tests: Tests) -> Array:
+        """The coordinates read in k copies of the trials, copy i with amplitudes ``values[i]``."""
         return self.read(coordinates, values, tests)
 
 

@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
-from identknee.laxity.protocol import Protocol as LaxityProtocol
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array, IntArray
@@ -50,6 +49,18 @@ class SelfContainedEffect(MechanicalEffect, Protocol):
 
 
 @runtime_checkable
+class CopiesEffect(MechanicalEffect, Protocol):
+    """A mechanical effect that may have other amplitudes in each of several copies of a setting.
+
+    Its derivatives are had faster then.
+    """
+
+    def change_copies(self, setting: Setting, values: Array) -> Setting:
+        """The setting with the effect at amplitudes ``values[i]`` in copy i, values ``(k, a)``."""
+        ...
+
+
+@runtime_checkable
 class ObservationEffect(Effect, Protocol):
     """An effect on what is measured of a pose, not on the pose."""
 
@@ -58,23 +69,57 @@ class ObservationEffect(Effect, Protocol):
         ...
 
 
+@runtime_checkable
+class CopiesObservation(ObservationEffect, Protocol):
+    """An effect on what is measured that may have other amplitudes in each copy of all trials."""
+
+    def observe_copies(self, coordinates: Array, values: Array, tests: "Tests") -> Array:
+        """What is measured in k copies of the trials, copy i with amplitudes ``values[i]``."""
+        ...
+
+
+def is_self_contained(effect: Effect) -> TypeGuard[SelfContainedEffect]:
+    """Whether an effect knows the derivatives of its lines itself."""
+    return hasattr(effect, "gradient_columns")
+
+
+def is_changed_in_copies(effect: Effect) -> TypeGuard[CopiesEffect]:
+    """Whether an effect may have other amplitudes in each copy of a setting."""
+    return hasattr(effect, "change_copies")
+
+
+def is_read_in_copies(effect: Effect) -> TypeGuard[CopiesObservation]:
+    """Whether an effect may have other amplitudes in each copy of all trials."""
+    return hasattr(effect, "observe_copies")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tests:
     """The trials as they were run.
 
     Attributes
     ----------
-    protocol
-        Flexion and loads as stated.
+    flexion_deg, loads
+        As stated, with the columns of `identknee.laxity.protocol.Protocol`.
     order
         When each trial was run, counted from 1; None where it was not recorded.
     phase
         ``"loading"``, ``"unloading"`` or ``""`` of each trial; None where not recorded.
     """
 
-    protocol: LaxityProtocol
+    flexion_deg: Array
+    loads: Array
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
+
+    def repeated(self, n: int) -> "Tests":
+        """The same trials `n` times, one after the other."""
+        return Tests(
+            flexion_deg=np.tile(self.flexion_deg, n),
+            loads=np.tile(self.loads, (n, 1)),
+            order=None if self.order is None else np.tile(self.order, n),
+            phase=None if self.phase is None else n * self.phase,
+        )
 
 
 def amplitudes(

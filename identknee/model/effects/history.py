@@ -81,7 +81,7 @@ def _order(cause: str, tests: Tests) -> IntArray:
 
 def _moments(tests: Tests) -> Array:
     """Stated moments of `AXES` [N·m], shape ``(n, 2)``."""
-    return np.asarray(tests.protocol.loads[:, [load for load, _ in COLUMNS.values()]])
+    return np.asarray(tests.loads[:, [load for load, _ in COLUMNS.values()]])
 
 
 def _turned(coordinates: Array, values: Array, shape: Array) -> Array:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.model.effects.changes import SettingChange, remeasured
+from identknee.model.effects.changes import CopiesChange, remeasured
 from identknee.model.effects.effect import amplitudes
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
@@ -14,7 +14,7 @@ SHIFT_SD, SHIFT_LIMIT = 2.0, 8.0  # mm
 BONES, AXES = ("femur", "tibia"), ("x", "y", "z")
 
 
-def insertion(knee: Knee) -> SettingChange:
+def insertion(knee: Knee) -> CopiesChange:
     """Shifts of both insertions of every ligament along the axes of their bone [mm].
 
     The reference length is that between the shifted insertions in the scanned pose. Errors of 1 to
@@ -25,13 +25,15 @@ def insertion(knee: Knee) -> SettingChange:
     ]
     n = len(names)
     made = amplitudes("insertion", names, n * [SHIFT_SD], upper=n * [SHIFT_LIMIT])
-    return SettingChange(name="insertion", parameters=made, changed=_shifted)
+    return CopiesChange(name="insertion", parameters=made, changed=_shifted)
 
 
 def _shifted(setting: Setting, values: Array) -> Setting:
     is_own = setting.owner >= 0
     shifts = np.zeros((len(is_own), 2, 3))
-    shifts[is_own] = values.reshape(-1, 2, 3)[setting.owner[is_own]]
+    of_ligament = np.moveaxis(values.reshape(*values.shape[:-1], -1, 2, 3), -3, 0)
+    own = of_ligament[setting.owner[is_own]]
+    shifts[is_own] = own if values.ndim == 1 else own[np.arange(len(own)), setting.copy[is_own]]
     lines = setting.lines
     moved = replace(lines, femoral=lines.femoral + shifts[:, 0], tibial=lines.tibial + shifts[:, 1])
     return remeasured(setting, moved, is_own)

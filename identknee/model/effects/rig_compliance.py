@@ -31,5 +31,5 @@ def rig_compliance(axis: str) -> ReadingError:
 def _yielded(axis: str, coordinates: Array, values: Array, tests: Tests) -> Array:
     load, angle = COLUMNS[axis]
     read = np.array(coordinates)
-    read[:, angle] += values[0] * tests.protocol.loads[:, load]
+    read[:, angle] += values[0] * tests.loads[:, load]
     return read
