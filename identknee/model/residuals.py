@@ -103,6 +103,28 @@ class LaxityResiduals:
         """
         return self._weighted(self._relative(values))
 
+    def log_density(self, coordinates: Array) -> Array:
+        """Log density of each measured value where the model predicts `coordinates`, ``(m,)``.
+
+        Errors are normal; a value is taken given those before it in its trial, with which it may
+        be correlated, so that the sum is that of the whole table.
+
+        Parameters
+        ----------
+        coordinates
+            As predicted [mm, deg], shape ``(n, 5)``; the density is zero where they are NaN.
+        """
+        measured = self.laxity.is_measured
+        with np.errstate(invalid="ignore"):
+            errors = self._weighted(self.as_measured(coordinates) - self.laxity.coordinates)
+        scale = np.diagonal(self._whitening, axis1=1, axis2=2)[measured]
+        density = np.log(scale) - 0.5 * (errors**2 + np.log(2.0 * np.pi))
+        return np.where(np.isnan(density), -np.inf, density)
+
+    def as_measured(self, coordinates: Array) -> Array:
+        """Predicted coordinates ``(n, 5)`` from the zero of the data [mm, deg]."""
+        return self._relative(coordinates)
+
     def _relative(self, values: Array) -> Array:
         if self.laxity.zero == "absolute":
             return values

@@ -15,6 +15,7 @@ from identknee.identify.posterior.sample import Ensembles
 from identknee.identify.posterior.sample import sample as sampled
 from identknee.laxity.table import Laxity
 from identknee.model.parameters import Parameters
+from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.errors import InputError
@@ -22,6 +23,7 @@ from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
+from identknee.verbs.sample_cells import MeasuredCells, measured_cells
 from identknee.verbs.sample_records import (
     Draws,
     Marginal,
@@ -56,6 +58,9 @@ class Sample(Answer):
         "Laxity and ligament forces at some of the draws",
         group="posterior_predictive",
         default=None,
+    )
+    cells: MeasuredCells | None = entry(
+        "Likelihood and predictions of every measured value; null without a sample", default=None
     )
     data: Laxity | None = entry("The measured laxity", group="observed_data", default=None)
     excluded: ExcludedMass = entry(
@@ -213,9 +218,11 @@ def sample(
         store=run.store,
     )
     is_begun = bool(posterior.checks)
+    predicted = predictive(posterior, setup.model, setup.free) if is_begun else None
     return as_answer(
         posterior,
-        predictive=predictive(posterior, setup.model, setup.free) if is_begun else None,
+        predictive=predicted,
+        cells=None if predicted is None else _cells(setup, predicted, seed),
         data=setup.laxity,
         nested=_nested(setup, posterior, seed) if nested and is_begun else None,
         assumptions=(*setup.assumptions, *_about_noise(setup)),
@@ -238,6 +245,11 @@ def as_answer(posterior: Posterior, **more: Any) -> Sample:
         seed=posterior.seed,
         **more,
     )
+
+
+def _cells(setup: Identification, predicted: Predictive, seed: int) -> MeasuredCells:
+    residuals = LaxityResiduals(model=setup.model, laxity=setup.laxity, weighting="noise")
+    return measured_cells(residuals, predicted, seed)
 
 
 def _nested(setup: Identification, posterior: Posterior, seed: int) -> Nested:

@@ -56,9 +56,7 @@ class Draws:
     log_posterior: Array = array(
         "Log likelihood and log prior density together", *CHAIN, group="sample_stats", key="lp"
     )
-    log_likelihood: Array = array(
-        "Minus half the deviance", *CHAIN, group="log_likelihood", key="laxity"
-    )
+    log_likelihood: Array = array("Minus half the deviance", *CHAIN, group="sample_stats")
     log_prior: LogPrior = entry(
         "Log prior density of the draws", group="log_prior", is_in_json=False
     )
