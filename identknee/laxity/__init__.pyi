@@ -1,6 +1,7 @@
 from .candidates import candidate_trials as candidate_trials
 from .dominant import DominantLoads as DominantLoads
 from .dominant import dominant_loads as dominant_loads
+from .dominant import load_words as load_words
 from .dominant import opposite_pairs as opposite_pairs
 from .protocol import LOADS as LOADS
 from .protocol import concatenate as concatenate

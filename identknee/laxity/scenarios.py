@@ -1,16 +1,9 @@
 """Trials and their coordinates by kind of load."""
 
+from identknee.laxity.dominant import DIRECTIONS
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 
-# Load column: its name where positive and where negative.
-_DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction force", "compression force"),
-    ("lateral force", "medial force"),
-)
 UNLOADED = "unloaded"
 SEPARATOR = ", "
 
@@ -26,7 +19,7 @@ def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
     """
     return tuple(
         " + ".join(
-            _DIRECTIONS[i][0 if loads[i] > 0 else 1] for i in range(len(LOADS)) if loads[i] != 0.0
+            DIRECTIONS[i][0 if loads[i] > 0 else 1] for i in range(len(LOADS)) if loads[i] != 0.0
         )
         or UNLOADED
         for loads in protocol.loads

@@ -76,7 +76,7 @@ class LaxityResiduals:
         if not prediction.is_converged[measured.any(axis=1)].all():
             return np.full(int(measured.sum()), np.inf)
         difference = self._relative(prediction.coordinates) - self.laxity.coordinates
-        return self._weighted(difference)
+        return self.weighted(difference)
 
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite.
@@ -89,7 +89,7 @@ class LaxityResiduals:
         jacobian = self.model.predict_once(theta).jacobian
         if jacobian is None:  # pragma: no cover - it was asked for
             raise AssertionError
-        return self._weighted(self._relative(jacobian))
+        return self.weighted(self._relative(jacobian))
 
     def differences(self, theta: Array) -> Array:
         """Measured less predicted coordinates, shape ``(n, 5)``; NaN where either is missing."""
@@ -101,7 +101,7 @@ class LaxityResiduals:
 
         Shape ``(m, ...)``, weighted as the residuals are.
         """
-        return self._weighted(self._relative(values))
+        return self.weighted(self._relative(values))
 
     def log_density(self, coordinates: Array) -> Array:
         """Log density of each measured value where the model predicts `coordinates`, ``(m,)``.
@@ -116,7 +116,7 @@ class LaxityResiduals:
         """
         measured = self.laxity.is_measured
         with np.errstate(invalid="ignore"):
-            errors = self._weighted(self.as_measured(coordinates) - self.laxity.coordinates)
+            errors = self.weighted(self.as_measured(coordinates) - self.laxity.coordinates)
         scale = np.diagonal(self._whitening, axis1=1, axis2=2)[measured]
         density = np.log(scale) - 0.5 * (errors**2 + np.log(2.0 * np.pi))
         return np.where(np.isnan(density), -np.inf, density)
@@ -130,8 +130,14 @@ class LaxityResiduals:
             return values
         return from_unloaded(values, self.laxity.protocol)
 
-    def _weighted(self, values: Array) -> Array:
-        """Rows of measured coordinates, whitened; `values` has shape ``(n, 5, ...)``."""
+    def weighted(self, values: Array) -> Array:
+        """Rows of errors of the measured coordinates, whitened as the residuals are.
+
+        Parameters
+        ----------
+        values
+            Errors of all coordinates, shape ``(n, 5, ...)``; those not measured are left out.
+        """
         measured = self.laxity.is_measured
         if self.weighting == "unit":
             return np.asarray(values[measured])

@@ -18,8 +18,6 @@ from identknee.runs.arrays import Array
 LOWEST = 1e-12
 LOST = "#BBBBBB"
 LOG_RANGE = (-2.0, 5.0)
-# More ends than these are a line without marks.
-MOST_MARKED = 60
 KIND_COLOURS = {
     "minimum": COLOURS[0],
     "valley": COLOURS[4],
@@ -53,22 +51,19 @@ def waterfall_figure(panels: Mapping[str, Mapping[str, tuple[Array, Array]]]) ->
             axes.plot(
                 np.asarray(number)[known],
                 np.maximum(np.asarray(objective)[known], LOWEST),
-                STYLES[k] + MARKERS[k],
+                STYLES[k],
                 color=COLOURS[k],
-                fillstyle="none",
-                markersize=7 - 3 * k if np.max(number) <= MOST_MARKED else 0,
-                linewidth=1.0,
+                drawstyle="steps-post",
                 label=name,
             )
-            axes.set_xlim(0, float(np.max(number)) + 1.0)
+            axes.set_xlim(0, float(np.max(number)))
         axes.set_yscale("log")
         axes.set_title(title, fontsize=9)
         axes.set_xlabel("starts, by objective")
         _bare(axes)
     # A limit ends the scaling of all panels that share the axis.
-    highest = max((float(np.max(x[np.isfinite(x)], initial=lowest)) for x in drawn), default=lowest)
-    grid[0].set_ylim(0.3 * lowest, 3.0 * highest)
-    grid[0].set_ylabel("objective" + " (below 1e-12 at 1e-12)" * (lowest <= LOWEST))
+    grid[0].set_ylim(bottom=0.3 * lowest)
+    grid[0].set_ylabel("objective (below 1e-12 at 1e-12)")
     grid[0].legend(frameon=False, fontsize=SMALL)
     return figure
 

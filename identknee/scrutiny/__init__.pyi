@@ -2,5 +2,9 @@ from .against_load import against_load_findings as against_load_findings
 from .broken_convention import BrokenConvention as BrokenConvention
 from .broken_convention import convention_findings as convention_findings
 from .broken_convention import find_broken_convention as find_broken_convention
+from .contradictions import contradicted_rows as contradicted_rows
+from .contradictions import row_findings as row_findings
 from .conventions import Convention as Convention
 from .conventions import conventions_of as conventions_of
+from .end_points import suspicious_end_points as suspicious_end_points
+from .suspicious_rows import SuspiciousRow as SuspiciousRow

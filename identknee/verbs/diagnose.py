@@ -1,6 +1,7 @@
 """What the model of a subject gets wrong in measured laxity, and which physical cause it has."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import Finding
 from identknee.scrutiny.broken_convention import convention_findings
+from identknee.scrutiny.contradictions import end_point_findings
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
@@ -44,6 +46,7 @@ from identknee.verbs.diagnosis import (
     TrialWrench,
 )
 from identknee.verbs.diagnosis_gain import gain_found
+from identknee.verbs.diagnosis_rows import row_findings_of
 from identknee.verbs.identification import warm_up, with_noise
 from identknee.verbs.trials import advised, trials_of
 from identknee.verbs.values import NoiseLike
@@ -107,8 +110,10 @@ def diagnose(
     starts = [] if start == "subject" else [start]
     found = investigate(run.knee, laxity, starts=starts, effects=effects, seed=seed)
     if found is None:
-        return untestable(_why_untestable(run.knee, laxity))
+        return untestable(_why_untestable(run.knee, laxity), end_point_findings(laxity))
     answer = diagnosis_of(found)
+    rows = row_findings_of(found, effects=effects, seed=seed)
+    answer = replace(answer, findings=(*rows, *answer.findings))
     if run.out is not None:
         _write_extension(found, run.out)
     return answer

@@ -24,6 +24,7 @@ from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 from identknee.scrutiny.against_load import against_load_findings
 from identknee.scrutiny.broken_convention import convention_findings
+from identknee.scrutiny.contradictions import end_point_findings, row_findings
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
@@ -208,7 +209,8 @@ def _findings(
     """
     model, prediction = fitted
     if found.outcome is Outcome.START_FAILED:
-        return (*against_load_findings(laxity), *_not_fitted(laxity, prediction))
+        about_the_table = (*against_load_findings(laxity), *end_point_findings(laxity))
+        return (*about_the_table, *_not_fitted(laxity, prediction))
     n_free = found.parameters.n - len(found.fixed)
     if _states_noise(laxity):
         weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
@@ -217,16 +219,17 @@ def _findings(
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
     bounds = bound_findings(found.theta, found.parameters, found.fixed)
+    rows = row_findings(model, laxity, found.theta, fixed=found.fixed)
     about_the_knee = (
         *stability_findings(model),
         *rim_findings(laxity.protocol.trials, prediction),
     )
     findings = (*misfit, *bounds)
     if all(x.severity is Severity.INFO for x in findings):
-        return (*findings, *about_the_knee)
+        return (*rows, *findings, *about_the_knee)
     if conventions := convention_findings(model, laxity, found.start, found.theta):
         return (*conventions, *findings, *about_the_knee)
-    return (*findings, second_search(problem, found).finding, *about_the_knee)
+    return (*rows, *findings, second_search(problem, found).finding, *about_the_knee)
 
 
 def _states_noise(laxity: Laxity) -> bool:

@@ -29,6 +29,7 @@ MODULES = {
     "orphans": "verify_orphans",
     "fuzz": "verify_fuzz",
     "conventions": "verify_conventions",
+    "rows": "verify_rows",
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
 }

@@ -1,0 +1,130 @@
+"""Trials that the others contradict: leave-one-out residuals, and what answers say of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planted_conventions import NOISE, clean_table
+
+import identknee as ik
+from identknee.calibrate.fit import fit
+from identknee.scrutiny.contradictions import contradicted_rows, end_point_findings, row_findings
+from identknee.scrutiny.end_points import suspicious_end_points
+from identknee.scrutiny.suspicious_rows import left_out, suspicious_rows
+
+
+def test_a_value_left_out_is_one_predicted_by_a_fit_without_it() -> None:
+    generator = np.random.default_rng(0)
+    design, noise = generator.standard_normal((30, 4)), generator.standard_normal(30)
+    sd = np.where(np.arange(30) % 2, 2.0, 0.5)
+    measured = design @ [1.0, 2.0, 3.0, 4.0] + sd * noise
+    measured[7] += 40.0
+    found = left_out(measured / sd, design / sd[:, None], np.diag(1.0 / sd))
+    (row,) = suspicious_rows(found, np.arange(30), np.zeros(30, int))
+    others = np.delete(np.arange(30), 7)
+    weights = 1.0 / sd[others]
+    rest = np.linalg.lstsq(
+        design[others] * weights[:, None], measured[others] * weights, rcond=None
+    )
+    assert row.trial == 7
+    assert row.off[0] == pytest.approx(measured[7] - design[7] @ rest[0], rel=1e-9)
+    covariance = np.linalg.inv((design[others] * weights[:, None] ** 2).T @ design[others])
+    scale = float(rest[1][0]) / 25
+    variance = scale * (sd[7] ** 2 + design[7] @ covariance @ design[7])
+    assert row.errors[0] == pytest.approx(np.sqrt(variance), rel=1e-9)
+
+
+def test_two_blunders_do_not_hide_one_another() -> None:
+    generator = np.random.default_rng(1)
+    design = np.column_stack([np.ones(60), np.linspace(-1.0, 1.0, 60)])
+    left = generator.standard_normal(60)
+    left[[10, 50]] += [9.0, 8.0]
+    found = suspicious_rows(left_out(left, design, np.eye(60)), np.arange(60), np.zeros(60, int))
+    assert [x.trial for x in found] == [10, 50]
+
+
+def test_clean_tables_are_seldom_accused() -> None:
+    generator = np.random.default_rng(2)
+    design = generator.standard_normal((100, 8))
+    trials, coordinates = np.repeat(np.arange(20), 5), np.tile(np.arange(5), 20)
+    accused = sum(
+        bool(
+            suspicious_rows(
+                left_out(generator.standard_normal(100), design, np.eye(100)),
+                trials,
+                coordinates,
+                level=0.05,
+            )
+        )
+        for _ in range(400)
+    )
+    # 5 % are allowed, of which Bonferroni's bound leaves a part; five standard errors above that.
+    assert 2 <= accused <= 0.05 * 400 + 5 * np.sqrt(400 * 0.05 * 0.95)
+
+
+def test_where_many_stand_out_it_is_not_the_rows() -> None:
+    left = np.random.default_rng(3).standard_normal(40)
+    left[:12] += 30.0
+    fitted = left_out(left, np.zeros((40, 1)), np.eye(40))
+    assert suspicious_rows(fitted, np.arange(40), np.zeros(40, int)) == []
+
+
+def test_a_value_that_no_other_checks_is_not_judged() -> None:
+    left, design = np.random.default_rng(4).standard_normal(30), np.zeros((30, 1))
+    design[5] = 1.0
+    left[5] = 1000.0
+    fitted = left_out(left, design, np.eye(30))
+    assert suspicious_rows(fitted, np.arange(30), np.zeros(30, int)) == []
+
+
+@pytest.mark.parametrize("states_noise", [True, False])
+def test_a_fit_names_a_gross_row_and_says_what_it_is_without(states_noise: bool) -> None:
+    model, laxity = clean_table("reference", 7)
+    own = model.parameters.start
+    spoilt = np.array(laxity.coordinates)
+    spoilt[20, 3] += 10 * NOISE
+    sd = laxity.sd if states_noise else None
+    wrong = replace(laxity, coordinates=spoilt, sd=sd, within_trial_correlation=0.0)
+    theta = fit(ik.LaxityResiduals(model=model, laxity=wrong), own).theta
+    (row,) = contradicted_rows(model, wrong, theta)
+    assert row.trial == 20
+    assert row.coordinates[0] == 3
+    assert row.off[0] == pytest.approx(10 * NOISE, abs=4 * NOISE)
+    (found,) = row_findings(model, wrong, theta)
+    assert found.where == wrong.protocol.trials[20]
+    assert "deg more" in found.sentence
+    assert "Without it the error of the fit goes from" in found.sentence
+    right = replace(laxity, sd=sd)
+    theta = fit(ik.LaxityResiduals(model=model, laxity=right), own).theta
+    assert row_findings(model, right, theta) == ()
+
+
+def test_the_row_that_cannot_be_right_is_found_without_a_model(tmp_path: Path) -> None:
+    laxity = ik.example_laxity("s192803")
+    (row,) = suspicious_end_points(laxity)
+    assert laxity.protocol.trials[row.trial] == "Valgus_60"
+    assert row.p_value < 1e-6
+    (found,) = end_point_findings(laxity)
+    assert "under 9.6 N·m of valgus moment at 57 deg" in found.sentence
+    kept = np.arange(laxity.n) != row.trial
+    assert suspicious_end_points(laxity.select(kept)) == []
+    answer = ik.fit("s192803", "s192803", out=tmp_path)
+    assert "Valgus_60" in [x.where for x in answer.findings]
+
+
+def test_the_table_alone_says_nothing_of_ramps() -> None:
+    assert suspicious_end_points(clean_table("reference", 7)[1]) == []
+
+
+def test_a_diagnosis_says_the_verdict_without_the_row() -> None:
+    _, laxity = clean_table("reference", 3)
+    spoilt = np.array(laxity.coordinates)
+    spoilt[20, 3] += 10 * NOISE
+    few = [ik.effect_named(ik.reference_knee(), "shank_gravity")]
+    answer = ik.diagnose("reference", replace(laxity, coordinates=spoilt), effects=few)
+    first = answer.findings[0]
+    assert first.where == laxity.protocol.trials[20]
+    assert first.sentence.endswith("Without it the verdict is still ADEQUATE.")
+    # As one error of ten times the noise it widens the noise that the load curves show.
+    assert answer.verdict is ik.Verdict.ADEQUATE
