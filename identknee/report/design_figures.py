@@ -84,17 +84,17 @@ def candidates_figure(
             i, j = rows.index(text), int(np.searchsorted(angles, candidates.flexion_deg[k]))
             places[k], table[i, j] = (j, i), gains[k]
             lost += [(j, i)] if np.isnan(gains[k]) else []
-    width, height = 4.0 + 0.5 * len(angles), 1.8 + 0.2 * len(rows)
+    width, height = 4.6 + 0.5 * len(angles), 1.8 + 0.22 * len(rows)
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(table, cmap="cividis", aspect="auto", vmin=0.0)
     for place in lost:
         axes.plot(*place, "x", color=GREY, markersize=4)
     for k, order in _orders(chosen).items():
-        axes.plot(*places[k], "o", color="white", markersize=17, markeredgecolor=BLACK)
-        axes.annotate(order, places[k], ha="center", va="center", fontsize=6)
+        axes.plot(*places[k], "o", color="white", markersize=19, markeredgecolor=BLACK)
+        axes.annotate(order, places[k], ha="center", va="center", fontsize=7)
     axes.set_xticks(range(len(angles)), [f"{x:g}" for x in angles])
-    axes.set_yticks(range(len(rows)), rows, fontsize=6)
+    axes.set_yticks(range(len(rows)), rows, fontsize=SMALL)
     axes.set_xlabel("flexion [deg]; crosses have no prediction everywhere the data allow")
     figure.colorbar(image, ax=axes, label=label)
     return figure

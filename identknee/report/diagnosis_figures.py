@@ -13,6 +13,7 @@ from identknee.diagnosis.noise.noise_model import Curve
 from identknee.diagnosis.score.localisation import LEVEL, CellScore
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
+from identknee.model.effects.facts import cause_label
 from identknee.model.effects.units import unit_of
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
 from identknee.report.wrench_figure import wrench_figure
@@ -248,7 +249,7 @@ def parameters_before_after_figure(
     fits = {"without cause": _estimates(answer.parameters_before, answer.parameters_before_ci95)}
     if answer.causes:
         after = _estimates(answer.parameters_after, answer.parameters_after_ci95)
-        fits[f"with {' and '.join(answer.cause_names)}"] = after
+        fits[f"with {' and '.join(map(cause_label, answer.cause_names))}"] = after
     return estimates_figure(fits, truth)
 
 

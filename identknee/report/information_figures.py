@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from identknee.identify.information.geodesic import Geodesic
 from identknee.identify.information.information import Information
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, STYLES
+from identknee.report.words import label_without_unit
 
 N_MOVERS = 3
 
@@ -71,7 +72,7 @@ def eigenvectors_figure(found: Information) -> Figure:
                     fontsize=SMALL,
                     color="white" if abs(share) > 0.7 else "black",
                 )
-    axes.set_yticks(range(n), found.parameter_names)
+    axes.set_yticks(range(n), [label_without_unit(x) for x in found.parameter_names])
     axes.set_xticks(range(n), [_brief(value) for value in found.eigenvalues])
     axes.set_xlabel("eigenvalue, stiff to sloppy")
     figure.colorbar(image, ax=axes, label="share of one scaled unit")

@@ -1,6 +1,6 @@
 """Figures of profiles, one function a figure, in the style of `identknee.report.figures`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +14,7 @@ from identknee.identify.profile.pairs import PairProfile
 from identknee.identify.profile.result import Interval, Profile, SideStatus
 from identknee.model.parameters import Parameters
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
+from identknee.report.words import label, label_without_unit
 from identknee.runs.arrays import Array, BoolArray
 
 # Nested sets beside the profile's own.
@@ -75,7 +76,7 @@ def paths_figure(profiles: Sequence[Profile], parameters: Parameters) -> Figure:
                 markersize=3,
                 color=COLOURS[k],
                 linewidth=1.2,
-                label=_short(parameters.names[i]),
+                label=label_without_unit(parameters.names[i]),
             )
         axes.axvline(profile.optimum_value, color="0.8", linewidth=0.8, zorder=0)
         axes.legend(fontsize=7, frameon=False, handlelength=1.6)
@@ -86,53 +87,77 @@ def paths_figure(profiles: Sequence[Profile], parameters: Parameters) -> Figure:
     return figure
 
 
-def intervals_figure(profiles: Sequence[Profile]) -> Figure:
-    """Nested sets of confidence set as bars, one row a quantity, thinner for higher levels.
+def intervals_figure(
+    profiles: Sequence[Profile], truth: Mapping[str, float] | None = None
+) -> Figure:
+    """Nested sets of confidence as bars, one row a quantity, thinner for higher levels.
 
-    Each row is scaled to its own 95 % (or other) set, the optimum in the middle of the panel; an
-    open end is an arrow to the place reached, or a cross where only the model ends.
+    Quantities of one unit share an axis in that unit, so that the longer bar is the less known
+    value. An open end is an arrow at the place reached, or a cross where only the model ends.
 
     Parameters
     ----------
     profiles
         Of any quantities.
+    truth
+        True values by name, where they are known.
     """
-    figure = Figure(figsize=(7.4, 1.2 + 0.34 * len(profiles)), layout="constrained")
-    axes = figure.add_subplot()
-    for row, profile in enumerate(profiles):
-        unit = _row_unit(profile)
-        for thickness, (level, intervals) in zip(
-            THICKNESSES, nested(profile).items(), strict=False
-        ):
-            for interval in intervals:
-                low, high = _drawn(interval, profile)
-                places = (np.array([low, high]) - profile.optimum_value) / unit
-                label = f"{level:.0%}" if row == 0 and interval is intervals[0] else None
-                axes.plot(
-                    places,
-                    [row, row],
-                    color=COLOURS[0],
-                    alpha=0.75,
-                    linewidth=thickness,
-                    solid_capstyle="butt",
-                    label=label,
-                )
-        _arrows(axes, profile, row, unit)
-        axes.plot(0.0, row, "|", color=BLACK, markersize=11)
-        text = f"{profile.optimum_value:.3g} {profile.unit}  {profile.verdict.value}"
-        axes.annotate(
-            text,
-            (1.01, row),
-            xycoords=("axes fraction", "data"),
-            va="center",
-            fontsize=7,
-        )
-    axes.set_yticks(range(len(profiles)), [x.name for x in profiles], fontsize=8)
-    axes.invert_yaxis()
-    axes.set_xlabel("distance from the best fit [half-widths of the set]")
-    figure.legend(loc="outside upper center", ncols=4, frameon=False, fontsize=8)
-    _plain(axes)
+    units = list(dict.fromkeys(x.unit for x in profiles))
+    groups = [[x for x in profiles if x.unit == unit] for unit in units]
+    size = (8.2, 0.5 + 0.75 * len(groups) + 0.3 * len(profiles))
+    figure = Figure(figsize=size, layout="constrained")
+    heights = [len(x) + 0.6 for x in groups]
+    grid = figure.subplots(len(groups), squeeze=False, height_ratios=heights)[:, 0]
+    for axes, unit, group in zip(grid, units, groups, strict=True):
+        for row, profile in enumerate(group):
+            _draw_sets(axes, profile, row)
+            true = (truth or {}).get(profile.name)
+            if true is not None:
+                axes.plot(true, row, "x", color=COLOURS[1], markersize=6, label="truth", zorder=4)
+        axes.set_yticks(range(len(group)), [label_without_unit(x.name) for x in group])
+        axes.set_ylim(len(group) - 0.5, -0.5)
+        axes.set_xlabel(f"[{unit}]" if unit else "", fontsize=8)
+        axes.grid(axis="x", color="0.92")
+        axes.set_axisbelow(True)
+        _plain(axes)
+        axes.tick_params(labelsize=8)
+    handles, labels = grid[0].get_legend_handles_labels()
+    named = dict(zip(labels, handles, strict=True))
+    figure.legend(
+        named.values(), list(named), loc="outside upper center", ncols=6, frameon=False, fontsize=8
+    )
     return figure
+
+
+def _draw_sets(axes: Axes, profile: Profile, row: int) -> None:
+    """The nested sets of one quantity, its optimum, and its open ends."""
+    for thickness, (level, intervals) in zip(THICKNESSES, nested(profile).items(), strict=False):
+        for interval in intervals:
+            axes.plot(
+                _drawn(interval, profile),
+                [row, row],
+                color=COLOURS[0],
+                alpha=0.75,
+                linewidth=thickness,
+                solid_capstyle="butt",
+                label=f"{level:.0%}",
+            )
+    for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
+        if side.end is None:
+            is_model = side.status is SideStatus.OPEN_AT_FEASIBILITY
+            word = "the model ends" if is_model else "open"
+            shape = "X" if is_model else marker
+            axes.plot(
+                side.reached, row, shape, color=COLOURS[1], markersize=6, label=word, zorder=4
+            )
+    axes.plot(profile.optimum_value, row, "|", color=BLACK, markersize=11, label="best fit")
+    axes.annotate(
+        f"{profile.optimum_value:.3g} {profile.unit}, {profile.verdict.value.replace('_', ' ')}",
+        (1.01, row),
+        xycoords=("axes fraction", "data"),
+        va="center",
+        fontsize=8,
+    )
 
 
 def pairs_figure(pairs: Sequence[PairProfile]) -> Figure:
@@ -155,8 +180,8 @@ def pairs_figure(pairs: Sequence[PairProfile]) -> Figure:
         if len(cut):
             axes.plot(*cut.T, "x", color=COLOURS[1], markersize=4, label="open")
         axes.plot(*pair.optimum, "+", color=BLACK, markersize=8)
-        axes.set_xlabel(pair.names[0], fontsize=8)
-        axes.set_ylabel(pair.names[1], fontsize=8)
+        axes.set_xlabel(label(pair.names[0]), fontsize=8)
+        axes.set_ylabel(label(pair.names[1]), fontsize=8)
         axes.legend(fontsize=7, frameon=False)
         _plain(axes)
     return figure
@@ -201,8 +226,8 @@ def _draw_profile(axes: Axes, profile: Profile) -> None:
                     ha="left" if turn < 0 else "right",
                 )
     axes.set_ylim(-0.05 * top, top)
-    axes.set_title(f"{_short(profile.name)}: {profile.verdict.value}", fontsize=8)
-    axes.set_xlabel(_label(profile), fontsize=8)
+    verdict = profile.verdict.value.replace("_", " ")
+    axes.set_title(f"{_label(profile)}\n{verdict}".replace(" in ", "\nin "), fontsize=8)
     _plain(axes)
 
 
@@ -217,12 +242,6 @@ def _smooth(profile: Profile, here: BoolArray) -> tuple[Array, Array]:
     return np.concatenate(places), np.concatenate(heights)
 
 
-def _row_unit(profile: Profile) -> float:
-    ends = [x for interval in profile.intervals for x in _drawn(interval, profile)]
-    half = 0.5 * (max(ends) - min(ends))
-    return half if half > 0 else 1.0
-
-
 def _drawn(interval: Interval, profile: Profile) -> tuple[float, float]:
     """The interval with the places reached for its open ends."""
     low, high = interval
@@ -230,14 +249,6 @@ def _drawn(interval: Interval, profile: Profile) -> tuple[float, float]:
         profile.lower_side.reached if low is None else low,
         profile.upper_side.reached if high is None else high,
     )
-
-
-def _arrows(axes: Axes, profile: Profile, row: int, unit: float) -> None:
-    for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
-        if side.end is None:
-            place = (side.reached - profile.optimum_value) / unit
-            is_model = side.status is SideStatus.OPEN_AT_FEASIBILITY
-            axes.plot(place, row, "X" if is_model else marker, color=COLOURS[1], markersize=6)
 
 
 def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
@@ -251,13 +262,9 @@ def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _short(name: str) -> str:
-    """The name without its unit: ``ACL stiffness``."""
-    return name.rpartition("_")[0].replace(".", " ").replace("_", " ") or name
-
-
 def _label(profile: Profile) -> str:
-    return f"{_short(profile.name)} [{profile.unit}]" if profile.unit else profile.name
+    words = label_without_unit(profile.name)
+    return f"{words} [{profile.unit}]" if profile.unit else words
 
 
 def _plain(axes: Axes) -> None:

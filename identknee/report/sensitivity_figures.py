@@ -208,9 +208,9 @@ def _grid(n: int, height: float) -> tuple[Figure, list[Axes]]:
 
 
 def _short(parameter: str) -> str:
-    """Owner and kind of a parameter: ``ACL k`` for ``ACL.stiffness_kN``."""
+    """Owner and kind of a parameter: ``ACL stiffness`` for ``ACL.stiffness_kN``."""
     owner, _, kind = parameter.rpartition(".")
-    letters = {"stiffness_kN": "k", "reference_strain_pct": "eps"}
+    letters = {"stiffness_kN": "stiffness", "reference_strain_pct": "strain"}
     return f"{owner} {letters.get(kind, kind)}"
 
 

@@ -18,6 +18,8 @@ from identknee.runs.arrays import Array
 LOWEST = 1e-12
 LOST = "#BBBBBB"
 LOG_RANGE = (-2.0, 5.0)
+# More ends than these are a line without marks.
+MOST_MARKED = 60
 KIND_COLOURS = {
     "minimum": COLOURS[0],
     "valley": COLOURS[4],
@@ -51,19 +53,22 @@ def waterfall_figure(panels: Mapping[str, Mapping[str, tuple[Array, Array]]]) ->
             axes.plot(
                 np.asarray(number)[known],
                 np.maximum(np.asarray(objective)[known], LOWEST),
-                STYLES[k],
+                STYLES[k] + MARKERS[k],
                 color=COLOURS[k],
-                drawstyle="steps-post",
+                fillstyle="none",
+                markersize=7 - 3 * k if np.max(number) <= MOST_MARKED else 0,
+                linewidth=1.0,
                 label=name,
             )
-            axes.set_xlim(0, float(np.max(number)))
+            axes.set_xlim(0, float(np.max(number)) + 1.0)
         axes.set_yscale("log")
         axes.set_title(title, fontsize=9)
         axes.set_xlabel("starts, by objective")
         _bare(axes)
     # A limit ends the scaling of all panels that share the axis.
-    grid[0].set_ylim(bottom=0.3 * lowest)
-    grid[0].set_ylabel("objective (below 1e-12 at 1e-12)")
+    highest = max((float(np.max(x[np.isfinite(x)], initial=lowest)) for x in drawn), default=lowest)
+    grid[0].set_ylim(0.3 * lowest, 3.0 * highest)
+    grid[0].set_ylabel("objective" + " (below 1e-12 at 1e-12)" * (lowest <= LOWEST))
     grid[0].legend(frameon=False, fontsize=SMALL)
     return figure
 

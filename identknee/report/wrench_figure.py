@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
+from identknee.model.effects.facts import cause_label
 from identknee.report.figures import COLOURS, GREY
 from identknee.report.scene import View
 from identknee.runs.arrays import Array
@@ -55,8 +56,9 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     grid = figure.subplots(len(angles), len(directions), squeeze=False)
     force, moment = _largest(pulls)
     lines = _lines(answer, knee)
-    for axes in grid.flat:
-        _draw_plateau(axes, knee, lines)
+    for k, axes in enumerate(grid.flat):
+        # Arrows cross what is written on every panel, so ligaments have names on the first only.
+        _draw_plateau(axes, knee, lines, is_named=k == 0)
     for pull in pulls:
         axes = grid[angles.index(pull.flexion_deg), directions.index(pull.direction)]
         _draw_pull(axes, pull, REACH / force, MOST_TURN / moment)
@@ -83,28 +85,30 @@ def _force(pull: Pull) -> float:
 
 def _lines(answer: Diagnosis, knee: Knee) -> dict[str, Array]:
     """Femoral and tibial end of each structure that the diagnosis gives, in tibial axes (2, 3)."""
-    given: dict[str, LineEnds] = {x.name: x.line for x in answer.causes if x.line is not None}
+    given: dict[str, LineEnds] = {
+        cause_label(x.name): x.line for x in answer.causes if x.line is not None
+    }
     if answer.line is not None and not given:
         given = {"the line tried": answer.line}
     return {k: knee.tibia_frame.to_local(x.in_common_frame(knee)) for k, x in given.items()}
 
 
-def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array]) -> None:
+def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array], *, is_named: bool) -> None:
     for surface in knee.tibia:
         page = ABOVE.project(knee.tibia_frame.to_local(surface.vertices))[:, :2]
         axes.fill(*page[ConvexHull(page).vertices].T, color=PLATEAU, linewidth=0)
     places = ABOVE.project(knee.tibia_frame.to_local([x.tibia for x in knee.ligaments]))[:, :2]
     axes.plot(*places.T, "o", color=GREY, markersize=2.5)
-    for ligament, place in zip(knee.ligaments, places, strict=True):
+    for ligament, place in zip(knee.ligaments, places, strict=True) if is_named else ():
+        away = 7.0 * place / max(float(np.hypot(*place)), 1.0)
         axes.annotate(
             ligament.name,
             place,
-            (0, -3),
+            (float(away[0]), float(away[1])),
             textcoords="offset points",
-            fontsize=TINY - 1,
-            color=GREY,
+            fontsize=TINY,
             ha="center",
-            va="top",
+            va="center",
         )
     for line, colour in zip(lines.values(), cycle(LINES), strict=False):
         ends = ABOVE.project(line)[:, :2]

@@ -2,11 +2,11 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from identknee.report.notebook import result_of
-from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.page import report_drawings, report_html
 from identknee.report.page.results import Findings, Result, by_subject, found_results, in_order
 from identknee.report.page.scenes import scene_of
@@ -63,22 +63,25 @@ def write_page(
     """What was written of these results; the page is at `page`."""
     prepare_folder(page.parent)
     remarks: list[str] = []
+    knees = {x.results[0].subject_digest: _knee(x, remarks, knee) for x in by_subject(results)}
+    drawn = [replace(x, knee=knees[x.subject_digest]) for x in results]
     scenes = {
-        x.results[0].subject_digest: scene
-        for x in by_subject(results)
-        if (scene := _scene(x, remarks, knee)) is not None
+        digest: scene
+        for x in by_subject(drawn)
+        if (own := knees[digest := x.results[0].subject_digest]) is not None
+        and (scene := scene_of(x, own)) is not None
     }
-    write_atomically(page, report_html(results, scenes))
+    write_atomically(page, report_html(drawn, scenes))
     return {
         "report": str(page),
         "results": [{"verb": x.verb, "folder": str(x.folder)} for x in results],
-        "figures": [] if figures is None else _write_figures(results, page.parent, figures),
+        "figures": [] if figures is None else _write_figures(drawn, page.parent, figures),
         "remarks": remarks,
     }
 
 
-def _scene(findings: Findings, remarks: list[str], knee: Knee | None) -> KneeScene | None:
-    """The knee in three dimensions; without it a remark says why."""
+def _knee(findings: Findings, remarks: list[str], knee: Knee | None) -> Knee | None:
+    """The subject as it was when the results were made; without it a remark says why."""
     name = findings.subject
     try:
         knee = knee or read_subject(name)
@@ -88,7 +91,7 @@ def _scene(findings: Findings, remarks: list[str], knee: Knee | None) -> KneeSce
     if knee_digest(knee) != findings.results[0].subject_digest:
         remarks.append(f"The knee itself is not shown: {name} has changed since.")
         return None
-    return scene_of(findings, knee)
+    return knee
 
 
 def _write_figures(results: Sequence[Result], folder: Path, form: str) -> list[str]:

@@ -31,12 +31,12 @@ class Outcome(Enum):
 
 _SENTENCES = {
     Outcome.CONVERGED: "A stable equilibrium was found on the branch that starts unloaded.",
-    Outcome.FOLD: "The branch of equilibria ended before the full load: the knee would snap.",
+    Outcome.FOLD: "No stable pose at full load: the simulated knee jumps before reaching it.",
     Outcome.NO_EQUILIBRIUM: "No equilibrium was found from the reference pose.",
     Outcome.UNCONSTRAINED: "Nothing resists one direction of motion, so the pose is not unique.",
     Outcome.MINIMUM: "Exact derivatives confirm a local minimum.",
     Outcome.VALLEY: "The optimizer stopped in a valley before a minimum was reached.",
-    Outcome.CLIFF: "The way down is cut by a cliff: beyond it a trial leaves its branch.",
+    Outcome.CLIFF: "The search stopped at a cliff, beyond which the simulated knee jumps.",
     Outcome.BUDGET: "The budget of simulations was used up.",
     Outcome.SPREAD: "The population shrank below the tolerance.",
     Outcome.START_FAILED: "The model has no prediction at the start.",

@@ -21,6 +21,7 @@ from identknee.diagnosis.score.misfit import (
 )
 from identknee.diagnosis.score.score import CandidateScore, Scores
 from identknee.model.effects.effect import Effect
+from identknee.model.effects.facts import cause_label
 from identknee.model.effects.stored import choice_of
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -319,14 +320,14 @@ class Rival:
         """Why it was not tested, as a sentence; empty where it was."""
         if self.state is not RivalState.NOT_TESTED:
             return ""
-        names = " and ".join(self.refit.names)
+        names = " and ".join(map(cause_label, self.refit.names))
         if not self.refit.fitted.evaluation.is_finite:
             why = "from no start had the model a prediction in every measured trial"
         elif self.refit.fitted.outcome is Outcome.CLIFF:
             why = "the way to the best fit is cut where a trial leaves its branch"
         else:
             why = "the fit did not reach a minimum"
-        sentence = f"{names} could not be tested: {why}"
+        sentence = f"The {names} could not be tested: {why}"
         if self.could_matter:
             return f"{sentence}."
         return f"{sentence}; the score before any fit is too low for the explanation."

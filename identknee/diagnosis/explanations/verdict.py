@@ -9,6 +9,7 @@ import numpy as np
 from identknee.diagnosis.explanations.attribution import Attribution
 from identknee.diagnosis.explanations.refit import Refit
 from identknee.diagnosis.score.misfit import log_weighted_tail
+from identknee.model.effects.facts import cause_label
 from identknee.model.effects.placed import Structure
 
 LEVEL = 0.05
@@ -88,9 +89,9 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     if _hangs_on_noise(attribution, p_value):
         return _conclusion(Verdict.NOT_TESTABLE, p_value, base, (), [HANGS_ON_NOISE])
     if p_value > LEVEL:
-        reasons = [f"Noise alone leaves a misfit as clear in {100 * p_value:.2g} % of cases."]
+        reasons = [f"Noise alone explains the misfit ({_p_words(p_value)})."]
         return _conclusion(Verdict.ADEQUATE, p_value, base, (), reasons)
-    reasons = [f"Noise alone would leave a misfit as clear in {100 * p_value:.2g} % of cases."]
+    reasons = [f"Noise alone does not explain the misfit ({_p_words(p_value)})."]
     untested = [x.reason for x in attribution.untested_rivals]
     fits = best.misfit_p_value
     faults = ["No effect of the library fits better than the model without it."]
@@ -109,6 +110,11 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     short = [x.short for x in doubts] + ["another cause could not be tested"] * bool(untested)
     sentence = _ambiguous(len(best.causes), short) if is_alone else SEVERAL
     return _conclusion(Verdict.AMBIGUOUS, p_value, best, group, reasons, sentence)
+
+
+def _p_words(p_value: float) -> str:
+    """A probability as papers print it."""
+    return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
 
 
 def _ambiguous(n_causes: int, doubts: Sequence[str]) -> str:
@@ -147,12 +153,12 @@ def _conclusion(
 
 def _faults(best: Refit, fits: float) -> list[str]:
     """Why the best explanation is none."""
-    names = " and ".join(best.names)
+    names = " and ".join(map(cause_label, best.names))
     faults = []
     if fits <= HARDLY_FITS:
-        faults.append(f"With {names} the misfit is still improbable (p {fits:.2g}).")
+        faults.append(f"With {names} the misfit is still improbable ({_p_words(fits)}).")
     faults += [
-        f"{name} would need an amplitude at the end of its plausible range."
+        f"The {cause_label(name)} would need an amplitude at the end of its plausible range."
         for name in best.names
         if best.is_at_end(name)
     ]
@@ -172,20 +178,20 @@ def _doubts(attribution: Attribution, fits: float) -> list[_Doubt]:
     best = attribution.best
     doubts = [
         _Doubt(
-            short=f"{x.name} would lie far from where anatomy has it",
-            reason=f"The insertions of {x.name} would lie {shift_mm(best, x):.0f} mm from where "
-            f"anatomy has them, which is rare (p {p_value:.2g}): a structure that no library lists "
-            "may lie there.",
+            short=f"the {cause_label(x.name)} would lie far from where anatomy has it",
+            reason=f"The insertions of the {cause_label(x.name)} would lie "
+            f"{shift_mm(best, x):.0f} mm from where anatomy has them, which is rare "
+            f"({_p_words(p_value)}): a structure that no library lists may lie there.",
         )
         for x in best.causes
         if isinstance(x, Structure) and (p_value := site_p_value(best, x)) <= FAR_OFF
     ]
     if fits <= FITS:
-        reason = f"The misfit that is left is rather improbable (p {fits:.2g})."
+        reason = f"The misfit that is left is rather improbable ({_p_words(fits)})."
         doubts.append(_Doubt(short="it leaves more than noise would", reason=reason))
     if attribution.is_left_unexplained:
-        further = attribution.steps[-1].scores.candidates[0].name
-        reason = f"Something else is left: {further} scores high but does not fit."
+        further = cause_label(attribution.steps[-1].scores.candidates[0].name)
+        reason = f"Something else is left: the {further} scores high but does not fit."
         doubts.append(_Doubt(short="something else is left", reason=reason))
     return doubts
 

@@ -36,9 +36,9 @@ class Structure(Enum):
 
 
 _SENTENCES = {
-    Structure.FULL_RANK: "Data without noise would determine every parameter, at least locally.",
+    Structure.FULL_RANK: "All parameters are structurally identifiable (locally).",
     Structure.RANK_DEFICIENT: (
-        "Even data without noise would leave a combination of parameters undetermined."
+        "Even noise-free data would leave a combination of parameters undetermined."
     ),
     Structure.UNKNOWN: "The model has no prediction at any of the random points.",
 }

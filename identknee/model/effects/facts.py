@@ -36,6 +36,8 @@ class EffectFacts:
     ----------
     name
         Name of the cause.
+    label
+        What prose calls it.
     slot
         Where it acts: on the forces in the knee, its loads, what is read, the parameters of what
         the model has already, or by when a trial was made.
@@ -50,6 +52,7 @@ class EffectFacts:
     """
 
     name: str
+    label: str
     slot: Slot
     sentence: str
     source: str
@@ -61,6 +64,7 @@ _ESTIMATE = "an estimate"
 _ALL = (
     EffectFacts(
         name="anterolateral",
+        label="anterolateral structure",
         slot="force",
         sentence="An anterolateral structure resists internal rotation, most at 30 to 60 deg.",
         source="0.14 kN (50 N at 36 % strain, Zens 2015) to 1.4 kN (42 +- 26 N/mm, Helito 2016, at "
@@ -69,6 +73,7 @@ _ALL = (
     ),
     EffectFacts(
         name="posteromedial",
+        label="posteromedial corner",
         slot="force",
         sentence="The posterior oblique ligament and the posteromedial capsule resist internal and "
         "valgus rotation near extension and slacken with flexion.",
@@ -77,6 +82,7 @@ _ALL = (
     ),
     EffectFacts(
         name="popliteofibular",
+        label="popliteofibular ligament",
         slot="force",
         sentence="The popliteofibular ligament and the popliteus tendon resist external and varus "
         "rotation, more with flexion.",
@@ -85,6 +91,7 @@ _ALL = (
     ),
     EffectFacts(
         name="deep_mcl",
+        label="deep MCL",
         slot="force",
         sentence="The deep medial collateral ligament resists valgus and external rotation.",
         source="42 N/mm (Robinson 2005): 1 to 2 kN",
@@ -92,6 +99,7 @@ _ALL = (
     ),
     EffectFacts(
         name="posterior_capsule",
+        label="posterior capsule",
         slot="force",
         sentence="The posterior capsule resists extension and what tilts or turns the knee there.",
         source="bundles of published models (Shin 2007): about 1 kN each, an estimate",
@@ -99,6 +107,7 @@ _ALL = (
     ),
     EffectFacts(
         name="bundles",
+        label="ligament bundles",
         slot="parameter",
         sentence="A ligament's fibres do not tighten together: one bundle is tauter than another "
         "and lies beside it.",
@@ -108,6 +117,7 @@ _ALL = (
     ),
     EffectFacts(
         name="mcl_wrapping",
+        label="MCL wrapping",
         slot="force",
         sentence="The medial collateral ligament is pushed aside at the joint line, so it is no "
         "straight line.",
@@ -116,6 +126,7 @@ _ALL = (
     ),
     EffectFacts(
         name="meniscus",
+        label="menisci",
         slot="force",
         sentence="The menisci resist sliding of the condyles on the plateaus.",
         source=f"5 to 50 N/mm, {_ESTIMATE}",
@@ -123,6 +134,7 @@ _ALL = (
     ),
     EffectFacts(
         name="toe_strain",
+        label="toe region of the ligaments",
         slot="parameter",
         sentence="The ligaments straighten over another range of strain than 3 %.",
         source=f"1.5 to 4.5 %, {_ESTIMATE} around the usual value (Blankevoort 1991)",
@@ -130,6 +142,7 @@ _ALL = (
     ),
     EffectFacts(
         name="cartilage",
+        label="cartilage stiffness",
         slot="parameter",
         sentence="Cartilage is softer or stiffer than the contact law says.",
         source=f"a tenth to three times the modulus, {_ESTIMATE}",
@@ -137,6 +150,7 @@ _ALL = (
     ),
     EffectFacts(
         name="compression",
+        label="axial compression",
         slot="load",
         sentence="A constant axial force pressed the joint together in all trials.",
         source=f"20 N to seat a knee in a rig, 20 to 200 N of muscle tone, {_ESTIMATE}",
@@ -144,6 +158,7 @@ _ALL = (
     ),
     EffectFacts(
         name="shank_gravity",
+        label="shank weight",
         slot="load",
         sentence="The weight of shank and foot acted and was not taken off the loads.",
         source=f"0 N where it was tared to 35 N, {_ESTIMATE}",
@@ -151,6 +166,7 @@ _ALL = (
     ),
     EffectFacts(
         name="moment_gain_IE",
+        label="scale error of the internal moment",
         slot="load",
         sentence="The internal and external moments were larger or smaller than stated.",
         source=f"1 % of full scale for load cells, 5 to 10 % by hand, {_ESTIMATE}",
@@ -158,6 +174,7 @@ _ALL = (
     ),
     EffectFacts(
         name="moment_gain_VV",
+        label="scale error of the varus moment",
         slot="load",
         sentence="The varus and valgus moments were larger or smaller than stated.",
         source=f"1 % of full scale for load cells, 5 to 10 % by hand, {_ESTIMATE}",
@@ -165,6 +182,7 @@ _ALL = (
     ),
     EffectFacts(
         name="moment_offset",
+        label="zero error of the moments",
         slot="load",
         sentence="The moments had a zero error.",
         source=f"0.5 N·m tolerance of control, {_ESTIMATE}",
@@ -172,6 +190,7 @@ _ALL = (
     ),
     EffectFacts(
         name="axis_misalignment",
+        label="misaligned moment axes",
         slot="load",
         sentence="Each moment acted partly about the other's axis.",
         source=f"2 to 8 deg, {_ESTIMATE}",
@@ -179,6 +198,7 @@ _ALL = (
     ),
     EffectFacts(
         name="parasitic_shear",
+        label="parasitic shear force",
         slot="load",
         sentence="Each moment came with a force across the tibia.",
         source=f"2 to 12 N at 10 N·m, {_ESTIMATE}",
@@ -186,6 +206,7 @@ _ALL = (
     ),
     EffectFacts(
         name="femur_frame",
+        label="rotated femoral frame",
         slot="observation",
         sentence="The femur's axes were turned against those of the model.",
         source=f"1 to 5 deg where axes come from landmarks, {_ESTIMATE}",
@@ -193,6 +214,7 @@ _ALL = (
     ),
     EffectFacts(
         name="tibia_frame",
+        label="rotated tibial frame",
         slot="observation",
         sentence="The tibia's axes were turned against those of the model.",
         source=f"1 to 5 deg where axes come from landmarks, {_ESTIMATE}",
@@ -200,6 +222,7 @@ _ALL = (
     ),
     EffectFacts(
         name="flexion_offset",
+        label="flexion offset",
         slot="parameter",
         sentence="The knee was flexed more or less than stated.",
         source=f"1 to 4 deg, {_ESTIMATE}",
@@ -207,6 +230,7 @@ _ALL = (
     ),
     EffectFacts(
         name="rig_compliance_IE",
+        label="rig compliance in internal rotation",
         slot="observation",
         sentence="The rig itself yielded in internal and external rotation.",
         source=f"0.01 to 0.05 deg/N·m with pins in bone, 0.2 to 1 deg/N·m in a boot, {_ESTIMATE}",
@@ -214,6 +238,7 @@ _ALL = (
     ),
     EffectFacts(
         name="rig_compliance_VV",
+        label="rig compliance in varus rotation",
         slot="observation",
         sentence="The rig itself yielded in varus and valgus rotation.",
         source=f"0.01 to 0.05 deg/N·m with pins in bone, 0.2 to 1 deg/N·m in a boot, {_ESTIMATE}",
@@ -221,6 +246,7 @@ _ALL = (
     ),
     EffectFacts(
         name="insertion",
+        label="ligament insertions",
         slot="parameter",
         sentence="Ligaments are attached beside where they were segmented.",
         source=f"1 to 4 mm, {_ESTIMATE}",
@@ -228,6 +254,7 @@ _ALL = (
     ),
     EffectFacts(
         name="hysteresis",
+        label="hysteresis",
         slot="history",
         sentence="Readings lag behind the load, so loading and unloading differ.",
         source=f"0.3 to 3 deg of internal rotation, {_ESTIMATE}",
@@ -235,6 +262,7 @@ _ALL = (
     ),
     EffectFacts(
         name="creep",
+        label="creep",
         slot="history",
         sentence="The knee gave way under load more and more while it was tested.",
         source=_ESTIMATE,
@@ -242,6 +270,7 @@ _ALL = (
     ),
     EffectFacts(
         name="drift",
+        label="drift of the readings",
         slot="history",
         sentence="The readings wandered over the test series whatever the load.",
         source=f"0.1 to 1 mm or deg, {_ESTIMATE}",
@@ -249,6 +278,7 @@ _ALL = (
     ),
     EffectFacts(
         name="contact_law",
+        label="contact law",
         slot="parameter",
         sentence="The computed contact is not quite the knee's: its law, its surfaces, its points.",
         source=f"a quarter of the modulus, {_ESTIMATE}",
@@ -257,6 +287,7 @@ _ALL = (
     ),
     EffectFacts(
         name=MISSING_LINE,
+        label="unknown line of action",
         slot="force",
         sentence="A line of action that no structure of the library has.",
         source="found in the data",
@@ -264,3 +295,14 @@ _ALL = (
     ),
 )
 FACTS: Mapping[str, EffectFacts] = MappingProxyType({x.name: x for x in _ALL})
+
+
+def cause_label(name: str) -> str:
+    """What prose calls a cause; a caller's own effect by its name.
+
+    Examples
+    --------
+    >>> cause_label("rig_compliance_IE"), cause_label("my_effect")
+    ('rig compliance in internal rotation', 'my effect')
+    """
+    return FACTS[name].label if name in FACTS else name.replace("_", " ")

@@ -1,5 +1,6 @@
 """What a diagnosis says: what the model gets wrong, why, and which tests would tell more."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
@@ -8,6 +9,7 @@ from identknee.diagnosis.explanations.causes import Interval
 from identknee.diagnosis.explanations.refit import RivalState
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.score.score import Cell
+from identknee.model.effects.facts import FACTS, MISSING_LINE, cause_label
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import (
@@ -27,6 +29,13 @@ from identknee.verbs.trials import AdvisedTrial
 Value = TypeVar("Value")
 HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested."
 MOST_PARAMETERS = 3
+SIZES = ("detectable above", "smallest relevant effect")
+FOUND = {
+    Cell.MISSPECIFIED: "seen",
+    Cell.INSPECT: "seen",
+    Cell.EXCLUDED: "not seen, excluded",
+    Cell.INCONCLUSIVE: "not seen, cannot be excluded",
+}
 
 
 def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
@@ -63,17 +72,21 @@ def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
 def isolability_statements(answer: Isolability) -> Iterator[Statement]:
     """What a protocol could show, before there are data."""
     rows = tuple(
-        (name, *_sizes_seen(x), listed(answer.look_alikes.get(name, ())) or "-")
+        (
+            cause_label(name),
+            *_sizes_seen(x),
+            listed(map(cause_label, answer.look_alikes.get(name, ()))) or "-",
+        )
         for name, x in answer.effects.items()
     )
-    names = ("cause", "seen from", "would matter from", "looks like")
+    names = ("cause", *SIZES, "looks like")
     table = Table(
         title="What these trials could show in nine of ten data sets",
         columns=tuple(Column(name=x) for x in names),
         rows=rows,
     )
     trials = f"The {answer.n_trials} trials of {answer.protocol}"
-    together = "; ".join(listed(x.effects, "from") for x in answer.groups)
+    together = "; ".join(listed(map(cause_label, x.effects), "from") for x in answer.groups)
     said = f"could not tell {together}." if answer.groups else "tell all causes apart."
     yield Statement(
         question=Question.WRONG, sentence=f"{trials} {said}", tables=(table,), is_answer=True
@@ -82,7 +95,7 @@ def isolability_statements(answer: Isolability) -> Iterator[Statement]:
         if group.advised_trials:
             yield Statement(
                 question=Question.NEXT,
-                sentence=f"To tell {listed(group.effects)} apart, add "
+                sentence=f"To tell {listed(map(cause_label, group.effects))} apart, add "
                 f"{_trials(group.advised_trials)}: {group.distance_with_advised_trials:.1f} "
                 f"instead of {group.distance:.1f} units of noise between the closest two.",
                 tables=(_trial_table(group.advised_trials),),
@@ -95,13 +108,13 @@ def verdict_sentence(answer: Diagnosis) -> str:
         means = " ".join(x.meaning for x in answer.causes)
         return (
             "The data show something the model lacks, and only one known cause fits: "
-            f"{listed(answer.cause_names)}. {means} Its size is "
+            f"{listed(map(cause_label, answer.cause_names))}. {means} Its size is "
             f"{listed(map(size_words, answer.causes))}. {HYPOTHESIS}"
         )
     untested = [x.reason for x in answer.rivals if x.reason and x.could_matter]
     if answer.verdict is Verdict.AMBIGUOUS:
-        names = listed(answer.group, "or")
-        said = [answer.sentence, *([f"It may be {names}."] if names else [])]
+        names = listed(map(cause_label, answer.group), "or")
+        said = [answer.sentence, *([f"Candidates: {names}."] if names else [])]
         return " ".join([*said, *untested])
     if answer.verdict is Verdict.UNEXPLAINED and answer.line is not None:
         return f"{answer.sentence} {answer.line.sentence}"
@@ -143,7 +156,7 @@ def _sizes(causes: Sequence[CauseFound]) -> Table:
     # What is plausible is known of a cause's size, which is its first amplitude.
     rows = tuple(
         (
-            f"{cause.name}, {label(name)}",
+            f"{cause_label(cause.name)}, {label(name)}",
             x.value,
             *map(_end, x.ci95),
             cause.source if k == 0 else "",
@@ -163,7 +176,12 @@ def _sizes(causes: Sequence[CauseFound]) -> Table:
 
 def _compared(rivals: Sequence[RivalFound]) -> Table:
     rows = tuple(
-        (listed(x.causes) or "no cause", x.log_evidence_deficit, x.distance, x.state.value)
+        (
+            listed(map(cause_label, x.causes)) or "no cause",
+            x.log_evidence_deficit,
+            x.distance,
+            x.state.value,
+        )
         for x in rivals
     )
     columns = (
@@ -177,7 +195,7 @@ def _compared(rivals: Sequence[RivalFound]) -> Table:
 
 def _clarity(answer: Diagnosis, misfit: Misfit) -> Table:
     rows = (
-        ("probability of a misfit as clear by noise alone", answer.p_value),
+        ("p-value of such a misfit from noise alone", answer.p_value),
         ("chi-square without the cause", misfit.chi_square_before),
         ("chi-square with the cause", misfit.chi_square_after),
         ("measured values", misfit.n_measured),
@@ -192,7 +210,7 @@ def _where(misfit: Misfit) -> Statement:
         place = coordinate_words(x.coordinate), x.direction
         angles.setdefault(place, []).append(f"{x.flexion_deg:g}")
     places = listed(
-        f"{coordinate} under {direction} at {listed(own)} deg of flexion"
+        f"{coordinate} {_under(direction)} at {listed(own)} deg of flexion"
         for (coordinate, direction), own in angles.items()
     )
     rows = tuple(
@@ -207,8 +225,8 @@ def _where(misfit: Misfit) -> Statement:
     )
     return Statement(
         question=Question.WRONG,
-        sentence=f"It is wrong mostly in {places}: "
-        f"{100 * misfit.share:.0f} % of the misfit beyond the noise.",
+        sentence=f"The misfit is largest in {places}, with "
+        f"{100 * misfit.share:.0f} % of what exceeds the noise.",
         tables=(Table(title="Cells that stand out", columns=columns, rows=rows),),
         is_answer=True,
     )
@@ -254,11 +272,11 @@ def _change(answer: Diagnosis) -> Statement:
         Column(name=x, decimals=2)
         for x in ("parameter", "without", "95 % from", "to", "with", "95 % from", "to")
     )
-    sentence = "These are the ligaments' parameters by the model as it is."
+    sentence = "The table gives the ligament parameters of the model as it is."
     if answer.causes:
         most = sorted(moves, key=lambda x: -moves[x])[:MOST_PARAMETERS]
         words = listed(map(parameter_words, most))
-        sentence = f"With the cause the ligaments' parameters change, most of all {words}."
+        sentence = f"With the cause the ligament parameters change, most of all {words}."
     title = "Parameters without and with the cause"
     return Statement(
         question=Question.WRONG,
@@ -281,11 +299,12 @@ def _whichever(answer: Diagnosis) -> Statement | None:
         rows.append((label(name), min(values), max(values), "no" if is_free else "yes"))
         held += [] if is_free else [parameter_words(name)]
     names = ("parameter", "from", "to", "depends on the cause")
-    said = f"depend on which cause it is: {listed(held)}" if held else "do not depend on it"
+    said = "stay within their intervals"
+    if held:
+        said = f"depend on which cause it is: {listed(held)}"
     return Statement(
         question=Question.WRONG,
-        sentence="Whichever of the open causes it is, the ligaments' parameters are those below; "
-        f"beyond their intervals they {said}.",
+        sentence=f"Under the causes that remain possible, the ligament parameters {said}.",
         tables=(
             Table(
                 title="Parameters under all open explanations",
@@ -297,30 +316,41 @@ def _whichever(answer: Diagnosis) -> Statement | None:
 
 
 def _tried(effects: Mapping[str, Exclusion]) -> Statement:
-    missed = [name for name, x in effects.items() if x.cell is Cell.INCONCLUSIVE]
-    rows = tuple((name, x.cell.value, x.score, *_sizes_seen(x)) for name, x in effects.items())
+    rows = tuple(
+        (cause_label(name), FOUND[x.cell], x.score, *_sizes_seen(x), 100.0 * x.power)
+        for name, x in effects.items()
+    )
     columns = (
         Column(name="cause"),
-        Column(name="state"),
+        Column(name="finding"),
         Column(name="score", decimals=1),
-        Column(name="seen from"),
-        Column(name="would matter from"),
+        *(Column(name=x) for x in SIZES),
+        Column(name="chance to see that one", unit="%", decimals=0),
     )
-    said = f"{len(effects)} known causes were tried."
-    if missed:
-        said += f" The data could not have shown {listed(missed)} at a size that matters."
+    counts = Counter(FOUND[x.cell] for x in effects.values())
+    known = [x for x, y in FACTS.items() if x != MISSING_LINE and not y.is_numerical]
+    missing = [cause_label(x) for x in known if x not in effects]
+    said = f"Of {len({*known, *effects})} known causes, {len(effects)} were tested: "
+    said += "; ".join(f"{n} {words}" for words, n in counts.items()) + "."
+    if missing:
+        said += f" Not testable with these data or this knee: {listed(missing)}."
     return Statement(
         question=Question.WRONG,
         sentence=said,
-        tables=(Table(title="Every cause tried", columns=columns, rows=rows),),
+        tables=(Table(title="Every cause tested", columns=columns, rows=rows),),
     )
 
 
 def _sizes_seen(x: Visibility) -> tuple[str, str]:
-    """The size from which on an effect is seen, and the one that would matter."""
+    """The size that nine of ten data sets would show, and the smallest that matters."""
     # Not finite in a computed answer, not a number in a loaded one.
-    seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "never"
+    seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "not detectable"
     return seen, amount(x.relevant, x.unit)
+
+
+def _under(direction: str) -> str:
+    """A direction of load as it follows what it moves."""
+    return "without load" if direction in ("no load", "unloaded") else f"under {direction}"
 
 
 def _flat(tree: Mapping[str, Mapping[str, Value]] | None) -> dict[str, Value]:

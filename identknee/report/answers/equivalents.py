@@ -27,7 +27,7 @@ def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
     forces = _widest_first(region.quantities.values())
     if forces:
         widest, shown = forces[0], forces[:MOST_FORCES]
-        several = f" Of {len(forces)} forces those that differ most are shown." * (
+        several = f" The table has the {MOST_FORCES} that differ most, of {len(forces)}." * (
             len(forces) > MOST_FORCES
         )
         yield Statement(
@@ -43,22 +43,22 @@ def _least_known(parameters: Iterable[Extrema]) -> Iterator[str]:
     for x in _widest_first(stiffness)[:1]:
         yield (
             "Two knees that this measurement cannot tell apart may differ by "
-            f"{amount(_width(x), x.unit)} in {parameter_words(x.name)}: "
-            f"{between(_ends(x), x.unit)}."
+            f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
+            f"({between(_ends(x), x.unit).removeprefix('from ')})."
         )
 
 
 def _sets(answer: Equivalents) -> Iterator[str]:
     region = answer.region
     yield (
-        f"{region.n_sets} parameter sets, each simulated: the two farthest apart by "
-        f"{region.farthest:.3g} typical steps (3 kN, 2 %) of at most {region.diameter:.3g}, the "
-        f"two closest by {region.closest:.2g}. {region.sentence}"
+        f"Of {region.n_sets} such parameter sets the two farthest apart differ by "
+        f"{region.farthest:.3g} typical steps (3 kN, 2 %), the two closest by "
+        f"{region.closest:.2g}. {region.sentence}"
     )
     if answer.power_of_best_test is not None:
         yield (
-            "The best 5 % test tells any one of them from the fit in "
-            f"{100 * answer.power_of_best_test:.0f} of 100 measurements at most."
+            "Even the best test at the 5 % level tells one of them from the fit in only "
+            f"{100 * answer.power_of_best_test:.0f} of 100 measurements."
         )
 
 

@@ -19,13 +19,13 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
         words = listed(map(parameter_words, pair.parameters))
         alike = f" Hardest to tell apart are {words} (collinearity {pair.collinearity:.3g})."
     yield _known(
-        f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}; "
-        f"{structure.n_with_prediction} of {structure.n_points} random points have a prediction."
+        f"{structure.sentence} The sensitivities have rank {max(structure.rank, 0)} of {n} "
+        f"({structure.n_points} random points, {structure.n_with_prediction} with a prediction)."
         f"{alike}"
     )
     yield _known(
-        f"{found.n_above_noise} of {n} directions stand above the solver's noise; condition "
-        f"{found.condition:.3g}.",
+        f"{found.n_above_noise} of {n} combinations of parameters stand above numerical noise "
+        f"(condition number {found.condition:.3g}).",
         Table(
             title="Combinations of parameters, from well to badly known",
             columns=(
@@ -37,12 +37,15 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
         ),
     )
     yield _known(
-        "The standard deviations take the model for straight around the best fit; identknee "
-        "profile does not.",
+        "These standard deviations take the model as linear near the best fit; profiles do not.",
         _parameters(found),
     )
     for path in answer.geodesics:
-        yield _known(f"Least known direction: {path.sentence}")
+        involved = listed(map(parameter_words, path.involved))
+        yield _known(
+            f"Path along the least known combination, which is about {involved}: "
+            f"{path.boundary.sentence}"
+        )
 
 
 def _known(sentence: str, *tables: Table) -> Statement:

@@ -81,6 +81,8 @@ def clause(profile: Profile) -> str:
         return f"lies in one of several separate ranges ({parts})"
     if profile.verdict is ProfileVerdict.UNDETERMINED:
         return "is left undecided, as the computation of a limit was not finished"
+    if low == high == 0.0 and profile.unit == "N":
+        return "is slack"
     if low is not None and high is not None:
         half = amount(0.5 * (high - low), unit, 2)
         return f"is known to within ±{half} ({amount(low, '')} to {amount(high, unit)})"
@@ -113,9 +115,9 @@ def _width(profile: Profile) -> float:
 def _how_many(profiles: Sequence[Profile]) -> str:
     n, level = len(profiles), 100 * profiles[0].level
     k = sum(x.lower is not None and x.upper is not None for x in profiles)
-    said = f"ligament parameter{'' if n == 1 else 's'} asked for on both sides"
-    which = "" if k == n and n > 1 else f"{k or 'none'} of "
-    return f"at {level:g} % confidence the data bound {which}the {n} {said}."
+    said = f"ligament parameter{'' if n == 1 else 's'} on both sides"
+    which = f"all {n}" if k == n and n > 1 else f"{k or 'none'} of the {n}"
+    return f"at {level:g} % confidence the data bound {which} {said}."
 
 
 def _predictions(profiles: Sequence[Profile]) -> Iterator[Statement]:

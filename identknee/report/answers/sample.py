@@ -22,11 +22,15 @@ def sample_statements(answer: Sample) -> Iterator[Statement]:
         yield _statement(_trusted(answer))
         return
     yield _statement(
-        f"Given the stated assumptions before the data, {_probable(answer.parameters)}. "
-        f"{_trusted(answer)}",
+        f"Given the prior and the data, {_probable(answer.parameters)}. {_trusted(answer)}",
         _table(answer.parameters),
     )
-    yield _statement(str(answer.last_check).replace("\n", " "))
+    check = answer.last_check
+    yield _statement(
+        f"Each walker made {check.steps} steps, of which the first {check.burn_in} are left out; "
+        f"{100 * check.acceptance.mean():.0f} % of the proposals were accepted.",
+        _conditions(answer),
+    )
     yield _statement(f"{answer.excluded} {answer.n_simulations} simulations.")
     if answer.nested is not None:
         yield _statement(_opinion(answer.nested))
@@ -39,12 +43,12 @@ def _statement(sentence: str, *tables: Table) -> Statement:
 def _trusted(answer: Sample) -> str:
     """Whether the sample may be relied on."""
     if answer.outcome is SampleOutcome.CONVERGED:
-        return "Independent samplers agree on it."
+        return "Independent samplers agree on that."
     unmet = sum(not x["met"] for x in answer.gate.values())
-    count = f" {unmet} of {len(answer.gate)} conditions are not met." if answer.gate else ""
+    count = f" {unmet} of {len(answer.gate)} conditions of convergence are not met." * bool(unmet)
     is_short = answer.outcome is SampleOutcome.BUDGET
     remedy = " The same command with a larger --budget goes on from here." if is_short else ""
-    return f"Do not rely on it yet: {answer.sentence}{count}{remedy}"
+    return f"Do not rely on that yet. {answer.sentence}{count}{remedy}"
 
 
 def _probable(marginals: Mapping[str, Marginal]) -> str:
@@ -66,6 +70,22 @@ def _table(marginals: Mapping[str, Marginal]) -> Table:
         rows=tuple(
             (label(name), x.mean, x.sd, x.q025, x.q975, x.rhat, x.ess_bulk)
             for name, x in marginals.items()
+        ),
+    )
+
+
+def _conditions(answer: Sample) -> Table:
+    return Table(
+        title="Conditions of convergence",
+        columns=(
+            Column(name="condition"),
+            Column(name="value", decimals=None),
+            Column(name="needed", decimals=None),
+            Column(name="met"),
+        ),
+        rows=tuple(
+            (name.replace("_", " "), x["value"], x["bar"], "yes" if x["met"] else "no")
+            for name, x in answer.gate.items()
         ),
     )
 

@@ -41,7 +41,7 @@ def sensitivity_statements(answer: GlobalSensitivity) -> Iterator[Statement]:
     yield _statement(
         f"{100 * found.share_failed:.2g} % of {found.n_simulations} simulations had a trial "
         f"without prediction; {found.rule}."
-        + (f" For half-widths of 0.02 in every group: {more} (about)." if missing > 0 else "")
+        + (f" Half-widths of 0.02 in every group would take about {more}." if missing > 0 else "")
     )
 
 
@@ -62,8 +62,15 @@ def _most_influential(found: Sensitivity) -> str:
     measure = METHODS.get(found.method, f"the {found.method} index")
     return (
         f"By {measure} laxity depends most on {parameter_words(name)}: "
-        f"{coordinate_words(coordinate)} at {where.replace(', ', ' of flexion under ')}."
+        f"{coordinate_words(coordinate)} at {_place(where)}."
     )
+
+
+def _place(where: str) -> str:
+    """Flexion and load of a group, as a sentence has them."""
+    flexion, _, load = where.partition(", ")
+    under = "without load" if load == "unloaded" else f"under {load}"
+    return f"{flexion} of flexion {under}" if load else where
 
 
 def _table(found: Sensitivity) -> Table:

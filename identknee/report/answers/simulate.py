@@ -19,10 +19,16 @@ def simulate_statements(answer: Simulation) -> Iterator[Statement]:
     blank = " The cells of the others are blank." if lost else ""
     margins = [x.margin_N_per_mm for x in answer.trials if np.isfinite(x.margin_N_per_mm)]
     # The mesh law has no second derivatives and no margins.
-    lowest = f" Lowest stability margin {min(margins):.3g} N/mm." if margins else ""
+    lowest = f" The lowest stability margin is {min(margins):.3g} N/mm." if margins else ""
     yield Statement(
         question=Question.LAXITY,
-        sentence=f"Of {answer.n_trials} simulated trials {answer.n_converged} have a stable "
-        f"equilibrium.{blank}{lowest}",
+        sentence=f"{_how_many(answer)} a stable equilibrium.{blank}{lowest}",
         tables=(table,) if lost else (),
     )
+
+
+def _how_many(answer: Simulation) -> str:
+    n, found = answer.n_trials, answer.n_converged
+    if n == found:
+        return "The one simulated trial has" if n == 1 else f"All {n} simulated trials have"
+    return f"Of {n} simulated trials, {found} {'has' if found == 1 else 'have'}"

@@ -17,7 +17,7 @@ MOST_LOST = 3
 ENDED = {
     "minimum": "ended at a minimum",
     "valley": "stopped early in a valley",
-    "cliff": "ended at a cliff where the knee snaps through",
+    "cliff": "stopped at a cliff where the simulated knee jumps",
     "start_failed": "began where the model has no prediction",
 }
 SEARCHES = {END: "the search itself", POLISHED: "the polished search"}
@@ -29,8 +29,8 @@ def sweep_statements(answer: Sweep) -> Iterator[Statement]:
     yield _statement(_ends(survey), _kinds(survey), _basins(survey), is_answer=True)
     if survey.unseen.n:
         yield _statement(
-            f"Basins that no start has shown: {_pct(survey.unseen.estimate)} % of the starts that "
-            f"end in one (at most {_pct(survey.unseen.upper)} %)."
+            f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
+            f"{_pct(survey.unseen.upper)} %) would end at a minimum that none has found so far."
         )
     for name, recovery in survey.recoveries.items():
         yield _statement(_radius(recovery, SEARCHES[name], survey.within))
@@ -48,8 +48,8 @@ def _ends(survey: Survey) -> str:
     searches, n = survey.searches, survey.basins.n_basins
     ends = listed(f"{number} {ENDED[kind]}" for kind, number in searches.kinds.items())
     places = "one and the same set of parameters" if n == 1 else f"{n} different sets of parameters"
-    found = f" Those that ended at a minimum found {places}." if n else ""
-    return f"Of {searches.n} searches by {searches.method} from different starts {ends}.{found}"
+    found = f" Those at a minimum found {places}." if n else ""
+    return f"Of {searches.n} {searches.method} searches from different starts, {ends}.{found}"
 
 
 def _kinds(survey: Survey) -> Table:
@@ -91,8 +91,8 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
     radius = recovery.radius
     if radius.value == 0.0:
         return (
-            f"At no distance are nine of ten starts known to lead {searches} back to within "
-            f"{within:g} kN and % of the best end: they are too few, or it is not so."
+            f"No distance is known from which nine of ten starts lead {searches} back to within "
+            f"{within:g} kN and % of the best end: either there is none or more starts are needed."
         )
     return (
         f"Nine of ten starts within {_kN_and_pct(radius.value)} of the best end (95 %: "
@@ -104,8 +104,8 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
 def _cliffs(cliffs: CliffMap) -> str:
     lost = ", ".join(f"{name} ({n})" for name, n in list(cliffs.trials_lost.items())[:MOST_LOST])
     return (
-        f"{cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best end have a "
-        f"cliff{f'; most often lost there: {lost}' if lost else ''}."
+        f"On {cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best end the "
+        f"simulated knee jumps{f', most often in {lost}' if lost else ''}."
     )
 
 

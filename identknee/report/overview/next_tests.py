@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from identknee.model.effects.facts import cause_label
 from identknee.report.words import between, listed, parameter_words, trial_words, unit_of
 from identknee.runs.plain_records import summary_of
 from identknee.verbs.answer import Answer
@@ -34,7 +35,8 @@ def _advice(answer: Answer) -> Iterator[str]:
         for group in answer.groups:
             if group.advised_trials:
                 trials = _trials([summary_of(x) for x in group.advised_trials])
-                yield f"{trials}. This would tell {listed(group.effects, 'from')}."
+                causes = listed(map(cause_label, group.effects), "from")
+                yield f"{trials}. This would tell {causes}."
 
 
 def _trials(trials: Sequence[Mapping[str, Any]]) -> str:

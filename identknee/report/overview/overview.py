@@ -7,6 +7,7 @@ from enum import Enum, unique
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
+from identknee.model.effects.facts import cause_label
 from identknee.report.overview.agreement import Agreement, agreement, reasons
 from identknee.report.overview.next_tests import next_tests
 from identknee.report.overview.ranges import Range, Source, ranges_of
@@ -179,7 +180,7 @@ def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
     if diagnosis.verdict is Verdict.NOT_TESTABLE:
         return diagnosis.verdict.sentence, Tone.OPEN
     if diagnosis.verdict is Verdict.NAMED:
-        names = listed(diagnosis.cause_names)
+        names = listed(map(cause_label, diagnosis.cause_names))
         return f"The model lacks something that the data show, most likely {names}.", Tone.WRONG
     return diagnosis.sentence, Tone.WRONG
 

@@ -21,7 +21,7 @@ from identknee.report.sample_figures import corner_figure, forces_figure, prior_
 from identknee.report.sensitivity_figures import effects_figure, map_figure
 from identknee.report.starts_figure import starts_figure
 from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
-from identknee.report.words import label, listed
+from identknee.report.words import label, label_without_unit, listed
 from identknee.runs.arrays import Array
 from identknee.verbs.demo import Demonstration
 from identknee.verbs.equivalents import Equivalents
@@ -58,7 +58,8 @@ def _demo(result: Result) -> Iterator[Drawing]:
         f"{max(x.rmse_deg.max() for x in answer.starts):.2f} deg at worst, with stiffnesses up to "
         f"{max(x.error_kN.max() for x in answer.starts):.2f} kN wrong on average.",
     )
-    yield from _profile_drawings(tuple(answer.profiles.values()))
+    truth = {f"{x}.{k}": v for x, own in answer.truth.items() for k, v in own.items()}
+    yield from _profile_drawings(tuple(answer.profiles.values()), truth)
 
 
 def _profiles(result: Result) -> Iterator[Drawing]:
@@ -66,7 +67,9 @@ def _profiles(result: Result) -> Iterator[Drawing]:
         yield from _profile_drawings(result.answer.profiles)
 
 
-def _profile_drawings(profiles: Sequence[Profile]) -> Iterator[Drawing]:
+def _profile_drawings(
+    profiles: Sequence[Profile], truth: Mapping[str, float] | None = None
+) -> Iterator[Drawing]:
     names = listed(label(x.name) for x in profiles)
     ends = "; ".join(
         f"{label(x.name)} {_end(x.lower)} to {_end(x.upper)}, {x.verdict.value.replace('_', ' ')}"
@@ -74,15 +77,19 @@ def _profile_drawings(profiles: Sequence[Profile]) -> Iterator[Drawing]:
     )
     yield Drawing(
         name="intervals",
-        figure=intervals_figure(profiles),
+        figure=intervals_figure(profiles, truth),
         caption="Values that the data do not exclude, a row each: the thicker the bar, the more "
         "likely; an arrow is an end that the data leave open, a cross one where only the "
         "model ends.",
         description=f"Nested intervals of {names}. At {profiles[0].level:.0%} confidence: {ends}.",
     )
+    # The force of a slack ligament is one point.
+    curves = [x for x in profiles if len(x.values) > 1]
+    if not curves:
+        return
     yield Drawing(
         name="profiles",
-        figure=profiles_figure(profiles),
+        figure=profiles_figure(curves),
         caption="How much worse the best fit becomes when one value is held elsewhere. Values "
         "below the broken line are not excluded; a curve that stays below it is open there.",
         description=f"Profile likelihoods of {names}: a curve each that rises away from the best "
@@ -170,7 +177,7 @@ def _equivalents(result: Result) -> Iterator[Drawing]:
     )
     forces = sorted(region.quantities.values(), key=lambda x: x.smallest - x.largest)
     if widest := forces[:MOST_FORCES]:
-        shown = [x.name.replace(".tension_N@", ", ") for x in widest]
+        shown = [label_without_unit(x.name) for x in widest]
         ends = np.array([(x.smallest, x.largest) for x in widest])
         at_fit = np.array([x.at_fit for x in widest])
         yield Drawing(

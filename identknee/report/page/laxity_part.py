@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from identknee.laxity.unloaded import from_unloaded
+from identknee.model.effects.facts import cause_label
 from identknee.report.laxity_figures import (
     LaxityCurves,
     all_coordinates_figure,
@@ -14,6 +15,7 @@ from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Findings, Result
 from identknee.report.words import listed
 from identknee.runs.arrays import Array
+from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.fit import Calibration
@@ -21,11 +23,16 @@ from identknee.verbs.sample import Sample
 from identknee.verbs.simulate import SimulatedLaxity, Simulation
 
 BAND_ENDS = (0.025, 0.975)
+MOST_LINES = 4
 
 
 def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
     """Laxity curves of the results that compare a model with data, or else of simulations."""
-    compared = findings.of("fit", "diagnose") or findings.of("demo", "simulate")
+    fits = findings.of("fit")
+    # Without causes the model of a diagnosis is that of the fits.
+    diagnoses = [x for x in findings.of("diagnose") if not fits or _has_causes(x.answer)]
+    first_fits = {x.data_digest: x for x in reversed(fits)}
+    compared = [*first_fits.values(), *diagnoses] or findings.of("demo", "simulate")
     for result in compared:
         curves = _curves(result, findings)
         if curves is None:
@@ -54,6 +61,10 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
             )
 
 
+def _has_causes(answer: Answer) -> bool:
+    return isinstance(answer, Diagnosis) and bool(answer.causes)
+
+
 def _curves(result: Result, findings: Findings) -> LaxityCurves | None:
     if isinstance(result.answer, SimulatedLaxity):
         return _of_answer(result, result.answer, findings)
@@ -72,14 +83,30 @@ def _of_answer(result: Result, answer: SimulatedLaxity, findings: Findings) -> L
     def as_measured(values: Array) -> Array:
         return from_unloaded(values, answer.protocol) if is_relative else values
 
-    name = "fit" if isinstance(answer, Calibration) else "simulated"
+    simulated = {"simulated": as_measured(answer.coordinates)}
+    if isinstance(answer, Calibration):
+        fits = list(_fits_of(result.data_digest, answer, findings))[:MOST_LINES]
+        simulated = {
+            "fit" if len(fits) == 1 else f"fit from {x.start}": as_measured(x.coordinates)
+            for x in fits
+        }
     return LaxityCurves(
         protocol=answer.protocol,
-        simulated={name: as_measured(answer.coordinates)},
+        simulated=simulated,
         measured=None if data is None else data.coordinates,
         sd=None if data is None else data.sd,
         band=_band(result, findings, as_measured) if isinstance(answer, Calibration) else None,
     )
+
+
+def _fits_of(data: str, first: Calibration, findings: Findings) -> Iterator[Calibration]:
+    """All fits to one table of the same trials."""
+    for result in findings.of("fit"):
+        answer = result.answer
+        if not isinstance(answer, Calibration) or result.data_digest != data:
+            continue
+        if answer.protocol.trials == first.protocol.trials:
+            yield answer
 
 
 def _diagnosed(answer: Diagnosis) -> LaxityCurves | None:
@@ -89,7 +116,7 @@ def _diagnosed(answer: Diagnosis) -> LaxityCurves | None:
         return None
     simulated = {"model": trials.coordinates - residuals.before}
     if answer.causes:
-        with_causes = f"with {listed(answer.cause_names)}"
+        with_causes = f"with {listed(map(cause_label, answer.cause_names))}"
         simulated[with_causes] = trials.coordinates - residuals.after
     return LaxityCurves(
         protocol=trials.protocol,

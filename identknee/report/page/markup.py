@@ -1,7 +1,6 @@
 """Pieces of HTML. Every text that comes from outside is escaped here."""
 
 import re
-from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -89,14 +88,6 @@ def figure_html(svg: str, caption: str) -> str:
     return element(
         "figure", scrolling(svg, f"Figure: {caption}") + element("figcaption", escape(caption))
     )
-
-
-def picture_html(png: bytes, caption: str) -> str:
-    """A picture with its caption, which also says what it shows."""
-    source = f"data:image/png;base64,{b64encode(png).decode('ascii')}"
-    said = escape(caption)
-    picture = f'<img src="{source}" alt="{said}">'
-    return element("figure", picture + element("figcaption", said))
 
 
 def _cells(row: Sequence[str], is_text: Sequence[bool]) -> str:

@@ -4,7 +4,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.identify.profile.result import Profile
+from identknee.model.effects.facts import cause_label
 from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure
 from identknee.report.diagnosis_figures import (
     isolability_figure,
@@ -16,6 +18,7 @@ from identknee.report.diagnosis_files import distances_of
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Result
 from identknee.report.words import label, listed
+from identknee.report.wrench_figure import wrench_figure
 from identknee.runs.arrays import Array
 from identknee.verbs.design import Design
 from identknee.verbs.diagnosis import Diagnosis
@@ -34,11 +37,11 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="misfit",
         figure=misfit_figure(misfit.map, misfit.sentence),
-        caption="Where the model is wrong: red where more was measured than it can explain, blue "
+        caption="Measured less predicted, in units of the noise: red where more was measured, blue "
         "where less; framed where noise alone hardly does that.",
         description=f"Map of the misfit by coordinate, flexion and load. {misfit.sentence}.",
     )
-    causes = listed(answer.cause_names)
+    causes = listed(map(cause_label, answer.cause_names))
     before = residuals.before
     changes = {f"what {causes} explains": before - residuals.after} if causes else {}
     if (figure := residuals_figure(trials.protocol, before, residuals.sd, changes)) is not None:
@@ -51,14 +54,28 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
             description="Measured less predicted laxity along every load curve"
             + (f", with the part that {causes} explains." if causes else "."),
         )
-    yield Drawing(
-        name="before-after",
-        figure=parameters_before_after_figure(answer),
-        caption="The ligaments' parameters with their 95 % intervals"
-        + (", without and with the cause." if causes else "."),
-        description=f"Fitted parameters of {listed(answer.parameters_before or ())}"
-        + (f", without and with {causes}." if causes else "."),
-    )
+    if result.knee is not None and answer.missing_wrench and not _is_adequate(answer):
+        yield Drawing(
+            name="missing-wrench",
+            figure=wrench_figure(answer, result.knee),
+            caption="What else would have to act on the tibia, seen from above: arrows are "
+            "forces, arcs moments; grey is what noise alone may ask for.",
+            description="Forces and moments that the model lacks, by flexion and load.",
+        )
+    # Without a cause there is nothing to compare.
+    if causes:
+        yield Drawing(
+            name="before-after",
+            figure=parameters_before_after_figure(answer),
+            caption="The ligament parameters with their 95 % intervals, without and with the "
+            "cause.",
+            description=f"Fitted parameters of {listed(answer.parameters_before or ())}, without "
+            f"and with {causes}.",
+        )
+
+
+def _is_adequate(answer: Diagnosis) -> bool:
+    return answer.verdict is Verdict.ADEQUATE
 
 
 def isolability_drawings(result: Result) -> Iterator[Drawing]:

@@ -8,6 +8,7 @@ from typing import Any
 from identknee.laxity.protocol import Protocol
 from identknee.runs.errors import InputError
 from identknee.runs.schema import read_json
+from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import AGAIN, ANSWERS, SUMMARY, loaded
@@ -37,11 +38,14 @@ class Result:
         `result.json`.
     answer
         What the verb gave back.
+    knee
+        The subject, for figures that need it; None where it is not known.
     """
 
     folder: Path
     summary: Mapping[str, Any]
     answer: Answer
+    knee: Knee | None = None
 
     @property
     def verb(self) -> str:

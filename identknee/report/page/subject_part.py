@@ -18,7 +18,6 @@ from identknee.report.page.markup import (
     element,
     figure_html,
     paragraph,
-    picture_html,
     section,
     table_html,
 )
@@ -33,11 +32,6 @@ from identknee.verbs.diagnosis import Diagnosis
 PLACES = dict.fromkeys(("diagnose", "isolability"), Question.WRONG)
 PLACES |= {"design": Question.NEXT, "sweep": Question.SEARCH}
 PLACES |= {"sensitivity": Question.LAXITY, "demo-starts": Question.SEARCH}
-# Left by a diagnosis as pictures only, as they need all of it.
-PICTURES = {
-    "missing_wrench.png": "What else would have to act on the tibia, seen from above: arrows are "
-    "forces, arcs moments; grey is what noise alone may ask for.",
-}
 RIGHT = "What was tested of the model"
 VERDICT_HEADINGS = {
     Verdict.ADEQUATE: RIGHT,
@@ -163,10 +157,6 @@ def _of_result(result: Result, identity: str) -> Iterator[tuple[str, str]]:
     """Verb and name of each figure of a result, with its HTML."""
     for drawing in drawings(result):
         yield f"{result.verb}-{drawing.name}", _figure(drawing, f"{identity}-{drawing.name}")
-    for name, caption in PICTURES.items():
-        is_shown = isinstance(result.answer, Diagnosis) and result.answer.misfit is not None
-        if is_shown and (picture := result.folder / name).is_file():
-            yield f"{result.verb}-{name}", picture_html(picture.read_bytes(), caption)
 
 
 def _figure(drawing: Drawing, identity: str) -> str:

@@ -17,6 +17,10 @@ from identknee.report.picture import names_as_they_are
 # Above something drawn in fixed colours black must stay black; this is not taken for it.
 FIXED_BLACK = "#010101"
 MANY_POINTS = 300
+# Room beside a figure for text that a reader's font sets wider [pt].
+MARGIN = 9.0
+# A figure gets no smaller than its smallest letters allow [pt]; it scrolls instead.
+LEAST_LETTERS = 5.6
 RASTER_DPI = 130
 # Of the text's colour, at least: what is lighter is hard to read.
 TEXT_SHARE = 0.72
@@ -59,10 +63,13 @@ def inline_svg(figure: Figure, identity: str, description: str) -> str:
 
 def _titled(text: str, figure: Figure, identity: str, description: str) -> str:
     """With the page's class, its own width, and the description where readers look for it."""
-    width, height = 72.0 * np.asarray(figure.get_size_inches())
+    width, height = 72.0 * np.asarray(figure.get_size_inches()) + (2.0 * MARGIN, 0.0)
+    letters = [float(x.get_fontsize()) for x in figure.findobj(Text) if x.get_text().strip()]
+    least = width * min(1.0, LEAST_LETTERS / min(letters, default=width))
     head = (
         f'<svg class="drawing" role="img" aria-labelledby="{identity}-title" '
-        f'viewBox="0 0 {width:g} {height:g}" style="--width: {width * 4 / 3:.0f}px">'
+        f'viewBox="{-MARGIN:g} 0 {width:g} {height:g}" '
+        f'style="--width: {width * 4 / 3:.0f}px; --least: {least * 4 / 3:.0f}px">'
         f'<title id="{identity}-title">{escape(description)}</title>'
     )
     return re.sub(r"<svg[^>]*>", lambda _: head, text, count=1)

@@ -55,9 +55,9 @@ def test_sets_and_what_they_leave_open(table: Path, tmp_path: Path) -> None:
         assert np.array_equal(model.simulate(theta).coordinates, data["coordinates"].values[3])
     again = run(*words)
     assert again.exit_code == 0, again.output
-    assert "12 parameter sets, each simulated" in again.stdout
-    assert "in 26 of 100 measurements" in again.stdout
-    assert "Of 40 forces those that differ most are shown" in again.stdout
+    assert "Of 12 such parameter sets" in again.stdout
+    assert "in only 26 of 100 measurements" in again.stdout
+    assert "The table has the 12 that differ most, of 40" in again.stdout
 
 
 def test_the_paper_s_criterion(table: Path, tmp_path: Path) -> None:

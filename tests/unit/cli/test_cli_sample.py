@@ -59,7 +59,13 @@ def test_a_person_reads_the_gate(table: Path, tmp_path: Path) -> None:
     words = ("--budget", 600, "--out", tmp_path, "--moves", "difference", "--workers", 2)
     result = run("sample", "reference", table, *HELD, *words)
     assert result.exit_code == 0, result.output
-    for part in ("not met", "Largest R-hat", "Excluded from the prior", "budget", "97.5 %"):
+    for part in (
+        "not met",
+        "Conditions of convergence",
+        "Excluded from the prior",
+        "budget",
+        "97.5 %",
+    ):
         assert part in result.stdout
 
 

@@ -35,7 +35,7 @@ def test_sobol_indices_of_the_laxity(tmp_path: Path) -> None:
     grown = run(*WORDS, PROTOCOL, tmp_path / "short.toml", "--samples", 8, "--out", tmp_path)
     assert grown.exit_code == 0, grown.output
     assert "index ST" in grown.stdout
-    assert "For half-widths of 0.02" in grown.stdout
+    assert "Half-widths of 0.02" in grown.stdout
 
 
 def test_trials_of_a_table_and_fixed_parameters(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ def test_the_table_is_what_the_model_predicts(tmp_path: Path) -> None:
         "simulate", "reference", "--protocol", short, "--set", "ACL.stiffness_kN=9.5", "--out", out
     )
     assert result.exit_code == 0, result.output
-    assert "Of 10 simulated trials 10 have a stable equilibrium" in result.stdout
+    assert "All 10 simulated trials have a stable equilibrium" in result.stdout
     simulation = ik.simulate(
         ik.reference_knee(), ik.load_protocol(short), {"ACL.stiffness_kN": 9.5}
     )
@@ -93,7 +93,7 @@ def test_a_trial_without_equilibrium_is_blank_and_explained(tmp_path: Path) -> N
     failed = [x["outcome"] != "converged" for x in summary["trials"]]
     assert 0 < sum(failed) < 63
     np.testing.assert_array_equal(np.isnan(table.coordinates).all(axis=1), failed)
-    assert f"Of 63 simulated trials {63 - sum(failed)} have" in result.stdout
+    assert f"Of 63 simulated trials, {63 - sum(failed)} have" in result.stdout
     assert "The cells of the others are blank." in result.stdout
     reason = summary["trials"][failed.index(True)]["reason"]
     assert reason.endswith("% of the last load step was reached.")

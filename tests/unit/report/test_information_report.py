@@ -39,7 +39,7 @@ def test_the_eigenvectors_name_their_shares(answer: Answer) -> None:
     axes = figure.axes[0]
     large = int((np.abs(answer[0].eigenvectors) >= 0.1).sum())
     assert len(axes.texts) == large
-    assert axes.get_yticklabels()[0].get_text() == "ACL.stiffness_kN"
+    assert axes.get_yticklabels()[0].get_text() == "ACL stiffness"
 
 
 def test_geodesics_have_a_column_each(answer: Answer) -> None:

@@ -84,7 +84,7 @@ def test_known_and_unknown_stand_in_one_sentence() -> None:
         profile("LCL.stiffness_kN", (None, None), ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE),
     )
     assert said == (
-        "At 95 % confidence the data bound 1 of the 3 ligament parameters asked for on both "
+        "At 95 % confidence the data bound 1 of the 3 ligament parameters on both "
         "sides. The anterior cruciate's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN); "
         "the band's is not known upwards (at least 6 kN); the lateral collateral's is not known: "
         "these data bound it on neither side."
@@ -193,7 +193,7 @@ def test_a_plan_says_what_it_could_not_tell_apart() -> None:
     )
     plan, advice = isolability_statements(answer)
     assert plan.sentence == "The 63 trials of seed63 could not tell a from b."
-    assert plan.tables[0].texts()[0] == ["a", "never", "0.2 kN", "b"]
+    assert plan.tables[0].texts()[0] == ["a", "not detectable", "0.2 kN", "b"]
     assert advice.sentence == (
         "To tell a and b apart, add posterior force of 134 N at 90 deg of flexion: 7.0 instead of "
         "2.0 units of noise between the closest two."

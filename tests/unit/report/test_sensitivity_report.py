@@ -33,7 +33,7 @@ def test_figures_are_drawn() -> None:
     ]
     assert all(isinstance(x, Figure) for x in figures)
     labels = [x.get_text() for x in figures[1].axes[0].get_xticklabels()]
-    assert labels == ["A k", "new k", "A eps", "new eps"]
+    assert labels == ["A stiffness", "new stiffness", "A strain", "new strain"]
     # The last of an odd number of panels leaves its neighbour empty.
     assert not effects_figure({"one": panels["one"]}, names).axes[1].axison
 
