@@ -8,3 +8,4 @@ from .conventions import Convention as Convention
 from .conventions import conventions_of as conventions_of
 from .end_points import suspicious_end_points as suspicious_end_points
 from .suspicious_rows import SuspiciousRow as SuspiciousRow
+from .unmeasured import unmeasured_findings as unmeasured_findings

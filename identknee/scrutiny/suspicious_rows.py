@@ -12,6 +12,8 @@ LEVEL = 0.01
 MOST_SHARE = 0.1
 # What is left of a value by the fitted parameters, below which nothing can be said of it.
 LEAST_LEFT = 1e-6
+# Mean square in units of the noise below which data are free of noise, and rounding is left.
+LEAST_SQUARE = 1e-6
 
 
 @declared
@@ -106,6 +108,8 @@ def suspicious_rows(
     """
     found: list[SuspiciousRow] = []
     names = np.unique(trials)
+    if fit.square < LEAST_SQUARE * fit.degrees:
+        return found
     while fit.degrees > len(names) // 2:
         looked = [(_p_value_of(fit, trials, x), x) for x in names.tolist()]
         p_value, worst = min(looked, default=(1.0, -1))

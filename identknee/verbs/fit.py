@@ -25,6 +25,7 @@ from identknee.runs.outcome import Outcome
 from identknee.scrutiny.against_load import against_load_findings
 from identknee.scrutiny.broken_convention import convention_findings
 from identknee.scrutiny.contradictions import end_point_findings, row_findings
+from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
@@ -223,6 +224,7 @@ def _findings(
     about_the_knee = (
         *stability_findings(model),
         *rim_findings(laxity.protocol.trials, prediction),
+        *unmeasured_findings(model, prediction),
     )
     findings = (*misfit, *bounds)
     if all(x.severity is Severity.INFO for x in findings):

@@ -70,6 +70,13 @@ def test_where_many_stand_out_it_is_not_the_rows() -> None:
     assert suspicious_rows(fitted, np.arange(40), np.zeros(40, int)) == []
 
 
+def test_rounding_is_no_blunder() -> None:
+    left = 1e-9 * np.random.default_rng(5).standard_normal(40)
+    left[3] = 1e-7
+    fitted = left_out(left, np.zeros((40, 1)), np.eye(40))
+    assert suspicious_rows(fitted, np.arange(40), np.zeros(40, int)) == []
+
+
 def test_a_value_that_no_other_checks_is_not_judged() -> None:
     left, design = np.random.default_rng(4).standard_normal(30), np.zeros((30, 1))
     design[5] = 1.0
