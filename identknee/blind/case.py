@@ -20,6 +20,7 @@ from identknee.blind.fitting import BaseFit, Noise, base_fit, left_over, scaled_
 from identknee.blind.hidden import Hidden, Scene
 from identknee.blind.rims import rims_of, stays_inside
 from identknee.blind.sites import places_of
+from identknee.blind.stated_errors import actual_knee, with_load_errors
 from identknee.blind.truth import Truth
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
@@ -37,6 +38,8 @@ STATED_RANGE = (0.8, 1.2)
 # Share of the cases with another effect that also tell the order of their trials.
 ORDER_SHARE = 0.3
 MOST_DRAWS = 40
+# After so many draws without equilibria the errors of the knee are drawn again too.
+DRAWS_A_KNEE = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,7 +109,7 @@ def blind_case(
     protocol
         The trials; ``seed63`` where None.
     conditions
-        What truths, places, contact and errors are drawn from.
+        What truths, places, contact, errors of the geometry and of the readings are drawn from.
 
     Raises
     ------
@@ -117,7 +120,7 @@ def blind_case(
     protocol = load_protocol("seed63") if protocol is None else protocol
     if signal is not None and not 0.0 < signal < np.inf:
         raise ValueError(f"the signal must be greater than 0 and finite, got {signal:g}")
-    streams = [np.random.default_rng(x) for x in np.random.SeedSequence(seed).spawn(6)]
+    streams = [np.random.default_rng(x) for x in np.random.SeedSequence(seed).spawn(7)]
     names = _names(effect, streams[0])
     order, is_unloading = _history(protocol, streams[1])
     scene = Scene(
@@ -131,13 +134,17 @@ def blind_case(
     )
     exponent = conditions.exponent(streams[4])
     noise = Noise(sd_mm=SD, sd_deg=SD, correlation=CORRELATION)
-    base, rims = experiment_of(knee, protocol, exponent), rims_of(knee)
-    wanted = (noise, signal, amplitude)
-    drawn = (_drawn(base, names, scene, wanted, streams[2]) for _ in range(MOST_DRAWS))
-    draws = (x if x is not None and stays_inside(x.own, x.run, rims) else None for x in drawn)
-    redraws, found = next(
-        ((i, x) for i, x in enumerate(draws) if x is not None), (MOST_DRAWS, None)
-    )
+    actual, base = knee, experiment_of(knee, protocol, exponent)
+    wanted, redraws, found = (noise, signal, amplitude), 0, None
+    while found is None and redraws < MOST_DRAWS:
+        if redraws % DRAWS_A_KNEE == 0 and conditions.has_stated_errors:
+            actual = actual_knee(knee, conditions, streams[6])
+            base = experiment_of(actual, protocol, exponent)
+            base = with_load_errors(base, conditions, streams[6])
+            scene = replace(scene, places=places_of(actual), start=_start(actual))
+        found = _drawn(base, names, scene, wanted, streams[2])
+        if found is None or not stays_inside(found.own, found.run, rims_of(actual)):
+            found, redraws = None, redraws + 1
     if found is None:
         raise ValueError(
             f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
@@ -156,7 +163,7 @@ def blind_case(
     remounting = conditions.remounting(protocol.flexion_deg, streams[5])
     laxity = replace(laxity, coordinates=laxity.coordinates + remounting)
     facts |= {"contact_exponent": exponent, "largest_remounting": float(np.abs(remounting).max())}
-    truth = _truth(knee, seed, found, {**facts, "redraws": redraws, "wanted_signal": signal})
+    truth = _truth(actual, seed, found, {**facts, "redraws": redraws, "wanted_signal": signal})
     return BlindCase(laxity=laxity, truth=truth, noise_free=exact)
 
 

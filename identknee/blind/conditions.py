@@ -10,6 +10,16 @@ from identknee.runs.arrays import Array
 
 # Draws until one lies between the ends of a spread.
 MOST_TRIES = 1000
+SIZES = (
+    "jitter_mm",
+    "remount_mm",
+    "remount_deg",
+    "insertion_mm",
+    "registration_deg",
+    "registration_mm",
+    "load_axes_deg",
+    "load_gain",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,6 +108,12 @@ class Conditions:
     remount_mm, remount_deg
         Standard deviation of an error that all trials of a flexion angle have in common, one for
         each coordinate: the knee was mounted again.
+    insertion_mm
+        Standard deviation of each coordinate of the insertions around those given.
+    registration_deg, registration_mm
+        Standard deviation of turn and shift of each bone's measured frame against the one given.
+    load_axes_deg, load_gain
+        Standard deviation of the turn of the axes of the loads, and of the scale of each kind.
     """
 
     stiffness_log_sd: float = 0.2
@@ -112,6 +128,11 @@ class Conditions:
     shift_mm: float | None = None
     remount_mm: float = 0.0
     remount_deg: float = 0.0
+    insertion_mm: float = 0.0
+    registration_deg: float = 0.0
+    registration_mm: float = 0.0
+    load_axes_deg: float = 0.0
+    load_gain: float = 0.0
 
     def __post_init__(self) -> None:
         low, high = self.exponents
@@ -120,11 +141,17 @@ class Conditions:
                 f"the exponents of the contact law must be 0 < low <= high, got {low:g} and "
                 f"{high:g}"
             )
-        for name in ("remount_mm", "remount_deg", "jitter_mm"):
+        for name in SIZES:
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(
                     f"{name} must be at least 0 and finite, got {getattr(self, name):g}"
                 )
+
+    @property
+    def has_stated_errors(self) -> bool:
+        """Whether what is given with the knee is wrong."""
+        sizes = (self.insertion_mm, self.registration_deg, self.registration_mm)
+        return max(*sizes, self.load_axes_deg, self.load_gain) > 0.0
 
     def exponent(self, generator: np.random.Generator) -> float:
         """An exponent of the contact law."""

@@ -115,7 +115,9 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
         return ()
     best = int(np.argmin(deviances))
     rises = deviances - deviances[best]
-    away = np.max(np.abs(thetas - thetas[best]) / typical_steps(parameters), axis=1)
+    # Where starts leave a nuisance is no news.
+    asked = parameters.is_of_interest
+    away = np.max((np.abs(thetas - thetas[best]) / typical_steps(parameters))[:, asked], axis=1)
     rivals = np.flatnonzero((rises <= AS_GOOD) & (away > APART))
     if rivals.size:
         farthest = rivals[int(np.argmax(away[rivals]))]
@@ -140,7 +142,8 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
 def _changes(theta: Array, other: Array, parameters: Parameters) -> list[str]:
     """The two parameters that differ most in typical steps, with both values."""
     size = np.abs(other - theta) / typical_steps(parameters)
-    most = np.argsort(-size)[: min(2, size.size)]
+    asked = parameters.is_of_interest
+    most = np.argsort(-np.where(asked, size, 0.0))[: min(2, int(asked.sum()))]
     return [f"{parameters.names[i]} {theta[i]:.3g} or {other[i]:.3g}" for i in most]
 
 

@@ -19,7 +19,7 @@ from identknee.calibrate.population import (
     minimise_by_genetic,
     minimise_by_particle_swarm,
 )
-from identknee.calibrate.problem import Problem, WithPriors, restricted
+from identknee.calibrate.problem import Problem, restricted, with_all_priors
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
@@ -218,7 +218,7 @@ def _fit(
     minimise = _method(method)
     allowed = _checked_budget(budget)
     generator = _generator(seed)
-    whole: Problem = WithPriors(problem=problem) if priors else problem
+    whole = with_all_priors(problem) if priors else problem
     part = restricted(whole, fixed, start)
     evaluator = Evaluator(part, budget=allowed, on_simulation=on_simulation)
     began = time.perf_counter()

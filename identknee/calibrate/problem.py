@@ -7,7 +7,7 @@ import numpy as np
 
 from identknee.calibrate.scales import floors
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared
 
 
@@ -104,40 +104,73 @@ class Scaled:
 
 @declared
 class WithPriors:
-    """A problem with one more residual for each parameter: its distance from the prior's centre.
+    """A problem with one more residual for each prior: a parameter's distance from its centre.
 
     The residual is ``(theta - center) / sd`` for a normal prior and
     ``(ln theta - ln center) / sd`` for a lognormal one, so that least squares gives the point of
     highest posterior density (in theta for normal, in its logarithm for lognormal priors) where
     the other residuals are in units of their noise.
+
+    Attributes
+    ----------
+    problem
+        The problem.
+    has_prior
+        Which parameters have such a residual, k of them, shape ``(n,)``; all where None.
     """
 
     problem: Problem
+    has_prior: BoolArray | None = None
 
     @property
     def parameters(self) -> Parameters:
         """Those of the problem."""
         return self.problem.parameters
 
+    @property
+    def _places(self) -> IntArray:
+        if self.has_prior is None:
+            return np.arange(self.parameters.n)
+        return np.flatnonzero(self.has_prior)
+
     def residuals(self, theta: Array) -> Array:
-        """Residuals of the problem, then those of the priors, shape ``(m + n,)``.
+        """Residuals of the problem, then those of the priors, shape ``(m + k,)``.
 
         All are infinite where a parameter with a lognormal prior is not positive.
         """
-        parameters = self.parameters
-        is_log = parameters.is_log
-        data = self.problem.residuals(theta)
-        if np.any(theta[is_log] <= 0):
-            return np.full(data.size + parameters.n, np.inf)
-        rows = theta - parameters.center
-        rows[is_log] = np.log(theta[is_log] / parameters.center[is_log])
-        return np.concatenate([data, rows / parameters.prior_sd])
+        parameters, places = self.parameters, self._places
+        is_log = parameters.is_log[places]
+        data, values, center = self.problem.residuals(theta), theta[places], parameters.center
+        if np.any(values[is_log] <= 0):
+            return np.full(data.size + places.size, np.inf)
+        rows = values - center[places]
+        rows[is_log] = np.log(values[is_log] / center[places][is_log])
+        return np.concatenate([data, rows / parameters.prior_sd[places]])
 
     def jacobian(self, theta: Array) -> Array:
-        """Derivatives of the same, shape ``(m + n, n)``."""
-        parameters = self.parameters
-        slope = np.where(parameters.is_log, 1.0 / np.where(parameters.is_log, theta, 1.0), 1.0)
-        return np.vstack([self.problem.jacobian(theta), np.diag(slope / parameters.prior_sd)])
+        """Derivatives of the same, shape ``(m + k, n)``."""
+        parameters, places = self.parameters, self._places
+        is_log, values = parameters.is_log[places], theta[places]
+        slope = np.where(is_log, 1.0 / np.where(is_log, values, 1.0), 1.0)
+        priors = np.zeros((places.size, parameters.n))
+        priors[np.arange(places.size), places] = slope / parameters.prior_sd[places]
+        return np.vstack([self.problem.jacobian(theta), priors])
+
+
+def with_nuisance_priors(problem: Problem) -> Problem:
+    """The problem with a residual for the prior of each nuisance; itself where it has none."""
+    has_prior = ~problem.parameters.is_of_interest
+    return WithPriors(problem=problem, has_prior=has_prior) if has_prior.any() else problem
+
+
+def with_all_priors(problem: Problem) -> WithPriors:
+    """The problem with a residual for the prior of every parameter, each once."""
+    return WithPriors(problem=without_priors(problem))
+
+
+def without_priors(problem: Problem) -> Problem:
+    """The problem with the residuals of its data alone."""
+    return problem.problem if isinstance(problem, WithPriors) else problem
 
 
 def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> Restricted:

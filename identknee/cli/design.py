@@ -7,7 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
-from identknee.cli.identification import Bounds, Fixed, Noise, Start
+from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 NTrials = Annotated[int, typer.Option(min=1, help="Number of trials to add.")]
 Targets = Annotated[
@@ -50,6 +50,7 @@ def design(
     candidates: CandidateTrials = None,
     level: Level = 0.95,
     noise: Noise = None,
+    uncertain: Uncertain = None,
     start: Start = "subject",
     fixed: Fixed = None,
     bounds: Bounds = None,

@@ -7,7 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Json, MaybeData, Out, Seed, Subject, Workers, run_verb
-from identknee.cli.identification import Noise
+from identknee.cli.identification import Noise, Uncertain
 
 Planned = Annotated[
     str | None,
@@ -33,6 +33,7 @@ def diagnose(
     data: MaybeData = None,
     protocol: Planned = None,
     noise: Noise = None,
+    uncertain: Uncertain = None,
     start: Start = "subject",
     out: Out = Path("identknee-diagnose"),
     seed: Seed = 0,

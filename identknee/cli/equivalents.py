@@ -7,7 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
-from identknee.cli.identification import Bounds, Fixed, Noise, Start
+from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 NumberOfSets = Annotated[
     int, typer.Option("--n-sets", min=2, help="Number of parameter sets to find.")
@@ -54,6 +54,7 @@ def equivalents(
     forces: Forces = "largest",
     trials: Trials = None,
     noise: Noise = None,
+    uncertain: Uncertain = None,
     start: Start = "subject",
     fixed: Fixed = None,
     bounds: Bounds = None,

@@ -16,6 +16,7 @@ from identknee.cli.command import (
     Workers,
     run_verb,
 )
+from identknee.cli.identification import Uncertain
 
 Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]
 Method = Annotated[
@@ -58,6 +59,7 @@ def fit(
     method: Method = "least-squares",
     budget: Budget = None,
     weighting: Weighting = "unit",
+    uncertain: Uncertain = None,
     priors: Priors = False,
     fixed: Fixed = None,
     bounds: Bounds = None,

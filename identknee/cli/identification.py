@@ -12,6 +12,14 @@ Noise = Annotated[
         "the sd_ columns of the data.",
     ),
 ]
+Uncertain = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=SIZE,...",
+        help="How well the knee and the tests are known, as in insertions=2mm,registration=2deg, "
+        "in place of what the subject states; none for exactly.",
+    ),
+]
 Start = Annotated[
     str,
     typer.Option(

@@ -7,7 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
-from identknee.cli.identification import Bounds, Fixed, Noise, Start
+from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 ScalingName = Annotated[
     Literal["typical", "prior"],
@@ -24,6 +24,7 @@ def information(
     data: Data,
     scaling: ScalingName = "typical",
     noise: Noise = None,
+    uncertain: Uncertain = None,
     start: Start = "subject",
     fixed: Fixed = None,
     bounds: Bounds = None,

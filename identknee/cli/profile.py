@@ -7,7 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
-from identknee.cli.identification import Bounds, Fixed, Noise, Start
+from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 Parameters = Annotated[
     list[str] | None,
@@ -77,6 +77,7 @@ def profile(
     budget: Budget = 1000,
     bootstrap: Bootstrap = 0,
     noise: Noise = None,
+    uncertain: Uncertain = None,
     start: Start = "subject",
     fixed: Fixed = None,
     bounds: Bounds = None,

@@ -7,7 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
-from identknee.cli.identification import Bounds, Fixed, Noise, Start
+from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 Basins = Annotated[
     Path | None,
@@ -52,6 +52,7 @@ def sample(
     budget: Budget = 400_000,
     nested: Nested = False,
     noise: Noise = None,
+    uncertain: Uncertain = None,
     start: Start = "subject",
     fixed: Fixed = None,
     bounds: Bounds = None,

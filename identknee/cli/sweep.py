@@ -7,7 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
-from identknee.cli.identification import Bounds, Fixed, Noise, Start
+from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 Starts = Annotated[int, typer.Option("--n-starts", min=1, help="Number of starts.")]
 Method = Annotated[
@@ -60,6 +60,7 @@ def sweep(
     within: Within = 0.5,
     paths: Paths = 100,
     noise: Noise = None,
+    uncertain: Uncertain = None,
     fixed: Fixed = None,
     bounds: Bounds = None,
     out: Out = Path("identknee-sweep"),

@@ -204,8 +204,8 @@ def investigate(
     """
     begin = [_start(knee, laxity, x) if isinstance(x, str | os.PathLike) else x for x in starts]
     if effects is None:
-        stored = {own.name for own in knee.effects}
-        effects = [x for x in _library(knee, laxity) if x.name not in stored]
+        present = {x.name for x in LaxityModel(knee=knee, protocol=laxity.protocol).effects}
+        effects = [x for x in _library(knee, laxity) if x.name not in present]
     base_fit = fit_base(knee, laxity, starts=begin, seed=seed)
     if base_fit is None or not base_fit.fitted.evaluation.is_finite:
         return None

@@ -3,7 +3,7 @@
 import numpy as np
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Problem, Scaled
+from identknee.calibrate.problem import Problem, Scaled, with_nuisance_priors
 from identknee.calibrate.tolerances import RANK_TOLERANCE
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
@@ -57,7 +57,7 @@ def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> Es
     sds = np.ones(len(sizes))
     theta = np.asarray(start, dtype=np.float64)
     for _ in range(MAX_ROUNDS):
-        scaled = Scaled(problem=problem, sd=sds[groups])
+        scaled = with_nuisance_priors(Scaled(problem=problem, sd=sds[groups]))
         best = fit(scaled, theta)
         if not np.isfinite(best.objective):
             raise ValueError(
@@ -65,16 +65,16 @@ def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> Es
                 "start elsewhere with --start, or see: identknee subject check"
             )
         theta = best.theta
-        shares, rank = _parameters_determined(scaled.jacobian(theta), groups)
+        shares = _parameters_determined(scaled.jacobian(theta), groups)
         new = _sds(problem.residuals(theta), groups, sizes - shares)
         settled = bool(np.all(np.abs(new - sds) <= TOLERANCE * new))
         sds = new
         if settled:
             break
     return EstimatedNoise(
-        problem=Scaled(problem=problem, sd=sds[groups]),
+        problem=with_nuisance_priors(Scaled(problem=problem, sd=sds[groups])),
         sds=sds,
-        degrees_of_freedom=int(sizes.sum()) - rank,
+        degrees_of_freedom=round(float(sizes.sum() - shares.sum())),
         theta=theta,
     )
 
@@ -96,9 +96,13 @@ def _sds(residuals: Array, groups: IntArray, degrees: Array) -> Array:
     return np.asarray(sds)
 
 
-def _parameters_determined(jacobian: Array, groups: IntArray) -> tuple[Array, int]:
-    """How many parameters each group determines, shape ``(k,)``, and how many all of them do."""
+def _parameters_determined(jacobian: Array, groups: IntArray) -> Array:
+    """How many parameters each group determines, shape ``(k,)``.
+
+    Rows of priors follow those of the groups: what they determine the data do not.
+    """
     left, size, _ = np.linalg.svd(jacobian, full_matrices=False)
     rank = int(np.sum(size > size[0] * RANK_TOLERANCE))
     leverage = np.sum(left[:, :rank] ** 2, axis=1)
-    return np.bincount(groups, weights=leverage).astype(np.float64), rank
+    shares = np.bincount(groups, weights=leverage[: len(groups)])
+    return shares.astype(np.float64)

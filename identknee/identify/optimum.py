@@ -78,7 +78,7 @@ def check_inside(theta: Array, parameters: Parameters) -> None:
 def sobol_around(
     parameters: Parameters, center: Array, n: int, *, reach: float, seed: int
 ) -> Array:
-    """Sobol points around a center, within the bounds, shape ``(n, p)``.
+    """Sobol points around a center, within the bounds, shape ``(n, p)``; nuisances stay there.
 
     Parameters
     ----------
@@ -95,6 +95,6 @@ def sobol_around(
     """
     # Sobol points are balanced in powers of two only; the rest of such a set is left out.
     drawn = qmc.Sobol(parameters.n, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]
-    steps = reach * parameters.prior_sd * (2.0 * drawn - 1.0)
+    steps = reach * parameters.prior_sd * (2.0 * drawn - 1.0) * parameters.is_of_interest
     points = np.where(parameters.is_log, center * np.exp(steps), center + steps)
     return np.asarray(np.clip(points, parameters.lower, parameters.upper))

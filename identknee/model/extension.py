@@ -137,5 +137,6 @@ def joined(parts: Sequence[Parameters]) -> Parameters:
         upper=np.concatenate([x.upper for x in parts]),
         prior_sd=np.concatenate([x.prior_sd for x in parts]),
         is_log=np.concatenate([x.is_log for x in parts]),
+        is_nuisance=np.concatenate([~x.is_of_interest for x in parts]),
         own=None if all(x.own is None for x in parts) else np.concatenate([x.start for x in parts]),
     )

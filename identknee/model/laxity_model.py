@@ -22,9 +22,11 @@ from identknee.model.effects.effect import Effect, Tests
 from identknee.model.effects.stored import effects_of, values_of
 from identknee.model.extension import Extension, joined
 from identknee.model.joint import Joint, joint_of, sheets_of
+from identknee.model.nuisances.library import nuisances_of
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.model.prediction import Prediction
 from identknee.model.setting import PER_KN, PER_PCT, Setting
+from identknee.model.stated_priors import with_priors
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.outcome import Outcome
 from identknee.runs.short_repr import short_repr
@@ -46,7 +48,7 @@ _GENERALISED = np.array(
 
 
 class _StoredWithKnee(tuple[Effect, ...]):
-    """Stands for the effects of the knee where a model is given none."""
+    """Stands for the effects and nuisances of the knee where a model is given none."""
 
     __slots__ = ()
 
@@ -78,8 +80,8 @@ class LaxityModel:
         About how many contact points to use; None for every vertex of the tibial surfaces.
     effects
         Physical effects that extend the knee, in the order in which they act; those stored with the
-        knee if not given. Their amplitudes are parameters after those of the ligaments, with the
-        values stored with the knee as the subject's own.
+        knee, and its nuisances, if not given. Their amplitudes are parameters after those of the
+        ligaments, with the values stored with the knee as the subject's own.
     order, phase
         As in `Laxity`, for effects that depend on when a trial was run.
     contact
@@ -111,22 +113,13 @@ class LaxityModel:
             joint.start_flexion,
             self.continuation,
         )
-        ligaments = self.knee.ligaments
-        parameters = ligament_parameters(
-            [x.name for x in ligaments],
-            [x.stiffness_kN for x in ligaments],
-            [x.reference_strain_pct for x in ligaments],
-        )
         is_stored = isinstance(self.effects, _StoredWithKnee)
-        effects = effects_of(self.knee) if is_stored else tuple(self.effects)
+        effects = _own_effects(self.knee) if is_stored else tuple(self.effects)
         object.__setattr__(self, "effects", effects)
         extension = Extension(effects=effects)
-        if extension.parameters is not None:
-            parameters = joined([parameters, extension.parameters])
-            own = {x: y for x, y in values_of(self.knee).items() if x in parameters.names}
-            parameters = parameters.with_own(own)
-            if self.contact == "mesh":
-                raise ValueError('effects need contact="field": mesh contact has no derivatives')
+        if effects and self.contact == "mesh":
+            raise ValueError('effects need contact="field": mesh contact has no derivatives')
+        parameters = _parameters(self.knee, extension.parameters)
         object.__setattr__(self, "joint", joint)
         object.__setattr__(self, "paths", paths)
         object.__setattr__(self, "parameters", parameters)
@@ -366,6 +359,32 @@ class LaxityModel:
         total = forces.sum(axis=1)
         share: Array = np.divide(near, total, out=np.zeros(len(centres)), where=total > 0.0)
         return share
+
+
+def _parameters(knee: Knee, amplitudes: Parameters | None) -> Parameters:
+    """Parameters of the ligaments, then the amplitudes, with what the knee states of them."""
+    parameters = ligament_parameters(
+        [x.name for x in knee.ligaments],
+        [x.stiffness_kN for x in knee.ligaments],
+        [x.reference_strain_pct for x in knee.ligaments],
+    )
+    if amplitudes is not None:
+        parameters = joined([parameters, amplitudes])
+    known = set(parameters.names)
+    priors = {name: x for name, x in knee.priors.items() if name in known}
+    bounds = {name: x for name, x in knee.bounds.items() if name in known}
+    own = {name: x for name, x in values_of(knee).items() if name in known}
+    return with_priors(parameters.with_own(own), priors).with_bounds(bounds)
+
+
+def _own_effects(knee: Knee) -> tuple[Effect, ...]:
+    """The effects stored with a knee, then its nuisances.
+
+    An effect that is both is one mechanism: it has the prior of the nuisance.
+    """
+    nuisances = nuisances_of(knee)
+    names = {x.name for x in nuisances}
+    return (*(x for x in effects_of(knee) if x.name not in names), *nuisances)
 
 
 @lru_cache(maxsize=4)

@@ -36,6 +36,12 @@ class Parameters:
         unit=OF_PARAMETER,
     )
     is_log: BoolArray = array("Whether the prior is lognormal", "parameter", dtype=bool)
+    is_nuisance: BoolArray | None = array(
+        "Whether it stands for an error of what is given, with its prior; none does if missing",
+        "parameter",
+        dtype=bool,
+        default=None,
+    )
     own: Array | None = array(
         "The subject's own values where they are not the centre of the prior",
         "parameter",
@@ -56,6 +62,23 @@ class Parameters:
     def n(self) -> int:
         """How many there are."""
         return len(self.names)
+
+    @property
+    def is_of_interest(self) -> BoolArray:
+        """Which are asked for, and are no nuisances, shape ``(n,)``."""
+        return np.ones(self.n, bool) if self.is_nuisance is None else ~self.is_nuisance
+
+    @property
+    def names_of_interest(self) -> tuple[str, ...]:
+        """Names of those that are no nuisances."""
+        return tuple(x for x, asked in zip(self.names, self.is_of_interest, strict=True) if asked)
+
+    @property
+    def nuisance_names(self) -> tuple[str, ...]:
+        """Names of the nuisances."""
+        return tuple(
+            x for x, asked in zip(self.names, self.is_of_interest, strict=True) if not asked
+        )
 
     @property
     def start(self) -> Array:
@@ -105,6 +128,7 @@ class Parameters:
             upper=self.upper[chosen],
             prior_sd=self.prior_sd[chosen],
             is_log=self.is_log[chosen],
+            is_nuisance=None if self.is_nuisance is None else self.is_nuisance[chosen],
             own=None if self.own is None else self.own[chosen],
         )
 
@@ -143,6 +167,10 @@ class Parameters:
         for name, (low, high) in bounds.items():
             lower[self.index(name)], upper[self.index(name)] = low, high
         return replace(self, lower=lower, upper=upper)
+
+    def as_nuisances(self) -> "Parameters":
+        """A copy in which all are nuisances."""
+        return replace(self, is_nuisance=np.ones(self.n, bool))
 
     def with_own(self, values: Mapping[str, float]) -> "Parameters":
         """A copy in which the parameters named have other values of the subject's own."""

@@ -29,18 +29,24 @@ class LaxityResiduals:
         ``"unit"`` for plain differences in mm and deg (equation 6 of the paper), ``"noise"`` for
         differences divided by the stated errors, with the correlation that the errors of a trial
         share taken out.
+    shared
+        What further errors of one standard deviation change in the coordinates, shape
+        ``(n, 5, k)``: they are averaged over, as errors that many values share. None for none.
 
     Raises
     ------
     ValueError
-        If noise weighting is asked for and a measured coordinate has no standard deviation, or if
-        the data are relative to an unloaded pose that their protocol lacks.
+        If noise weighting is asked for and a measured coordinate has no standard deviation, if
+        there are shared errors without noise weighting, or if the data are relative to an unloaded
+        pose that their protocol lacks.
     """
 
     model: LaxityModel
     laxity: Laxity
     weighting: Weighting = "unit"
+    shared: Array | None = None
     _whitening: Array = field(init=False, repr=False)
+    _left: Array | None = field(init=False, repr=False)
 
     __repr__ = short_repr
 
@@ -48,6 +54,13 @@ class LaxityResiduals:
         object.__setattr__(self, "model", self.model.with_tests(self.laxity))
         self._relative(self.laxity.coordinates)
         object.__setattr__(self, "_whitening", _whitening(self.laxity, self.weighting))
+        object.__setattr__(self, "_left", None)
+        if self.shared is not None:
+            if self.weighting == "unit":
+                raise ValueError("shared errors need residuals in units of their noise")
+            columns = self.weighted(self._relative(self.shared))
+            covariance = np.eye(len(columns)) + columns @ columns.T
+            object.__setattr__(self, "_left", np.linalg.inv(np.linalg.cholesky(covariance)))
 
     @property
     def parameters(self) -> Parameters:
@@ -143,7 +156,8 @@ class LaxityResiduals:
             return np.asarray(values[measured])
         known = np.where(measured.reshape(*measured.shape, *(1,) * (values.ndim - 2)), values, 0.0)
         whitened: Array = np.einsum("nij,nj...->ni...", self._whitening, known)
-        return whitened[measured]
+        rows = whitened[measured]
+        return rows if self._left is None else self._left @ rows
 
 
 def _whitening(laxity: Laxity, weighting: Weighting) -> Array:

@@ -4,6 +4,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +20,7 @@ from identknee.subject.frames import Frame, frames_from_landmarks
 from identknee.subject.knee import Knee, Landmark
 from identknee.subject.ligament import Ligament
 from identknee.subject.reference import reference_knee
+from identknee.subject.stated_prior import StatedPrior
 from identknee.subject.subject_file import (
     FORMAT,
     EffectTable,
@@ -27,6 +29,7 @@ from identknee.subject.subject_file import (
     read_tables,
 )
 from identknee.subject.surface import read_surface, write_surface
+from identknee.subject.uncertainty import Uncertainty
 
 FILE = "subject.toml"
 SURFACES = ("femur", "tibia_medial", "tibia_lateral")
@@ -148,6 +151,9 @@ def _knee(file: Path, tables: SubjectTables) -> Knee:
             tibia_frame=tibia_frame,
             landmarks=landmarks,
             effects=tuple(effects),
+            uncertainty=_uncertainty(file, tables),
+            priors=_priors(file, tables),
+            bounds={x: (low, high) for x, (low, high) in tables.bounds.items()},
         ),
     )
     return knee.mirrored() if tables.side == "left" else knee
@@ -200,6 +206,18 @@ def _effect(file: Path, table: EffectTable) -> EffectChoice:
     )
 
 
+def _uncertainty(file: Path, tables: SubjectTables) -> Uncertainty:
+    stated = tables.uncertainty.model_dump()
+    return _made(file, "[uncertainty]", lambda: Uncertainty(**stated))
+
+
+def _priors(file: Path, tables: SubjectTables) -> dict[str, StatedPrior]:
+    return {
+        name: _made(file, f"prior of {name}", partial(StatedPrior, **prior.model_dump()))
+        for name, prior in tables.priors.items()
+    }
+
+
 def _made(file: Path, place: str, make: Callable[[], Made]) -> Made:
     """What `make` makes; the values it refuses are a mistake at a place of the file.
 
@@ -248,7 +266,29 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
         lines += ["", "# Amplitudes of effects are those of a right knee, whose z is lateral."]
     for effect in knee.effects:
         lines += _effect_lines(effect)
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_stated_lines(knee)]) + "\n"
+
+
+def _stated_lines(knee: Knee) -> list[str]:
+    """What the subject states of its uncertainty, its priors and its bounds."""
+    stated = {x.name: getattr(knee.uncertainty, x.name) for x in fields(Uncertainty)}
+    numbers = [(name, x) for name, x in stated.items() if isinstance(x, float) and x > 0.0]
+    spreads = stated["insertions_mm"]
+    lines = []
+    if not knee.uncertainty.is_exact:
+        lines += ["", "[uncertainty]", *(f"{name} = {_toml(x)}" for name, x in numbers)]
+    if not isinstance(spreads, float):
+        for ligament, bones in spreads.items():
+            lines += [f"[uncertainty.insertions_mm.{_toml(ligament)}]"]
+            lines += [f"{bone} = {_toml(x)}" for bone, x in bones.items()]
+    for name, prior in knee.priors.items():
+        given = {"sd": prior.sd, "log_sd": prior.log_sd, "center": prior.center}
+        lines += ["", f"[priors.{_toml(name)}]"]
+        lines += [f"{key} = {_toml(x)}" for key, x in given.items() if x is not None]
+    if knee.bounds:
+        lines += ["", "[bounds]"]
+        lines += [f"{_toml(name)} = {_toml(list(x))}" for name, x in knee.bounds.items()]
+    return lines
 
 
 def _effect_lines(effect: EffectChoice) -> list[str]:

@@ -1,7 +1,7 @@
 """The knee: surfaces, ligaments and frames of one subject."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -11,7 +11,9 @@ from identknee.runs.short_repr import short_repr
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.frames import Frame
 from identknee.subject.ligament import Ligament
+from identknee.subject.stated_prior import StatedPrior
 from identknee.subject.surface import Surface
+from identknee.subject.uncertainty import EXACTLY, Uncertainty
 
 Side = Literal["right", "left"]
 
@@ -64,6 +66,10 @@ class Knee:
         Places the frames were made from or are checked against.
     effects
         Physical effects that extend the model of this subject, in the order in which they act.
+    uncertainty
+        How well all this is known; what is not stated counts as exact.
+    priors, bounds
+        Priors and bounds of parameters by name, in place of the usual ones.
     femur_distance
         Signed distance [mm] of points ``(n, 3)`` to the femur, negative inside, where a closed form
         of it is known.
@@ -85,6 +91,9 @@ class Knee:
     description: str = ""
     landmarks: tuple[Landmark, ...] = ()
     effects: tuple[EffectChoice, ...] = ()
+    uncertainty: Uncertainty = EXACTLY
+    priors: Mapping[str, StatedPrior] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     femur_distance: Callable[[Array], Array] | None = None
 
     __repr__ = short_repr
@@ -102,6 +111,7 @@ class Knee:
             if names.count(name) > 1:
                 kind = "ligaments" if ligaments.count(name) > 1 else "ligaments or effects"
                 raise ValueError(f"two {kind} are called {name}; rename one of them")
+        self.uncertainty.check_ligaments(ligaments)
         object.__setattr__(self, "tibia", tuple(self.tibia))
         object.__setattr__(self, "ligaments", tuple(self.ligaments))
         object.__setattr__(self, "landmarks", tuple(self.landmarks))
@@ -133,6 +143,10 @@ class Knee:
     def with_effects(self, effects: Sequence[EffectChoice]) -> "Knee":
         """A copy whose model is extended by other effects."""
         return replace(self, effects=tuple(effects))
+
+    def with_uncertainty(self, uncertainty: Uncertainty) -> "Knee":
+        """A copy whose geometry and tests are known so well."""
+        return replace(self, uncertainty=uncertainty)
 
     def as_scanned(self, points: Array) -> Array:
         """Points of the common frame [mm], shape ``(..., 3)``, where the scan has them, or back.

@@ -119,6 +119,55 @@ class EffectTable(Part):
     site_sd_mm: Number | None = None
 
 
+Spread = Annotated[
+    Number | list[Point],
+    otherwise("{} is no spread", "Write a standard deviation in mm or three rows of mm^2."),
+]
+
+
+class BoneSpreads(Part):
+    """How far the two insertions of a ligament may be off."""
+
+    femur: Spread = 0.0
+    tibia: Spread = 0.0
+
+
+class UncertaintyTable(Part):
+    """``[uncertainty]``, any of it."""
+
+    insertions_mm: Annotated[
+        Number | dict[str, BoneSpreads],
+        otherwise("{} is no spread", "Write insertions_mm = 2.0, or a table by ligament and bone."),
+    ] = 0.0
+    registration_deg: Number = 0.0
+    registration_mm: Number = 0.0
+    load_axes_deg: Number = 0.0
+    load_gain: Number = 0.0
+    flexion_deg: Number = 0.0
+    trial_flexion_deg: Number = 0.0
+    contact_modulus: Number = 0.0
+    surface_mm: Number = 0.0
+    zero_mm: Number = 0.0
+    zero_deg: Number = 0.0
+    reference_pose_deg: Number = 0.0
+    reference_pose_mm: Number = 0.0
+
+
+class PriorTable(Part):
+    """A ``[priors."NAME"]``."""
+
+    sd: Number | None = None
+    log_sd: Number | None = None
+    center: Number | None = None
+
+
+Range = Annotated[
+    list[Number],
+    Field(min_length=2, max_length=2),
+    otherwise("{} is no range", "Write [lower, upper]."),
+]
+
+
 class LandmarkTable(Part):
     """``[landmarks]``, any of them."""
 
@@ -161,6 +210,17 @@ class SubjectTables(Part):
     ligaments: Annotated[list[Annotated[LigamentTable, _LIGAMENTS]], _LIGAMENTS]
     effects: Annotated[list[Annotated[EffectTable, _EFFECTS]], _EFFECTS] = Field(
         default_factory=list
+    )
+
+    uncertainty: Annotated[
+        UncertaintyTable, otherwise(_TABLE, "Write it below a line [uncertainty].")
+    ] = Field(default_factory=UncertaintyTable)
+    priors: Annotated[
+        dict[str, PriorTable],
+        otherwise(_TABLE, 'Write each below a line [priors."ACL.stiffness_kN"].'),
+    ] = Field(default_factory=dict)
+    bounds: Annotated[dict[str, Range], otherwise(_TABLE, "Write them below a line [bounds].")] = (
+        Field(default_factory=dict)
     )
 
     @model_validator(mode="after")
@@ -217,7 +277,7 @@ def place_of(place: Place, values: Mapping[str, Any], key: str = "") -> str:
         name = own.get("name", steps[1] + 1) if isinstance(own, dict) else steps[1] + 1
         table = f"{str(steps[0])[:-1]} {name}"
         steps = steps[2:]
-    elif steps and steps[0] in ("frames", "surfaces", "landmarks"):
+    elif steps and steps[0] in ("frames", "surfaces", "landmarks", "uncertainty", "bounds"):
         is_frame = steps[:1] == ["frames"] and len(steps) > 1 and steps[1] in ("femur", "tibia")
         whole = steps[: 2 if is_frame else 1]
         table = f"[{'.'.join(map(str, whole))}]"

@@ -1,8 +1,10 @@
 """What every answer carries beside its numbers: what speaks against it, and how it was made."""
 
+from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from identknee.identify.nuisances import NuisanceEstimate
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.record import Record
@@ -20,6 +22,13 @@ class Answer:
 
     seconds: float = entry("Time taken, without loading and compiling", unit="s", default=0.0)
     assumptions: tuple[str, ...] = entry("What was taken for granted, as sentences", default=())
+    uncertainty: Mapping[str, str] = entry(
+        "What of knee and tests was taken as uncertain, by how much, and what as exact",
+        default_factory=dict,
+    )
+    nuisances: tuple[NuisanceEstimate, ...] = entry(
+        "What was taken as uncertain, as the best fit leaves it", default=()
+    )
     findings: tuple[Finding, ...] = entry("What speaks against the result", default=())
     record: Record | None = entry(
         "The call, its inputs, seed, versions and time; only what a verb gave back has one",

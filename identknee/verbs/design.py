@@ -20,6 +20,7 @@ from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
 from identknee.runs.files import PathLike
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
 from identknee.verbs.values import BoundsLike, NoiseLike
@@ -113,6 +114,7 @@ def design(
     candidates: str | None = None,
     level: float = 0.95,
     noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
     start: str = "subject",
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
@@ -145,6 +147,10 @@ def design(
         compression and pairs of loads at 0 to 120 deg, and repeats, if None.
     level
         Confidence level of the intervals.
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     noise, start, fixed, bounds
         As for `identknee.verbs.identification.identification`.
     out
@@ -191,6 +197,7 @@ def design(
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
         assumptions=setup.assumptions,
+        **setup.uncertain_at(best.optimum),
         findings=setup.findings_at(best.optimum, best.deviance, fits),
     )
     if run.out is not None:

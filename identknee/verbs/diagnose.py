@@ -26,6 +26,7 @@ from identknee.scrutiny.contradictions import end_point_findings
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.diagnosis import (
     PULL,
     WRENCH,
@@ -64,6 +65,7 @@ def diagnose(
     data: LaxityLike,
     *,
     noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
     start: str = "subject",
     effects: Sequence[Effect] | None = None,
     out: PathLike | None = None,
@@ -84,6 +86,10 @@ def diagnose(
         Measured laxity, its CSV file, or the name of a subject that comes with one.
     noise
         Standard deviations of lengths and angles [mm, deg], in place of those of the data.
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     start
         Where one more fit of the model without causes begins: the name of a start or a file;
         ``"subject"`` for none.
@@ -134,6 +140,9 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
     knee, n = base.fitted.model.knee, base.fitted.model.n_ligament_parameters
     wrench = found.missing_wrench
     return Diagnosis(
+        assumptions=(knee.uncertainty.sentence,),
+        uncertainty=knee.uncertainty.words,
+        nuisances=base.fitted.nuisances,
         verdict=conclusion.verdict,
         sentence=conclusion.sentence,
         p_value=conclusion.p_value,
@@ -154,7 +163,7 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
         parameters_after_ci95=_intervals(after),
         effects={x.name: x for x in found.exclusions},
         trials=trials_of(found.laxity),
-        residuals=Residuals(before=_residuals(base), after=_residuals(best), sd=found.noise.sd),
+        residuals=Residuals(before=base.differences, after=best.differences, sd=found.noise.sd),
         trial_wrench=TrialWrench(
             components=WRENCH,
             whole=WRENCH_UNITS * wrench.wrench,
@@ -276,6 +285,7 @@ def _misfit(found: Investigation) -> Misfit:
 
 def _pull(pull: MissingPull) -> Pull:
     values: dict[str, Any] = {}
+    first, second = (tuple(row) for row in pull.covariance.tolist())
     means, errors = (PULL_UNITS * pull.mean).tolist(), (PULL_UNITS * pull.sd).tolist()
     for name, mean, error in zip(PULL, means, errors, strict=True):
         values |= {name: mean, f"sd_{name}": error}
@@ -284,13 +294,9 @@ def _pull(pull: MissingPull) -> Pull:
         direction=pull.direction,
         n_trials=pull.n_trials,
         p_value=pull.p_value,
-        force_covariance=(_pair(pull.covariance[0]), _pair(pull.covariance[1])),
+        force_covariance=(first, second),
         **values,
     )
-
-
-def _pair(values: Array) -> tuple[float, float]:
-    return float(values[0]), float(values[1])
 
 
 def _noise(found: Investigation) -> NoiseFound:
@@ -335,12 +341,8 @@ def _explanation(refit: Refit, n: int) -> Explanation:
         p_value=refit.misfit_p_value,
         outcome=refit.fitted.outcome,
         theta=refit.fitted.theta[:n],
-        residuals=_residuals(refit),
+        residuals=refit.differences,
     )
-
-
-def _residuals(refit: Refit) -> Array:
-    return refit.fitted.compared.differences(refit.fitted.theta)
 
 
 def _steps(found: Investigation) -> tuple[StepScores, ...]:

@@ -20,6 +20,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import (
     Identification,
@@ -80,6 +81,7 @@ def equivalents(
     forces: Forces = "largest",
     trials: str | None = None,
     noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
     start: str = "subject",
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
@@ -107,6 +109,10 @@ def equivalents(
         ``"all"`` trials, or ``"none"``.
     trials
         Protocol in whose trials forces are bounded, if not in those of the data.
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     noise, start, fixed, bounds
         As for `identknee.verbs.identification.identification`.
     out
@@ -157,6 +163,7 @@ def equivalents(
         coordinates=np.array([x.coordinates for x in predictions]),
         tension_N=np.array([tensions_of(model, x) for x in predictions]),
         assumptions=setup.assumptions,
+        **setup.uncertain_at(best.theta),
         findings=setup.findings_at(best.theta, 2.0 * best.objective),
     )
 

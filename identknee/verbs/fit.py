@@ -8,9 +8,10 @@ import numpy as np
 from identknee.calibrate.doubts import bound_findings, misfit_findings, unstated_misfit_findings
 from identknee.calibrate.fit import Fit
 from identknee.calibrate.fit import fit as search
-from identknee.calibrate.problem import Problem, with_bounds
+from identknee.calibrate.problem import Problem, with_bounds, with_nuisance_priors
 from identknee.calibrate.second_start import second_search
 from identknee.calibrate.starts import load_start
+from identknee.identify.nuisances import nuisance_estimates
 from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import Laxity
 from identknee.mechanics.load_paths import Continuation
@@ -26,6 +27,7 @@ from identknee.scrutiny.against_load import against_load_findings
 from identknee.scrutiny.broken_convention import convention_findings
 from identknee.scrutiny.contradictions import end_point_findings, row_findings
 from identknee.scrutiny.unmeasured import unmeasured_findings
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
@@ -113,6 +115,7 @@ def fit(
     method: str = "least-squares",
     budget: int | None = None,
     weighting: Weighting = "unit",
+    uncertain: UncertainLike = None,
     priors: bool = False,
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
@@ -138,6 +141,10 @@ def fit(
         Simulations allowed; 2,500 if None.
     weighting
         ``"unit"`` for plain mm and deg, ``"noise"`` for residuals divided by their stated noise.
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     priors
         Whether to add the priors of the parameters.
     fixed
@@ -164,7 +171,7 @@ def fit(
     laxity = run.laxity
     model = LaxityModel(knee=run.knee, protocol=laxity.protocol, continuation=continuation)
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=weighting)
-    problem = with_bounds(residuals, bounds_of(bounds))
+    problem = with_nuisance_priors(with_bounds(residuals, bounds_of(bounds)))
     theta = load_start(start, problem.parameters)
     warm_up(run.knee, laxity.protocol)
     run.start_clock()
@@ -181,6 +188,9 @@ def fit(
         search=found,
         data=laxity,
         rmse=error,
+        assumptions=(run.knee.uncertainty.sentence,),
+        uncertainty=run.knee.uncertainty.words,
+        nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=_findings(problem, found, (model, prediction), error, laxity),
     )
 
@@ -212,15 +222,16 @@ def _findings(
     if found.outcome is Outcome.START_FAILED:
         about_the_table = (*against_load_findings(laxity), *end_point_findings(laxity))
         return (*about_the_table, *_not_fitted(laxity, prediction))
-    n_free = found.parameters.n - len(found.fixed)
+    n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
     if _states_noise(laxity):
         weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
         residuals = weighted.residuals(found.theta)
         misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
-    bounds = bound_findings(found.theta, found.parameters, found.fixed)
-    rows = row_findings(model, laxity, found.theta, fixed=found.fixed)
+    held = (*found.fixed, *found.parameters.nuisance_names)
+    bounds = bound_findings(found.theta, found.parameters, held)
+    rows = row_findings(model, laxity, found.theta, fixed=held)
     about_the_knee = (
         *stability_findings(model),
         *rim_findings(laxity.protocol.trials, prediction),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,11 +12,18 @@ from identknee.calibrate.doubts import (
     start_findings,
     unstated_misfit_findings,
 )
-from identknee.calibrate.fit import Fit
-from identknee.calibrate.problem import Problem, Restricted, restricted, with_bounds
+from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.problem import (
+    Problem,
+    Restricted,
+    restricted,
+    with_bounds,
+    with_nuisance_priors,
+)
 from identknee.calibrate.starts import load_start
 from identknee.identify.feasibility import feasibility_findings
 from identknee.identify.noise import EstimatedNoise, with_estimated_noise
+from identknee.identify.nuisances import nuisance_estimates, nuisance_findings
 from identknee.identify.optimum import best_fits as find_best_fits
 from identknee.identify.optimum import check_inside
 from identknee.laxity.protocol import Protocol
@@ -23,6 +31,7 @@ from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals
+from identknee.model.shared_errors import has_shared_errors, shared_errors
 from identknee.model.soundness import rim_findings, stability_findings
 from identknee.runs.arrays import Array
 from identknee.runs.errors import NotComputed
@@ -91,20 +100,33 @@ class Identification:
             *rim_findings(
                 self.model.protocol.trials, self.model.predict_once(self.free.expand(theta))
             ),
+            *nuisance_findings(self.problem, np.asarray(theta)),
         )
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
-            misfit = misfit_findings(deviance, n, parameters.n)
+            asked = int(parameters.is_of_interest.sum())
+            misfit = misfit_findings(deviance, n, asked)
         else:
             # That the noise was estimated is among the assumptions.
             left = unstated_misfit_findings(*self.estimated_noise)
             misfit = tuple(x for x in left if x.severity is not Severity.INFO)
-        bounds = bound_findings(np.asarray(theta), parameters)
+        bounds = bound_findings(np.asarray(theta), parameters, parameters.nuisance_names)
         if not fits:
             return (*misfit, *bounds, *model)
         thetas = np.array([x.theta for x in fits])
         deviances = 2.0 * np.array([x.objective for x in fits])
         return (*misfit, *bounds, *start_findings(thetas, deviances, parameters), *model)
+
+    def uncertain_at(self, theta: Array) -> dict[str, Any]:
+        """What an answer says of uncertain geometry and tests: `uncertainty` and `nuisances`.
+
+        Parameters
+        ----------
+        theta
+            The best parameters of the problem, shape ``(n,)``.
+        """
+        nuisances = nuisance_estimates(self.problem, np.asarray(theta))
+        return {"uncertainty": self.knee.uncertainty.words, "nuisances": nuisances}
 
     def free_index(self, name: str, option: str) -> int:
         """Where the parameter called `name` stands among those that vary.
@@ -160,12 +182,15 @@ def identification(
         model=model, laxity=laxity, weighting="unit" if laxity.sd is None else "noise"
     )
     theta = load_start(start, with_bounds(residuals, limits).parameters)
-    part = restricted(with_bounds(residuals, limits), fixed or (), theta)
     warm_up(knee, laxity.protocol)
-    problem: Problem = part
+    if has_shared_errors(knee.uncertainty):
+        residuals = _with_shared_errors(residuals, theta)
+    part = restricted(with_bounds(residuals, limits), fixed or (), theta)
+    problem = with_nuisance_priors(part)
     degrees: int | None = None
     sizes: Sizes = (None, None)
-    assumptions = _about_the_data(laxity, part.parameters.n)
+    asked = int(part.parameters.is_of_interest.sum())
+    assumptions = [knee.uncertainty.sentence, *_about_the_data(laxity, asked)]
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
         problem, degrees = estimate.problem, estimate.degrees_of_freedom
@@ -274,6 +299,19 @@ def _no_prediction(model: LaxityModel, laxity: Laxity, start: Array) -> NotCompu
         f"no parameters near the start have a prediction in every measured trial{where}. Choose "
         "another --start, leave the cells of such trials blank, or see: identknee subject check"
     )
+
+
+def _with_shared_errors(residuals: LaxityResiduals, theta: Array) -> LaxityResiduals:
+    """The residuals with the errors averaged over that the knee states, linear at a first fit."""
+    if residuals.weighting == "unit":
+        raise ValueError(
+            "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
+            "--noise, for example --noise 0.5mm,0.5deg"
+        )
+    first = fit(with_nuisance_priors(residuals), theta)
+    if first.outcome is Outcome.START_FAILED:
+        raise _no_prediction(residuals.model, residuals.laxity, theta)
+    return replace(residuals, shared=shared_errors(residuals.model, first.theta))
 
 
 def _with_estimated_noise(

@@ -8,6 +8,7 @@ from identknee.identify.information.information import information as fisher_inf
 from identknee.identify.information.structure import StructureCheck, check_structure
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.files import PathLike
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import best_fits, identification
 from identknee.verbs.values import BoundsLike, NoiseLike
@@ -49,6 +50,7 @@ def information(
     *,
     scaling: Scaling = "typical",
     noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
     start: str = "subject",
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
@@ -67,6 +69,10 @@ def information(
     scaling
         What directions are measured in: ``"typical"`` steps of 3 kN and 2 %, or ``"prior"``
         standard deviations.
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     noise, start, fixed, bounds
         As for `identknee.verbs.identification.identification`.
     out
@@ -97,5 +103,6 @@ def information(
         geodesics=geodesics(setup.problem, theta, scaling=scaling),
         degrees_of_freedom=setup.degrees_of_freedom,
         assumptions=setup.assumptions,
+        **setup.uncertain_at(theta),
         findings=setup.findings_at(theta, 2.0 * fits[0].objective, fits),
     )

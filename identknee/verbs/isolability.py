@@ -10,6 +10,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputed
 from identknee.runs.files import PathLike
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import warm_up
 from identknee.verbs.trials import AdvisedTrial, advised
@@ -62,6 +63,7 @@ def isolability(
     protocol: Protocol | PathLike,
     noise: str | tuple[float, float],
     *,
+    uncertain: UncertainLike = None,
     out: PathLike | None = None,
     seed: int = 0,
     workers: int = 1,
@@ -76,6 +78,10 @@ def isolability(
         The trials, the name of a protocol, or its file.
     noise
         Standard deviations of lengths and angles [mm, deg].
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     out
         Folder for the results; nothing is written if None.
     seed

@@ -20,6 +20,7 @@ from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.files import PathLike
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
 from identknee.verbs.values import BoundsLike, NoiseLike
@@ -86,6 +87,7 @@ def profile(
     budget: int = 1000,
     bootstrap: int = 0,
     noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
     start: str = "subject",
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
@@ -102,7 +104,7 @@ def profile(
     data
         Measured laxity, its CSV file, or the name of a subject that comes with one.
     parameters
-        Names such as ``ACL.stiffness_kN``; all if None.
+        Names such as ``ACL.stiffness_kN``; all but nuisances if None.
     quantities
         Predictions too: ``ACL.tension_N@TRIAL`` or ``varus_deg@TRIAL``.
     forces
@@ -117,6 +119,10 @@ def profile(
         Simulations that a profile may make.
     bootstrap
         Simulated data sets that the thresholds come from; the chi-squared or F law if 0.
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     noise, start, fixed, bounds
         As for `identknee.verbs.identification.identification`.
     out
@@ -177,13 +183,14 @@ def profile(
         deviance=best.deviance,
         degrees_of_freedom=setup.degrees_of_freedom,
         assumptions=setup.assumptions,
+        **setup.uncertain_at(best.optimum),
         findings=setup.findings_at(best.optimum, best.deviance, fits),
     )
 
 
 def _parameters(setup: Identification, chosen: Sequence[str] | None) -> list[Quantity]:
     parameters = setup.problem.parameters
-    names = chosen or parameters.names
+    names = chosen or parameters.names_of_interest
     for name in names:
         setup.free_index(name, "--parameter")
     return [ParameterQuantity(parameters=parameters, name=name) for name in names]

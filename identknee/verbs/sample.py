@@ -21,6 +21,7 @@ from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
 from identknee.verbs.sample_cells import MeasuredCells, measured_cells
@@ -159,6 +160,7 @@ def sample(
     budget: int = 400_000,
     nested: bool = False,
     noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
     start: str = "subject",
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
@@ -185,6 +187,10 @@ def sample(
         Simulations after which sampling ends anyway; with more the same work goes on.
     nested
         Whether to add a second opinion and the evidence, by dynesty.
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     noise, start, fixed, bounds
         As for `identknee.verbs.identification.identification`.
     out
@@ -226,6 +232,7 @@ def sample(
         data=setup.laxity,
         nested=_nested(setup, posterior, seed) if nested and is_begun else None,
         assumptions=(*setup.assumptions, *_about_noise(setup)),
+        uncertainty=setup.knee.uncertainty.words,
         findings=_findings(setup, posterior),
     )
 

@@ -130,7 +130,8 @@ def _outputs(
 ) -> LaxityOutputs:
     trials = load_protocol(protocol) if laxity is None else laxity.protocol
     model = LaxityModel(knee=knee, protocol=trials)
-    free = model.parameters.with_fixed(fixed or (), load_start(start, model.parameters))
+    held = {*(fixed or ()), *model.parameters.nuisance_names}
+    free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
     if free.parameters.n < 2:
         raise ValueError(
             "a sensitivity analysis needs at least two parameters that vary; fix fewer"

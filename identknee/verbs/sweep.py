@@ -17,6 +17,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
 from identknee.verbs.values import BoundsLike, NoiseLike
@@ -63,6 +64,7 @@ def sweep(
     within: float = WITHIN,
     paths: int = 100,
     noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
     start: str = "subject",
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
@@ -90,6 +92,10 @@ def sweep(
         Mean distance in kN and in % from the best end at which it counts as recovered.
     paths
         Starts whose straight path to the best end is searched for cliffs.
+    uncertain
+        How well geometry, frames and loads are known, as in
+        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
+        exactly.
     noise, start, fixed, bounds
         As for `identknee.verbs.identification.identification`.
     out
@@ -115,6 +121,9 @@ def sweep(
     else:
         shells = _numbers(distances)
         starts = shell_starts(parameters, n_starts, center=setup.start, distances=shells, seed=seed)
+    # Nuisances are asked of no one, so a start holds the middle of their priors.
+    nuisances = ~parameters.is_of_interest
+    starts[:, nuisances] = setup.start[nuisances]
     run.start_clock()
     searches = searched(
         setup.problem,
@@ -131,6 +140,7 @@ def sweep(
         survey=survey,
         cliffs=_cliffs(run, setup, survey, paths),
         assumptions=setup.assumptions,
+        uncertainty=setup.knee.uncertainty.words,
         findings=_findings(setup, survey),
     )
 

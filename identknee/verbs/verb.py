@@ -20,6 +20,7 @@ from identknee.runs.resume import finish_work, open_work
 from identknee.runs.store import Store
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
+from identknee.subject.uncertainty import with_stated
 from identknee.verbs.answer import Answer
 from identknee.verbs.knee_digest import knee_digest
 
@@ -165,6 +166,8 @@ def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator
     laxity = data if data is None or isinstance(data, Laxity) else read_laxity(data)
     subject = arguments.get("subject", "reference")
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
+    if (stated := arguments.get("uncertain")) is not None:
+        knee = knee.with_uncertainty(with_stated(knee.uncertainty, stated))
     inputs = _inputs(arguments, knee, data)
     settings = {key: _setting(value) for key, value in arguments.items()}
     recording = record(name, settings, inputs, arguments.get("seed"))

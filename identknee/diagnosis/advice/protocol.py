@@ -34,7 +34,6 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.contact_law import contact_nuisance
 from identknee.model.effects.effect import Effect
-from identknee.model.effects.facts import FACTS
 from identknee.model.effects.library import library
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -119,8 +118,10 @@ def protocol_isolability(
     fitted = _own_fit(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
     if fitted is None:
         return None
-    candidates = library_candidates(fitted, library(knee), seed=seed)
-    typical = [candidates.typical(name) for name in FACTS]
+    present = {x.name for x in fitted.model.effects}
+    tried = [x for x in library(knee) if x.name not in present]
+    candidates = library_candidates(fitted, tried, seed=seed)
+    typical = [candidates.typical(x.name) for x in tried]
     variants = [x for x in typical if x is not None]
     projected = [candidates.projected(x) for x in variants]
     apart = worst_distances(projected, ROOT, candidates.test.signatures)

@@ -12,11 +12,12 @@ from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
 from identknee.diagnosis.noise.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.noise.nuisances import nuisance_changes
 from identknee.diagnosis.score.misfit import Projector, base_projector
+from identknee.identify.nuisances import NuisanceEstimate, nuisance_estimates
 from identknee.identify.optimum import sobol_around
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.contact_law import CONTACT_LAW, contact_nuisance
-from identknee.model.effects.stored import effects_of, values_of
+from identknee.model.effects.stored import values_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
@@ -130,6 +131,11 @@ class Fitted:
         return -self.evaluation.residuals
 
     @property
+    def nuisances(self) -> tuple[NuisanceEstimate, ...]:
+        """What the knee states to be uncertain, as the fit leaves it."""
+        return nuisance_estimates(weighed(self.model, self.laxity, self.noise), self.theta)
+
+    @property
     def projector(self) -> Projector:
         """What the fitted parameters cannot explain."""
         return base_projector(self.evaluation.jacobian)
@@ -231,11 +237,11 @@ def plain_noise(laxity: Laxity) -> NoiseModel:
 
 
 def base_model(knee: Knee, protocol: Protocol) -> LaxityModel:
-    """The model of a subject with the effects stored with it and the contact law as a nuisance."""
-    effects = effects_of(knee)
-    if not any(x.name == CONTACT_LAW for x in effects):
-        effects = (contact_nuisance(), *effects)
-    return LaxityModel(knee=knee, protocol=protocol, effects=effects)
+    """The model of a subject with its effects, its nuisances and the contact law as one more."""
+    own = LaxityModel(knee=knee, protocol=protocol)
+    if any(x.name == CONTACT_LAW for x in own.effects):
+        return own
+    return own.with_effects([contact_nuisance(), *own.effects])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

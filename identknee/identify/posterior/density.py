@@ -4,7 +4,7 @@ import numpy as np
 from scipy.stats import norm
 
 from identknee.calibrate.evaluation import Evaluation, evaluate
-from identknee.calibrate.problem import Problem
+from identknee.calibrate.problem import Problem, without_priors
 from identknee.identify.shares import share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
@@ -23,12 +23,14 @@ class LogPosterior:
     Attributes
     ----------
     problem
-        Its residuals in units of their noise.
+        Its residuals in units of their noise; rows of priors are left out, since the density has
+        those of all parameters.
     """
 
     problem: Problem
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "problem", without_priors(self.problem))
         parameters = self.problem.parameters
         is_log = parameters.is_log
         if np.any(parameters.prior_sd <= 0) or np.any(parameters.center[is_log] <= 0):

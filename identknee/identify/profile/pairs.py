@@ -198,6 +198,7 @@ class AlongRay:
             lower=np.r_[0.0, others.lower],
             upper=np.r_[farthest, others.upper],
             prior_sd=np.r_[1.0, others.prior_sd],
+            is_nuisance=np.r_[False, ~others.is_of_interest],
             is_log=np.r_[False, others.is_log],
         )
 

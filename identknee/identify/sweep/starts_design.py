@@ -91,7 +91,7 @@ def distance(thetas: ArrayLike, target: ArrayLike, parameters: Parameters) -> Ar
     """How far parameter sets are from one, as the paper counts it, shape ``(...,)``.
 
     The mean absolute difference of the stiffnesses [kN] or of the reference strains [%], whichever
-    is larger; parameters in other units count in typical steps.
+    is larger; parameters in other units count in typical steps, and nuisances do not count.
 
     Parameters
     ----------
@@ -104,7 +104,12 @@ def distance(thetas: ArrayLike, target: ArrayLike, parameters: Parameters) -> Ar
     """
     groups = unit_groups(parameters)
     differences = np.abs(np.asarray(thetas) - np.asarray(target)) / distance_units(parameters)
-    means = [differences[..., groups == k].mean(axis=-1) for k in range(int(groups.max()) + 1)]
+    asked = [groups[parameters.is_of_interest] == k for k in range(int(groups.max()) + 1)]
+    means = [
+        differences[..., parameters.is_of_interest][..., one].mean(axis=-1)
+        for one in asked
+        if one.any()
+    ]
     return np.asarray(np.max(means, axis=0))
 
 

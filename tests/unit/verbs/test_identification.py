@@ -41,13 +41,13 @@ def test_stated_noise_gives_residuals_of_variance_one(measured: Laxity, tmp_path
     # The mean square of 315 standard normal residuals has sd sqrt(2 / 315); 4 of them.
     assert np.mean(residuals**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 315))
     assert setup.degrees_of_freedom is None
-    assert setup.assumptions == ()
+    assert setup.assumptions == (setup.knee.uncertainty.sentence,)
 
 
 def test_unstated_noise_is_estimated_and_said(measured: Laxity, tmp_path: Path) -> None:
     setup = identified(written(replace(measured, sd=None), tmp_path))
     assert setup.degrees_of_freedom == 315 - 8
-    (sentence,) = setup.assumptions
+    _, sentence = setup.assumptions
     assert "state no noise" in sentence
     residuals = setup.problem.residuals(setup.problem.parameters.center)
     assert np.mean(residuals**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 315))
@@ -111,7 +111,8 @@ def test_noise_stated_of_some_coordinates_only_is_refused(measured: Laxity, tmp_
     path.write_text("\n".join(kept) + "\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"sd_varus_deg is missing\..*--noise 0\.5mm,0\.5deg"):
         identified(path)
-    assert identified(path, noise="0.2mm,0.4deg").assumptions == ()
+    stated = identified(path, noise="0.2mm,0.4deg")
+    assert stated.assumptions == (stated.knee.uncertainty.sentence,)
 
 
 def test_a_misfit_beyond_the_noise_is_said(measured: Laxity, tmp_path: Path) -> None:

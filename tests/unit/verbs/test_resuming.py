@@ -37,6 +37,8 @@ def changed(name: str, value: Any) -> Any:
         return value.with_ligaments([replace(first, stiffness_kN=9.0), *others])
     if name == "data":
         return OTHER
+    if name == "uncertain":
+        return "insertions=1mm"
     if isinstance(value, bool):
         return not value
     if isinstance(value, int | float):

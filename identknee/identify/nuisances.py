@@ -1,0 +1,138 @@
+"""What the data say of nuisances: how far each is from the middle of its prior."""
+
+import numpy as np
+from scipy.special import chdtrc
+
+from identknee.calibrate.evaluation import evaluate
+from identknee.calibrate.problem import Problem
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
+from identknee.runs.findings import Finding, Severity
+
+# Joint distance of a group of nuisances from their prior that is worth a word: 3 standard
+# deviations of one of them, shared by all groups that are looked at.
+IMPROBABLE = 0.0027
+# Share of its prior variance that the data must take from a combination of nuisances to speak of
+# it: what they hardly see has no scatter of its own.
+LEAST_SEEN = 1e-6
+
+
+OF_NUISANCE = "mm, deg or a plain number, as its name says"
+
+
+@declared
+class NuisanceEstimate:
+    """A nuisance at the best fit."""
+
+    name: str = entry("Name of the nuisance, whose last word is the unit")
+    value: float = entry("Value at the best fit", unit=OF_NUISANCE)
+    sd: float = entry(
+        "Standard deviation that data and prior leave, to first order", unit=OF_NUISANCE
+    )
+    prior_sd: float = entry("Standard deviation of the prior", unit=OF_NUISANCE)
+    center: float = entry("Middle of the prior", unit=OF_NUISANCE)
+
+    @property
+    def away(self) -> float:
+        """Distance from the middle of the prior in its standard deviations."""
+        return (self.value - self.center) / self.prior_sd
+
+
+@declared
+class NuisanceGroup:
+    """Nuisances of one kind and place together."""
+
+    name: str = entry("What they have in common, such as insertion.ACL_femur")
+    n: int = entry("How many there are", unit="1")
+    p_value: float = entry("Probability that errors with the stated prior lie so far out", unit="1")
+
+
+def nuisance_estimates(problem: Problem, theta: Array) -> tuple[NuisanceEstimate, ...]:
+    """The nuisances of a problem at its best fit, in the order of theta; empty without any.
+
+    Parameters
+    ----------
+    problem
+        Its residuals in units of their noise, with rows for the priors of the nuisances.
+    theta
+        The best fit, shape ``(n,)``.
+    """
+    p = problem.parameters
+    places = np.flatnonzero(~p.is_of_interest)
+    if not places.size:
+        return ()
+    sds = np.sqrt(np.diag(_covariance(problem, theta)))
+    return tuple(
+        NuisanceEstimate(
+            name=p.names[i],
+            value=float(theta[i]),
+            sd=float(min(sds[i], p.prior_sd[i])),
+            prior_sd=float(p.prior_sd[i]),
+            center=float(p.center[i]),
+        )
+        for i in places
+    )
+
+
+def nuisance_groups(problem: Problem, theta: Array) -> tuple[NuisanceGroup, ...]:
+    """How improbable the nuisances of each kind and place are under their prior.
+
+    Estimates scatter by what the data have taken from the variance of the prior. Parameters as in
+    `nuisance_estimates`.
+    """
+    p = problem.parameters
+    covariance = _covariance(problem, theta)
+    groups: dict[str, list[int]] = {}
+    for i in np.flatnonzero(~p.is_of_interest).tolist():
+        groups.setdefault(_group(p.names[i]), []).append(i)
+    made = []
+    for name, places in groups.items():
+        sd = p.prior_sd[places]
+        away = (theta[places] - p.center[places]) / sd
+        scatter = np.eye(len(places)) - covariance[np.ix_(places, places)] / np.outer(sd, sd)
+        size, directions = np.linalg.eigh(scatter)
+        seen = size > LEAST_SEEN
+        square = float(np.sum((directions[:, seen].T @ away) ** 2 / size[seen]))
+        n = int(seen.sum())
+        p_value = float(chdtrc(n, square)) if n else 1.0
+        made.append(NuisanceGroup(name=name, n=len(places), p_value=p_value))
+    return tuple(made)
+
+
+def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
+    """A finding for each group of nuisances that lies beyond its prior.
+
+    Parameters as in `nuisance_estimates`.
+    """
+    groups = nuisance_groups(problem, theta)
+    found = []
+    values = {x.name: x for x in nuisance_estimates(problem, theta)}
+    for group in groups:
+        if group.p_value * len(groups) >= IMPROBABLE:
+            continue
+        own = [x for name, x in values.items() if _group(name) == group.name]
+        farthest = max(own, key=lambda x: abs(x.away))
+        sentence = (
+            f"The fit moves {group.name} beyond its stated uncertainty "
+            f"({farthest.name} {farthest.value:.3g}, stated to {farthest.prior_sd:.3g}; such "
+            f"errors have a probability of {group.p_value:.2g}): what is stated is too narrow, or "
+            "another cause stands behind it. See: identknee diagnose"
+        )
+        found.append(Finding(severity=Severity.WARNING, sentence=sentence, where=group.name))
+    return tuple(found)
+
+
+def _group(name: str) -> str:
+    """Kind and place of a nuisance: its name without axis and unit."""
+    kind, _, rest = name.partition(".")
+    words = rest.split("_")
+    return f"{kind}.{'_'.join(words[:-2])}" if len(words) > 2 else kind
+
+
+def _covariance(problem: Problem, theta: Array) -> Array:
+    """Covariance of all parameters to first order, what data and priors do not see left out."""
+    jacobian = evaluate(problem, theta).jacobian
+    p = problem.parameters
+    scaled = jacobian * p.prior_sd_in_own_units
+    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    return np.asarray(inverse * np.outer(p.prior_sd_in_own_units, p.prior_sd_in_own_units))

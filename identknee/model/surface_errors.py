@@ -1,0 +1,127 @@
+"""Errors of the cartilage surfaces: smooth random offsets, and what they change in readings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from identknee.mechanics.contact_places import ContactPlaces
+from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
+from identknee.model.trial_contacts import trial_contacts
+from identknee.runs.arrays import Array, frozen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SurfaceBumps:
+    """Gaussian bumps of one surface, whose random heights make it rough.
+
+    Independent heights of variance 1 give every place of the surface a height of variance 1, and
+    places that are a distance r apart a correlation of about ``exp(-r^2 / (4 length^2))``.
+
+    Attributes
+    ----------
+    centres
+        [mm], shape ``(k, 3)``, in the axes of the bone.
+    length
+        Of a bump [mm].
+    """
+
+    centres: Array
+    length: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centres", frozen(self.centres, None, 3, name="centres"))
+
+    def heights(self, places: Array) -> Array:
+        """How high each bump of height 1 is at places (n, 3) [mm] of its surface, ``(n, k)``."""
+        squares = ((places[:, None] - self.centres) ** 2).sum(axis=2)
+        bumps = np.exp(-0.5 * squares / self.length**2)
+        return np.asarray(bumps / np.linalg.norm(bumps, axis=1, keepdims=True))
+
+    def slopes(self, places: Array) -> Array:
+        """Gradients of `heights` by the places, shape ``(n, 3, k)``."""
+        heights = self.heights(places)
+        # Normed heights change by what is left of the bumps' own change across them.
+        middle = heights**2 @ self.centres
+        away = self.centres.T - middle[:, :, None]
+        return np.asarray(heights[:, None] * away / self.length**2)
+
+
+def surface_bumps(
+    contacts: Sequence[ContactPlaces], tibial: Array, length: float
+) -> tuple[SurfaceBumps, SurfaceBumps]:
+    """Bumps of tibia and femur, in their axes, wherever they touch.
+
+    Parameters
+    ----------
+    contacts
+        The contact of every trial.
+    tibial
+        All contact points in tibial axes [mm], shape ``(n, 3)``.
+    length
+        Of a bump [mm].
+    """
+    touched = np.unique(np.concatenate([x.index for x in contacts]))
+    femoral = np.concatenate([x.femoral for x in contacts])
+    return (
+        SurfaceBumps(centres=_apart(tibial[touched], length), length=length),
+        SurfaceBumps(centres=_apart(femoral, length), length=length),
+    )
+
+
+def surface_changes(model: LaxityModel, prediction: Prediction, length: float) -> Array:
+    """Derivatives of what is measured by the heights of all bumps, shape ``(n, 5, k)``.
+
+    Bumps lie on tibia and femur wherever they touch in any trial, and raise the surface. In mm and
+    deg per mm; independent heights of standard deviation s stand for surfaces whose height is off
+    by s. NaN in trials that did not converge.
+
+    Raises
+    ------
+    ValueError
+        If the prediction is one of mesh contact, which has no Hessians.
+    """
+    if prediction.hessians is None:
+        raise ValueError('surface roughness needs a prediction with contact="field"')
+    contacts = trial_contacts(model, prediction)
+    tibial = model.joint.contact.points
+    bumps = surface_bumps(contacts, tibial, length)
+    moved = np.stack([_gradient_columns(x, tibial[x.index], *bumps) for x in contacts])
+    converged = prediction.is_converged
+    hessians = np.where(converged[:, None, None], prediction.hessians, np.eye(5))
+    poses = -np.linalg.solve(hessians, moved)
+    seen, _ = model.extension.observed_slopes(
+        coordinates_from_pose(prediction.poses), model.amplitudes(prediction.theta), model.tests
+    )
+    columns: Array = seen @ coordinate_jacobian(prediction.poses) @ poses
+    columns[~converged] = np.nan
+    return columns
+
+
+def _gradient_columns(
+    contact: ContactPlaces, tibial: Array, on_tibia: SurfaceBumps, on_femur: SurfaceBumps
+) -> Array:
+    """Derivatives of the energy's gradient by the heights at a fixed pose, shape ``(5, k)``."""
+    # A bump deepens the contact; one on the femur also pushes the tibia down its slope.
+    heights = np.hstack([on_tibia.heights(tibial), on_femur.heights(contact.femoral)])
+    columns = (contact.stiffness[:, None] * contact.deepening).T @ heights
+    pushes = contact.force[:, None, None] * contact.jacobian
+    slopes = on_femur.slopes(contact.femoral)
+    columns[:, len(on_tibia.centres) :] += np.tensordot(pushes, slopes, axes=([0, 2], [0, 1]))
+    return np.asarray(columns)
+
+
+def _apart(places: Array, length: float) -> Array:
+    """Places of which no two are closer than a bump is long, and to one of which each is."""
+    tree = cKDTree(places)
+    is_free = np.ones(len(places), bool)
+    chosen = []
+    for i in range(len(places)):
+        if is_free[i]:
+            chosen.append(i)
+            is_free[tree.query_ball_point(places[i], length)] = False
+    kept: Array = places[chosen]
+    return kept
