@@ -163,7 +163,9 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
         parameters_after_ci95=_intervals(after),
         effects={x.name: x for x in found.exclusions},
         trials=trials_of(found.laxity),
-        residuals=Residuals(before=base.differences, after=best.differences, sd=found.noise.sd),
+        residuals=Residuals(
+            before=base.fitted.differences, after=best.fitted.differences, sd=found.noise.sd
+        ),
         trial_wrench=TrialWrench(
             components=WRENCH,
             whole=WRENCH_UNITS * wrench.wrench,
@@ -341,7 +343,7 @@ def _explanation(refit: Refit, n: int) -> Explanation:
         p_value=refit.misfit_p_value,
         outcome=refit.fitted.outcome,
         theta=refit.fitted.theta[:n],
-        residuals=refit.differences,
+        residuals=refit.fitted.differences,
     )
 
 

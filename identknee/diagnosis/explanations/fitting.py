@@ -122,6 +122,11 @@ class Fitted:
         return LaxityResiduals(model=self.model, laxity=self.laxity)
 
     @property
+    def differences(self) -> Array:
+        """Measured less predicted coordinates, shape ``(n, 5)``."""
+        return self.compared.differences(self.theta)
+
+    @property
     def outcome(self) -> Outcome:
         """How the fit ended."""
         return self.constrained.outcome

@@ -66,11 +66,6 @@ class Refit:
         return tuple(x.name for x in self.causes)
 
     @property
-    def differences(self) -> Array:
-        """Measured less predicted coordinates, shape ``(n, 5)``."""
-        return self.fitted.compared.differences(self.fitted.theta)
-
-    @property
     def n_base(self) -> int:
         """Parameters of the model without causes; those of the causes come after them."""
         return self.fitted.model.parameters.n - sum(x.parameters.n for x in self.causes)
