@@ -24,6 +24,7 @@ from identknee.diagnosis.missing_line.wrench import (
 )
 from identknee.diagnosis.noise.data_noise import DataNoise
 from identknee.diagnosis.score.localisation import Localisation, TrialLayout, localise
+from identknee.laxity.dominant import nominal_flexion, told_loads
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import library
@@ -273,8 +274,8 @@ def lower_start(attribution: Attribution) -> Array | None:
 def layout_of(laxity: Laxity) -> TrialLayout:
     """How the trials of the data are told apart."""
     return TrialLayout(
-        flexion_deg=laxity.protocol.flexion_deg,
-        loads=laxity.protocol.loads,
+        flexion_deg=nominal_flexion(laxity.protocol),
+        loads=told_loads(laxity.protocol),
         directions=DIRECTIONS,
         coordinates=COORDINATES,
         is_measured=laxity.is_measured,

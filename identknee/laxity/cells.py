@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,11 +30,18 @@ class CellFile:
         Line number of the header.
     comments
         Line number and text of each comment met so far.
+    delimiter
+        What stands between cells: a comma or, where the header says so, a semicolon or a tab. Only
+        then may numbers have a decimal comma.
+    opposites
+        Column in the file by the name of the one that it is the negative of.
     """
 
     def __init__(self, path: Path, file: TextIO) -> None:
         self.path = path
         self.comments: list[tuple[int, str]] = []
+        self.delimiter = ","
+        self.opposites: dict[str, str] = {}
         self._lines = self._data_lines(file)
         self.header_line, names = self._header()
         self.columns = {name: position for position, name in enumerate(names)}
@@ -76,6 +83,28 @@ class CellFile:
                     self.header_line, name, "this column is missing", "Add it; every row needs it."
                 )
 
+    def take_opposites(self, opposites: Mapping[str, str]) -> None:
+        """Read columns whose values count the other way round, such as a valgus moment.
+
+        Parameters
+        ----------
+        opposites
+            Name of the column that each is the negative of.
+
+        Raises
+        ------
+        InputError
+            If both stand in the file.
+        """
+        for name, other in opposites.items():
+            if name not in self.columns:
+                continue
+            if other in self.columns:
+                why = f"{other} is there too, of which it is the negative"
+                self.refuse(self.header_line, name, why, "Remove one of both.")
+            self.columns[other] = self.columns.pop(name)
+            self.opposites[other] = name
+
     def rows(self) -> Iterator["Row"]:
         """The rows below the header, in their order."""
         for line, text in self._lines:
@@ -99,17 +128,11 @@ class CellFile:
 
     def _header(self) -> tuple[int, list[str]]:
         for line, text in self._lines:
+            self.delimiter = next((x for x in ";\t" if x in text and "," not in text), ",")
             names = self._split(line, text)
             while names and not names[-1]:
                 names.pop()
             if names:
-                if len(names) == 1 and re.search(r"[;\t]", names[0]):
-                    self.refuse(
-                        line,
-                        "",
-                        "the cells are not separated by commas",
-                        "Save the table as CSV with commas between cells and decimal points.",
-                    )
                 if "" in names:
                     self.refuse(line, "", "a column has no name", "Name it or remove it.")
                 return line, names
@@ -133,7 +156,9 @@ class CellFile:
         if text.count('"') % 2:
             self.refuse(line, "", "a quote is left open", 'Close it, or write "" for a quote mark.')
         try:
-            (cells,) = csv.reader([text], skipinitialspace=True)
+            (cells,) = csv.reader(
+                [text], delimiter=self.delimiter, skipinitialspace=self.delimiter == ","
+            )
         except csv.Error as error:
             self.refuse(line, "", f"the row cannot be split into cells ({error})", "Shorten it.")
         return [cell.strip() for cell in cells]
@@ -170,10 +195,13 @@ class Row:
         text = self.text(column)
         if not text:
             return None
-        if NUMBER.fullmatch(text):
-            value = float(text)
+        # Only where no comma separates cells can one be nothing but a decimal sign.
+        plain = text.replace(",", ".", 1) if self.file.delimiter != "," else text
+        if NUMBER.fullmatch(plain):
+            value = float(plain)
             if abs(value) != float("inf"):
-                return value
+                # Zero stays without a sign.
+                return 0.0 - value if column in self.file.opposites else value
             self.refuse(column, f"{text} is too large to be a number here", "Check its exponent.")
         if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", text):
             remedy = "Write it with a decimal point."
@@ -200,7 +228,7 @@ class Row:
 
     def refuse(self, column: str, why: str, remedy: str) -> NoReturn:
         """Raise the error about a cell of this row."""
-        self.file.refuse(self.line, column, why, remedy)
+        self.file.refuse(self.line, self.file.opposites.get(column, column), why, remedy)
 
 
 def written(cells: Iterable[str]) -> str:

@@ -18,6 +18,8 @@ DIRECTIONS = (
 TYPICAL = np.array([5.0, 10.0, 100.0, 100.0, 100.0])
 # Below this share a load is a stray one. A constant load, such as compression, is none of a trial.
 STRAY = 0.1
+# Share of the largest load of a trial below which another is a stray one beside it.
+STRAY_BESIDE = 0.2
 # Opposite loads may differ by this share of them, and their flexion angles by so much [deg].
 ALIKE, SAME_FLEXION_DEG = 0.5, 5.0
 
@@ -35,7 +37,7 @@ class DominantLoads:
 def dominant_loads(protocol: Protocol) -> DominantLoads:
     """The load that each trial is about: the largest beside a usual test's, stray ones aside.
 
-    Loads are counted from the median of all trials, which is what the rig holds throughout.
+    A load that no trial is without, such as compression, is counted from its median.
 
     Examples
     --------
@@ -44,7 +46,7 @@ def dominant_loads(protocol: Protocol) -> DominantLoads:
     >>> found.axis[:3].tolist(), found.size[:3].tolist()
     ([2, -1, 2], [-100.0, 0.0, 134.0])
     """
-    loads = protocol.loads - np.median(protocol.loads, axis=0)
+    loads = _changes(protocol)
     share = np.abs(loads) / TYPICAL
     axis = np.argmax(share, axis=1)
     rows = np.arange(protocol.n)
@@ -52,6 +54,40 @@ def dominant_loads(protocol: Protocol) -> DominantLoads:
     return DominantLoads(
         axis=np.where(is_stray, -1, axis), size=np.where(is_stray, 0.0, loads[rows, axis])
     )
+
+
+def told_loads(protocol: Protocol) -> Array:
+    """The loads that tell the trials apart, shape ``(n, 5)``: stray and constant ones are zero.
+
+    A load is a stray one where it is small, also beside the largest of its trial, unless it is the
+    only one; one that no trial is without, such as compression, is counted from its median.
+    """
+    share = np.abs(_changes(protocol)) / TYPICAL
+    alone = np.count_nonzero(share, axis=1, keepdims=True) == 1
+    least = np.maximum(STRAY, STRAY_BESIDE * share.max(axis=1, keepdims=True))
+    told = np.where((share >= least) | (alone & (share > 0.0)), protocol.loads, 0.0)
+    return told if told.any() else protocol.loads
+
+
+def _changes(protocol: Protocol) -> Array:
+    """Loads less what the rig holds throughout: the median of a load that no trial is without."""
+    signs = np.sign(protocol.loads)
+    is_held = np.all(signs == signs[:1], axis=0) & (signs[0] != 0.0)
+    return protocol.loads - np.where(is_held, np.median(protocol.loads, axis=0), 0.0)
+
+
+def nominal_flexion(protocol: Protocol) -> Array:
+    """Flexion at which each trial was meant to be [deg], shape ``(n,)``.
+
+    Where most trials have an angle of their own, as a robot reads them, angles that are close
+    together are one, their rounded mean; elsewhere they are what they are.
+    """
+    angles, place = np.unique(protocol.flexion_deg, return_inverse=True)
+    if 2 * angles.size <= protocol.n:
+        return protocol.flexion_deg
+    cluster = np.cumsum(np.r_[0, np.diff(angles) > SAME_FLEXION_DEG])[place]
+    sums = np.bincount(cluster, weights=protocol.flexion_deg)
+    return np.asarray(np.round(sums / np.bincount(cluster))[cluster])
 
 
 def load_words(protocol: Protocol, trial: int) -> str:

@@ -30,6 +30,14 @@ PHASES = ("loading", "unloading")
 # Five errors can share a correlation above -1/4 only: their covariance must stay positive.
 CORRELATION_LIMITS = (-0.25, 1.0)
 LARGEST_ORDER = 10**9
+OPPOSITE_LOADS = {
+    "external_moment_Nm": "internal_moment_Nm",
+    "valgus_moment_Nm": "varus_moment_Nm",
+    "posterior_force_N": "anterior_force_N",
+    "compression_force_N": "distraction_force_N",
+    "medial_force_N": "lateral_force_N",
+}
+"""Columns of loads that count the other way round, and the column each is the negative of."""
 # Smaller or larger than any measurement in mm or deg; squares of these keep their digits.
 NOISE_LIMITS = (1e-9, 1e6)
 # Beyond these a table is in other units or of other axes.
@@ -138,9 +146,11 @@ class Laxity:
 def read_laxity(path: PathLike) -> Laxity:
     """Laxity of a CSV file with one row a trial, or of a named subject such as ``"s192803"``.
 
-    Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing), any of
-    `COORDINATES`, ``sd_`` and the name of a coordinate, ``order`` and ``phase``. A blank coordinate
-    was not measured. Comment lines start with ``#``; two of them state something:
+    Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing) or of the opposite
+    ones in `OPPOSITE_LOADS`, such as ``valgus_moment_Nm``, any of `COORDINATES`, ``sd_`` and the
+    name of a coordinate, ``order`` and ``phase``. A blank coordinate was not measured. Cells are
+    separated by commas; where the header has semicolons or tabs instead, by those, and then numbers
+    may have decimal commas. Comment lines start with ``#``; two of them state something:
     ``# within_trial_correlation: 0.3`` and ``# zero: unloaded``. The protocol is called after the
     file. A name stands for the table that comes with identknee even where a file is called so:
     write ``"./s192803"``, or give a `pathlib.Path`, for the file.
@@ -152,6 +162,7 @@ def read_laxity(path: PathLike) -> Laxity:
         column and what to do.
     """
     with CellFile.open(laxity_file(path)) as file:
+        file.take_opposites(OPPOSITE_LOADS)
         file.check_columns(_COLUMNS, ("trial", FLEXION))
         _check_coordinates(file)
         names: dict[str, int] = {}
@@ -362,8 +373,8 @@ def _statements(file: CellFile) -> tuple[tuple[str, ...], float, Zero]:
         if found is None:
             free.append(text)
             continue
-        # A spreadsheet pads every line with commas.
-        name, value = found[1].lower(), found[2].rstrip(", ")
+        # A spreadsheet pads every line with separators.
+        name, value = found[1].lower(), found[2].rstrip(",; ")
         if name in lines:
             file.refuse(line, "", f"{name} is stated in row {lines[name]} too", "Remove one.")
         lines[name], stated[name] = line, value

@@ -248,11 +248,22 @@ def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
             ", row 1: a column has no name. Name it or remove it.",
         ),
         (
-            "trial;flexion_deg;varus_deg\na;30;1,5",
+            "trial;flexion_deg;varus_deg\na;30;1.234,5",
             (
-                ", row 1: the cells are not separated by commas. "
-                "Save the table as CSV with commas between cells and decimal points."
+                ", row 2, column varus_deg: '1.234,5' is not a number. Write a number, or leave "
+                "the cell blank where nothing was measured."
             ),
+        ),
+        (
+            "trial,flexion_deg,varus_moment_Nm,valgus_moment_Nm,varus_deg\na,30,1,-1,2",
+            (
+                ", row 1, column valgus_moment_Nm: varus_moment_Nm is there too, of which it is "
+                "the negative. Remove one of both."
+            ),
+        ),
+        (
+            "trial,flexion_deg,valgus_moment_Nm,varus_deg\na,30,x,2",
+            ", row 2, column valgus_moment_Nm: 'x' is not a number. Write a number, such as 2.5.",
         ),
         (
             "trial,flexion_deg\na,30",
@@ -425,3 +436,20 @@ def test_laxity_is_read_only_and_knows_what_was_measured() -> None:
     with pytest.raises(ValueError, match="read-only"):
         whole.coordinates[0, 0] = 1
     assert len(COORDINATES) == 5
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_table_with_decimal_commas_reads_as_one_with_points(
+    separator: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "table.csv"
+    lines = ["# zero: unloaded;;;", "trial;flexion_deg;valgus_moment_Nm;varus_deg"]
+    lines += ["a;30,5;10;-1,25", "b;30,5;0;0,5", "c;30.5;0;"]
+    file.write_text("\n".join(lines).replace(";", separator), encoding="utf-8")
+    laxity = read_laxity(file)
+    assert laxity.zero == "unloaded"
+    assert laxity.protocol.flexion_deg.tolist() == [30.5] * 3
+    varus_moment = laxity.protocol.loads[:, 1]
+    assert varus_moment.tolist() == [-10.0, 0.0, 0.0]
+    assert not np.signbit(varus_moment[1:]).any()
+    np.testing.assert_array_equal(laxity.coordinates[:, 3], [-1.25, 0.5, np.nan])

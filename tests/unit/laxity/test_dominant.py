@@ -1,0 +1,61 @@
+"""Which load a trial is about, in tables as a robot writes them."""
+
+import numpy as np
+
+from identknee.diagnosis.investigation import layout_of
+from identknee.laxity.dominant import (
+    dominant_loads,
+    load_words,
+    nominal_flexion,
+    opposite_pairs,
+    told_loads,
+)
+from identknee.laxity.examples import example_laxity
+from identknee.laxity.protocol import concatenate, load_protocol
+from identknee.laxity.table import COORDINATES, Laxity
+
+
+def test_stray_and_constant_loads_do_not_tell_trials_apart() -> None:
+    laxity = example_laxity("s192803")
+    sides = layout_of(laxity).sides()
+    for i, trial in enumerate(laxity.protocol.trials):
+        kind = trial.split("_")[0]
+        unit = "force" if kind in {"Anterior", "Posterior"} else "moment"
+        expected = "no load" if kind == "FullExt" else f"{kind.lower()} {unit}"
+        assert [name for name, side in sides.items() if side[i]] == [expected]
+    assert set(layout_of(laxity).flexion_deg) == {5.0, 36.0, 57.0, 87.0}
+
+
+def test_a_load_is_said_in_words() -> None:
+    laxity = example_laxity("s192803")
+    words = {t: load_words(laxity.protocol, i) for i, t in enumerate(laxity.protocol.trials)}
+    assert words["Anterior_30"] == "197 N of anterior force at 36 deg"
+    assert words["Valgus_60"] == "9.6 N·m of valgus moment at 57 deg"
+    assert words["FullExt_0"] == "no load at 5 deg"
+
+
+def test_exact_protocols_are_told_apart_as_they_are() -> None:
+    protocol = concatenate([load_protocol("seed63"), load_protocol("drawer")])
+    np.testing.assert_array_equal(told_loads(protocol), protocol.loads)
+    np.testing.assert_array_equal(nominal_flexion(protocol), protocol.flexion_deg)
+
+
+def test_opposite_trials_are_those_of_the_opposite_load_nearby() -> None:
+    protocol = example_laxity("s192803").protocol
+    pairs = {(protocol.trials[i], protocol.trials[j]) for i, j in opposite_pairs(protocol)}
+    ends = (("Anterior", "Posterior"), ("Internal", "External"), ("Varus", "Valgus"))
+    assert pairs == {(f"{a}_{x}", f"{b}_{x}") for a, b in ends for x in ("0", "30", "60", "90")}
+
+
+def test_a_ramp_under_constant_compression_is_about_its_own_load() -> None:
+    protocol = load_protocol("seed63")
+    loads = np.array(protocol.loads)
+    loads[:, 3] = -50.0
+    held = type(protocol)(
+        name="held", trials=protocol.trials, flexion_deg=protocol.flexion_deg, loads=loads
+    )
+    np.testing.assert_array_equal(dominant_loads(held).axis, dominant_loads(protocol).axis)
+    np.testing.assert_array_equal(told_loads(held)[:, :3], protocol.loads[:, :3])
+    assert not told_loads(held)[:, 3].any()
+    blank = np.full((held.n, len(COORDINATES)), np.nan)
+    assert layout_of(Laxity(protocol=held, coordinates=blank)).sides()["no load"].any()
