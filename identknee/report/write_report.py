@@ -12,6 +12,7 @@ from identknee.report.page.results import Findings, Result, by_subject, found_re
 from identknee.report.page.scenes import scene_of
 from identknee.report.picture import vector
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
+from identknee.runs.progress import progress
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
@@ -98,5 +99,5 @@ def _write_figures(results: Sequence[Result], folder: Path, form: str) -> list[s
     place = prepare_folder(folder / FIGURES)
     return [
         str(write_atomically(place / f"{name}.{form}", vector(drawing.figure, form)))
-        for name, drawing in report_drawings(results)
+        for name, drawing in progress(report_drawings(results), description="drawing figures")
     ]

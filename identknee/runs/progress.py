@@ -1,18 +1,32 @@
-"""A progress bar for whatever turns out to take more than two seconds."""
+"""A progress bar, with the time left, for whatever turns out to take more than two seconds."""
 
 import multiprocessing
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sized
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
 
 Item = TypeVar("Item")
 DELAY_S = 2.0
+# Less of the work says too little of the rest.
+LEAST_SHARE = 0.02
 _one_bar = threading.Lock()
+_plans: list["_Plan"] = []
+
+
+class Advance(Protocol):
+    """What is told how far the work is."""
+
+    def __call__(self, count: int, /) -> None:
+        """So many items more are done."""
+
+    def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
+        """A share of all is done; `note` says more, `left_s` the time left where known [s]."""
 
 
 def progress(
@@ -40,27 +54,117 @@ def progress(
 
 
 @contextmanager
-def progress_bar(description: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
+def progress_bar(
+    description: str, total: int | None = None, *, before: int = 0, is_counted: bool = True
+) -> Iterator[Advance]:
     """Function to be told how many more are done; the bar is drawn as in `progress`.
 
-    One bar is drawn at a time, the outermost, and none in worker processes.
+    One bar is drawn at a time, the outermost, and none in worker processes. Within `planned` work
+    the bar is that of the plan.
+
+    Parameters
+    ----------
+    description
+        What is being done.
+    total
+        How many items there are; None where that is not known.
+    before
+        How many of them an earlier run did, from which no time follows.
+    is_counted
+        Whether items are counted; otherwise a share is told.
 
     Examples
     --------
     >>> with progress_bar("simulating", 63) as advance:
     ...     advance(63)
     """
+    if _plans:
+        yield _plans[-1].part(description, total or 0, before)
+        return
+    with _bar(description, total, before, is_counted=is_counted) as advance:
+        yield advance
+
+
+@contextmanager
+def planned(description: str, work: Mapping[str, Sequence[float]]) -> Iterator[None]:
+    """One bar over several maps that follow one another, so that it knows when all are done.
+
+    Parameters
+    ----------
+    description
+        What is being done.
+    work
+        By the description of a map what each of the items expected in all its rounds costs,
+        relative to those of the other maps. Items beyond cost as much as the last; maps not named
+        cost nothing.
+    """
+    if _plans:
+        yield
+        return
+    with _bar(description, None, 0, is_counted=False) as advance:
+        _plans.append(_Plan(work, advance))
+        try:
+            yield
+        finally:
+            _plans.clear()
+
+
+def time_left(elapsed_s: float, share: float, before: float = 0.0) -> float | None:
+    """Seconds until all is done, at the speed so far; None while that is not known.
+
+    Parameters
+    ----------
+    elapsed_s
+        Time since the work began, or was resumed.
+    share
+        Of the work that is done.
+    before
+        Share that was done when it began.
+
+    Examples
+    --------
+    >>> time_left(30.0, 0.25)
+    90.0
+    >>> time_left(30.0, 0.75, before=0.5)
+    30.0
+    """
+    if share - before < LEAST_SHARE:
+        return None
+    return elapsed_s * max(1.0 - share, 0.0) / (share - before)
+
+
+def in_words(seconds: float | None) -> str:
+    """Time left as a person says it.
+
+    Examples
+    --------
+    >>> [in_words(x) for x in (None, 4.0, 75.0, 4000.0)]
+    ['', 'about 4 s left', 'about 1 min left', 'about 1.1 h left']
+    """
+    if seconds is None:
+        return ""
+    if seconds < 60.0:
+        return f"about {max(seconds, 1.0):.0f} s left"
+    if seconds < 3600.0:
+        return f"about {seconds / 60.0:.0f} min left"
+    return f"about {seconds / 3600.0:.1f} h left"
+
+
+@contextmanager
+def _bar(
+    description: str, total: int | None, before: int, *, is_counted: bool
+) -> Iterator[Advance]:
     is_worker = multiprocessing.parent_process() is not None
     if is_worker or not sys.stderr.isatty() or not _one_bar.acquire(blocking=False):
-        yield _say_nothing
+        yield _Silent()
         return
-    bar = _DelayedBar(description, total)
+    bar = _DelayedBar(description, total, before, is_counted=is_counted)
     # A timer, so that a first step of a minute does not leave the terminal blank.
     timer = threading.Timer(DELAY_S, bar.show)
     timer.daemon = True
     timer.start()
     try:
-        yield bar.advance
+        yield bar
     finally:
         timer.cancel()
         timer.join()
@@ -68,13 +172,29 @@ def progress_bar(description: str, total: int | None = None) -> Iterator[Callabl
         _one_bar.release()
 
 
+class _Silent:
+    """Says nothing."""
+
+    def __call__(self, _count: int, /) -> None:
+        return
+
+    def to(self, _share: float, _note: str = "", _left_s: float | None = None) -> None:
+        return
+
+
 class _DelayedBar:
     """Counts from the start, drawn once it is shown."""
 
-    def __init__(self, description: str, total: int | None) -> None:
+    def __init__(
+        self, description: str, total: int | None, before: int, *, is_counted: bool
+    ) -> None:
         self._description = description
+        self._is_counted = is_counted
         self._total = total
-        self._done = 0
+        self._done = before
+        self._share, self._before = 0.0, before / total if total else 0.0
+        self._note, self._left = "", ""
+        self._began = time.monotonic()
         self._lock = threading.Lock()
         self._shown: tuple[Progress, TaskID] | None = None
 
@@ -83,32 +203,92 @@ class _DelayedBar:
         from rich.console import Console
         from rich.progress import Progress
 
-        bar = Progress(*_columns(self._total), console=Console(stderr=True))
+        bar = Progress(*_columns(is_counted=self._is_counted), console=Console(stderr=True))
         with self._lock:
-            task = bar.add_task(self._description, total=self._total, completed=self._done)
+            task = bar.add_task(self._description, total=self._total, left="", note="")
             self._shown = (bar, task)
+            self._update()
             bar.start()
 
-    def advance(self, count: int) -> None:
+    def __call__(self, count: int, /) -> None:
         with self._lock:
             self._done += count
-            if self._shown is not None:
-                bar, task = self._shown
-                bar.update(task, completed=self._done)
+            share = self._done / self._total if self._total else 0.0
+            self._left = in_words(time_left(time.monotonic() - self._began, share, self._before))
+            self._update()
+
+    def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
+        with self._lock:
+            if left_s is None:
+                left_s = time_left(time.monotonic() - self._began, share, self._before)
+            self._share, self._note, self._left = share, note, in_words(left_s)
+            self._update()
+
+    def _update(self) -> None:
+        if self._shown is None:
+            return
+        bar, task = self._shown
+        said: dict[str, Any] = {"left": self._left, "note": self._note}
+        if self._share:
+            bar.update(task, total=1.0, completed=self._share, **said)
+        else:
+            bar.update(task, completed=self._done, **said)
 
     def close(self) -> None:
         if self._shown is not None:
             self._shown[0].stop()
 
 
-def _say_nothing(_count: int) -> None:
-    pass
+class _Plan:
+    """Adds up what the maps of a plan have done."""
+
+    def __init__(self, work: Mapping[str, Sequence[float]], advance: Advance) -> None:
+        self._costs = {name: list(costs) for name, costs in work.items()}
+        self._done = dict.fromkeys(work, 0)
+        self._before = 0.0
+        self._began = time.monotonic()
+        self._advance = advance
+
+    def part(self, description: str, total: int, before: int) -> Advance:
+        """What is told of one map, whose first items were there before."""
+        costs = self._costs.get(description)
+        if not costs:
+            return _Silent()
+        first = self._done[description]
+        costs += [costs[-1]] * (first + total - len(costs))
+        self._done[description] += before
+        self._before += sum(costs[first : first + before])
+        return _Part(self, description)
+
+    def add(self, description: str, count: int) -> None:
+        """Tell the bar that so many items of a map are done."""
+        self._done[description] += count
+        whole = sum(map(sum, self._costs.values()))
+        done = sum(sum(costs[: self._done[name]]) for name, costs in self._costs.items())
+        share, before = done / whole, self._before / whole
+        elapsed = time.monotonic() - self._began
+        self._advance.to(share, description, time_left(elapsed, share, before))
 
 
-def _columns(total: int | None) -> tuple["ProgressColumn", ...]:
+class _Part:
+    """One map of a plan."""
+
+    def __init__(self, plan: _Plan, description: str) -> None:
+        self._plan = plan
+        self._description = description
+
+    def __call__(self, count: int, /) -> None:
+        self._plan.add(self._description, count)
+
+    def to(self, _share: float, _note: str = "", _left_s: float | None = None) -> None:
+        return
+
+
+def _columns(*, is_counted: bool) -> tuple["ProgressColumn", ...]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
-    text = TextColumn("{task.description}")
-    if total is None:
-        return text, MofNCompleteColumn(), TimeElapsedColumn()
-    return text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    counted = (MofNCompleteColumn(),) if is_counted else ()
+    told = TextColumn("{task.fields[left]} {task.fields[note]}")
+    return (
+        TextColumn("{task.description}"), BarColumn(), *counted, TimeElapsedColumn(), told
+    )  # fmt: skip

@@ -15,7 +15,7 @@ from identknee.runs.store import Store
 
 STORE_FORMAT = 1
 HEADER = "about"
-FINISHED = "finished"
+FINISHED, SPENT = "finished", "seconds"
 # A kill loses what was finished in this time, and each commit waits for the disk.
 COMMIT_S = 1.0
 # Handed to the executor at a time, so that a million items are not a million tasks in memory.
@@ -63,6 +63,7 @@ def open_work(path: PathLike, about: Mapping[str, Any]) -> Store:
         elif kept != {**header, FINISHED: True}:
             store.clear()
             store.put_many({HEADER: header})
+        store.earlier_s = float(store.get(SPENT) or 0.0)
     except BaseException:
         store.close()
         raise
@@ -125,8 +126,8 @@ def resumable_map(
     results = {key: store.get(key) for key in keys if store is not None and key in done}
     missing = [index for index, key in enumerate(keys) if key not in results]
     fresh = _computed(function, [items[index] for index in missing], executor)
-    with progress_bar(description, len(items)) as advance, _Commits(store) as commits:
-        advance(len(results))
+    bar = progress_bar(description, len(items), before=len(results))
+    with bar as advance, _Commits(store) as commits:
         for index, result in zip(missing, _explained(fresh, store), strict=True):
             results[keys[index]] = result
             commits.add(keys[index], result)
@@ -171,7 +172,7 @@ class _Commits:
 
     def _commit(self) -> None:
         if self._store is not None and self._waiting:
-            self._store.put_many(self._waiting)
+            self._store.put_many({**self._waiting, SPENT: self._store.seconds})
         self._waiting = {}
         self._last = time.monotonic()
 

@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,6 +37,9 @@ class Store:
 
     def __init__(self, path: PathLike) -> None:
         self.path = Path(path)
+        # Of the runs before this one, that went as far as what is kept.
+        self.earlier_s = 0.0
+        self._began = time.perf_counter()
         prepare_folder(self.path.parent)
         with self._explained():
             self._connection = sqlite3.connect(self.path, timeout=WAIT_S)
@@ -51,6 +55,11 @@ class Store:
         except InputError:
             self.close()
             raise
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on what is kept, by this run and those before it [s]."""
+        return self.earlier_s + time.perf_counter() - self._began
 
     def get(self, key: str) -> Any:
         """Value under `key`, None where there is none.

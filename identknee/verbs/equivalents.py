@@ -20,6 +20,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
+from identknee.runs.progress import planned
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import (
@@ -142,14 +143,15 @@ def equivalents(
     if best.outcome is Outcome.START_FAILED:
         raise no_prediction(setup)
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
-    sets = equivalent_sets(
-        region,
-        quantities=quantities,
-        n_sets=n_sets,
-        seed=seed,
-        executor=run.executor,
-        store=run.store,
-    )
+    with planned("equivalents", _work(setup.problem.parameters.n, len(quantities), n_sets)):
+        sets = equivalent_sets(
+            region,
+            quantities=quantities,
+            n_sets=n_sets,
+            seed=seed,
+            executor=run.executor,
+            store=run.store,
+        )
     model = setup.model
     predictions = [model.predict(x, derivatives=False) for x in setup.free.expand(sets.sets)]
     fitted = setup.free.expand(sets.fit).tolist()
@@ -166,6 +168,17 @@ def equivalents(
         **setup.uncertain_at(best.theta),
         findings=setup.findings_at(best.theta, 2.0 * best.objective),
     )
+
+
+def _work(n: int, n_quantities: int, n_sets: int) -> dict[str, list[float]]:
+    """What each piece of work of both rounds costs, beside the others."""
+    return {
+        "simulating sets": [0.017] * (3 * n_sets),
+        # Extrema of parameters, of which there is a first guess, and of forces.
+        "finding extrema": [0.03] * (4 * n) + [0.112] * (2 * n_quantities),
+        "finding the diameter": [0.05] * 12,
+        "looking along rays": [0.32] * 20,
+    }
 
 
 def _region(

@@ -5,11 +5,12 @@ from functools import partial
 from typing import Literal
 
 from identknee.calibrate.doubts import start_findings
+from identknee.calibrate.fit import BUDGET
 from identknee.identify.sweep.cliffs import CliffMap, map_cliffs
 from identknee.identify.sweep.starts_design import shell_starts, sobol_starts
 from identknee.identify.sweep.survey import WITHIN, Survey
 from identknee.identify.sweep.survey import survey as surveyed
-from identknee.identify.sweep.sweep import Searches
+from identknee.identify.sweep.sweep import STARTS_A_TASK, Searches
 from identknee.identify.sweep.sweep import sweep as searched
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
@@ -17,6 +18,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding
+from identknee.runs.progress import planned
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
@@ -25,6 +27,11 @@ from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, ver
 
 Design = Literal["sobol", "shells"]
 DISTANCES = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
+
+# Of a path searched for cliffs, in searches by least squares.
+PATH_COST = 3.6
+# Of a search by least squares with its polishing; other methods use all they may.
+USUAL_SIMULATIONS = 25
 
 
 @declared
@@ -125,20 +132,22 @@ def sweep(
     nuisances = ~parameters.is_of_interest
     starts[:, nuisances] = setup.start[nuisances]
     run.start_clock()
-    searches = searched(
-        setup.problem,
-        starts,
-        method=method,
-        budget=budget,
-        seed=seed,
-        executor=run.executor,
-        store=run.store,
-    )
-    survey = surveyed(setup.problem, searches, within=within)
+    with planned("sweeping", _work(method, n_starts, paths)):
+        searches = searched(
+            setup.problem,
+            starts,
+            method=method,
+            budget=budget,
+            seed=seed,
+            executor=run.executor,
+            store=run.store,
+        )
+        survey = surveyed(setup.problem, searches, within=within)
+        cliffs = _cliffs(run, setup, survey, paths)
     return Sweep(
         design=design,
         survey=survey,
-        cliffs=_cliffs(run, setup, survey, paths),
+        cliffs=cliffs,
         assumptions=setup.assumptions,
         uncertainty=setup.knee.uncertainty.words,
         findings=_findings(setup, survey),
@@ -164,6 +173,16 @@ def _numbers(distances: str | Sequence[float]) -> list[float]:
         raise ValueError(
             f"--distances {distances}: these are not numbers. Write for example 0.5,1,2"
         ) from None
+
+
+def _work(method: str, n_starts: int, paths: int) -> dict[str, list[float]]:
+    """What each task of searches and each path costs, in searches by least squares."""
+    chunk = STARTS_A_TASK.get(method, 1)
+    cost = chunk if method == "least-squares" else BUDGET / USUAL_SIMULATIONS
+    return {
+        f"sweeping by {method}": [cost] * -(-n_starts // chunk),
+        "cliffs": [PATH_COST] * min(paths, n_starts),
+    }
 
 
 def _cliffs(run: Run, setup: Identification, survey: Survey, paths: int) -> CliffMap | None:

@@ -108,8 +108,9 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """Time since the clock was started."""
-        return time.perf_counter() - self._began
+        """Time since the clock was started, with that of the runs that were resumed."""
+        earlier = 0.0 if self._store is None else self._store.earlier_s
+        return earlier + time.perf_counter() - self._began
 
 
 def verb(

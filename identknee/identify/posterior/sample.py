@@ -1,5 +1,6 @@
 """The posterior by sampling: independent ensembles of walkers, until they have converged."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -32,17 +33,21 @@ from identknee.identify.posterior.ensembles import (
     started,
 )
 from identknee.identify.posterior.moves import MOVES
+from identknee.identify.posterior.outlook import outlook
 from identknee.identify.posterior.posterior import Posterior
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial
 from identknee.runs.plain_records import to_plain
+from identknee.runs.progress import Advance, progress_bar
 from identknee.runs.record import record
 from identknee.runs.resume import resumable_map
 from identknee.runs.store import Store
 
 STEPS = 10
 PRIOR_CHUNK = 50
+# What reading a finished block takes at most [s].
+KEPT_S = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -228,16 +233,27 @@ class _Run:
         return all(x["positions"] is not None for x in self._states)
 
     def walk(self, rule: StopRule) -> SampleOutcome:
-        while True:
-            self._advance(len(self.checks))
-            latest = check_convergence(self._chain, self._moved, rule, self.checks)
-            self.checks.append(latest)
-            if latest.is_passed:
-                return SampleOutcome.CONVERGED
-            if latest.stuck.any():
-                return SampleOutcome.STUCK
-            if self.n_simulations >= rule.budget:
-                return SampleOutcome.BUDGET
+        with progress_bar("sampling", is_counted=False) as bar:
+            while True:
+                began = time.monotonic()
+                self._advance(len(self.checks))
+                latest = check_convergence(self._chain, self._moved, rule, self.checks)
+                self.checks.append(latest)
+                if latest.is_passed:
+                    return SampleOutcome.CONVERGED
+                if latest.stuck.any():
+                    return SampleOutcome.STUCK
+                if self.n_simulations >= rule.budget:
+                    return SampleOutcome.BUDGET
+                self._tell(bar, time.monotonic() - began, rule)
+
+    def _tell(self, bar: Advance, block_s: float, rule: StopRule) -> None:
+        """Show how far sampling is, from the time that the last block took [s]."""
+        expected, words = outlook(self.checks, self.n_simulations / rule.budget)
+        steps = self.checks[-1].steps
+        # A block that was kept takes no time.
+        left_s = block_s / self._task.steps * (expected - steps) if block_s > KEPT_S else None
+        bar.to(steps / expected, words, left_s)
 
     def arrays(self) -> dict[str, Array]:
         parameters = self._task.density.parameters

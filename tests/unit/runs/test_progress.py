@@ -1,11 +1,13 @@
+import contextlib
 import io
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from identknee.runs import progress as module
-from identknee.runs.progress import progress, progress_bar
+from identknee.runs.progress import planned, progress, progress_bar, time_left
 
 
 class Terminal(io.StringIO):
@@ -67,4 +69,45 @@ def test_a_bar_inside_a_bar_says_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
         inner(1)
         outer(1)
     with progress_bar("after", 1) as after:
-        assert after.__qualname__ == outer.__qualname__
+        assert type(after) is type(outer)
+
+
+def test_time_left_counts_no_work_of_an_earlier_run() -> None:
+    assert time_left(10.0, 0.2) == pytest.approx(40.0)
+    assert time_left(10.0, 0.6, before=0.5) == pytest.approx(40.0)
+    assert time_left(10.0, 0.505, before=0.5) is None
+    assert time_left(10.0, 1.2) == 0.0
+
+
+class Recorded:
+    """A bar that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[float, str, float | None]] = []
+
+    def __call__(self, count: int, /) -> None:
+        raise AssertionError
+
+    def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
+        self.told.append((share, note, left_s))
+
+
+def test_a_plan_knows_the_maps_to_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    bar, now = Recorded(), [0.0]
+    monkeypatch.setattr(module, "_bar", lambda *_, **__: contextlib.nullcontext(bar))
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with planned("all", {"first": [1.0] * 4, "second": [3.0, 3.0]}):
+        with progress_bar("first", 4, before=2) as advance:
+            now[0] = 10.0
+            advance(1)
+        with progress_bar("unknown", 9) as advance:
+            advance(9)
+        with progress_bar("first", 1) as advance:
+            now[0] = 20.0
+            advance(1)
+        with progress_bar("second", 2) as advance:
+            now[0] = 50.0
+            advance(1)
+    # Of 10 units 2 were there before; each takes 10 s.
+    assert [x[:2] for x in bar.told] == [(0.3, "first"), (0.4, "first"), (0.7, "second")]
+    assert [x[2] for x in bar.told] == pytest.approx([70.0, 60.0, 30.0])

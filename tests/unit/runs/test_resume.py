@@ -121,7 +121,7 @@ def test_finished_work_is_on_disk_long_before_the_end(
 
     with open_work(path, ABOUT) as store:
         resumable_map(look, [0, 1, 2], store=store, name="s")
-    assert seen[2] == {"about", "s/0", "s/1"}
+    assert seen[2] == {"about", "seconds", "s/0", "s/1"}
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is of POSIX systems")
@@ -133,7 +133,7 @@ def test_a_dead_worker_is_a_sentence_and_what_was_done_is_kept(tmp_path: Path) -
         ):
             resumable_map(die, list(range(6)), executor=executor, store=store, name="s")
         assert "memory" in str(e.value)
-        kept = {key: store.get(key) for key in store.keys() - {"about"}}
+        kept = {key: store.get(key) for key in store.keys() - {"about", "seconds"}}
         assert kept.items() <= {f"s/{i}": i for i in range(3)}.items()
         found = resumable_map(float, list(range(6)), store=store, name="s")
         assert found == list(range(6))
@@ -308,3 +308,24 @@ def test_finished_work_makes_room_for_other_work(tmp_path: Path) -> None:
         assert "first/0" not in store.keys()  # noqa: SIM118
     with pytest.raises(InputError, match="seed was 2 and is 1 now"):
         open_work(path, {"seed": 1})
+
+
+def test_time_of_a_run_that_was_stopped_is_counted_by_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "work.sqlite"
+    with open_work(path, {}) as store:
+        assert store.earlier_s == 0.0
+        with pytest.raises(ZeroDivisionError):
+            resumable_map(_slowly, [2, 1, 0], store=store)
+    with open_work(path, {}) as store:
+        first = store.earlier_s
+        assert 0.2 <= first < 20.0
+        assert store.seconds >= first
+        resumable_map(_slowly, [2, 1], store=store)
+    with open_work(path, {}) as store:
+        # Nothing was left to do.
+        assert store.earlier_s == first
+
+
+def _slowly(x: int) -> float:
+    time.sleep(0.1)
+    return 1.0 / x
