@@ -130,7 +130,9 @@ class _Table:
         self.laxity = laxity
         self.residuals = LaxityResiduals(model=model, laxity=laxity)
         self.sd = np.ones(laxity.coordinates.shape) if laxity.sd is None else laxity.sd
-        self.degrees = max(int(laxity.is_measured.sum()) - self.residuals.parameters.n, 1)
+        self.degrees = max(
+            int(laxity.is_measured.sum() - self.residuals.parameters.is_of_interest.sum()), 1
+        )
 
     def fitted(self, start: Array) -> Array:
         """Parameters fitted to it with their priors, shape ``(p,)``."""

@@ -287,7 +287,7 @@ def _misfit(found: Investigation) -> Misfit:
 
 def _pull(pull: MissingPull) -> Pull:
     values: dict[str, Any] = {}
-    first, second = (tuple(row) for row in pull.covariance.tolist())
+    (xx, xy), (yx, yy) = pull.covariance[:2, :2].tolist()
     means, errors = (PULL_UNITS * pull.mean).tolist(), (PULL_UNITS * pull.sd).tolist()
     for name, mean, error in zip(PULL, means, errors, strict=True):
         values |= {name: mean, f"sd_{name}": error}
@@ -296,7 +296,7 @@ def _pull(pull: MissingPull) -> Pull:
         direction=pull.direction,
         n_trials=pull.n_trials,
         p_value=pull.p_value,
-        force_covariance=(first, second),
+        force_covariance=((xx, xy), (yx, yy)),
         **values,
     )
 
