@@ -143,7 +143,14 @@ def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
     other = "left" if knee.side == "right" else "right"
     medial, lateral = knee.tibia
     across = (lateral.centroid - medial.centroid) @ knee.tibia_frame.axes[2]
-    if across <= 0.0:
+    if _exchanged_epicondyles(knee):
+        yield _error(
+            "landmarks",
+            "The medial epicondyle lies above tibia_lateral, and the lateral one above "
+            "tibia_medial, so that the femur faces backwards.",
+            "Exchange medial_epicondyle and lateral_epicondyle.",
+        )
+    elif across <= 0.0:
         yield _error(
             "side",
             f"For a {knee.side} knee, tibia_medial lies {-across:.1f} mm to the lateral side of "
@@ -158,6 +165,17 @@ def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
             f'Write side = "{other}" if it is a {other} knee; else exchange the medial and lateral '
             "landmarks or turn the femoral axes, x forwards and z to the subject's right.",
         )
+
+
+def _exchanged_epicondyles(knee: Knee) -> bool:
+    """Whether the epicondyles, and not the files of the plateaus, are the wrong way round."""
+    known = {x.name: x.position for x in knee.landmarks}
+    if not {"medial_epicondyle", "lateral_epicondyle"} <= set(known):
+        return False
+    medial, lateral = knee.tibia
+    across = known["lateral_epicondyle"] - known["medial_epicondyle"]
+    is_against = bool(across @ (lateral.centroid - medial.centroid) < 0.0)
+    return is_against and _curls_up_in_front(knee)
 
 
 def _curls_up_in_front(knee: Knee) -> bool:

@@ -9,6 +9,8 @@ from identknee.identify.posterior.convergence import ConvergenceCheck
 
 # Of checks to come, before one of them is said never to pass.
 MOST_CHECKS = 1000
+# Chance that no check has passed by then; sampling ends sooner than draws of one kind suggest.
+NONE_PASSED = 0.8
 
 
 def expected_steps(checks: Sequence[ConvergenceCheck]) -> float:
@@ -52,7 +54,7 @@ def outlook(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, st
 
 
 def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
-    """Steps by which, more likely than not, one check has found a drift below its bar."""
+    """Steps by which a check is expected to have found a drift below its bar."""
     scaled = [x.drift * x.steps for x in checks if np.isfinite(x.drift) and x.drift > 0.0]
     if len(scaled) < 2:
         return 0.0
@@ -60,5 +62,5 @@ def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
     latest, block = checks[-1], checks[-1].steps - checks[-2].steps
     steps = latest.steps + block * np.arange(1, MOST_CHECKS + 1)
     small = ndtr((np.log(latest.rule.drift * steps) - logs.mean()) / max(logs.std(ddof=1), 0.1))
-    passed = np.cumprod(1.0 - small) < 0.5
+    passed = np.cumprod(1.0 - small) < NONE_PASSED
     return float(steps[np.argmax(passed)]) if passed.any() else np.inf

@@ -1,5 +1,7 @@
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,10 +9,11 @@ from posed_knees import posed_reference
 from scipy.spatial.transform import Rotation
 
 from identknee.runs.arrays import IntArray
+from identknee.runs.errors import InputError
 from identknee.subject.check import GeometryFinding, check_geometry, unusable
-from identknee.subject.folder import example
+from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee, Landmark
+from identknee.subject.knee import Knee, Landmark, Side
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import Surface, joined
 
@@ -189,3 +192,27 @@ def test_impossible_ligament(knee: Knee, changes: dict[str, object], said: str) 
     odd = replace(knee.ligaments[0], **changes)  # type: ignore[arg-type]
     (finding,) = unusable(knee.with_ligaments([odd, *knee.ligaments[1:]]))
     assert said in f"{finding.sentence} {finding.remedy}"
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_exchanged_epicondyles_are_named_as_such(tmp_path: Path, side: Side) -> None:
+    """And neither a wrong side nor exchanged plateaus is taken for them."""
+    knee = reference_knee(edge_mm=2.0)
+    write_subject(replace(knee, side=side), tmp_path)
+    path = tmp_path / "subject.toml"
+    text = re.sub(r"\[frames\.\w+\]\n.*?\n\n", "", path.read_text("utf-8"), flags=re.DOTALL)
+    sign = 1 if side == "right" else -1
+    places = "[landmarks]\nhip_centre = [0, 400, 0]\nankle_centre = [0, -400, 0]\n"
+    places += "{} = [0, 0, {}]\n{} = [0, 0, {}]\n\n[[ligaments]]"
+
+    def read(one: str, other: str, given: str = side) -> Knee:
+        marks = places.format(f"{one}_epicondyle", -40 * sign, f"{other}_epicondyle", 40 * sign)
+        changed = text.replace("[[ligaments]]", marks, 1).replace(f'"{side}"', f'"{given}"')
+        path.write_text(changed, encoding="utf-8")
+        return read_subject(tmp_path)
+
+    assert unusable(read("medial", "lateral")) == ()
+    with pytest.raises(InputError, match="Exchange medial_epicondyle and lateral_epicondyle"):
+        read("lateral", "medial")
+    with pytest.raises(InputError, match="Write side = "):
+        read("medial", "lateral", "left" if side == "right" else "right")
