@@ -5,13 +5,6 @@ from typing import Any
 
 from identknee.laxity.protocol import FLEXION, LOADS
 
-# What clinicians call the ligaments of the paper; any other name stands for itself.
-LIGAMENTS = {
-    "ACL": "anterior cruciate",
-    "PCL": "posterior cruciate",
-    "LCL": "lateral collateral",
-    "MCL": "medial collateral",
-}
 MOTIONS = {"varus_deg": "varus angulation", "internal_deg": "internal rotation"}
 UNITS = {"pct": "%", "Nm": "N·m"}
 OPPOSITES = {
@@ -29,16 +22,16 @@ def parameter_words(name: str) -> str:
     Examples
     --------
     >>> parameter_words("ACL.stiffness_kN")
-    "the anterior cruciate's stiffness"
+    "the ACL's stiffness"
     >>> parameter_words("ACL.tension_N@flexion30_internal5")
-    "the anterior cruciate's tension in trial flexion30_internal5"
+    "the ACL's tension in trial flexion30_internal5"
     >>> parameter_words("varus_deg@a")
     'varus angulation in trial a'
     """
     quantity, _, trial = name.partition("@")
     owner, _, kind = quantity.rpartition(".")
     words = coordinate_words(kind)
-    whole = f"the {LIGAMENTS.get(owner, owner)}'s {words}" if owner else words
+    whole = f"the {owner}'s {words}" if owner else words
     return f"{whole} in trial {trial}" if trial else whole
 
 

@@ -8,8 +8,11 @@ import typer
 from reading_ease import prose, reading_ease
 
 from identknee.cli.app import app
+from identknee.report.answers.statements import statements_of
+from identknee.verbs.files import load
 
 ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "tests" / "fuzz" / "results"
 EASE = 45.0
 MOST_WORDS = 1200
 PAGES = [
@@ -45,6 +48,12 @@ def test_a_page_is_easy_to_read(page: Path) -> None:
 @pytest.mark.parametrize("name", HELPS)
 def test_help_is_easy_to_read(name: str) -> None:
     assert reading_ease(prose(HELPS[name])) >= EASE
+
+
+@pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir() if x.name != "check"))
+def test_what_a_result_says_is_easy_to_read(verb: str) -> None:
+    said = " ".join(x.sentence for x in statements_of(load(RESULTS / verb)))
+    assert reading_ease(prose(said)) >= EASE
 
 
 def test_long_sentences_of_long_words_are_hard() -> None:

@@ -4,12 +4,14 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
-from identknee.diagnosis.explanations.candidates import Exclusion, Visibility
+from identknee.diagnosis.explanations.candidates import Exclusion
 from identknee.diagnosis.explanations.causes import Interval
 from identknee.diagnosis.explanations.refit import RivalState
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.score.score import Cell
 from identknee.model.effects.facts import FACTS, MISSING_LINE, cause_label
+from identknee.report.answers.advised import trial_table, trials_words
+from identknee.report.answers.isolability import SIZES, sizes_seen
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import (
@@ -18,18 +20,13 @@ from identknee.report.words import (
     label,
     listed,
     parameter_words,
-    trial_words,
 )
-from identknee.runs.plain_records import summary_of
 from identknee.verbs.diagnosis import CauseFound, Diagnosis, Misfit, RivalFound
 from identknee.verbs.diagnosis_gain import GainFound
-from identknee.verbs.isolability import Isolability
-from identknee.verbs.trials import AdvisedTrial
 
 Value = TypeVar("Value")
 HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested."
 MOST_PARAMETERS = 3
-SIZES = ("detectable above", "smallest relevant effect")
 FOUND = {
     Cell.MISSPECIFIED: "seen",
     Cell.INSPECT: "seen",
@@ -63,43 +60,10 @@ def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
         said = "" if answer.advice is None else answer.advice.sentence
         yield Statement(
             question=Question.NEXT,
-            sentence=f"Next test: {_trials(answer.advised_trials)}. {said}",
-            tables=(_trial_table(answer.advised_trials),),
+            sentence=f"Next test: {trials_words(answer.advised_trials)}. {said}",
+            tables=(trial_table(answer.advised_trials),),
             is_answer=True,
         )
-
-
-def isolability_statements(answer: Isolability) -> Iterator[Statement]:
-    """What a protocol could show, before there are data."""
-    rows = tuple(
-        (
-            cause_label(name),
-            *_sizes_seen(x),
-            listed(map(cause_label, answer.look_alikes.get(name, ()))) or "-",
-        )
-        for name, x in answer.effects.items()
-    )
-    names = ("cause", *SIZES, "looks like")
-    table = Table(
-        title="What these trials could show in nine of ten data sets",
-        columns=tuple(Column(name=x) for x in names),
-        rows=rows,
-    )
-    trials = f"The {answer.n_trials} trials of {answer.protocol}"
-    together = "; ".join(listed(map(cause_label, x.effects), "from") for x in answer.groups)
-    said = f"could not tell {together}." if answer.groups else "tell all causes apart."
-    yield Statement(
-        question=Question.WRONG, sentence=f"{trials} {said}", tables=(table,), is_answer=True
-    )
-    for group in answer.groups:
-        if group.advised_trials:
-            yield Statement(
-                question=Question.NEXT,
-                sentence=f"To tell {listed(map(cause_label, group.effects))} apart, add "
-                f"{_trials(group.advised_trials)}: {group.distance_with_advised_trials:.1f} "
-                f"instead of {group.distance:.1f} units of noise between the closest two.",
-                tables=(_trial_table(group.advised_trials),),
-            )
 
 
 def verdict_sentence(answer: Diagnosis) -> str:
@@ -197,7 +161,7 @@ def _clarity(answer: Diagnosis, misfit: Misfit) -> Table:
     rows = (
         ("p-value of such a misfit from noise alone", answer.p_value),
         ("chi-square without the cause", misfit.chi_square_before),
-        ("chi-square with the cause", misfit.chi_square_after),
+        *([("chi-square with the cause", misfit.chi_square_after)] if answer.causes else []),
         ("measured values", misfit.n_measured),
     )
     columns = (Column(name="test"), Column(name="value", decimals=None))
@@ -225,8 +189,8 @@ def _where(misfit: Misfit) -> Statement:
     )
     return Statement(
         question=Question.WRONG,
-        sentence=f"The misfit is largest in {places}, with "
-        f"{100 * misfit.share:.0f} % of what exceeds the noise.",
+        sentence=f"The misfit is largest in {places}. "
+        f"There lies {100 * misfit.share:.0f} % of what exceeds the noise.",
         tables=(Table(title="Cells that stand out", columns=columns, rows=rows),),
         is_answer=True,
     )
@@ -263,25 +227,25 @@ def _gain(gain: GainFound) -> Statement:
 def _change(answer: Diagnosis) -> Statement:
     before, after = (_flat(x) for x in (answer.parameters_before, answer.parameters_after))
     old, new = (_flat(x) for x in (answer.parameters_before_ci95, answer.parameters_after_ci95))
-    rows = tuple(
+    rows: list[tuple[str | float, ...]] = [
         (label(x), value, *map(_end, old[x]), after[x], *map(_end, new[x]))
         for x, value in before.items()
-    )
+    ]
     moves = {x: abs(after[x] - value) / _width(old[x]) for x, value in before.items()}
-    columns = tuple(
-        Column(name=x, decimals=2)
-        for x in ("parameter", "without", "95 % from", "to", "with", "95 % from", "to")
-    )
+    heads: tuple[str, ...] = ("parameter", "without", "95 % from", "to", "with", "95 % from", "to")
+    title = "Parameters without and with the cause"
     sentence = "The table gives the ligament parameters of the model as it is."
-    if answer.causes:
+    if not answer.causes:
+        rows, heads, title = [x[:4] for x in rows], ("parameter", "value", *heads[2:4]), "Fit"
+    else:
         most = sorted(moves, key=lambda x: -moves[x])[:MOST_PARAMETERS]
         words = listed(map(parameter_words, most))
-        sentence = f"With the cause the ligament parameters change, most of all {words}."
-    title = "Parameters without and with the cause"
+        sentence = f"With the cause the fit changes. What moves most is {words}."
+    columns = tuple(Column(name=x, decimals=2) for x in heads)
     return Statement(
         question=Question.WRONG,
         sentence=sentence,
-        tables=(Table(title=title, columns=columns, rows=rows),),
+        tables=(Table(title=title, columns=columns, rows=tuple(rows)),),
     )
 
 
@@ -317,7 +281,7 @@ def _whichever(answer: Diagnosis) -> Statement | None:
 
 def _tried(effects: Mapping[str, Exclusion]) -> Statement:
     rows = tuple(
-        (cause_label(name), FOUND[x.cell], x.score, *_sizes_seen(x), 100.0 * x.power)
+        (cause_label(name), FOUND[x.cell], x.score, *sizes_seen(x), 100.0 * x.power)
         for name, x in effects.items()
     )
     columns = (
@@ -341,13 +305,6 @@ def _tried(effects: Mapping[str, Exclusion]) -> Statement:
     )
 
 
-def _sizes_seen(x: Visibility) -> tuple[str, str]:
-    """The size that nine of ten data sets would show, and the smallest that matters."""
-    # Not finite in a computed answer, not a number in a loaded one.
-    seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "not detectable"
-    return seen, amount(x.relevant, x.unit)
-
-
 def _under(direction: str) -> str:
     """A direction of load as it follows what it moves."""
     return "without load" if direction in ("no load", "unloaded") else f"under {direction}"
@@ -365,23 +322,3 @@ def _width(ends: Interval) -> float:
 
 def _end(end: float | None) -> float | str:
     return "open" if end is None else end
-
-
-def _trials(trials: Sequence[AdvisedTrial]) -> str:
-    counts: dict[str, int] = {}
-    for trial in trials:
-        words = _trial_words(trial)
-        counts[words] = counts.get(words, 0) + 1
-    return listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
-
-
-def _trial_words(trial: AdvisedTrial) -> str:
-    return trial_words(summary_of(trial))
-
-
-def _trial_table(trials: Sequence[AdvisedTrial]) -> Table:
-    return Table(
-        title="Trials to add, the most telling first",
-        columns=(Column(name="trial"), Column(name="what to do")),
-        rows=tuple((x.trial, _trial_words(x)) for x in trials),
-    )

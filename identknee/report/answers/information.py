@@ -1,11 +1,11 @@
 """What the Fisher information says: which combinations of parameters are known, and how well."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from identknee.identify.information.information import Information
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import label, listed, parameter_words
+from identknee.report.words import label, label_without_unit, listed, parameter_words
 from identknee.verbs.information import LocalIdentifiability
 
 
@@ -19,13 +19,13 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
         words = listed(map(parameter_words, pair.parameters))
         alike = f" Hardest to tell apart are {words} (collinearity {pair.collinearity:.3g})."
     yield _known(
-        f"{structure.sentence} The sensitivities have rank {max(structure.rank, 0)} of {n} "
-        f"({structure.n_points} random points, {structure.n_with_prediction} with a prediction)."
+        f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
+        f"Of {structure.n_points} points drawn, {structure.n_with_prediction} have a prediction."
         f"{alike}"
     )
     yield _known(
-        f"{found.n_above_noise} of {n} combinations of parameters stand above numerical noise "
-        f"(condition number {found.condition:.3g}).",
+        f"{found.n_above_noise} of {n} combinations of parameters stand above the noise of the "
+        f"solver. Their condition number is {found.condition:.3g}.",
         Table(
             title="Combinations of parameters, from well to badly known",
             columns=(
@@ -33,7 +33,10 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
                 Column(name="eigenvalue", decimals=None),
                 Column(name="noise floor", decimals=None),
             ),
-            rows=tuple((x.combination, x.value, x.floor) for x in found.spectrum),
+            rows=tuple(
+                (_readable(x.combination, found.parameter_names), x.value, x.floor)
+                for x in found.spectrum
+            ),
         ),
     )
     yield _known(
@@ -50,6 +53,13 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
 
 def _known(sentence: str, *tables: Table) -> Statement:
     return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
+
+
+def _readable(combination: str, names: Sequence[str]) -> str:
+    """A combination with its parameters in words."""
+    for name in sorted(names, key=len, reverse=True):
+        combination = combination.replace(name, label_without_unit(name))
+    return combination.replace(" +", ", +").replace(" -", ", \u2212")
 
 
 def _parameters(found: Information) -> Table:

@@ -14,6 +14,14 @@ from identknee.verbs.sample_records import Marginal, Nested
 STIFFNESS = "stiffness_kN"
 # More of them in one sentence are no answer any more.
 MOST_NAMED = 5
+CONDITIONS = {
+    "steps_per_tau": "steps in the longest autocorrelation time, at least",
+    "effective_draws": "fewest effective draws, at least",
+    "effective_draws_each": "fewest effective draws of one ensemble, at least",
+    "tau_drift": "change of an autocorrelation time between checks, at most",
+    "rhat": "largest R-hat, at most",
+    "mean_error": "largest error of a mean, in standard deviations, at most",
+}
 
 
 def sample_statements(answer: Sample) -> Iterator[Statement]:
@@ -80,11 +88,11 @@ def _conditions(answer: Sample) -> Table:
         columns=(
             Column(name="condition"),
             Column(name="value", decimals=None),
-            Column(name="needed", decimals=None),
+            Column(name="bar", decimals=None),
             Column(name="met"),
         ),
         rows=tuple(
-            (name.replace("_", " "), x["value"], x["bar"], "yes" if x["met"] else "no")
+            (CONDITIONS.get(name, name), x["value"], x["bar"], "yes" if x["met"] else "no")
             for name, x in answer.gate.items()
         ),
     )

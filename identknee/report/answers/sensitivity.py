@@ -39,8 +39,8 @@ def sensitivity_statements(answer: GlobalSensitivity) -> Iterator[Statement]:
     missing = found.missing_simulations
     more = f"{missing:.0f} more simulations" if math.isfinite(missing) else "other trials"
     yield _statement(
-        f"{100 * found.share_failed:.2g} % of {found.n_simulations} simulations had a trial "
-        f"without prediction; {found.rule}."
+        f"Of {found.n_simulations} simulations {100 * found.share_failed:.2g} % had a trial "
+        f"without prediction. The rule for these: {found.rule}."
         + (f" Half-widths of 0.02 in every group would take about {more}." if missing > 0 else "")
     )
 

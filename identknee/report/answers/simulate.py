@@ -19,10 +19,10 @@ def simulate_statements(answer: Simulation) -> Iterator[Statement]:
     blank = " The cells of the others are blank." if lost else ""
     margins = [x.margin_N_per_mm for x in answer.trials if np.isfinite(x.margin_N_per_mm)]
     # The mesh law has no second derivatives and no margins.
-    lowest = f" The lowest stability margin is {min(margins):.3g} N/mm." if margins else ""
+    lowest = f" The least stable has a margin of {min(margins):.3g} N/mm." if margins else ""
     yield Statement(
         question=Question.LAXITY,
-        sentence=f"{_how_many(answer)} a stable equilibrium.{blank}{lowest}",
+        sentence=f"{_how_many(answer)} a stable pose.{blank}{lowest}",
         tables=(table,) if lost else (),
     )
 

@@ -5,10 +5,11 @@ from typing import Any
 
 from identknee.report.answers.demo import demo_statements
 from identknee.report.answers.design import design_statements
-from identknee.report.answers.diagnose import diagnosis_statements, isolability_statements
+from identknee.report.answers.diagnose import diagnosis_statements
 from identknee.report.answers.equivalents import equivalents_statements
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.information import information_statements
+from identknee.report.answers.isolability import isolability_statements
 from identknee.report.answers.profile import profile_statements
 from identknee.report.answers.sample import sample_statements
 from identknee.report.answers.sensitivity import sensitivity_statements

@@ -48,8 +48,13 @@ class Agreement:
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether a method excludes all that the main one allows."""
-        return any(relation is Relation.APART for _, relation in self.others)
+        """Whether a method with the same model excludes all that the main one allows."""
+        return any(y is Relation.APART and x.source is not Source.CAUSE for x, y in self.others)
+
+    @property
+    def is_moved_by_cause(self) -> bool:
+        """Whether the model with a cause excludes all that the one without allows."""
+        return any(y is Relation.APART and x.source is Source.CAUSE for x, y in self.others)
 
     def sentence(self, unit: str) -> str:
         """Which methods agree, and how the others differ.

@@ -160,8 +160,10 @@ def _verdict(rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str) -> t
     model, tone = _model(diagnosis)
     unknown = [x for x in rows if x.status not in KNOWN]
     contradicted = [x.name for x in rows if x.found.is_contradicted]
+    moved = [x.name for x in rows if x.found.is_moved_by_cause]
     said = [x for x in (model, _known(rows, unknown, diagnosis)) if x]
     doubts = [f"methods contradict one another on {_named(contradicted)}"] * bool(contradicted)
+    doubts += [f"with the cause {_named(moved)} lies outside its set"] * bool(moved)
     doubts += ["fits from different starts end at different parameters"] * bool(differ)
     if tone is Tone.GOOD and (unknown or doubts):
         tone = Tone.OPEN
@@ -181,7 +183,8 @@ def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
         return diagnosis.verdict.sentence, Tone.OPEN
     if diagnosis.verdict is Verdict.NAMED:
         names = listed(map(cause_label, diagnosis.cause_names))
-        return f"The model lacks something that the data show, most likely {names}.", Tone.WRONG
+        said = f"The model lacks something that the data show. Only one known cause fits: {names}."
+        return said, Tone.WRONG
     return diagnosis.sentence, Tone.WRONG
 
 
@@ -192,8 +195,10 @@ def _known(rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | N
     n, proviso = len(rows), ""
     if diagnosis is None:
         proviso = ", if the model is right (not tested)"
-    elif diagnosis.verdict is not Verdict.ADEQUATE:
+    elif diagnosis.verdict is Verdict.NOT_TESTABLE:
         proviso = ", if the model is right"
+    elif diagnosis.verdict is not Verdict.ADEQUATE:
+        return "The sets below hold for the model as it is."
     if not unknown:
         which = "The one parameter is" if n == 1 else f"All {n} parameters are"
         return f"{which} known within limits{proviso}."

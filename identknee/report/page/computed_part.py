@@ -47,7 +47,8 @@ def computed_html(results: Sequence[Result]) -> str:
     records = {f"{x.verb}, {x.folder}": x.record for x in results}
     text = json.dumps(records, indent=2, ensure_ascii=False)
     written = element("pre", escape(text), tabindex="0", aria_label="Records of all results")
-    return table + disclosed("Settings, digests of inputs and versions", written)
+    folded = disclosed("Settings, digests of inputs and versions", written)
+    return disclosed(f"{len(results)} results", table) + folded
 
 
 def further_html(findings: Findings) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
+from itertools import chain
 
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
@@ -11,6 +12,7 @@ from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import element, paragraph, section
 from identknee.report.page.results import Result, by_subject
 from identknee.report.page.subject_part import subject_html
+from identknee.runs.progress import progress
 from identknee.runs.record import versions
 
 # Nothing may be fetched: the page is all there is.
@@ -57,8 +59,9 @@ def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
     """Every figure of the page with the name of its file."""
     for subject in by_subject(results):
         findings = subject.merged
-        pairs = [(x, y) for x in findings.results for y in drawings(x)]
-        for result, drawing in [*pairs, *laxity_drawings(findings)]:
+        shown = progress(findings.results, description="drawing figures")
+        pairs = ((x, y) for x in shown for y in drawings(x))
+        for result, drawing in chain(pairs, laxity_drawings(findings)):
             folder = result.folder.name
             beside = "" if folder == result.verb else f"{folder}-"
             yield f"{beside}{result.verb}-{drawing.name}", drawing

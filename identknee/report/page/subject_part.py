@@ -6,7 +6,7 @@ from html import escape
 
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.report.answers.statements import statements_of
-from identknee.report.overview.overview import KNOWN, Overview, overview
+from identknee.report.overview.overview import KNOWN, Overview, Tone, overview
 from identknee.report.page.computed_part import computed_html, further_html, short_path
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
@@ -27,11 +27,14 @@ from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
 from identknee.report.page.warnings import warnings
 from identknee.report.statement import Question, Statement
+from identknee.runs.progress import progress
 from identknee.verbs.diagnosis import Diagnosis
 
 PLACES = dict.fromkeys(("diagnose", "isolability"), Question.WRONG)
 PLACES |= {"design": Question.NEXT, "sweep": Question.SEARCH}
 PLACES |= {"sensitivity": Question.LAXITY, "demo-starts": Question.SEARCH}
+# What their figures show stands in the table, or is for those who want to know why.
+FOLDED = ("sample", "information")
 RIGHT = "What was tested of the model"
 VERDICT_HEADINGS = {
     Verdict.ADEQUATE: RIGHT,
@@ -104,6 +107,8 @@ def _statements(result: Result) -> Iterable[Statement]:
 
 def _heading(question: Question, main: Overview, findings: Findings) -> str:
     """The heading of a part, as the verdict has it."""
+    if question is Question.KNOWN and main.tone is Tone.WRONG:
+        return "What would be known if the model were right"
     if question is Question.KNOWN and main.rows and all(x.status in KNOWN for x in main.rows):
         return "What is known"
     if question is Question.WRONG:
@@ -142,10 +147,12 @@ def _source(result: Result) -> str:
 def _figures(findings: Findings, number: int) -> Mapping[Question, list[_Figure]]:
     """The figures by the question they belong to."""
     placed: dict[Question, list[_Figure]] = {}
-    for k, result in enumerate(findings.results):
+    shown = progress(findings.results, description="drawing the report")
+    for k, result in enumerate(shown):
         for i, (name, html) in enumerate(_of_result(result, f"s{number}r{k}")):
             question = PLACES.get(name) or PLACES.get(result.verb, Question.KNOWN)
-            placed.setdefault(question, []).append(_Figure(html=html, is_first=i == 0))
+            is_first = i == 0 and result.verb not in FOLDED
+            placed.setdefault(question, []).append(_Figure(html=html, is_first=is_first))
     for k, (_, drawing) in enumerate(laxity_drawings(findings)):
         html = _figure(drawing, f"s{number}l{k}-{drawing.name}")
         is_first = drawing.name != "laxity-all"

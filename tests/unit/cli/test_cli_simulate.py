@@ -19,7 +19,7 @@ def test_the_table_is_what_the_model_predicts(tmp_path: Path) -> None:
         "simulate", "reference", "--protocol", short, "--set", "ACL.stiffness_kN=9.5", "--out", out
     )
     assert result.exit_code == 0, result.output
-    assert "All 10 simulated trials have a stable equilibrium" in result.stdout
+    assert "All 10 simulated trials have a stable pose" in result.stdout
     simulation = ik.simulate(
         ik.reference_knee(), ik.load_protocol(short), {"ACL.stiffness_kN": 9.5}
     )

@@ -109,7 +109,7 @@ def test_the_verdict_counts_what_is_known_and_names_what_is_open() -> None:
     cut = with_profiles({"ACL.stiffness_kN": (8.0, 12.0), "PCL.stiffness_kN": (15.0, None)})
     said = overview([cut])
     assert "1 of 2 parameters" in said.verdict
-    assert "the posterior cruciate's stiffness is open above" in said.verdict
+    assert "the PCL's stiffness is open above" in said.verdict
     assert said.tone is Tone.OPEN
     assert [x.limits for x in said.rows] == ["8 to 12 kN", "15 kN upwards"]
 
@@ -129,6 +129,7 @@ def test_methods_that_contradict_each_other_are_in_the_verdict() -> None:
     far = with_profiles({name: (main.high + 10.0, main.high + 11.0)})
     said = overview([far, diagnosis])
     assert "methods contradict one another" in said.verdict
+    assert "with the cause" in said.verdict
     assert "contradicts" in said.rows[0].agreement
 
 

@@ -110,7 +110,7 @@ def test_the_answer_comes_first_and_headings_are_in_order(page: str) -> None:
     assert [level for level, _ in headings].count(1) == 1
     assert [text for level, text in headings if level == 2] == [
         "The answer",
-        "What is known, and what is not",
+        "What would be known if the model were right",
         "What the model gets wrong, and why",
         "Measured and simulated laxity",
         "How the parameters were searched for",

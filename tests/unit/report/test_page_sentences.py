@@ -10,8 +10,8 @@ from report_folders import straight_profiles, write_given, write_verb
 
 from identknee.diagnosis.explanations.candidates import Visibility
 from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
-from identknee.report.answers.diagnose import isolability_statements
 from identknee.report.answers.fit import fit_statements
+from identknee.report.answers.isolability import isolability_statements
 from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.page import report_html
 from identknee.report.page.results import Result, found_results
@@ -85,8 +85,8 @@ def test_known_and_unknown_stand_in_one_sentence() -> None:
     )
     assert said == (
         "At 95 % confidence the data bound 1 of the 3 ligament parameters on both "
-        "sides. The anterior cruciate's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN); "
-        "the band's is not known upwards (at least 6 kN); the lateral collateral's is not known: "
+        "sides. The ACL's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN); "
+        "the band's is not known upwards (at least 6 kN); the LCL's is not known: "
         "these data bound it on neither side."
     )
 
@@ -192,9 +192,11 @@ def test_a_plan_says_what_it_could_not_tell_apart() -> None:
         least_distance=5.0,
     )
     plan, advice = isolability_statements(answer)
-    assert plan.sentence == "The 63 trials of seed63 could not tell a from b."
+    assert plan.sentence == (
+        "The 63 trials of seed63 could not tell all causes apart. These look alike: a and b."
+    )
     assert plan.tables[0].texts()[0] == ["a", "not detectable", "0.2 kN", "b"]
     assert advice.sentence == (
-        "To tell a and b apart, add posterior force of 134 N at 90 deg of flexion: 7.0 instead of "
-        "2.0 units of noise between the closest two."
+        "One more trial (posterior force of 134 N at 90 deg of flexion) would help to tell them "
+        "apart. The two most alike would then be 7.0 and not 2.0 units of noise apart."
     )
