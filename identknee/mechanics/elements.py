@@ -8,6 +8,8 @@ the element buffer (12 rows) holds one of p (3), f (3) and D as xx yy zz xy xz y
 
 import math
 
+import numpy as np
+
 from identknee.mechanics.compiled import compiled
 from identknee.mechanics.ligament_law import tension
 from identknee.mechanics.memory import N_LISTED, N_LISTINGS, N_TOUCHING
@@ -49,9 +51,9 @@ def list_candidates(R, t, contact, field, work):
     last_x, last_y, last_z = nx - 1.0, ny - 1.0, nz - 1.0
     # Cells at the grid's faces are not near, so that points beyond them may be looked up there.
     for i in range(points.shape[1]):
-        ix = int(min(max(moved[3, i], 0.0), last_x))
-        iy = int(min(max(moved[4, i], 0.0), last_y))
-        iz = int(min(max(moved[5, i], 0.0), last_z))
+        ix = np.int32(min(max(moved[3, i], 0.0), last_x))
+        iy = np.int32(min(max(moved[4, i], 0.0), last_y))
+        iz = np.int32(min(max(moved[5, i], 0.0), last_z))
         cells[i] = (ix * ny + iy) * nz + iz
     n = 0
     # Without branches: whether a point is near cannot be predicted.
@@ -82,31 +84,40 @@ def list_is_valid(R, t, radius, spacing, work):
     move = 0.0
     for j in range(3):
         move += (t[j] - listed_pose[9 + j]) ** 2
-    return math.sqrt(turn) * radius + math.sqrt(move) < NEAR_CELLS * spacing
+    # A turn moves a point by at most its radius times the norm of R - R', sqrt(turn / 2).
+    return math.sqrt(0.5 * turn) * radius + math.sqrt(move) < NEAR_CELLS * spacing
 
 
 @compiled
 def contact_elements(R, t, exponent, field, work):
     """Write an element for every point that may touch the femur; return their number and energy."""
     reach, listed, moved, which = field.reach, work.listed, work.moved, work.which
-    elements, fractions, cells, touching = work.elements, work.fractions, work.cells, work.touching
+    elements, fractions, touching = work.elements, work.fractions, work.touching
+    cells, eighths = work.cells, work.eighths
     ny, nz = field.shape[1], field.shape[2]
     stride_x, stride_y = ny * nz, nz
     n_listed = work.counts[N_LISTED]
     place_points(n_listed, listed, R, t, field, moved)
-    n = 0
     for j in range(n_listed):
         # Listed points stay inside the grid: cells near its faces hold no contact and are not near.
-        ix, iy, iz = int(moved[3, j]), int(moved[4, j]), int(moved[5, j])
-        cell = ix * stride_x + iy * stride_y + iz
-        u0, u1, u2 = moved[3, j] - ix, moved[4, j] - iy, moved[5, j] - iz
-        eighth = 4 * int(u0 + u0) + 2 * int(u1 + u1) + int(u2 + u2)
-        cells[n] = cell - stride_x - stride_y - 1
-        fractions[0, n], fractions[1, n], fractions[2, n] = u0, u1, u2
-        fractions[3, n] = listed[3, j]
-        elements[0, n], elements[1, n], elements[2, n] = moved[0, j], moved[1, j], moved[2, j]
-        touching[n] = which[j]
-        n += (reach[cell] >> eighth) & 1
+        x, y, z = moved[3, j], moved[4, j], moved[5, j]
+        ix, iy, iz = np.int32(x), np.int32(y), np.int32(z)
+        cells[j] = ix * stride_x + iy * stride_y + iz
+        x, y, z = 2.0 * (x - ix), 2.0 * (y - iy), 2.0 * (z - iz)
+        eighths[j] = 4 * np.int32(x) + 2 * np.int32(y) + np.int32(z)
+    n = 0
+    # Without branches: whether a point may touch cannot be predicted.
+    for j in range(n_listed):
+        touching[n] = j
+        n += (reach[cells[j]] >> eighths[j]) & 1
+    for i in range(n):
+        j = touching[i]
+        x, y, z = moved[3, j], moved[4, j], moved[5, j]
+        fractions[0, i], fractions[1, i] = x - np.int32(x), y - np.int32(y)
+        fractions[2, i], fractions[3, i] = z - np.int32(z), listed[3, j]
+        elements[0, i], elements[1, i], elements[2, i] = moved[0, j], moved[1, j], moved[2, j]
+        cells[i] = cells[j] - stride_x - stride_y - 1
+        touching[i] = which[j]
     inverse = 1.0 / field.spacing[0]
     energy = spline_elements(n, field.coefficients, stride_x, stride_y, inverse, exponent, work)
     return n, energy

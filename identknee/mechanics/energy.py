@@ -129,6 +129,7 @@ def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
     for i in range(5):
         energy -= load[i] * q[i]
         g[i] -= load[i]
+        work.pose[i] = q[i]
     return energy
 
 

@@ -32,10 +32,14 @@ from identknee.mechanics.small_matrices import (
     trust_region_step,
 )
 
-# N; a solve this close takes one Newton step more, unmeasured, which squares the error: far below
-# what a difference between two ways of solving may be (1e-9 mm).
+# N and mm; a solve this close, by either, takes one Newton step more, unmeasured, which squares the
+# error: far below what a difference between two ways of solving may be (1e-9 mm). The Hessian stays
+# that of the pose before, off by as much as stiff contact changes within the step.
 RESIDUAL_TOLERANCE = 3e-6
-SMALLEST_STEP = 1.0 / 1024.0  # of the way from one node of the load path to the next
+LAST_STEP = 3e-7
+SAME_CONTACT = 1e-5  # mm; as near as that a pose is evaluated once for contact forces
+MOST_HALVINGS = 10  # of the way from one node of the load path to the next
+SMALLEST_STEP = 0.5**MOST_HALVINGS
 LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has left the branch
 BRANCH_ABSOLUTE = 0.1  # mm; disagreement of a step with its end tangents that is always allowed
 BRANCH_RELATIVE = 0.25  # the same, as a share of the step's length
@@ -64,13 +68,18 @@ def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work
     energy = evaluate(flexion, q, load, contact, field, ligaments, evaluation, g, H, h)
     residual = residual_norm(g)
     radius = 3.0
+    is_close = False
     for _ in range(MOST_ITERATIONS):
         if residual < RESIDUAL_TOLERANCE:
+            is_close = True
             break
         if residual < SLACK_RESIDUAL and not factorise(H, -FLOOR_MARGIN, L):
             break
-        trust_region_step(g, H, radius, L, right, step)
+        shift = trust_region_step(g, H, radius, L, right, step)
         length = scaled_norm(step)
+        if shift == 0.0 and length < LAST_STEP:
+            is_close = True
+            break
         predicted = 0.0
         for i in range(5):
             trial[i] = q[i] + step[i]
@@ -108,7 +117,7 @@ def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work
                 break
     if residual < SLACK_RESIDUAL and not factorise(H, -FLOOR_MARGIN, L):
         return UNCONSTRAINED, residual
-    if residual >= RESIDUAL_TOLERANCE:
+    if not is_close:
         return NO_EQUILIBRIUM, residual
     factorise(H, 0.0, L)
     substitute(L, g, step)
@@ -157,30 +166,39 @@ def copy_state(state, to):
 
 
 @compiled
+def row_of(states, n):
+    """State n of several, to be read and written."""
+    return State(
+        states.pose[n], states.hessian[n], states.gradient_by_flexion[n], states.tangent[n]
+    )
+
+
+@compiled
 def follow(segment, guess, guessed, contact, field, ligaments, work, g):
     """Follow the branch of equilibria from one end of a segment to the other.
 
     ``work.path.here`` is the state before and becomes the state after, or the last stable one
     reached. A step is accepted when it agrees with the tangents at both of its ends, else it is
-    halved: on a smooth branch the disagreement vanishes with the step, across a jump it stays. A
-    state found too far away for one step is kept and looked at again from closer by. `guess` is a
+    halved: on a smooth branch the disagreement vanishes with the step, across a jump it stays.
+    States found too far away for one step are kept and looked at again from closer by. `guess` is a
     pose to try first at the segment's end, if `guessed`.
 
     Returns (outcome, share of the segment reached, residual, number of solves).
     """
     L, right = work.solver.factor, work.solver.right
-    here, there, far_state, load, change = work.path
+    here, there, far, goals, load, change = work.path
     flexion_change = segment.flexion_after - segment.flexion_before
     for i in range(5):
         change[i] = segment.load_after[i] - segment.load_before[i]
-    reached, share, far, residual, solves = 0.0, 1.0, -1.0, 0.0, 0
+    reached, share, n_far, residual, solves = 0.0, 1.0, 0, 0.0, 0
     tangent(here, change, flexion_change, L, right)
     while reached < 1.0:
         share = min(share, 1.0 - reached)
         goal = reached + share
         outcome = CONVERGED
-        if goal == far:
-            copy_state(far_state, there)
+        is_known = n_far > 0 and goal == goals[n_far - 1]
+        if is_known:
+            copy_state(row_of(far, n_far - 1), there)
         else:
             for i in range(5):
                 there.pose[i] = guess[i] if guessed else here.pose[i] + share * here.tangent[i]
@@ -195,18 +213,31 @@ def follow(segment, guess, guessed, contact, field, ligaments, work, g):
         if outcome == CONVERGED and not off_branch(here, there, share, tolerance):
             copy_state(there, here)
             reached = goal
-            share *= 2.0
+            n_far -= is_known
+            share = goals[n_far - 1] - reached if n_far > 0 else 2.0 * share
         elif guessed:
             guessed = False
         else:
-            if outcome == CONVERGED and goal != far:
-                copy_state(there, far_state)
-                far = goal
+            if outcome == CONVERGED and not is_known:
+                copy_state(there, row_of(far, n_far))
+                goals[n_far] = goal
+                n_far += 1
             share *= 0.5
             if share < SMALLEST_STEP:
                 free = not factorise(here.hessian, -10.0 * FLOOR_MARGIN, L)
                 return UNCONSTRAINED if free else FOLD, reached, residual, solves
     return CONVERGED, 1.0, residual, solves
+
+
+@compiled
+def evaluate_there(flexion, q, load, contact, field, ligaments, work):
+    """Make the elements those of a pose, unless the pose evaluated last is about the same."""
+    solver, last, far = work.solver, work.evaluation.pose, 0.0
+    for i in range(5):
+        far = max(far, abs(q[i] - last[i]) * scale_of(i))
+    if far > SAME_CONTACT:
+        g, H, h = solver.trial_gradient, solver.trial_hessian, solver.trial_gradient_by_flexion
+        evaluate(flexion, q, load, contact, field, ligaments, work.evaluation, g, H, h)
 
 
 @compiled
@@ -220,8 +251,7 @@ def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns,
     R, t, axes = evaluation.rotation, evaluation.translation, evaluation.axes
     L, right, step = solver.factor, solver.right, solver.step
     if S.shape[1] > 2 * m:
-        g, h, H_again = solver.trial, solver.trial_gradient_by_flexion, solver.trial_hessian
-        evaluate(flexion, q, load, contact, field, ligaments, evaluation, g, H_again, h)
+        evaluate_there(flexion, q, load, contact, field, ligaments, work)
         n_touching = evaluation.counts[N_TOUCHING]
         contact_columns(n_touching, evaluation.elements, axes, columns, 2 * m)
     place_tibia(flexion, q, R, t)
@@ -237,9 +267,9 @@ def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns,
 
 
 @compiled
-def empty_state():
-    """A state to be written to."""
-    return State(np.zeros(5), np.zeros((5, 5)), np.zeros(5), np.zeros(5))
+def empty_states(n):
+    """States to be written to."""
+    return State(np.zeros((n, 5)), np.zeros((n, 5, 5)), np.zeros((n, 5)), np.zeros((n, 5)))
 
 
 @compiled
@@ -259,9 +289,10 @@ def workspace(n_points, n_ligaments):
         start=np.zeros(5),
     )
     path = PathMemory(
-        here=empty_state(),
-        there=empty_state(),
-        far=empty_state(),
+        here=row_of(empty_states(1), 0),
+        there=row_of(empty_states(1), 0),
+        far=empty_states(MOST_HALVINGS + 1),
+        goals=np.zeros(MOST_HALVINGS + 1),
         load=np.zeros(5),
         change=np.zeros(5),
     )
@@ -272,6 +303,8 @@ def workspace(n_points, n_ligaments):
         counts=counts,
         listed_pose=np.zeros(12),
         cells=np.zeros(n, np.int64),
+        eighths=np.zeros(n, np.int64),
+        pose=np.full(5, np.inf),
         rotation=np.zeros(9),
         translation=np.zeros(3),
         sums=np.zeros(39),
@@ -343,6 +376,11 @@ def simulate_path(
                 )
         results.codes[n] = outcome
         write_state(here, results, n)
+        # The last pose evaluated may be one that was searched on the way, or not kept.
+        angle = nodes.flexion[n]
+        if before >= 0 and outcome != CONVERGED:
+            angle += (1.0 - results.reached[n]) * (nodes.flexion[before] - angle)
+        evaluate_there(angle, here.pose, nodes.loads[n], contact, field, ligaments, work)
         contact_centres(contact, work.evaluation, results.centres[n])
         if derivatives and outcome == CONVERGED:
             sensitivities(

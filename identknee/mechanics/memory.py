@@ -168,8 +168,9 @@ class PathMemory(NamedTuple):
         The last equilibrium accepted.
     there
         The one found next.
-    far
-        One found too far away for one step, kept until it is near enough.
+    far, goals
+        Those found too far away for one step, one closer than the other, kept until they are near
+        enough, and where on the segment they are.
     load
         The load at `there`, shape ``(5,)``.
     change
@@ -179,6 +180,7 @@ class PathMemory(NamedTuple):
     here: State
     there: State
     far: State
+    goals: Array
     load: Array
     change: Array
 
@@ -199,8 +201,10 @@ class EvaluationMemory(NamedTuple):
         and listings were made, at the places `N_LISTED` to `N_LISTINGS`, shape ``(4,)``.
     listed_pose
         Rotation (9) and translation (3) for which the points were listed.
-    cells
-        First spline coefficient of each point's cell, shape ``(n,)``.
+    cells, eighths
+        First spline coefficient of each point's cell, and the eighth of the cell, shape ``(n,)``.
+    pose
+        The pose evaluated last, shape ``(5,)``.
     rotation, translation
         Placement of the tibia, shapes ``(9,)`` and ``(3,)``.
     sums
@@ -227,6 +231,8 @@ class EvaluationMemory(NamedTuple):
     counts: IntArray
     listed_pose: Array
     cells: IntArray
+    eighths: IntArray
+    pose: Array
     rotation: Array
     translation: Array
     sums: Array

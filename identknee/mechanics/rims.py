@@ -7,6 +7,8 @@ from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array, IntArray, frozen
 
+RIM_MARGIN = 3.0  # mm
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RimDistance:
@@ -43,3 +45,24 @@ def rim_distance(vertices: Array, faces: IntArray) -> RimDistance:
     unique, count = np.unique(edges, axis=0, return_counts=True)
     rim = vertices[np.unique(unique[count == 1])]
     return RimDistance(vertices=vertices, distances=cKDTree(rim).query(vertices)[0])
+
+
+def share_near_rims(centres: Array, femoral: RimDistance, tibial: tuple[RimDistance, ...]) -> Array:
+    """Share of each trial's contact force that acts within 3 mm of a rim, shape ``(n,)``.
+
+    Parameters
+    ----------
+    centres
+        Of each trial and compartment: force [N], its centre in tibial and in femoral axes [mm],
+        shape ``(n, compartments, 7)``.
+    femoral, tibial
+        The rims, one a tibial surface.
+    """
+    forces = centres[:, :, 0]
+    near = np.zeros(len(centres))
+    for c, rim in enumerate(tibial):
+        margin = np.minimum(rim.at(centres[:, c, 1:4]), femoral.at(centres[:, c, 4:7]))
+        near += forces[:, c] * (margin < RIM_MARGIN)
+    total = forces.sum(axis=1)
+    share: Array = np.divide(near, total, out=np.zeros(len(centres)), where=total > 0.0)
+    return share

@@ -33,7 +33,6 @@ from identknee.runs.short_repr import short_repr
 from identknee.subject.knee import Knee
 
 Contact = Literal["field", "mesh"]
-RIM_MARGIN = 3.0  # mm
 # Loads of a protocol (internal, varus moment, anterior, distraction, lateral force) to generalised
 # loads of (varus, internal, x, y, z).
 _GENERALISED = np.array(
@@ -281,7 +280,7 @@ class LaxityModel:
             hessians=found.hessians[nodes],
             reached=found.reached[nodes],
             centres=found.centres[nodes],
-            rim_share=self._rim_share(found.centres[nodes]),
+            rims=(self.joint.femoral_rim, self.joint.tibial_rims),
             node_poses=found.poses,
         )
 
@@ -342,23 +341,9 @@ class LaxityModel:
             hessians=None,
             reached=np.ones(n),
             centres=np.zeros((n, 0, 7)),
-            rim_share=np.full(n, np.nan),
+            rims=None,
             node_poses=found.poses,
         )
-
-    def _rim_share(self, centres: Array) -> Array:
-        """Share of each trial's contact force that acts near a rim, shape ``(n,)``."""
-        forces = centres[:, :, 0]
-        near = np.zeros(len(centres))
-        for c, tibial in enumerate(self.joint.tibial_rims):
-            margin = np.minimum(
-                tibial.at(centres[:, c, 1:4]),
-                self.joint.femoral_rim.at(centres[:, c, 4:7]),
-            )
-            near += forces[:, c] * (margin < RIM_MARGIN)
-        total = forces.sum(axis=1)
-        share: Array = np.divide(near, total, out=np.zeros(len(centres)), where=total > 0.0)
-        return share
 
 
 def _parameters(knee: Knee, amplitudes: Parameters | None) -> Parameters:

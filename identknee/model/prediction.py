@@ -6,6 +6,7 @@ import numpy as np
 
 from identknee.mechanics.equilibria import stability_margins
 from identknee.mechanics.kernel import CONVERGED
+from identknee.mechanics.rims import RimDistance, share_near_rims
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.outcome import Outcome
 from identknee.runs.short_repr import short_repr
@@ -49,10 +50,9 @@ class Prediction:
     centres
         Of every trial and compartment: contact force [N], its centre in tibial and in femoral axes
         [mm], shape ``(n, compartments, 7)``.
-    rim_share
-        Share of every trial's contact force that acts within 3 mm of a rim, where the surface
-        ends, shape ``(n,)``; NaN for mesh contact. Such a prediction is kept: losing it would end a
-        set of parameters without any data.
+    rims
+        How far places are from the rims of the femur and of each tibial surface; None for mesh
+        contact.
     node_poses
         Poses at all nodes of the load paths, where another prediction may start.
     """
@@ -66,7 +66,7 @@ class Prediction:
     hessians: Array | None
     reached: Array
     centres: Array
-    rim_share: Array
+    rims: tuple[RimDistance, tuple[RimDistance, ...]] | None
     node_poses: Array
 
     __repr__ = short_repr
@@ -101,6 +101,17 @@ class Prediction:
     def all_converged(self) -> bool:
         """Whether every trial has one."""
         return bool(self.is_converged.all())
+
+    @property
+    def rim_share(self) -> Array:
+        """Share of each trial's contact force that acts within 3 mm of a rim, shape ``(n,)``.
+
+        NaN for mesh contact. A prediction near a rim is kept: losing it would end a set of
+        parameters without any data.
+        """
+        if self.rims is None:
+            return np.full(len(self.codes), np.nan)
+        return share_near_rims(self.centres, *self.rims)
 
     @property
     def is_near_rim(self) -> BoolArray:

@@ -15,6 +15,7 @@ from tolerances import DIFFERENCE, RESIDUAL_N, SAME_MARGIN, SAME_POSE
 
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.mechanics.grood_suntay import coordinates_from_pose
+from identknee.mechanics.memory import N_TOUCHING
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model import joint
 from identknee.model.effects.loads import compression
@@ -26,6 +27,8 @@ from identknee.runs.outcome import Outcome
 from identknee.subject.reference import reference_knee
 
 N_WIDE = 100
+# Contact is that of the pose before the last step, which is shorter than 3e-7 mm.
+CONTACT_N = 1e-3
 TRIAL_OUTCOMES = {
     Outcome.CONVERGED,
     Outcome.FOLD,
@@ -240,6 +243,19 @@ def test_near_the_subjects_own_values_the_reference_converges(reference_model: L
         for _ in range(50)
     ]
     assert np.mean(found) >= 0.99
+
+
+def test_contact_forces_are_those_of_the_pose(reference_model: LaxityModel) -> None:
+    """Also where that pose was found before others that were searched on the way to it."""
+    theta = reference_model.parameters.center
+    found = reference_model.predict(theta, derivatives=False)
+    evaluate, ligaments = Evaluator(reference_model.joint), ligaments_of(reference_model, theta)
+    flexion = np.radians(reference_model.protocol.flexion_deg)
+    for angle, pose, centres in zip(flexion, found.poses, found.centres, strict=True):
+        evaluate(angle, pose, ligaments)
+        elements, n = evaluate.work.elements, evaluate.work.counts[N_TOUCHING]
+        forces = np.linalg.norm(elements[3:6, :n], axis=0)
+        assert centres[:, 0].sum() == pytest.approx(forces.sum(), abs=CONTACT_N)
 
 
 def test_contact_near_a_rim_is_kept_and_says_so() -> None:
