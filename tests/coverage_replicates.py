@@ -80,7 +80,7 @@ def replicate(
     evaluator = Evaluator(problem)
     at_truth = np.array(truth)
     free = minimise(evaluator, at_truth, tolerance=FREE_TOLERANCE)
-    held = [_held(evaluator, free, name, at_truth) for name in problem.parameters.names]
+    held = [held_at_truth(evaluator, free, name, at_truth) for name in problem.parameters.names]
     lowest = min([free, *held], key=lambda found: found.evaluation.deviance)
     if lowest is not free:
         free = minimise(evaluator, lowest.evaluation.theta, tolerance=FREE_TOLERANCE)
@@ -96,7 +96,7 @@ def replicate(
     }
 
 
-def _held(evaluator: Evaluator, free: Constrained, name: str, truth: Array) -> Constrained:
+def held_at_truth(evaluator: Evaluator, free: Constrained, name: str, truth: Array) -> Constrained:
     """The fit with one parameter at the truth, from the free fit and, where in doubt, the truth."""
     quantity = ParameterQuantity(parameters=evaluator.parameters, name=name)
     target = float(truth[quantity.index])

@@ -32,6 +32,7 @@ MODULES = {
     "rows": "verify_rows",
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
+    "uncertain": "verify_uncertain",
 }
 
 if __name__ == "__main__":

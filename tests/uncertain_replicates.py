@@ -1,0 +1,77 @@
+"""How far the deviance rises to the truth where the knee given is wrong and says how wrong."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from coverage_replicates import FREE_TOLERANCE, held_at_truth
+from knees import knee
+from scipy.special import chdtrc
+
+from identknee.blind.case import CORRELATION, SD, blind_case
+from identknee.blind.conditions import Conditions
+from identknee.calibrate.constrained import minimise
+from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.problem import with_nuisance_priors
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.residuals import LaxityResiduals
+from identknee.subject.uncertainty import Uncertainty
+
+# What the generator's contact law and toe region are off by, as the model may state it.
+CONTACT = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stated:
+    """A knee with errors of one size, and the size that it states for them."""
+
+    name: str
+    conditions: Conditions
+    uncertainty: Uncertainty
+
+
+@dataclass(frozen=True, kw_only=True)
+class UncertainTask:
+    """One data set of a knee with errors."""
+
+    subject: str
+    stated: Stated
+    seed: int
+
+
+def uncertain_replicate(task: UncertainTask) -> dict[str, Any]:
+    """The rise of each ligament parameter's profile deviance to the truth; `error` without data."""
+    given = knee(task.subject)
+    try:
+        case = blind_case(given, seed=task.seed, effect=None, conditions=task.stated.conditions)
+    except ValueError as error:
+        return {"error": str(error)}
+    laxity = replace(
+        case.laxity,
+        sd=np.full(case.laxity.coordinates.shape, SD),
+        within_trial_correlation=CORRELATION,
+    )
+    known = given.with_uncertainty(task.stated.uncertainty)
+    model = LaxityModel(knee=known, protocol=laxity.protocol)
+    residuals = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
+    evaluator = Evaluator(with_nuisance_priors(residuals))
+    p = evaluator.parameters
+    names = p.names_of_interest
+    near_truth = np.array(p.start)
+    near_truth[: len(names)] = [case.truth.theta[x] for x in names]
+    fits = [
+        minimise(evaluator, x, tolerance=FREE_TOLERANCE) for x in (np.array(p.start), near_truth)
+    ]
+    free = min(fits, key=lambda x: x.evaluation.deviance)
+    if not free.evaluation.is_finite:
+        return {"error": "no prediction"}
+    held = [held_at_truth(evaluator, free, name, near_truth) for name in names]
+    lowest = min([free, *held], key=lambda x: x.evaluation.deviance)
+    deviance = lowest.evaluation.deviance
+    information = np.linalg.pinv(free.evaluation.information, hermitian=True)
+    return {
+        "rises": [x.evaluation.deviance - deviance for x in held],
+        "sds": np.sqrt(np.diag(information))[: len(names)].tolist(),
+        "misfit_p_value": float(chdtrc(laxity.is_measured.sum() - len(names), deviance)),
+        "n_simulations": evaluator.n_simulations,
+    }

@@ -1,0 +1,170 @@
+"""Coverage of 95 % intervals where insertions, frames and loads are wrong and said to be.
+
+The data come from the generator of blind cases, which shares neither contact nor solver with the
+model, on a knee whose insertions, frames or loads are not those given. An interval covers the truth
+if the profile deviance there is at most the threshold above its minimum.
+"""
+
+import argparse
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from rows import Measure, Row, commit
+from scipy.stats import binomtest, chi2
+from uncertain_replicates import CONTACT, Stated, UncertainTask, uncertain_replicate
+from work_store import work_store
+
+from identknee.blind.conditions import Conditions
+from identknee.runs.executors import process_pool
+from identknee.runs.resume import resumable_map
+from identknee.subject.uncertainty import Uncertainty
+
+LEVEL, CELLS = 0.95, 16
+N_REPLICATES, A_PART = 300, 10
+FIRST_SEED = 310_000
+IMPROBABLE = 1e-3
+
+
+def _insertions(actual: float, stated: float) -> Stated:
+    return Stated(
+        name=f"insertions {actual:g} mm, stated {stated:g} mm",
+        conditions=Conditions(insertion_mm=actual),
+        uncertainty=Uncertainty(insertions_mm=stated, contact_modulus=CONTACT),
+    )
+
+
+CASES = (
+    ("reference", _insertions(1.0, 1.0)),
+    ("reference", _insertions(2.0, 2.0)),
+    ("lenhart2015_stable", _insertions(1.0, 1.0)),
+    ("lenhart2015_stable", _insertions(2.0, 2.0)),
+    ("reference", _insertions(2.0, 1.0)),
+    ("reference", _insertions(1.0, 2.0)),
+    (
+        "reference",
+        Stated(
+            name="load axes 3 deg",
+            conditions=Conditions(load_axes_deg=3.0),
+            uncertainty=Uncertainty(load_axes_deg=3.0, contact_modulus=CONTACT),
+        ),
+    ),
+    (
+        "reference",
+        Stated(
+            name="registration 2 deg and 2 mm",
+            conditions=Conditions(registration_deg=2.0, registration_mm=2.0),
+            uncertainty=Uncertainty(
+                registration_deg=2.0, registration_mm=2.0, contact_modulus=CONTACT
+            ),
+        ),
+    ),
+)
+
+
+def parts(options: argparse.Namespace) -> Iterator[Row]:
+    """The row with every part more: so many replicates of each case."""
+    n_parts = N_REPLICATES // A_PART
+    done: list[tuple[UncertainTask, dict[str, Any]]] = []
+    about = {"cases": repr(CASES), "commit": commit()}
+    with work_store("uncertain", about) as store:
+        for part in range(n_parts):
+            tasks = [
+                UncertainTask(subject=subject, stated=stated, seed=FIRST_SEED + part * A_PART + i)
+                for i in range(A_PART)
+                for subject, stated in CASES
+            ]
+            with process_pool(options.workers) as executor:
+                outcomes = resumable_map(
+                    uncertain_replicate,
+                    tasks,
+                    executor=executor,
+                    store=store,
+                    name=f"part {part}",
+                    description=f"part {part + 1} of {n_parts}",
+                )
+            done += zip(tasks, outcomes, strict=True)
+            yield _row(done, part + 1, n_parts)
+
+
+def _row(done: list[tuple[UncertainTask, dict[str, Any]]], part: int, n_parts: int) -> Row:
+    measures: list[Measure] = []
+    notes = [] if part == n_parts else [f"unfinished: {part} of {n_parts} parts"]
+    for subject, stated in CASES:
+        own = [y for x, y in done if x.subject == subject and x.stated == stated]
+        measures += _measures(f"{subject}, {stated.name}", own)
+        errors = sum("error" in x for x in own)
+        if errors:
+            notes.append(f"{subject}, {stated.name}: {errors} of {len(own)} draws gave no data")
+    return Row(
+        line="coverage of 95 % profile intervals over uncertain geometry, 8 parameters, >= 300 "
+        "replicates: each cell's Clopper-Pearson interval (level 1 - 0.05/16) contains 95 %, mean "
+        "93-97 %",
+        measures=measures,
+        notes=notes,
+    )
+
+
+def _measures(where: str, outcomes: list[dict[str, Any]]) -> list[Measure]:
+    made = [x for x in outcomes if "error" not in x]
+    if not made:
+        return []
+    is_right = _is_stated_right(where)
+    covered = np.array([x["rises"] for x in made]) <= chi2.ppf(LEVEL, 1)
+    level = 1.0 - (1.0 - LEVEL) / CELLS
+    limits = [
+        binomtest(int(k), len(made)).proportion_ci(level, "exact") for k in covered.sum(axis=0)
+    ]
+    away = sum(not x.low <= LEVEL <= x.high for x in limits)
+    whole = binomtest(int(covered.sum()), covered.size).proportion_ci(LEVEL, "exact")
+    warned = np.mean([x["misfit_p_value"] < IMPROBABLE for x in made])
+    sds = np.median([x["sds"] for x in made], axis=0)
+    half = len(sds) // 2
+    return [
+        Measure(
+            what=f"{where}: mean coverage over parameters, away from 95 %",
+            value=abs(100.0 * float(covered.mean()) - 95.0),
+            unit="%",
+            bar=2.0 if is_right else None,
+            low=100.0 * float(whole.low),
+            high=100.0 * float(whole.high),
+            count=len(made),
+            interval="of the coverage, exact binomial at 95 % as if parameters were independent",
+        ),
+        Measure(
+            what=f"{where}: cells without 95 % in their interval",
+            value=away,
+            unit="",
+            bar=0 if is_right else None,
+            count=covered.shape[1],
+        ),
+        Measure(
+            what=f"{where}: data sets whose misfit is beyond noise (p < 0.001)",
+            value=100.0 * float(warned),
+            unit="%",
+            count=len(made),
+        ),
+        Measure(
+            what=f"{where}: median standard deviation of a stiffness",
+            value=float(sds[:half].mean()),
+            unit="kN",
+            count=len(made),
+        ),
+        Measure(
+            what=f"{where}: median standard deviation of a reference strain",
+            value=float(sds[half:].mean()),
+            unit="%",
+            count=len(made),
+        ),
+        Measure(
+            what=f"{where}: simulations a replicate",
+            value=float(np.median([x["n_simulations"] for x in made])),
+            unit="",
+            count=len(made),
+        ),
+    ]
+
+
+def _is_stated_right(where: str) -> bool:
+    """Whether errors are as large as they are stated to be."""
+    return "insertions" not in where or where.count("1 mm") != 1
