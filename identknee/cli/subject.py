@@ -37,6 +37,11 @@ OsimFile = Annotated[
         help="An OpenSim/JAM model, or lenhart2015 for the one that comes with identknee.",
     ),
 ]
+PROPOSAL = (
+    "The subject does not state how well it is known, so it counts as exact. If you know nothing "
+    "better, add to subject.toml: [uncertainty] insertions_mm = 2.0 (segmentation repeats to 1 to "
+    "4 mm)."
+)
 Bundles = Annotated[
     Literal["separate", "merged"],
     typer.Option(help="Keep the bundles separate, or merge them to four single lines."),
@@ -231,6 +236,8 @@ def _check_lines(
     for finding in findings:
         sentence = f"{finding.severity:8}{finding.subject}: {finding.sentence}"
         lines.append(f"{sentence} {finding.remedy}".rstrip())
+    if knee.uncertainty.is_exact:
+        lines.append(PROPOSAL)
     if stability is None:
         lines.append("Stability was not checked: mend the errors above first.")
     return lines

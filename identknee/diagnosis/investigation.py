@@ -160,7 +160,9 @@ class Investigation:
             names = " and ".join(self.explanation.names)
             findings += _unfinished(self.explanation, f"with {names}")
         fitted = self.explanation.fitted
-        findings += bound_findings(fitted.theta, fitted.model.parameters)
+        parameters = fitted.model.parameters
+        findings += bound_findings(fitted.theta, parameters, parameters.nuisance_names)
+        findings += fitted.nuisance_findings
         findings += [
             Finding(
                 severity=Severity.WARNING if x.could_matter else Severity.INFO,

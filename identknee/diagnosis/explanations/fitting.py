@@ -12,7 +12,7 @@ from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
 from identknee.diagnosis.noise.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.noise.nuisances import nuisance_changes
 from identknee.diagnosis.score.misfit import Projector, base_projector
-from identknee.identify.nuisances import NuisanceEstimate, nuisance_estimates
+from identknee.identify.nuisances import NuisanceEstimate, nuisance_estimates, nuisance_findings
 from identknee.identify.optimum import sobol_around
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
@@ -22,6 +22,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
+from identknee.runs.findings import Finding
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
@@ -120,6 +121,12 @@ class Fitted:
     def compared(self) -> LaxityResiduals:
         """Model and data, compared in mm and deg."""
         return LaxityResiduals(model=self.model, laxity=self.laxity)
+
+    @property
+    def nuisance_findings(self) -> tuple[Finding, ...]:
+        """Which of them the fit moves beyond what is stated: a cause by itself."""
+        problem = weighed(self.model, self.laxity, self.noise)
+        return nuisance_findings(problem, self.theta)
 
     @property
     def differences(self) -> Array:
