@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from rows import Measure, Row, commit
 from scipy.stats import binomtest, chi2
-from uncertain_replicates import CONTACT, Stated, UncertainTask, uncertain_replicate
+from uncertain_replicates import CONTACT, SURFACE, Stated, UncertainTask, uncertain_replicate
 from work_store import work_store
 
 from identknee.blind.conditions import Conditions
@@ -30,7 +30,8 @@ def _insertions(actual: float, stated: float) -> Stated:
     return Stated(
         name=f"insertions {actual:g} mm, stated {stated:g} mm",
         conditions=Conditions(insertion_mm=actual),
-        uncertainty=Uncertainty(insertions_mm=stated, contact_modulus=CONTACT),
+        uncertainty=Uncertainty(insertions_mm=stated, contact_modulus=CONTACT, surface_mm=SURFACE),
+        is_right=actual == stated,
     )
 
 
@@ -46,7 +47,7 @@ CASES = (
         Stated(
             name="load axes 3 deg",
             conditions=Conditions(load_axes_deg=3.0),
-            uncertainty=Uncertainty(load_axes_deg=3.0, contact_modulus=CONTACT),
+            uncertainty=Uncertainty(load_axes_deg=3.0, contact_modulus=CONTACT, surface_mm=SURFACE),
         ),
     ),
     (
@@ -55,7 +56,10 @@ CASES = (
             name="registration 2 deg and 2 mm",
             conditions=Conditions(registration_deg=2.0, registration_mm=2.0),
             uncertainty=Uncertainty(
-                registration_deg=2.0, registration_mm=2.0, contact_modulus=CONTACT
+                registration_deg=2.0,
+                registration_mm=2.0,
+                contact_modulus=CONTACT,
+                surface_mm=SURFACE,
             ),
         ),
     ),
@@ -92,7 +96,7 @@ def _row(done: list[tuple[UncertainTask, dict[str, Any]]], part: int, n_parts: i
     notes = [] if part == n_parts else [f"unfinished: {part} of {n_parts} parts"]
     for subject, stated in CASES:
         own = [y for x, y in done if x.subject == subject and x.stated == stated]
-        measures += _measures(f"{subject}, {stated.name}", own)
+        measures += _measures(f"{subject}, {stated.name}", own, is_right=stated.is_right)
         errors = sum("error" in x for x in own)
         if errors:
             notes.append(f"{subject}, {stated.name}: {errors} of {len(own)} draws gave no data")
@@ -105,11 +109,10 @@ def _row(done: list[tuple[UncertainTask, dict[str, Any]]], part: int, n_parts: i
     )
 
 
-def _measures(where: str, outcomes: list[dict[str, Any]]) -> list[Measure]:
+def _measures(where: str, outcomes: list[dict[str, Any]], *, is_right: bool) -> list[Measure]:
     made = [x for x in outcomes if "error" not in x]
     if not made:
         return []
-    is_right = _is_stated_right(where)
     covered = np.array([x["rises"] for x in made]) <= chi2.ppf(LEVEL, 1)
     level = 1.0 - (1.0 - LEVEL) / CELLS
     limits = [
@@ -163,8 +166,3 @@ def _measures(where: str, outcomes: list[dict[str, Any]]) -> list[Measure]:
             count=len(made),
         ),
     ]
-
-
-def _is_stated_right(where: str) -> bool:
-    """Whether errors are as large as they are stated to be."""
-    return "insertions" not in where or where.count("1 mm") != 1

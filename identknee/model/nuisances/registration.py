@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
+from identknee.mechanics.pose import angles_of, rotation_matrix
 from identknee.model.effects.effect import Tests, amplitudes
 from identknee.model.effects.loads import INTERNAL, VARUS, X, Y, Z
 from identknee.model.nuisances.loading import REACH
@@ -62,16 +63,17 @@ class Registration:
     def change_copies(self, setting: Setting, values: Array) -> Setting:
         """The same at amplitudes ``values[i]`` in copy i."""
         femur, tibia = self._frames(values, len(setting.loads))
-        flexion = _flexion_between(femur.turn, tibia.turn, setting.flexion)
-        in_measured_axes = setting.loads[:, FORCES]
+        flexion = _flexion_between(femur, tibia, setting.flexion)
+        forces = setting.loads[:, FORCES]
         moments = np.column_stack([setting.loads[:, MOMENTS], np.zeros(len(setting.loads))])
         # The force acts at the measured origin of the tibia.
-        moments += np.cross(tibia.turn.inv().apply(tibia.shift), in_measured_axes)
-        turns = _about_z(flexion) * femur.turn * _about_z(-setting.flexion)
+        moments += np.cross(_turned(_inverse(tibia.turn), tibia.shift), forces)
+        into_geometry = _product(femur.turn, _flexed(setting.flexion))
+        turn = _product(_flexed(-flexion), into_geometry)
         loads = np.array(setting.loads)
-        loads[:, FORCES] = turns.apply(in_measured_axes)
-        loads[:, VARUS] = turns.apply(moments)[:, 0]
-        loads[:, INTERNAL] = tibia.turn.apply(moments)[:, 1]
+        loads[:, FORCES] = _turned(turn, forces)
+        loads[:, VARUS] = _turned(turn, moments)[:, 0]
+        loads[:, INTERNAL] = _turned(tibia.turn, moments)[:, 1]
         return replace(setting, loads=loads, flexion=flexion)
 
     def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
@@ -81,42 +83,71 @@ class Registration:
     def observe_copies(self, coordinates: Array, values: Array, tests: Tests) -> Array:
         """The same in k copies of the trials, copy i with amplitudes ``values[i]``."""
         femur, tibia = self._frames(values, len(coordinates))
-        stated = np.radians(tests.flexion_deg)
-        flexion = _flexion_between(femur.turn, tibia.turn, stated)
+        flexion = _flexion_between(femur, tibia, np.radians(tests.flexion_deg))
         pose = pose_from_coordinates(coordinates)
-        actual = Rotation.from_euler("ZXY", np.column_stack([-flexion, pose[:, 0], pose[:, 1]]))
-        origin = _about_z(-flexion).apply(pose[:, 2:])
-        angles = (femur.turn.inv() * actual * tibia.turn).as_euler("ZXY")
-        between = femur.turn.inv().apply(actual.apply(tibia.shift) + origin - femur.shift)
-        in_turned_axes = _about_z(-angles[:, 0]).apply(between)
-        return coordinates_from_pose(np.column_stack([angles[:, 1:], in_turned_axes]))
+        actual = rotation_matrix(flexion, pose[:, 0], pose[:, 1])
+        origin = _turned(_flexed(flexion), pose[:, 2:])
+        between = _turned(actual, tibia.shift) + origin - femur.shift
+        to_measured = _inverse(femur.turn)
+        turns = _product(_product(to_measured, actual), tibia.turn)
+        read_flexion, varus, internal = angles_of(turns)
+        in_turned_axes = _turned(_flexed(-read_flexion), _turned(to_measured, between))
+        return coordinates_from_pose(np.column_stack([varus, internal, in_turned_axes]))
 
-    def _frames(self, values: Array, n: int) -> "tuple[_Frame, _Frame]":
+    def _frames(self, values: Array, n: int) -> "tuple[_Frames, _Frames]":
         """The frames of n rows, of which each copy has as many, at values (k, a)."""
         whole = np.zeros((len(values), len(NAMES)))
         whole[:, list(self._used)] = values
-        rows = np.repeat(whole, n // len(values), axis=0).reshape(-1, 2, 2, 3)
-        return _frame(rows[:, 0]), _frame(rows[:, 1])
+        femur, tibia = np.moveaxis(whole.reshape(-1, 2, 2, 3), 1, 0)
+        return _frames(femur, n), _frames(tibia, n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Frame:
-    """Measured frames in that of the geometry: their turns, and their origins [mm], ``(n, 3)``."""
+class _Frames:
+    """Measured frames of n rows in that of the geometry.
 
-    turn: Rotation
+    Attributes
+    ----------
+    turn
+        Rotation matrices, shape ``(3, 3, n)``.
+    shift
+        Origins [mm], shape ``(n, 3)``.
+    """
+
+    turn: Array
     shift: Array
 
 
-def _frame(values: Array) -> _Frame:
-    """Frames of turns [deg] and shifts [mm], shape ``(n, 2, 3)``."""
-    return _Frame(turn=Rotation.from_rotvec(np.radians(values[:, 0])), shift=values[:, 1])
+def _frames(values: Array, n: int) -> _Frames:
+    """Frames of turns [deg] and shifts [mm], shape ``(k, 2, 3)``, each for an equal part of n."""
+    each = n // len(values)
+    turns = Rotation.from_rotvec(np.radians(values[:, 0])).as_matrix()
+    return _Frames(
+        turn=np.repeat(np.moveaxis(turns, 0, 2), each, axis=2),
+        shift=np.repeat(values[:, 1], each, axis=0),
+    )
 
 
-def _flexion_between(femur: Rotation, tibia: Rotation, measured: Array) -> Array:
+def _flexion_between(femur: _Frames, tibia: _Frames, measured: Array) -> Array:
     """Flexion between the frames of the geometry where it is so much between those measured."""
-    turns = femur * _about_z(-measured) * tibia.inv()
-    return -np.asarray(turns.as_euler("ZXY"))[:, 0]
+    turned = _product(_product(femur.turn, _flexed(measured)), _inverse(tibia.turn))
+    return angles_of(turned)[0]
 
 
-def _about_z(angles: Array) -> Rotation:
-    return Rotation.from_euler("z", angles[:, None])
+def _flexed(angles: Array) -> Array:
+    """Rotations from axes that turn with flexion into those of the femur, ``(3, 3, n)``."""
+    none = np.zeros(len(angles))
+    return rotation_matrix(angles, none, none)
+
+
+def _product(first: Array, second: Array) -> Array:
+    return np.asarray(np.einsum("ikn,kjn->ijn", first, second))
+
+
+def _inverse(turns: Array) -> Array:
+    return np.asarray(np.swapaxes(turns, 0, 1))
+
+
+def _turned(turns: Array, vectors: Array) -> Array:
+    """Vectors (n, 3) turned by matrices (3, 3, n)."""
+    return np.asarray(np.einsum("ikn,nk->ni", turns, vectors))
