@@ -9,6 +9,9 @@ _LAWS = "tests/unit/mechanics/test_lines_and_laws.py"
 _ENERGY = "tests/unit/mechanics/test_energy.py"
 _GROOD = "tests/unit/mechanics/test_grood_suntay.py"
 _NOISE = "tests/unit/laxity/test_noise.py"
+_NUISANCES = "tests/unit/model/nuisances/test_nuisances.py"
+_SHARED = "tests/unit/model/test_shared_errors.py"
+_ESTIMATES = "tests/unit/identify/test_nuisance_estimates.py"
 
 
 def _fault(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
@@ -358,4 +361,76 @@ MECHANICS = (
         _NOISE,
     ),
 )
-FAULTS = (*PRIORS, *EFFECTS, *MECHANICS)
+NUISANCES = (
+    _fault(
+        "model/nuisances/registration.py",
+        "moments += np.cross(",
+        "moments -= np.cross(",
+        "a force at a measured origin turns the tibia the wrong way",
+        _NUISANCES,
+    ),
+    _fault(
+        "model/nuisances/registration.py",
+        "_turned(actual, tibia.shift) + origin - femur.shift",
+        "_turned(actual, tibia.shift) + origin + femur.shift",
+        "a shift of the measured femur is read with the wrong sign",
+        _NUISANCES,
+    ),
+    _fault(
+        "model/nuisances/registration.py",
+        "        return replace(setting, loads=loads, flexion=flexion)",
+        "        return replace(setting, loads=loads)",
+        "a turn of the measured frames leaves flexion as stated",
+        _NUISANCES,
+    ),
+    _fault(
+        "model/nuisances/geometry.py",
+        "sds.append(float(np.sqrt(square)))",
+        "sds.append(float(square))",
+        "an insertion is as uncertain as its variance",
+        _NUISANCES,
+    ),
+    _fault(
+        "model/shared_errors.py",
+        "    slopes = sd_deg * jacobian[:, :, -1]",
+        "    slopes = jacobian[:, :, -1]",
+        "flexion of a trial errs by one degree whatever is stated",
+        _SHARED,
+    ),
+    _fault(
+        "model/residuals.py",
+        "covariance = np.eye(len(columns)) + columns @ columns.T",
+        "covariance = np.eye(len(columns))",
+        "shared errors are stated and not averaged over",
+        _SHARED,
+    ),
+    _fault(
+        "calibrate/problem.py",
+        "return WithPriors(problem=without_priors(problem))",
+        "return WithPriors(problem=problem)",
+        "priors of nuisances count twice",
+        _ESTIMATES,
+    ),
+    _fault(
+        "identify/nuisances.py",
+        "scatter = np.eye(len(places)) - covariance",
+        "scatter = np.eye(len(places)) + covariance",
+        "a nuisance beyond its prior is taken for probable",
+        _ESTIMATES,
+    ),
+    _fault(
+        "subject/uncertainty.py",
+        'number / 100.0 if unit == "%" else number',
+        "number",
+        "three per cent of load gain are three hundred",
+        "tests/unit/subject/test_uncertainty.py",
+    ),
+    _fault(
+        "blind/stated_errors.py",
+        "turn = np.radians(conditions.registration_deg)",
+        "turn = np.radians(0.1 * conditions.registration_deg)",
+        "frames of blind knees are ten times better than stated",
+        "tests/unit/blind/test_stated_errors.py",
+    ),
+)
+FAULTS = (*PRIORS, *EFFECTS, *MECHANICS, *NUISANCES)
