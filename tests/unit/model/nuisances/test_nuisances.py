@@ -125,3 +125,13 @@ def test_more_flexion_is_a_protocol_at_other_angles() -> None:
     expected = exact.predict(exact.parameters.start, derivatives=False).coordinates
     made = model.predict(theta, derivatives=False).coordinates
     np.testing.assert_allclose(made, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "sign"), [("femur_z_deg", -1.0), ("tibia_z_deg", 1.0)])
+def test_a_measured_frame_turned_about_z_is_another_flexion(name: str, sign: float) -> None:
+    """Femoral axes turned towards flexion are flexed less against the tibia: Rz(1) Rz(-f)."""
+    model = uncertain(Uncertainty(registration_deg=2.0))
+    theta = np.array(model.parameters.start)
+    theta[model.parameters.index(f"registration.{name}")] = 1.0
+    turned = model.setting(theta).flexion - model.setting(theta, is_changed=False).flexion
+    np.testing.assert_allclose(np.degrees(turned), sign, atol=1e-9)
