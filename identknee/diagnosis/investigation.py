@@ -175,7 +175,10 @@ class Investigation:
         return (*findings, *stability_findings(self.base.fitted.model))
 
     def _library(self) -> tuple[Effect, ...]:
-        return _library(self.base.fitted.model.knee, self.laxity)
+        base = self.base.fitted.model
+        # What the knee states to be uncertain is a nuisance, and no cause that was looked for.
+        stated = {x.name for x in base.effects if not x.parameters.is_of_interest.all()}
+        return tuple(x for x in _library(base.knee, self.laxity) if x.name not in stated)
 
 
 def investigate(
