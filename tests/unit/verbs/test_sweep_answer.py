@@ -108,7 +108,7 @@ def test_searches_that_found_nothing_have_no_recovery() -> None:
     assert summary_of(answer)["unseen_mass"]["upper"] == 1.0
     assert answer.failure == "no prediction"
     assert terminal_lines(answer)[0] == (
-        "Of 1 searches by least-squares from different starts 1 began where the model has no "
+        "Of 1 least-squares searches from different starts, 1 began where the model has no "
         "prediction."
     )
 
