@@ -174,7 +174,7 @@ def _quantile(
     ends = middles + sd * _within(low, high, np.full(low.size, share))
     left, right = float(ends.min()), float(ends.max())
     wanted = share * float(np.exp(whole[used] - offset).sum())
-    is_free = bool(np.all(low < FAR))
+    is_free = bool(np.all(low < FAR) and np.all(high > 0.5 * FAR))
     weights = np.exp(log_weights - offset) if is_free else log_weights
     for _ in range(N_HALVINGS if right > left else 0):
         middle = 0.5 * (left + right)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from scipy import integrate, stats
+from scipy.special import log_ndtr, ndtri_exp
 from tolerances import CLOSED_FORM
 
 from identknee.calibrate.constrained import minimise
@@ -180,6 +181,17 @@ def test_a_bound_is_the_end_of_an_interval() -> None:
         assert found.upper[0] == pytest.approx(exact.ppf(high), rel=1e-8)
         # A bound is no limit that the data give.
         assert (found.is_lower_open[0], found.is_upper_open[0]) == (is_bounded, False)
+
+
+def test_a_mean_far_beyond_its_bound_leaves_the_tail_next_to_it() -> None:
+    far = 60.0
+    with np.errstate(all="raise", under="ignore"):
+        intervals = box_intervals(
+            np.array([far]), np.array([[1.0]]), np.array([-np.inf]), np.array([0.0])
+        )
+    fifth = far + ndtri_exp(np.log(0.05) + log_ndtr(-far))
+    np.testing.assert_allclose(intervals.lower, fifth, rtol=SOLVED)
+    np.testing.assert_array_equal(intervals.upper, [0.0])
 
 
 @pytest.mark.parametrize("mean", [[-1.0, 0.5], [-3.0, 1.0], [0.5, 0.2], [-6.0, 4.0]])
