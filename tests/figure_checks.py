@@ -42,9 +42,8 @@ def texts(figure: Figure) -> list[Text]:
     ]
 
 
-def clipped(figure: Figure) -> list[str]:
+def clipped(figure: Figure, renderer: RendererAgg) -> list[str]:
     """Texts that reach beyond the figure."""
-    renderer = drawn(figure)
     whole = figure.bbox
     return [
         x.get_text()
@@ -54,18 +53,16 @@ def clipped(figure: Figure) -> list[str]:
     ]
 
 
-def overlapping(figure: Figure) -> list[tuple[str, str]]:
+def overlapping(figure: Figure, renderer: RendererAgg) -> list[tuple[str, str]]:
     """Pairs of texts that lie upon one another."""
-    renderer = drawn(figure)
     boxes = [(x.get_text(), x.get_window_extent(renderer)) for x in texts(figure)]
     return [
         (a, b) for (a, one), (b, other) in combinations(boxes, 2) if _overlap(one, other) > ROOM
     ]
 
 
-def empty_axes(figure: Figure) -> list[str]:
+def empty_axes(figure: Figure, renderer: RendererAgg) -> list[str]:
     """Panels in which nothing is to be seen."""
-    renderer = drawn(figure)
     return [
         x.get_title() or x.get_xlabel() or "?"
         for x in figure.axes

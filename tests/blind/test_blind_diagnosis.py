@@ -38,11 +38,13 @@ def outcome(effect: str, seed: int) -> dict[str, Any]:
 
 def test_nothing_hidden_seldom_alarms() -> None:
     """Three of twenty alarms at a rate of 5 % in 1.6 % of such tests."""
-    verdicts = [
-        outcome_of(BlindTask(subject="reference", effects=(), signal=None, seed=seed))["verdict"]
-        for seed in range(FIRST_SEED, FIRST_SEED + N_NULLS)
-    ]
-    assert sum(x != Verdict.ADEQUATE for x in verdicts) <= MOST_ALARMS
+    knee = reference_knee()
+    n_alarms = 0
+    for seed in range(FIRST_SEED, FIRST_SEED + N_NULLS):
+        found = investigate(knee, blind_case(knee, seed=seed, effect=None).laxity)
+        assert found is not None
+        n_alarms += found.conclusion.verdict is not Verdict.ADEQUATE
+    assert n_alarms <= MOST_ALARMS
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

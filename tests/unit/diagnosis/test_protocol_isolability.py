@@ -1,11 +1,18 @@
 """What a protocol can tell before anything is measured."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from diagnoses import FRAME, SD, short_trials
 
 from identknee.diagnosis.advice.isolability import ENOUGH, LEAST_DISTANCE, MOST_TRIALS
-from identknee.diagnosis.advice.protocol import ProtocolIsolability, protocol_isolability
+from identknee.diagnosis.advice.protocol import (
+    GroupAdvice,
+    ProtocolIsolability,
+    protocol_isolability,
+)
+from identknee.diagnosis.explanations.candidates import Variant
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.model.effects.library import library
 from identknee.subject.knee import Knee
@@ -20,6 +27,17 @@ def _found(knee: Knee, sd: float) -> ProtocolIsolability:
     made = protocol_isolability(knee, short_trials(), sd_mm=sd, sd_deg=sd)
     assert made is not None
     return made
+
+
+@pytest.fixture
+def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Groups without the search for trials that set them apart, which takes most of the time."""
+
+    def named(_fitted: object, _candidates: object, members: Sequence[Variant]) -> GroupAdvice:
+        names = tuple(x.effect.name for x in members)
+        return GroupAdvice(names=names, trials=short_trials(), before=0.0, after=0.0)
+
+    monkeypatch.setattr("identknee.diagnosis.advice.protocol._advise", named)
 
 
 def test_moment_gains_pass_for_each_other(found: ProtocolIsolability) -> None:
@@ -44,6 +62,7 @@ def test_look_alikes_are_near_and_mutual(found: ProtocolIsolability, reference: 
         assert all(set(found.look_alikes[x]) & set(group) for x in group)
 
 
+@pytest.mark.usefixtures("no_search")
 def test_less_noise_shows_smaller_effects(found: ProtocolIsolability, reference: Knee) -> None:
     """Little of the noise is roughness of the surfaces, which stays."""
     quieter = {x.name: x.detectable for x in _found(reference, 0.5 * SD).visibility}
@@ -52,6 +71,7 @@ def test_less_noise_shows_smaller_effects(found: ProtocolIsolability, reference:
     assert LEAST_DISTANCE > 0
 
 
+@pytest.mark.usefixtures("no_search")
 def test_trials_that_the_knee_cannot_bear_are_left_out(
     reference: Knee, found: ProtocolIsolability
 ) -> None:
