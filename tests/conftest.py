@@ -1,5 +1,6 @@
 """Options, hypothesis profiles and the knees that many tests share."""
 
+import gc
 import os
 
 # Read when numpy is loaded; test processes with threads of their own get in each other's way.
@@ -47,6 +48,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(skip)
+
+
+def pytest_collection_finish() -> None:
+    # Modules and thousands of tests stay to the end: rubbish is not looked for among them.
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

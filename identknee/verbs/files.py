@@ -167,6 +167,8 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
         # The libraries below raise errors of many types at a damaged file.
         except Exception as error:  # noqa: BLE001
             why = f"the arrays cannot be read ({type(error).__name__}: {shown(str(error))})"
+        # What failed may wait for its end in a circle.
+        gc.collect()
     raise InputError(path, "", why, AGAIN)
 
 
@@ -177,7 +179,5 @@ def _files_closed_in_silence() -> Iterator[None]:
     sys.unraisablehook = lambda _: None
     try:
         yield
-        # What failed may wait for its end in a circle.
-        gc.collect()
     finally:
         sys.unraisablehook = shown_before
