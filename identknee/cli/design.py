@@ -25,7 +25,7 @@ CriterionName = Annotated[
     typer.Option(
         help="What the new trials should make small. width: the predicted intervals of the "
         "targets. c: their variances at the best fit. D, A, E: volume, mean axis and "
-        "largest axis of the confidence ellipsoid of all parameters."
+        "largest axis of the confidence ellipsoid of all ligament parameters."
     ),
 ]
 CandidateTrials = Annotated[

@@ -141,7 +141,7 @@ def design(
     criterion
         What is to shrink. ``"width"``: the predicted intervals of the targets; ``"c"``: their
         variances at the best fit; ``"D"``, ``"A"``, ``"E"``: volume, mean and largest axis of the
-        confidence ellipsoid of all parameters.
+        confidence ellipsoid of all ligament parameters.
     candidates
         Protocol of the trials to choose from; drawer, varus-valgus and rotation tests,
         compression and pairs of loads at 0 to 120 deg, and repeats, if None.

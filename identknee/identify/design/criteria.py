@@ -50,6 +50,8 @@ class Loss(Protocol):
 class LocalLoss:
     """D-, A-, E- or c-optimality of the information at the first point, the best fit.
 
+    What is asked is the covariance of the parameters of interest, nuisances integrated out.
+
     Attributes
     ----------
     criterion
@@ -57,6 +59,8 @@ class LocalLoss:
         largest eigenvalue; ``"c"``: the log variances of the targets, summed.
     gradients
         Gradients of the targets by the scaled parameters at the best fit, shape ``(t, n)``.
+    is_of_interest
+        Which parameters are no nuisances, shape ``(n,)``.
 
     References
     ----------
@@ -66,6 +70,7 @@ class LocalLoss:
 
     criterion: Criterion
     gradients: Array
+    is_of_interest: BoolArray
 
     def of_made(self, information: Array) -> Array:
         """The scaled information at the best fit, shape ``(n n,)``."""
@@ -80,7 +85,7 @@ class LocalLoss:
         """The loss of each information, shape ``(k,)``."""
         if self.criterion == "c":
             return np.asarray(np.log(self.variances(features)).sum(axis=1))
-        eigenvalues = np.linalg.eigvalsh(self._matrices(features))
+        eigenvalues = np.linalg.eigvalsh(self._of_interest(self._matrices(features)))
         if self.criterion == "D":
             return np.asarray(-np.log(eigenvalues).sum(axis=1))
         if self.criterion == "A":
@@ -95,6 +100,15 @@ class LocalLoss:
     def _matrices(self, features: Array) -> Array:
         n = self.gradients.shape[1]
         return np.asarray(features.reshape(-1, n, n) + LEAST_INFORMATION * np.eye(n))
+
+    def _of_interest(self, matrices: Array) -> Array:
+        """Inverses of the covariances of the parameters of interest: Schur complements."""
+        asked = np.flatnonzero(self.is_of_interest)
+        rest = np.flatnonzero(~self.is_of_interest)
+        own, shared = (matrices[:, asked[:, None], x] for x in (asked, rest))
+        within = matrices[:, rest[:, None], rest]
+        taken = shared @ np.linalg.solve(within, np.swapaxes(shared, 1, 2))
+        return np.asarray(own - taken)
 
 
 @declared

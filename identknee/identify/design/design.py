@@ -122,12 +122,12 @@ def design(
     n_trials
         How many to add.
     targets
-        Quantities whose intervals are to shrink; the parameters with an open interval if none is
-        given, all parameters where no interval is open.
+        Quantities whose intervals are to shrink; the parameters of interest with an open interval
+        if none is given, all of interest where no interval is open.
     criterion
         ``"width"`` for the predicted widths of the targets' profiles, ``"c"`` for their variances
         at the best fit, ``"D"``, ``"A"`` or ``"E"`` for the determinant, the trace or the largest
-        eigenvalue of the covariance of all parameters in typical steps.
+        eigenvalue of the covariance of the parameters of interest in typical steps.
     executor
         Anything with an ordered ``map``; the result is the same whichever it is.
     settings
@@ -136,14 +136,16 @@ def design(
     Raises
     ------
     ValueError
-        If `n_trials` is less than 1, the criterion is unknown, the model has no prediction at the
-        best fit, or every candidate is excluded.
+        If `n_trials` is less than 1, the criterion is unknown, all parameters are nuisances, the
+        model has no prediction at the best fit, or every candidate is excluded.
     """
     if n_trials < 1:
         raise ValueError(f"the number of trials to add must be at least 1, got {n_trials}")
     if criterion not in CRITERIA:
         raise ValueError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
     profiles_of = partial(profile_quantities, executor=executor, **settings)
+    if not problem.parameters.is_of_interest.any():
+        raise ValueError("all parameters of interest are fixed; leave at least one free")
     if targets:
         quantities = tuple(targets)
         before = profiles_of(problem, optimum_theta, quantities)
@@ -158,7 +160,11 @@ def design(
         )
     gradients = np.array([x.evaluate(points.thetas[0])[1] for x in quantities]) * points.scales
     width = WidthLoss(paths=paths_of(before, quantities, points.scales))
-    local = LocalLoss(criterion=criterion, gradients=gradients)
+    local = LocalLoss(
+        criterion=criterion,
+        gradients=gradients,
+        is_of_interest=problem.parameters.is_of_interest,
+    )
     loss: Loss = width if criterion == "width" else local
     made, trials = points.features(loss, allowed)
     chosen = choose(loss, made, trials, allowed, n_trials)
@@ -183,12 +189,12 @@ def design(
 def _needy(
     problem: Problem, theta: ArrayLike, profiles_of: ProfilesOf
 ) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
-    """The parameters with an open interval, all of them where none is, and their profiles."""
+    """Those of interest with an open interval, all where none is, and their profiles."""
     parameters = problem.parameters
-    every = [ParameterQuantity(parameters=parameters, name=x) for x in parameters.names]
+    every = [ParameterQuantity(parameters=parameters, name=x) for x in parameters.names_of_interest]
     profiles = profiles_of(problem, theta, every)
     is_open = [x.lower is None or x.upper is None for x in profiles]
-    chosen = [i for i in range(parameters.n) if is_open[i] or not any(is_open)]
+    chosen = [i for i in range(len(every)) if is_open[i] or not any(is_open)]
     return tuple(every[i] for i in chosen), tuple(profiles[i] for i in chosen)
 
 

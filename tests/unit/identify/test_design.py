@@ -7,10 +7,13 @@ import pytest
 from problems import ClosedForm, Linear, plain_parameters
 from trial_formulas import FormulaTrials, linear_trials
 
+from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import Problem, with_nuisance_priors
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.design.added_trials import WithTrials
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, directions_across
 from identknee.identify.design.design import ChosenTrials, design
+from identknee.identify.information.information import scaled_units
 from identknee.identify.profile.result import SideStatus
 from identknee.runs.arrays import Array
 from identknee.runs.executors import threads
@@ -217,8 +220,43 @@ def test_losses_are_those_of_their_names() -> None:
         "c": np.log(variances).sum(axis=1),
     }
     for criterion, values in expected.items():
-        loss = LocalLoss(criterion=criterion, gradients=gradients)
+        loss = LocalLoss(criterion=criterion, gradients=gradients, is_of_interest=np.ones(3, bool))
         np.testing.assert_allclose(loss(matrices.reshape(2, -1)), values, rtol=1e-4)
+
+
+def _with_nuisances() -> Problem:
+    """Two parameters asked for between two nuisances, whose priors are part of the problem."""
+    rng = np.random.default_rng(11)
+    parameters = replace(
+        plain_parameters(4, -1e3, 1e3),
+        prior_sd=np.array([0.5, 2.0, 2.0, 3.0]),
+        is_nuisance=np.array([True, False, False, True]),
+    )
+    matrix, data = rng.normal(size=(9, 4)), rng.normal(size=9)
+    return with_nuisance_priors(Linear(parameters=parameters, matrix=matrix, data=data))
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+def test_nuisances_are_no_targets_and_are_integrated_out(criterion: Criterion) -> None:
+    problem = _with_nuisances()
+    blocks = np.random.default_rng(12).normal(size=(6, 2, 4))
+    optimum = fit(problem, np.zeros(4)).theta
+    found = design(problem, optimum, linear_trials(blocks), n_trials=1, criterion=criterion)
+    assert found.targets == ("x1.value_pct", "x2.value_pct")
+    jacobian = problem.jacobian(optimum)
+    scales = np.outer(*2 * [scaled_units(problem.parameters, "typical")[1:3]])
+    for block, loss in zip(blocks, found.alone, strict=True):
+        covariance = np.linalg.inv(jacobian.T @ jacobian + block.T @ block)[1:3, 1:3] / scales
+        sizes = np.linalg.eigvalsh(covariance)
+        expected = {"D": np.log(sizes).sum(), "A": sizes.sum(), "E": sizes[-1]}
+        assert loss == pytest.approx(expected[criterion], rel=1e-4)
+
+
+def test_without_a_parameter_of_interest_there_is_nothing_to_design() -> None:
+    problem = _linear()
+    only = replace(problem, parameters=problem.parameters.as_nuisances())
+    with pytest.raises(ValueError, match="all parameters of interest are fixed"):
+        design(only, np.zeros(3), linear_trials(BLOCKS), n_trials=1)
 
 
 def test_directions_across_leave_the_target_as_it_is() -> None:

@@ -14,7 +14,8 @@ N, K = 4, 9
 
 
 def _loss(criterion: Criterion) -> LocalLoss:
-    return LocalLoss(criterion=criterion, gradients=np.eye(N)[:2])
+    everything = np.ones(N, bool)
+    return LocalLoss(criterion=criterion, gradients=np.eye(N)[:2], is_of_interest=everything)
 
 
 def _features(seed: int) -> tuple[Array, Array]:
