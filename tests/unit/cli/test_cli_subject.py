@@ -122,9 +122,15 @@ values = [0, 2, 4, 6, 8, 10]
 """
 
 
+def internal(folder: Path) -> Path:
+    """File of a protocol under which a knee folds."""
+    path = folder / "internal.toml"
+    path.write_text(INTERNAL, encoding="utf-8")
+    return path
+
+
 def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
-    protocol = tmp_path / "internal.toml"
-    protocol.write_text(INTERNAL, encoding="utf-8")
+    protocol = internal(tmp_path)
     words = ["lenhart2015", "--protocol", protocol]
     checked = run("subject", "check", *words, "--samples", "0", "--out", tmp_path / "check")
     assert checked.exit_code == 2
@@ -149,8 +155,8 @@ def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
 
 
 def test_a_knee_that_does_not_settle_ends_with_1(tmp_path: Path) -> None:
-    words = ["lenhart2015", "--within", "0.1", "--out", tmp_path]
-    result = run("subject", "settle", *words)
+    words = ["--protocol", internal(tmp_path), "--within", "0.1", "--out", tmp_path / "out"]
+    result = run("subject", "settle", "lenhart2015", *words)
     assert result.exit_code == 1
     assert "trials still do not converge; allow more with --within" in result.stderr
     assert "at most 8 mm, got 9 mm" in refused(

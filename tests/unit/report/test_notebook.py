@@ -9,7 +9,7 @@ from pathlib import Path
 import nbformat
 import pytest
 from cli_runs import short_protocol
-from diagnoses import answered
+from diagnoses import FRAME, answered
 from matplotlib.figure import Figure
 from nbclient import NotebookClient
 from report_folders import straight_profiles
@@ -30,7 +30,7 @@ ANSWERS: dict[str, Made] = {
     "equivalents": lambda knee, data: ik.equivalents(knee, data, n_sets=4, fixed=HELD),
     "design": lambda knee, data: ik.design(knee, data, n_trials=1, candidates="drawer", fixed=HELD),
     "profile": lambda knee, data: straight_profiles(),
-    "diagnose": lambda knee, data: answered("anterolateral"),
+    "diagnose": lambda knee, data: answered(FRAME),
 }
 CELLS = (
     "import identknee as ik",
