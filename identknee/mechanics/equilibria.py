@@ -136,10 +136,13 @@ def solve(
     derivatives: bool = True,
     guesses: Array | None = None,
 ) -> Equilibria:
-    """The equilibria at the nodes of `paths`, beginning the search at the pose `start` (5,).
+    """The equilibria at the nodes of `paths`, beginning the search at the pose `start`.
 
     Parameters
     ----------
+    start
+        Varus, internal [rad], x, y, z [mm], shape ``(5,)``, or one for each node, ``(n_nodes, 5)``.
+        Those of nodes reached from others are not looked at.
     guesses
         Poses to try first, shape ``(n_nodes, 5)``. A guess is kept only if the equilibrium found
         from it agrees with its neighbour's tangents, as one found without must.
@@ -156,10 +159,10 @@ def solve(
         centres=np.zeros((n, contact.n_compartments, 7)),
         solves=np.zeros(n, np.int64),
     )
-    nodes = (paths.flexion, paths.loads, paths.parent)
+    nodes = (paths.flexion, paths.loads, paths.parent, np.array([paths.farthest]))
     kernel.simulate_path(
         NodeArrays(*map(_read_only, nodes)),
-        np.array(start, float),
+        np.array(np.broadcast_to(start, (n, 5)), float),
         np.zeros((n, 5)) if guesses is None else np.array(guesses),
         guesses is not None,
         ContactArrays(*map(_read_only, contact.arrays())),

@@ -340,23 +340,23 @@ def write_state(state, results, n):
 
 @compiled_apart
 def simulate_path(
-    nodes, start, guesses, has_guess, contact, field, ligaments, derivatives, results
+    nodes, starts, guesses, has_guess, contact, field, ligaments, derivatives, results
 ):
     """Solve every node of a tree of load paths, each from its parent's state.
 
-    A node without parent starts the search at the pose `start`. `results` are the arrays of
+    A node n without parent starts the search at the pose ``starts[n]``. `results` are the arrays of
     `identknee.mechanics.memory.Equilibria`, to be written to.
     """
     work = workspace(contact.points.shape[1], ligaments.femoral.shape[0])
-    g, here = np.zeros(5), work.path.here
+    g, here, far = np.zeros(5), work.path.here, nodes.farthest[0]
     columns = np.zeros((5, results.sensitivities.shape[2]))
     for n in range(nodes.flexion.shape[0]):
         before = nodes.parent[n]
         if before < 0:
             for i in range(5):
-                here.pose[i] = start[i]
+                here.pose[i] = starts[n, i]
             outcome, results.residuals[n] = find_minimum(
-                nodes.flexion[n], here, nodes.loads[n], 1e9, contact, field, ligaments, work, g
+                nodes.flexion[n], here, nodes.loads[n], far, contact, field, ligaments, work, g
             )
             results.reached[n] = 1.0
             results.solves[n] = 1

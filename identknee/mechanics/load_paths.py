@@ -16,6 +16,7 @@ from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 Continuation = Literal["continuation", "single-step"]
 FLEXION_STEP = np.radians(10.0)
 LOAD_STEP = 2000.0 / ROTATION_SCALE  # N, or N mm per rotation scale: 2 N m
+NEAR = 30.0  # mm, or 43 deg of rotation: what is farther from a measured pose is another one
 _SCALE = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
 
 
@@ -33,12 +34,15 @@ class LoadPaths:
         Index of the node before, -1 where the path begins, shape ``(n_nodes,)``.
     trial_node
         The node of each trial, shape ``(n_trials,)``.
+    farthest
+        How far from its start the search may end where a path begins, rotations times 40 mm [mm].
     """
 
     flexion: Array
     loads: Array
     parent: IntArray
     trial_node: IntArray
+    farthest: float = 1e9
 
 
 def load_paths(
@@ -61,6 +65,21 @@ def load_paths(
         loads=frozen(np.reshape(tree.loads, (-1, 5)), None, 5, name="loads"),
         parent=frozen_integers(tree.parent),
         trial_node=frozen_integers(trial_node),
+    )
+
+
+def loaded_at_once(flexion: Array, loads: Array) -> LoadPaths:
+    """Paths of one node each: trials at `flexion` [rad] (n,) bear their whole `loads` (n, 5).
+
+    An equilibrium counts within `NEAR` of where its search begins.
+    """
+    n = len(flexion)
+    return LoadPaths(
+        flexion=frozen(flexion, n, name="flexion"),
+        loads=frozen(loads, n, 5, name="loads"),
+        parent=frozen_integers(np.full(n, -1)),
+        trial_node=frozen_integers(np.arange(n)),
+        farthest=NEAR,
     )
 
 

@@ -87,11 +87,14 @@ class NodeArrays(NamedTuple):
         Generalised loads, shape ``(n, 5)``.
     parent
         The node each is reached from; the search begins anew at -1; shape ``(n,)``.
+    farthest
+        How far from its start such a search may end [mm], shape ``(1,)``.
     """
 
     flexion: Array
     loads: Array
     parent: IntArray
+    farthest: Array
 
 
 class Segment(NamedTuple):

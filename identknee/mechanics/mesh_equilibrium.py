@@ -75,7 +75,8 @@ def mesh_equilibria(
         Flexion and generalised loads of (varus, internal [N mm], x, y, z [N]) in small steps, as
         `identknee.mechanics.load_paths.load_paths` makes them.
     start
-        Pose where the paths begin: varus, internal [rad], x, y, z [mm], shape ``(5,)``.
+        Pose where the paths begin: varus, internal [rad], x, y, z [mm], shape ``(5,)``, or one for
+        each node, ``(n_nodes, 5)``.
     contact
         The meshes and whose vertices count.
     lines
@@ -88,6 +89,7 @@ def mesh_equilibria(
     n_nodes = len(paths.flexion)
     poses, residuals = np.empty((n_nodes, 5)), np.empty(n_nodes)
     evaluations = np.empty(n_nodes, np.int64)
+    starts = np.broadcast_to(start, (n_nodes, 5))
     for node in range(n_nodes):
         parent = int(paths.parent[node])
         balance = partial(
@@ -97,7 +99,7 @@ def mesh_equilibria(
             contact=contact,
             ligaments=(lines, stiffness, reference_strain),
         )
-        first = start if parent < 0 else poses[parent]
+        first = starts[node] if parent < 0 else poses[parent]
         poses[node], residuals[node], evaluations[node] = _search(balance, first)
     chosen = paths.trial_node
     return MeshEquilibria(

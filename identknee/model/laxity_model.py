@@ -14,7 +14,7 @@ from identknee.mechanics.contact_points import DEFAULT_NUMBER
 from identknee.mechanics.equilibria import ContactLaw, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
-from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths
+from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
 from identknee.mechanics.memory import Equilibria
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
@@ -22,6 +22,7 @@ from identknee.model.effects.effect import Effect, Tests
 from identknee.model.effects.stored import effects_of, values_of
 from identknee.model.extension import Extension, joined
 from identknee.model.joint import Joint, joint_of, sheets_of
+from identknee.model.measured_start import measured_poses
 from identknee.model.nuisances.library import nuisances_of
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.model.prediction import Prediction
@@ -83,6 +84,10 @@ class LaxityModel:
         ligaments, with the values stored with the knee as the subject's own.
     order, phase
         As in `Laxity`, for effects that depend on when a trial was run.
+    poses
+        Measured pose of each trial: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``. The
+        equilibrium under its whole load is then looked for from there. None where paths begin
+        unloaded in the scanned pose.
     contact
         ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
         ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
@@ -97,6 +102,7 @@ class LaxityModel:
     effects: tuple[Effect, ...] = _StoredWithKnee()
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
+    poses: Array | None = None
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
@@ -106,12 +112,12 @@ class LaxityModel:
 
     def __post_init__(self) -> None:
         joint = joint_of(self.knee, self.n_points)
-        paths = load_paths(
-            np.radians(self.protocol.flexion_deg),
-            self.protocol.loads @ _GENERALISED,
-            joint.start_flexion,
-            self.continuation,
-        )
+        flexion = np.radians(self.protocol.flexion_deg)
+        loads = self.protocol.loads @ _GENERALISED
+        if self.poses is None:
+            paths = load_paths(flexion, loads, joint.start_flexion, self.continuation)
+        else:
+            paths = loaded_at_once(flexion, loads)
         is_stored = isinstance(self.effects, _StoredWithKnee)
         effects = _own_effects(self.knee) if is_stored else tuple(self.effects)
         object.__setattr__(self, "effects", effects)
@@ -136,14 +142,16 @@ class LaxityModel:
         """
         if protocol is self.protocol:
             return self
-        return replace(self, protocol=protocol, order=None, phase=None)
+        return replace(self, protocol=protocol, order=None, phase=None, poses=None)
 
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
-        """The same model under the protocol of measured laxity, its trials run when stated."""
+        """The same model under the protocol of measured laxity, its trials run as measured."""
         model = self.with_protocol(laxity.protocol)
-        if not self.effects or (model.order is laxity.order and model.phase is laxity.phase):
+        poses = None if self.continuation == "single-step" else measured_poses(laxity)
+        is_known = model.order is laxity.order and model.phase is laxity.phase
+        if (is_known or not self.effects) and np.array_equal(model.poses, poses):  # type: ignore[arg-type]
             return model
-        return replace(model, order=laxity.order, phase=laxity.phase)
+        return replace(model, order=laxity.order, phase=laxity.phase, poses=poses)
 
     def with_effects(self, effects: Sequence[Effect]) -> "LaxityModel":
         """The same model with these effects in place of its own."""
@@ -175,7 +183,7 @@ class LaxityModel:
         setting = self.setting(theta)
         found = solve(
             replace(self.paths, flexion=setting.flexion, loads=setting.loads),
-            self.joint.start,
+            self.joint.start if setting.measured is None else setting.measured,
             replace(self.joint.contact, law=setting.law) if self.effects else self.joint.contact,
             self.joint.field,
             setting.lines.arrays(setting.stiffness, setting.reference_strain),
@@ -206,6 +214,7 @@ class LaxityModel:
             law=ContactLaw(),
             start_flexion=self.joint.start_flexion,
             start=self.joint.start,
+            measured=self.poses,
         )
         return self.extension.change(setting, self.amplitudes(theta)) if is_changed else setting
 
@@ -213,7 +222,13 @@ class LaxityModel:
     def tests(self) -> Tests:
         """The trials as they were run."""
         x = self.protocol
-        return Tests(flexion_deg=x.flexion_deg, loads=x.loads, order=self.order, phase=self.phase)
+        return Tests(
+            flexion_deg=x.flexion_deg,
+            loads=x.loads,
+            order=self.order,
+            phase=self.phase,
+            poses=self.poses,
+        )
 
     def predict_once(self, theta: Array) -> Prediction:
         """The prediction at theta with its Jacobian, not made again where it was the last one.
@@ -260,7 +275,7 @@ class LaxityModel:
     ) -> Prediction:
         nodes = self.paths.trial_node
         codes = np.array(found.codes[nodes])
-        poses = found.poses[nodes]
+        poses, reached = found.poses[nodes], found.reached[nodes]
         converged = codes == CONVERGED
         actual = coordinates_from_pose(poses)
         measured = self.extension.observe(actual, self.amplitudes(theta), self.tests)
@@ -278,7 +293,7 @@ class LaxityModel:
             codes=codes,
             poses=poses,
             hessians=found.hessians[nodes],
-            reached=found.reached[nodes],
+            reached=reached if self.poses is None else np.where(converged, 1.0, np.nan),
             centres=found.centres[nodes],
             rims=(self.joint.femoral_rim, self.joint.tibial_rims),
             node_poses=found.poses,
@@ -326,9 +341,8 @@ class LaxityModel:
             )
         contact = _mesh_contact(self.knee)
         lines = self.joint.lines
-        found = mesh_equilibria(
-            self.paths, self.joint.start, contact, lines, *self._unpacked(theta)
-        )
+        start = self.joint.start if self.poses is None else self.poses
+        found = mesh_equilibria(self.paths, start, contact, lines, *self._unpacked(theta))
         n = self.protocol.n
         converged = np.array([x is Outcome.CONVERGED for x in found.outcomes])
         return Prediction(

@@ -46,7 +46,8 @@ class Prediction:
         Second derivatives of the energy there [N, N mm, N/mm], shape ``(n, 5, 5)``; None for mesh
         contact, which has none.
     reached
-        Share of the last load step that was reached, shape ``(n,)``.
+        Share of the last load step that was reached, shape ``(n,)``; NaN where a search that begins
+        at full load failed.
     centres
         Of every trial and compartment: contact force [N], its centre in tibial and in femoral axes
         [mm], shape ``(n, compartments, 7)``.
@@ -85,7 +86,7 @@ class Prediction:
         """How each trial ended, as sentences."""
         return tuple(
             outcome.sentence
-            if converged
+            if converged or np.isnan(reached)
             else f"{outcome.sentence} {100 * reached:.0f} % of the last load step was reached."
             for outcome, converged, reached in zip(
                 self.outcomes, self.is_converged, self.reached, strict=True

@@ -43,6 +43,8 @@ class Setting:
         The contact law.
     start_flexion, start
         The scanned pose: flexion [rad] and (varus, internal [rad], x, y, z [mm]), ``(5,)``.
+    measured
+        The measured pose at each node, in the same form, ``(n, 5)``; None where none is known.
     """
 
     flexion: Array
@@ -56,6 +58,7 @@ class Setting:
     law: ContactLaw
     start_flexion: float
     start: Array
+    measured: Array | None = None
 
     def owned(self, n_ligaments: int) -> Array:
         """Which line belongs to which ligament, 1 or 0, shape ``(m, n_ligaments)``."""
@@ -97,6 +100,8 @@ def with_copies(
     if nodes:
         changes["flexion"] = np.concatenate([x.flexion for x in parts])
         changes["loads"] = np.concatenate([x.loads for x in parts])
+        if setting.measured is not None:
+            changes["measured"] = np.concatenate([x.measured for x in parts])
     if lines:
         changes["lines"] = Lines(
             **{

@@ -48,18 +48,23 @@ class LeftOut:
     def fall(self, chosen: IntArray) -> float:
         """By how much the square falls without the values `chosen`."""
         block = self.products[np.ix_(chosen, chosen)]
-        return float(self.left[chosen] @ np.linalg.solve(block, self.left[chosen]))
+        return float(self.left[chosen] @ _inverse(block) @ self.left[chosen])
 
     def without(self, chosen: IntArray) -> "LeftOut":
         """What is left without the values `chosen`."""
         block, columns = self.products[np.ix_(chosen, chosen)], self.products[:, chosen]
-        half = np.linalg.solve(block, np.column_stack([columns.T, self.left[chosen]]))
+        half = _inverse(block) @ np.column_stack([columns.T, self.left[chosen]])
         return LeftOut(
             products=self.products - columns @ half[:, :-1],
             left=self.left - columns @ half[:, -1],
             square=max(self.square - self.fall(chosen), 0.0),
             degrees=self.degrees - len(chosen),
         )
+
+
+def _inverse(block: Array) -> Array:
+    """Of inner products, some of which may be nothing but others together."""
+    return np.asarray(np.linalg.pinv(block, rcond=LEAST_LEFT, hermitian=True), float)
 
 
 def left_out(residuals: Array, jacobian: Array, columns: Array) -> LeftOut:

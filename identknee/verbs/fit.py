@@ -1,6 +1,7 @@
 """One parameter set from measured laxity and one start, and what speaks against it."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from identknee.calibrate.doubts import bound_findings, misfit_findings, unstated_misfit_findings
 from identknee.calibrate.fit import Fit
 from identknee.calibrate.fit import fit as search
-from identknee.calibrate.problem import Problem, with_bounds, with_nuisance_priors
+from identknee.calibrate.problem import Problem
 from identknee.calibrate.second_start import second_search
 from identknee.calibrate.starts import load_start
 from identknee.identify.nuisances import nuisance_estimates
@@ -30,6 +31,7 @@ from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
+from identknee.verbs.used_trials import TrialSearch, lost_findings
 from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 
@@ -46,6 +48,7 @@ class Calibration(SimulatedLaxity):
     search: Fit = entry("The search", group="optimization")
     data: Laxity = entry("The measured laxity", group="observed_data")
     rmse: LaxityError = entry("Root-mean-square error of the predicted laxity")
+    trials_used: tuple[str, ...] = entry("Measured trials that the fit rests on")
 
     @property
     @derived("How the search ended")
@@ -170,17 +173,24 @@ def fit(
     check_word("weighting", weighting, get_args(Weighting))
     laxity = run.laxity
     model = LaxityModel(knee=run.knee, protocol=laxity.protocol, continuation=continuation)
-    residuals = LaxityResiduals(model=model, laxity=laxity, weighting=weighting)
-    problem = with_nuisance_priors(with_bounds(residuals, bounds_of(bounds)))
-    theta = load_start(start, problem.parameters)
+    trials = TrialSearch(
+        model=model.with_tests(laxity),
+        laxity=laxity,
+        weighting=weighting,
+        bounds=bounds_of(bounds),
+        fixed=fixed or (),
+    )
+    model = trials.model
+    theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(run.knee, laxity.protocol)
     run.start_clock()
-    found = search(
-        problem, theta, method=method, seed=seed, budget=budget, fixed=fixed or (), priors=priors
+    used, found = trials.fitted(
+        theta, partial(search, method=method, seed=seed, budget=budget, priors=priors)
     )
+    problem = trials.problem(used.laxity)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
-        Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), laxity
+        Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), used.laxity
     )
     return Calibration(
         **simulated(model, prediction),
@@ -188,10 +198,18 @@ def fit(
         search=found,
         data=laxity,
         rmse=error,
-        assumptions=(run.knee.uncertainty.sentence,),
+        trials_used=used.names,
+        assumptions=(run.knee.uncertainty.sentence, *used.sentences),
         uncertainty=run.knee.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
-        findings=_findings(problem, found, (model, prediction), error, laxity),
+        findings=(
+            *lost_findings(laxity, used.laxity),
+            *_beside_the_table(
+                model,
+                laxity,
+                _findings(problem, found, (model, prediction), error, used.laxity),
+            ),
+        ),
     )
 
 
@@ -243,6 +261,16 @@ def _findings(
     if conventions := convention_findings(model, laxity, found.start, found.theta):
         return (*conventions, *findings, *about_the_knee)
     return (*rows, *findings, second_search(problem, found).finding, *about_the_knee)
+
+
+def _beside_the_table(
+    model: LaxityModel, laxity: Laxity, findings: tuple[Finding, ...]
+) -> tuple[Finding, ...]:
+    """The findings, and trials that the table alone contradicts where fits begin at its poses."""
+    if model.poses is None:
+        return findings
+    named = {x.where for x in findings}
+    return (*(x for x in end_point_findings(laxity) if x.where not in named), *findings)
 
 
 def _states_noise(laxity: Laxity) -> bool:

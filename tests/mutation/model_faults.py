@@ -378,8 +378,8 @@ NUISANCES = (
     ),
     _fault(
         "model/nuisances/registration.py",
-        "        return replace(setting, loads=loads, flexion=flexion)",
-        "        return replace(setting, loads=loads)",
+        "        return replace(setting, loads=loads, flexion=flexion, measured=measured)",
+        "        return replace(setting, loads=loads, measured=measured)",
         "a turn of the measured frames leaves flexion as stated",
         _NUISANCES,
     ),

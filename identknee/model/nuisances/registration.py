@@ -15,7 +15,7 @@ from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
 from identknee.subject.uncertainty import BONES
 
-MOMENTS, FORCES = [VARUS, INTERNAL], [X, Y, Z]
+FORCES = [X, Y, Z]
 NAMES = [f"{bone}_{axis}_{unit}" for bone in BONES for unit in ("deg", "mm") for axis in "xyz"]
 
 
@@ -25,7 +25,8 @@ class Registration:
 
     A rigid transform of each bone. It acts on the readings, on the axes and points of the loads and
     on flexion, which the rig prescribes between its own frames. Loads and flexion are turned as in
-    a knee without varus and internal rotation.
+    the measured pose of each trial, or in a knee without varus and internal rotation where paths do
+    not begin there.
 
     Attributes
     ----------
@@ -63,18 +64,28 @@ class Registration:
     def change_copies(self, setting: Setting, values: Array) -> Setting:
         """The same at amplitudes ``values[i]`` in copy i."""
         femur, tibia = self._frames(values, len(setting.loads))
-        flexion = _flexion_between(femur, tibia, setting.flexion)
+        tilt = _tilt(setting.measured, len(setting.loads))
+        turned = _tibia_in_femur(femur, tibia, _product(_flexed(setting.flexion), tilt))
+        flexion, varus, internal = angles_of(turned)
         forces = setting.loads[:, FORCES]
-        moments = np.column_stack([setting.loads[:, MOMENTS], np.zeros(len(setting.loads))])
+        # Moments about the floating axis and the tibial axis, work-conjugate to the two angles.
+        moments = setting.loads[:, [VARUS]] * [1.0, 0.0, 0.0]
+        moments = moments + setting.loads[:, [INTERNAL]] * tilt[:, 1].T
         # The force acts at the measured origin of the tibia.
-        moments += np.cross(_turned(_inverse(tibia.turn), tibia.shift), forces)
+        to_axes = _product(tilt, _inverse(tibia.turn))
+        moments += np.cross(_turned(to_axes, tibia.shift), forces)
         into_geometry = _product(femur.turn, _flexed(setting.flexion))
         turn = _product(_flexed(-flexion), into_geometry)
         loads = np.array(setting.loads)
         loads[:, FORCES] = _turned(turn, forces)
         loads[:, VARUS] = _turned(turn, moments)[:, 0]
-        loads[:, INTERNAL] = _turned(tibia.turn, moments)[:, 1]
-        return replace(setting, loads=loads, flexion=flexion)
+        loads[:, INTERNAL] = _turned(_product(tibia.turn, _inverse(tilt)), moments)[:, 1]
+        measured = setting.measured
+        if measured is not None:
+            origin = _turned(turn, measured[:, 2:]) + _turned(_flexed(-flexion), femur.shift)
+            origin -= _turned(_product(_flexed(-flexion), turned), tibia.shift)
+            measured = np.column_stack([varus, internal, origin])
+        return replace(setting, loads=loads, flexion=flexion, measured=measured)
 
     def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
         """The coordinates between the measured frames, shape ``(n, 5)``."""
@@ -83,7 +94,9 @@ class Registration:
     def observe_copies(self, coordinates: Array, values: Array, tests: Tests) -> Array:
         """The same in k copies of the trials, copy i with amplitudes ``values[i]``."""
         femur, tibia = self._frames(values, len(coordinates))
-        flexion = _flexion_between(femur, tibia, np.radians(tests.flexion_deg))
+        nominal = _flexed(np.radians(tests.flexion_deg))
+        tilt = _tilt(tests.poses, len(coordinates))
+        flexion = angles_of(_tibia_in_femur(femur, tibia, _product(nominal, tilt)))[0]
         pose = pose_from_coordinates(coordinates)
         actual = rotation_matrix(flexion, pose[:, 0], pose[:, 1])
         origin = _turned(_flexed(flexion), pose[:, 2:])
@@ -128,10 +141,15 @@ def _frames(values: Array, n: int) -> _Frames:
     )
 
 
-def _flexion_between(femur: _Frames, tibia: _Frames, measured: Array) -> Array:
-    """Flexion between the frames of the geometry where it is so much between those measured."""
-    turned = _product(_product(femur.turn, _flexed(measured)), _inverse(tibia.turn))
-    return angles_of(turned)[0]
+def _tibia_in_femur(femur: _Frames, tibia: _Frames, measured: Array) -> Array:
+    """Rotations between the frames of the geometry where those measured are turned so."""
+    return _product(_product(femur.turn, measured), _inverse(tibia.turn))
+
+
+def _tilt(poses: Array | None, n: int) -> Array:
+    """Rotations from the axes of the tibia into those that turn with flexion, ``(3, 3, n)``."""
+    varus, internal = np.zeros((2, n)) if poses is None else poses[:, :2].T
+    return rotation_matrix(np.zeros(n), varus, internal)
 
 
 def _flexed(angles: Array) -> Array:

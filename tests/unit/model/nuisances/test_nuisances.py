@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_knee import small_knee, small_protocol
 
+from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.nuisances.geometry import insertions
 from identknee.model.nuisances.library import nuisances_of
@@ -51,9 +52,18 @@ def test_nuisances_at_zero_change_nothing() -> None:
     np.testing.assert_allclose(made, expected, atol=1e-9)
 
 
-def test_slopes_are_those_of_differences() -> None:
+def at_poses(model: LaxityModel, theta: Array) -> LaxityModel:
+    """The model begun at measured poses, which are those it has at theta."""
+    coordinates = model.predict(theta, derivatives=False).coordinates
+    return replace(model, poses=pose_from_coordinates(coordinates))
+
+
+@pytest.mark.parametrize("is_measured", [False, True])
+def test_slopes_are_those_of_differences(is_measured: bool) -> None:
     model = uncertain(EVERYTHING)
     theta = displaced(model, 0.3)
+    if is_measured:
+        model = at_poses(model, theta)
     jacobian = model.predict(theta).jacobian
     assert jacobian is not None
     for i in np.flatnonzero(~model.parameters.is_of_interest):
@@ -89,6 +99,52 @@ def test_registration_is_a_knee_whose_frames_were_moved(seed: int) -> None:
     unmoved = model.predict(model.parameters.start, derivatives=False).coordinates
     assert np.abs(made - expected).max() < 0.2
     assert np.abs(made - expected).max() < 0.25 * np.abs(unmoved - expected).max()
+
+
+def registration_errors(stated: Uncertainty, values: Array) -> tuple[Array, Array]:
+    """How far registration is off, begun at the measured poses and at the scanned one."""
+    model = uncertain(stated)
+    theta = np.r_[model.parameters.start[: -values.size], values]
+    whole = values if values.size == 12 else np.r_[0, 0, 0, values[:3], 0, 0, 0, values[3:]]
+    knee: Knee = replace(
+        model.knee,
+        uncertainty=Uncertainty(),
+        femur_frame=moved(model.knee.femur_frame, whole[:6]),
+        tibia_frame=moved(model.knee.tibia_frame, whole[6:]),
+    )
+    other = LaxityModel(knee=knee, protocol=model.protocol)
+    expected = other.predict(other.parameters.start, derivatives=False).coordinates
+    poses = at_poses(other, other.parameters.start).poses
+    made = [replace(model, poses=x).predict(theta, derivatives=False) for x in (poses, None)]
+    return made[0].coordinates - expected, made[1].coordinates - expected
+
+
+def test_shifts_of_the_measured_frames_are_exact_in_the_measured_pose() -> None:
+    shifts = 3.0 * np.random.default_rng(4).standard_normal(6)
+    measured, scanned = registration_errors(Uncertainty(registration_mm=3.0), shifts)
+    assert np.abs(measured).max() < 1e-9
+    assert np.abs(scanned).max() > 0.01
+
+
+def test_turns_of_the_measured_frames_are_nearer_in_the_measured_pose() -> None:
+    # What is left is the moment that holds flexion: it acts in the frames of the geometry.
+    stated = Uncertainty(registration_deg=2.0, registration_mm=2.0)
+    drawn = [2.0 * np.random.default_rng(seed).standard_normal(12) for seed in range(6)]
+    measured, scanned = zip(*(registration_errors(stated, x) for x in drawn), strict=True)
+    assert np.linalg.norm(measured) < 0.5 * np.linalg.norm(scanned)
+
+
+def test_where_a_search_begins_is_read_as_the_measured_pose() -> None:
+    stated = Uncertainty(registration_deg=4.0, registration_mm=4.0)
+    model = at_poses(uncertain(stated), uncertain(stated).parameters.start)
+    theta = displaced(model, 1.0)
+    begun = model.setting(theta).measured
+    assert begun is not None
+    assert model.poses is not None
+    read = model.extension.observe(
+        coordinates_from_pose(begun), model.amplitudes(theta), model.tests
+    )
+    np.testing.assert_allclose(read, coordinates_from_pose(model.poses), atol=1e-9)
 
 
 def test_load_gain_scales_one_kind_of_load() -> None:

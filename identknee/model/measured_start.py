@@ -1,0 +1,53 @@
+"""Where a model of a measured table begins: poses and strains as the table has them."""
+
+import numpy as np
+
+from identknee.laxity.table import Laxity
+from identknee.mechanics.grood_suntay import pose_from_coordinates
+from identknee.mechanics.ligament_tensions import line_lengths
+from identknee.model.setting import PER_PCT, Setting
+from identknee.runs.arrays import Array
+
+
+def measured_poses(laxity: Laxity) -> Array | None:
+    """The measured pose of each trial, where its equilibrium is looked for, shape ``(n, 5)``.
+
+    None where the trials have nominal angles (two share one, or all are whole degrees), where the
+    coordinates count from an unloaded pose, or where one was never measured. A cell not measured
+    has the value of the trial nearest in flexion.
+    """
+    angles, measured = laxity.protocol.flexion_deg, laxity.is_measured
+    is_nominal = len(np.unique(angles)) < laxity.n or not np.any(angles % 1.0)
+    if is_nominal or laxity.zero != "absolute" or not measured.any(axis=0).all():
+        return None
+    apart = np.abs(angles[:, None] - angles)
+    nearest = np.argmin(np.where(measured.T[:, None], apart, np.inf), axis=2).T
+    return pose_from_coordinates(np.take_along_axis(laxity.coordinates, nearest, axis=0))
+
+
+def strains_as_measured(setting: Setting, stretch: float) -> Array:
+    """Reference strain [%] of each line that the measured poses stretch by `stretch` at most.
+
+    Parameters
+    ----------
+    setting
+        With measured poses.
+    stretch
+        Strain of each line at the longest of its measured lengths.
+
+    Returns
+    -------
+    strains
+        Shape ``(m,)``.
+
+    Raises
+    ------
+    ValueError
+        If the setting has no measured poses.
+    """
+    if setting.measured is None:
+        raise ValueError("strains from measured poses need a model that begins there")
+    places = zip(setting.flexion.tolist(), setting.measured, strict=True)
+    longest = np.max([line_lengths(setting.lines, angle, pose) for angle, pose in places], axis=0)
+    reference = np.asarray(setting.lines.reference_length)
+    return np.asarray(((1.0 + stretch) * reference / longest - 1.0) / PER_PCT)

@@ -1,0 +1,232 @@
+"""Which measured trials a fit rests on, and where it begins so that these are as many as can be.
+
+A trial without equilibrium is first compared under the share of its load that it bears, which
+pulls the parameters to where it bears more, and at last left out.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.problem import Problem, with_bounds, with_nuisance_priors
+from identknee.laxity.protocol import LOADS
+from identknee.laxity.table import Laxity
+from identknee.mechanics.load_paths import NEAR
+from identknee.mechanics.small_matrices import ROTATION_SCALE
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.measured_start import strains_as_measured
+from identknee.model.residuals import LaxityResiduals, Weighting
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.findings import Finding, Severity
+
+# Of each ligament at the longest of its measured lengths: the best beginning is taken.
+STRETCHES = (0.04, 0.06, 0.08, 0.1)
+SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+MOST_ROUNDS, BUDGET = 8, 300
+COMPRESSION = LOADS.index("distraction_force_N")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UsedTrials:
+    """The data that a fit can rest on, and where it can begin.
+
+    Attributes
+    ----------
+    laxity
+        The data, cells of trials without equilibrium blank.
+    start
+        Where to begin, shape ``(p,)``: all trials of the data have an equilibrium there.
+    sentences
+        What was done, for the user.
+    """
+
+    laxity: Laxity
+    start: Array
+    sentences: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The trials used."""
+        return _names(self.laxity)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrialSearch:
+    """A search for parameters at which the measured trials have an equilibrium.
+
+    Attributes
+    ----------
+    model
+        The model of the data, begun at the measured poses where it can.
+    laxity
+        The data.
+    weighting
+        As for `LaxityResiduals`.
+    bounds, fixed
+        As for `identknee.fit`.
+    """
+
+    model: LaxityModel
+    laxity: Laxity
+    weighting: Weighting
+    bounds: Mapping[str, tuple[float, float]]
+    fixed: Sequence[str] = ()
+
+    def used(self, start: Array) -> UsedTrials:
+        """The trials to be fitted, and where to begin, at or away from `start`.
+
+        Where the model begins at measured poses and loses trials at the start, it also begins with
+        reference strains from the lengths of the ligaments in those poses.
+        """
+        said = _about_paths(self.model)
+        lost = self.measured & ~self.has_equilibrium(start)
+        if self.model.poses is None or not lost.any():
+            return UsedTrials(laxity=self.laxity, start=start, sentences=said)
+        begun = [start, *(self._stretched(start, x) for x in STRETCHES)]
+        made = [self._regained(x) for x in begun]
+        best = max(range(len(made)), key=lambda i: self._worth(made[i].theta))
+        theta = made[best].theta
+        where = (
+            f"{100 * STRETCHES[best - 1]:.0f} % of strain at the longest measured length of each "
+            "ligament"
+            if best
+            else "the start all the same"
+        )
+        sentence = (
+            f"At the start {lost.sum()} of {self.measured.sum()} measured trials had no "
+            f"equilibrium. The fit began from {where}, the best of {len(made)} such beginnings, "
+            "and compared trials that did not bear their load under the share they bore, until "
+            f"they did ({sum(x.n_simulations for x in made)} simulations)."
+        )
+        return UsedTrials(
+            laxity=self.with_equilibrium(theta),
+            start=theta,
+            sentences=(*said, sentence),
+        )
+
+    def fitted(self, start: Array, search: Callable[..., Fit]) -> tuple[UsedTrials, Fit]:
+        """The trials used and the fit to them by `search`, again where it brings trials back."""
+        used, found = self.refitted(self.used(start), search)
+        return used, replace(found, start=start)
+
+    def refitted(self, used: UsedTrials, search: Callable[..., Fit]) -> tuple[UsedTrials, Fit]:
+        """The fit to the trials used, and to those it brings back until it brings back none."""
+        for _ in range(MOST_ROUNDS):
+            found = search(self.problem(used.laxity), used.start, fixed=self.fixed)
+            back = self.with_equilibrium(found.theta)
+            if len(_names(back)) <= len(used.names):
+                break
+            used = replace(used, laxity=back, start=found.theta)
+        return used, found
+
+    @property
+    def measured(self) -> BoolArray:
+        """Which trials have data, shape ``(n,)``."""
+        return np.asarray(self.laxity.is_measured.any(axis=1))
+
+    def has_equilibrium(self, theta: Array) -> BoolArray:
+        """Which trials have an equilibrium, shape ``(n,)``."""
+        return self.model.predict(theta, derivatives=False).is_converged
+
+    def with_equilibrium(self, theta: Array) -> Laxity:
+        """The data, cells of trials without equilibrium blank."""
+        return _blanked(self.laxity, ~self.has_equilibrium(theta))
+
+    def problem(self, laxity: Laxity) -> Problem:
+        """The residuals of the model against `laxity`, with priors of the nuisances."""
+        residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
+        return with_nuisance_priors(with_bounds(residuals, self.bounds))
+
+    def _stretched(self, start: Array, stretch: float) -> Array:
+        """Theta with reference strains as the measured poses have them, kept to the bounds."""
+        parameters = self.problem(self.laxity).parameters
+        n = self.model.n_ligament_parameters // 2
+        theta = np.array(start)
+        theta[n : 2 * n] = strains_as_measured(self.model.setting(start), stretch)[:n]
+        theta = np.clip(theta, parameters.lower, parameters.upper)
+        held = [parameters.index(x) for x in self.fixed]
+        theta[held] = start[held]
+        return theta
+
+    def _regained(self, theta: Array) -> Fit:
+        """The last fit of a few, each with the loads that trials bear where the one before ended.
+
+        It ends where all trials bear their load, or where they bear no more than before.
+        """
+        made: list[Fit] = []
+        known: list[list[float]] = []
+        for _ in range(MOST_ROUNDS):
+            shares = self._borne(theta)
+            if shares.tolist() in known:
+                break
+            known.append(shares.tolist())
+            part = _blanked(_under(self.laxity, np.maximum(shares, 0.0)), shares < 0.0)
+            found = fit(self.problem(part), theta, budget=BUDGET, fixed=self.fixed)
+            made.append(found)
+            theta = found.theta
+        return replace(made[-1], n_simulations=sum(x.n_simulations for x in made))
+
+    def _borne(self, theta: Array) -> Array:
+        """The largest share of its load that each trial bears, -1 where none, shape ``(n,)``."""
+        borne = np.full(self.laxity.n, -1.0)
+        for share in SHARES:
+            part = _under(self.laxity, np.full(self.laxity.n, share))
+            bears = self.model.with_tests(part).predict(theta, derivatives=False).is_converged
+            borne[bears & (borne < 0.0)] = share
+            if (borne >= 0.0).all():
+                break
+        return borne
+
+    def _worth(self, theta: Array) -> tuple[int, float]:
+        """How many trials have an equilibrium, then how well they fit."""
+        used = self.with_equilibrium(theta)
+        residuals = self.problem(used).residuals(theta)
+        return int(used.is_measured.any(axis=1).sum()), -float(residuals @ residuals)
+
+
+def _names(laxity: Laxity) -> tuple[str, ...]:
+    """The trials with data."""
+    return tuple(laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.any(axis=1)))
+
+
+def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
+    """Which measured trials a result does not rest on."""
+    measured, kept = _names(laxity), _names(used)
+    lost = [x for x in measured if x not in kept]
+    if not lost:
+        return ()
+    sentence = (
+        f"The result rests on {len(kept)} of {len(measured)} measured trials: the model has no "
+        f"equilibrium near the measured pose of {', '.join(lost)}. Look them up, or state how "
+        "well geometry is known with --uncertain."
+    )
+    return (Finding(severity=Severity.WARNING, sentence=sentence, where="trials"),)
+
+
+def _about_paths(model: LaxityModel) -> tuple[str, ...]:
+    if model.poses is None:
+        return ()
+    sentence = (
+        "Each trial has a flexion angle of its own, as a rig reads it: its equilibrium was looked "
+        "for from its measured pose under its whole load, not along a path from the scanned pose, "
+        f"and counts within {NEAR:.0f} mm and {np.degrees(NEAR / ROTATION_SCALE):.0f} deg of it."
+    )
+    return (sentence,)
+
+
+def _blanked(laxity: Laxity, lost: BoolArray) -> Laxity:
+    if not lost.any():
+        return laxity
+    return replace(laxity, coordinates=np.where(lost[:, None], np.nan, laxity.coordinates))
+
+
+def _under(laxity: Laxity, shares: Array) -> Laxity:
+    """The data as if each trial had borne a share of its load; compression stays, as it held."""
+    if np.all(shares == 1.0):
+        return laxity
+    protocol = laxity.protocol
+    loads = protocol.loads * shares[:, None]
+    loads[:, COMPRESSION] = np.minimum(protocol.loads[:, COMPRESSION], loads[:, COMPRESSION])
+    return replace(laxity, protocol=replace(protocol, loads=loads))

@@ -1,0 +1,98 @@
+"""Fits to tables of which the model loses trials at the start."""
+
+from dataclasses import replace
+
+import numpy as np
+from small_knee import small_knee, small_protocol
+
+import identknee as ik
+from identknee.calibrate.fit import fit
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import Laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.runs.findings import Severity
+from identknee.subject.knee import Knee
+from identknee.verbs.used_trials import TrialSearch
+
+
+def as_read() -> Laxity:
+    """What the knee does under loads and their opposites, at angles as a rig reads them."""
+    nominal = small_protocol()
+    loads = nominal.loads[~nominal.is_unloaded]
+    n = 2 * len(loads)
+    protocol = Protocol(
+        name="as read",
+        trials=tuple(f"trial {i}" for i in range(n)),
+        flexion_deg=np.linspace(3.1, 15.7, n),
+        loads=np.concatenate([loads, -loads]),
+    )
+    model = LaxityModel(knee=small_knee(), protocol=protocol)
+    return model.simulate(model.parameters.start)
+
+
+def slack() -> Knee:
+    """The same knee, its ligaments as slack as a subject's placeholders may make them."""
+    knee = small_knee()
+    slack = tuple(replace(x, reference_strain_pct=-30.0) for x in knee.ligaments)
+    return replace(knee, ligaments=slack)
+
+
+def displaced(laxity: Laxity) -> Laxity:
+    """The same table with a trial so far apart that no parameters take the tibia there."""
+    coordinates = np.array(laxity.coordinates)
+    coordinates[2] += [0.0, 0.0, 60.0, 0.0, 0.0]
+    return replace(laxity, coordinates=coordinates)
+
+
+def test_a_fit_from_slack_ligaments_regains_all_trials() -> None:
+    laxity = as_read()
+    model = LaxityModel(knee=slack(), protocol=laxity.protocol).with_tests(laxity)
+    lost = ~model.predict(model.parameters.start).is_converged
+    assert lost.sum() > laxity.n / 2
+    found = ik.fit(slack(), laxity)
+    assert found.trials_used == laxity.protocol.trials
+    assert not found.trials_without_equilibrium
+    assert found.rmse.mm < 1e-6
+    assert found.rmse.n_compared == laxity.is_measured.sum()
+    said = " ".join(found.assumptions)
+    assert "from its measured pose under its whole load" in said
+    assert f"At the start {lost.sum()} of {laxity.n} measured trials had no equilibrium" in said
+    assert found.start_parameters["front"]["reference_strain_pct"] == -30.0
+
+
+def test_a_trial_that_cannot_be_reached_is_left_out_and_named() -> None:
+    laxity = displaced(as_read())
+    name = laxity.protocol.trials[2]
+    found = ik.fit(small_knee(), laxity)
+    assert found.trials_used == tuple(x for x in laxity.protocol.trials if x != name)
+    assert [x.trial for x in found.trials_without_equilibrium] == [name]
+    assert found.rmse.n_compared == laxity.is_measured.sum() - 5
+    (finding,) = [x for x in found.findings if x.where == "trials"]
+    assert finding.severity is Severity.WARNING
+    assert f"rests on {laxity.n - 1} of {laxity.n} measured trials" in finding.sentence
+    assert name in finding.sentence
+    assert found.rmse.mm < 1e-6
+
+
+def test_a_trial_left_out_comes_back_where_it_has_an_equilibrium() -> None:
+    laxity = as_read()
+    search = _search(laxity, slack())
+    used = search.used(search.model.parameters.start)
+    lost = replace(used, laxity=search.with_equilibrium(search.model.parameters.start))
+    assert 0 < len(lost.names) < laxity.n
+    back, _ = search.refitted(lost, fit)
+    assert back.names == laxity.protocol.trials
+
+
+def test_all_trials_are_used_from_a_start_that_has_them() -> None:
+    laxity = as_read()
+    search = _search(laxity)
+    start = search.model.parameters.start
+    used = search.used(start)
+    assert used.laxity is laxity
+    assert used.start is start
+
+
+def _search(laxity: Laxity, knee: Knee | None = None) -> TrialSearch:
+    model = LaxityModel(knee=knee or small_knee(), protocol=laxity.protocol).with_tests(laxity)
+    return TrialSearch(model=model, laxity=laxity, weighting="unit", bounds={})
