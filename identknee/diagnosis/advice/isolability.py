@@ -292,19 +292,33 @@ def _plausible_mixes(effect: ProjectedSignature, root: float) -> Array:
 
 def _pair_distances(information: Array, pairs: Sequence[Pair], n_base: int) -> Array:
     """The distance of each pair under each of n informations, shape ``(n, n_pairs)``."""
-    columns = [_pair_distance(information, pair, n_base) for pair in pairs]
+    # Many effects have the same rival, whose inverse takes most of the time.
+    rivals: dict[tuple[bytes, bytes], _Rival] = {}
+    columns = []
+    for pair in pairs:
+        key = pair.rival.tobytes(), pair.rival_prior_sd.tobytes()
+        if key not in rivals:
+            rivals[key] = _Rival(information, pair, n_base)
+        columns.append(rivals[key].distance(information, pair))
     return np.stack(columns, axis=1)
 
 
-def _pair_distance(information: Array, pair: Pair, n_base: int) -> Array:
-    free = np.concatenate([np.arange(n_base), pair.rival])
-    precision = np.concatenate([np.zeros(n_base), pair.rival_prior_sd**-2.0])
-    among = information[:, free[:, None], free] + np.diag(precision)
-    towards = information[:, free[:, None], pair.effect] @ pair.amplitude
-    total = information[:, pair.effect[:, None], pair.effect] @ pair.amplitude @ pair.amplitude
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", among), np.finfo(np.float64).tiny))
-    scaled = among / scale[:, :, None] / scale[:, None, :]
-    inverse = np.linalg.pinv(scaled, rcond=LEAST_EIGENVALUE, hermitian=True)
-    towards = towards / scale
-    explained = np.einsum("ni,nij,nj->n", towards, inverse, towards)
-    return np.asarray(np.sqrt(np.maximum(total - explained, 0.0)))
+class _Rival:
+    """What the base parameters and the amplitudes of a rival can explain together."""
+
+    def __init__(self, information: Array, pair: Pair, n_base: int) -> None:
+        self._free = np.concatenate([np.arange(n_base), pair.rival])
+        precision = np.concatenate([np.zeros(n_base), pair.rival_prior_sd**-2.0])
+        among = information[:, self._free[:, None], self._free] + np.diag(precision)
+        least = np.finfo(np.float64).tiny
+        self._scale = np.sqrt(np.maximum(np.einsum("nii->ni", among), least))
+        scaled = among / self._scale[:, :, None] / self._scale[:, None, :]
+        self._inverse = np.linalg.pinv(scaled, rcond=LEAST_EIGENVALUE, hermitian=True)
+
+    def distance(self, information: Array, pair: Pair) -> Array:
+        """Of the effect of a pair from all that they can explain, one of each information."""
+        effect = pair.effect[:, None]
+        towards = information[:, self._free[:, None], pair.effect] @ pair.amplitude / self._scale
+        total = information[:, effect, pair.effect] @ pair.amplitude @ pair.amplitude
+        explained = np.einsum("ni,nij,nj->n", towards, self._inverse, towards)
+        return np.asarray(np.sqrt(np.maximum(total - explained, 0.0)))
