@@ -172,9 +172,9 @@ def stacked() -> tuple[Array, Array, list[Pair]]:
             effect=np.array([N_BASE + i]),
             amplitude=np.array([0.5]),
             rival=np.array([N_BASE + j]),
-            rival_prior_sd=np.array([2.0]),
+            rival_prior_sd=np.array([prior_sd]),
         )
-        for i, j in ((0, 1), (1, 0), (0, 2))
+        for i, j, prior_sd in ((0, 1, 2.0), (1, 0, 2.0), (0, 2, 2.0), (0, 1, 0.2))
     ]
     return made, candidates, pairs
 
@@ -197,10 +197,10 @@ def advise(n_trials: int) -> AdvisedTrials:
 def test_distances_after_added_trials_are_those_of_stacked_rows() -> None:
     made, candidates, pairs = stacked()
     found = advise(3)
-    for step, pair in product(range(4), range(3)):
+    for step, pair in product(range(4), range(len(pairs))):
         expected = brute_force(made, candidates[list(found.chosen[:step])], pairs[pair])
         assert found.distances[step, pair] == pytest.approx(expected, rel=SOLVED)
-    for candidate, pair in product(range(N_CANDIDATES), range(3)):
+    for candidate, pair in product(range(N_CANDIDATES), range(len(pairs))):
         expected = brute_force(made, candidates[[candidate]], pairs[pair])
         assert found.single[candidate, pair] == pytest.approx(expected, rel=SOLVED)
 
@@ -239,7 +239,7 @@ def test_nuisances_that_trials_share_are_fitted_with_them() -> None:
         )
         for x in pairs
     ]
-    for step, pair in product(range(4), range(3)):
+    for step, pair in product(range(4), range(len(pairs))):
         expected = brute_force(made, candidates[list(found.chosen[:step])], wider[pair])
         assert found.distances[step, pair] == pytest.approx(expected, rel=SOLVED)
 
