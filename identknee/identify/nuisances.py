@@ -5,6 +5,7 @@ from scipy.special import chdtrc
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, Severity
@@ -82,11 +83,8 @@ def nuisance_groups(problem: Problem, theta: Array) -> tuple[NuisanceGroup, ...]
     """
     p = problem.parameters
     covariance = _covariance(problem, theta)
-    groups: dict[str, list[int]] = {}
-    for i in np.flatnonzero(~p.is_of_interest).tolist():
-        groups.setdefault(_group(p.names[i]), []).append(i)
     made = []
-    for name, places in groups.items():
+    for name, places in nuisance_places(p).items():
         sd = p.prior_sd[places]
         away = (theta[places] - p.center[places]) / sd
         scatter = np.eye(len(places)) - covariance[np.ix_(places, places)] / np.outer(sd, sd)
@@ -97,6 +95,14 @@ def nuisance_groups(problem: Problem, theta: Array) -> tuple[NuisanceGroup, ...]
         p_value = float(chdtrc(n, square)) if n else 1.0
         made.append(NuisanceGroup(name=name, n=len(places), p_value=p_value))
     return tuple(made)
+
+
+def nuisance_places(parameters: Parameters) -> dict[str, list[int]]:
+    """Places in theta of the nuisances of each kind and place, by the name of their group."""
+    groups: dict[str, list[int]] = {}
+    for i in np.flatnonzero(~parameters.is_of_interest).tolist():
+        groups.setdefault(group_name(parameters.names[i]), []).append(i)
+    return groups
 
 
 def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
@@ -110,7 +116,7 @@ def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
     for group in groups:
         if group.p_value * len(groups) >= IMPROBABLE:
             continue
-        own = [x for name, x in values.items() if _group(name) == group.name]
+        own = [x for name, x in values.items() if group_name(name) == group.name]
         farthest = max(own, key=lambda x: abs(x.away))
         sentence = (
             f"The fit moves {group.name} beyond its stated uncertainty "
@@ -122,8 +128,14 @@ def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _group(name: str) -> str:
-    """Kind and place of a nuisance: its name without axis and unit."""
+def group_name(name: str) -> str:
+    """Kind and place of a nuisance: its name without axis and unit.
+
+    Examples
+    --------
+    >>> group_name("insertion.ACL_femur_x_mm"), group_name("load_axes.x_deg")
+    ('insertion.ACL_femur', 'load_axes')
+    """
     kind, _, rest = name.partition(".")
     words = rest.split("_")
     return f"{kind}.{'_'.join(words[:-2])}" if len(words) > 2 else kind

@@ -92,14 +92,17 @@ class Design(Answer):
     def trials(self) -> tuple[dict[str, Any], ...]:
         """The trials to add: name, flexion, loads and loss."""
         return tuple(
-            {
-                "trial": self.choice.names[i],
-                FLEXION: float(self.flexion_deg[i]),
-                **dict(zip(LOADS, self.loads[i].tolist(), strict=True)),
-                "loss": float(loss),
-            }
+            {**self.candidate(i), "loss": float(loss)}
             for i, loss in zip(self.choice.chosen, self.choice.losses[1:], strict=True)
         )
+
+    def candidate(self, place: int) -> dict[str, Any]:
+        """Name, flexion and loads of the candidate at `place`."""
+        return {
+            "trial": self.choice.names[place],
+            FLEXION: float(self.flexion_deg[place]),
+            **dict(zip(LOADS, self.loads[place].tolist(), strict=True)),
+        }
 
 
 @verb

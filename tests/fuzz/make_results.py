@@ -62,7 +62,7 @@ VERBS = {
     ],
     "design": [
         *("design", "reference", "DATA", *FEW, "--n-trials", "1", "--target", NAME),
-        *("--candidates", "drawer"),
+        *("--candidates", "drawer", "--uncertain", "insertions=0.3mm"),
     ],
     "demo": ["demo", "--runs", "1", "--budget", "60"],
 }

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.design.added_trials import Candidates, WithTrials
+from identknee.identify.design.better_known import Narrowing, mean_share, narrowing
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, Loss, WidthLoss
 from identknee.identify.design.predictions import Excluded, paths_of, predict_candidates
 from identknee.identify.design.search import choose
@@ -64,6 +65,9 @@ class ChosenTrials:
         group="profile_after",
     )
     n_simulations: int = entry("Simulations made, profiles included", unit="1")
+    narrowing: Narrowing = entry(
+        "What one trial, or one stated error known better, tells by itself", is_inline=True
+    )
 
     def __post_init__(self) -> None:
         if not self.before or any(tuple(x) != self.targets for x in (self.before, self.after)):
@@ -81,6 +85,26 @@ class ChosenTrials:
         """Ends of each target's interval as predicted with all trials added."""
         ends = [tuple(None if np.isnan(x) else float(x) for x in row) for row in self.predicted[-1]]
         return {name: (low, high) for name, (low, high) in zip(self.targets, ends, strict=True)}
+
+    @property
+    @derived(
+        "Every candidate offered and every stated error, the most helpful first: what it is, its "
+        "name, and the share by which it narrows the targets by itself: one more trial, or the "
+        "error's standard deviation halved; the geometric mean over the targets, predicted"
+    )
+    def ranking(self) -> tuple[dict[str, Any], ...]:
+        """Trials and errors known better, in the order in which they narrow the targets."""
+        parts = (
+            ("trial", self.names, self.narrowing.by_trial),
+            ("error", self.narrowing.errors, self.narrowing.by_error),
+        )
+        rows: list[dict[str, Any]] = [
+            {"kind": kind, "name": name, "narrowing": mean_share(shares)}
+            for kind, names, table in parts
+            for name, shares in zip(names, table, strict=True)
+            if np.isfinite(shares).all()
+        ]
+        return tuple(sorted(rows, key=lambda row: -row["narrowing"]))
 
     @property
     @derived("Number of candidates", unit="1")
@@ -168,6 +192,7 @@ def design(
     loss: Loss = width if criterion == "width" else local
     made, trials = points.features(loss, allowed)
     chosen = choose(loss, made, trials, allowed, n_trials)
+    along = points.features(width, allowed)
     whole = _with_trials(problem, candidates, chosen, points.thetas[0])
     after = profiles_of(whole, points.thetas[0], quantities)
     return ChosenTrials(
@@ -178,8 +203,9 @@ def design(
         excluded=excluded,
         losses=loss(_sums(made, trials, chosen)),
         alone=np.where(allowed, loss(made + trials), np.nan),
-        predicted=_intervals(width, _sums(*points.features(width, allowed), chosen)),
+        predicted=_intervals(width, _sums(*along, chosen)),
         sds=np.sqrt(local.variances(_sums(*points.features(local, allowed), chosen))),
+        narrowing=narrowing(width, points, problem.parameters, along, allowed),
         before={x.name: x for x in before},
         after={x.name: x for x in after},
         n_simulations=points.n_simulations + sum(x.n_simulations for x in (*before, *after)),

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 
+from identknee.report.answers.better_known import better_known_statements
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import capital, label, listed, parameter_words, trial_words
@@ -25,6 +26,7 @@ def design_statements(answer: Design) -> Iterator[Statement]:
         tables=(_targets(answer), _trials(answer)),
         is_answer=True,
     )
+    yield from better_known_statements(answer)
     if choice.excluded:
         yield Statement(
             question=Question.NEXT,

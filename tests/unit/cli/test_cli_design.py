@@ -9,6 +9,7 @@ import xarray
 from cli_runs import refused, run, short_protocol
 
 import identknee as ik
+from identknee.subject.uncertainty import BONES
 from identknee.verbs.files import load
 
 HELD = [
@@ -87,3 +88,23 @@ def test_wrong_words_are_refused(
     noisy: Path, tmp_path: Path, words: tuple[str, ...], sentence: str
 ) -> None:
     assert sentence in refused("design", "reference", noisy, *words, "--out", tmp_path)
+
+
+def test_an_insertion_known_better_is_ranked_beside_the_trials(noisy: Path, tmp_path: Path) -> None:
+    words = (noisy, *HELD, "--n-trials", 1, "--target", "LCL.stiffness_kN")
+    words = (*words, "--candidates", short_protocol(tmp_path))
+    result = run("design", "reference", *words, "--uncertain", "insertions=2mm", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "twice as well (to 1 mm instead of 2 mm) narrows" in result.stdout
+    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    ranking = {x["name"]: x["narrowing"] for x in summary["ranking"]}
+    insertions = {
+        f"insertion.{x.name}_{bone}" for x in ik.reference_knee().ligaments for bone in BONES
+    }
+    assert insertions < set(ranking)
+    assert max(ranking[x] for x in insertions) > 0.01
+    answer = load(tmp_path)
+    assert isinstance(answer, ik.Design)
+    assert answer.choice.ranking == tuple(summary["ranking"])
+    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+        assert set(tree["design"].dataset["error"].values) == insertions

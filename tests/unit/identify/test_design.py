@@ -8,7 +8,7 @@ from problems import ClosedForm, Linear, plain_parameters
 from trial_formulas import FormulaTrials, linear_trials
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Problem, with_nuisance_priors
+from identknee.calibrate.problem import Problem, with_nuisance_priors, without_priors
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.design.added_trials import WithTrials
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, directions_across
@@ -250,6 +250,36 @@ def test_nuisances_are_no_targets_and_are_integrated_out(criterion: Criterion) -
         sizes = np.linalg.eigvalsh(covariance)
         expected = {"D": np.log(sizes).sum(), "A": sizes.sum(), "E": sizes[-1]}
         assert loss == pytest.approx(expected[criterion], rel=1e-4)
+
+
+def test_an_error_known_better_is_the_problem_with_half_its_prior() -> None:
+    """And one more trial is the problem with that trial, in the same numbers."""
+    problem, blocks = _with_nuisances(), np.random.default_rng(12).normal(size=(6, 2, 4))
+    optimum = fit(problem, np.zeros(4)).theta
+    found = design(problem, optimum, linear_trials(blocks), n_trials=1)
+    parameters = problem.parameters
+    assert found.narrowing.errors == ("x0", "x3")
+    for place, now in zip((0, 3), found.narrowing.with_error_halved, strict=True):
+        halved = np.array(parameters.prior_sd)
+        halved[place] /= 2.0
+        jacobian = _jacobian_with_prior(problem, halved)
+        covariance = np.linalg.inv(jacobian.T @ jacobian)
+        sd = np.sqrt(np.diag(covariance)[1:3])
+        np.testing.assert_allclose(now, 2.0 * Z95 * sd, rtol=ENDS)
+    jacobian = problem.jacobian(optimum)
+    for block, now in zip(blocks, found.narrowing.with_trial, strict=True):
+        covariance = np.linalg.inv(jacobian.T @ jacobian + block.T @ block)
+        sd = np.sqrt(np.diag(covariance)[1:3])
+        np.testing.assert_allclose(now, 2.0 * Z95 * sd, rtol=ENDS)
+    shares = [x["narrowing"] for x in found.ranking]
+    assert shares == sorted(shares, reverse=True)
+    assert {x["name"] for x in found.ranking} == {*found.names, *found.narrowing.errors}
+
+
+def _jacobian_with_prior(problem: Problem, prior_sd: Array) -> Array:
+    nuisances = np.flatnonzero(~problem.parameters.is_of_interest)
+    data = without_priors(problem).jacobian(np.zeros(problem.parameters.n))
+    return np.vstack([data, np.diag(1.0 / prior_sd)[nuisances]])
 
 
 def test_without_a_parameter_of_interest_there_is_nothing_to_design() -> None:

@@ -1,0 +1,101 @@
+"""Whether a trial or an error known better would tell more, in words."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from identknee.identify.design.better_known import SHARE
+from identknee.identify.nuisances import group_name
+from identknee.report.statement import Question, Statement
+from identknee.report.tables import Column, Table
+from identknee.report.words import label_without_unit, parameter_words, trial_words
+from identknee.verbs.design import Design
+
+MOST_ROWS = 12
+UNITS = ("mm", "deg")
+
+
+def better_known_statements(answer: Design) -> Iterator[Statement]:
+    """Which stated error is best known better, and how it compares with the best trial."""
+    ranking, targets = answer.choice.ranking, answer.choice.targets
+    errors, trials = ([x for x in ranking if x["kind"] == y] for y in ("error", "trial"))
+    if not errors:
+        return
+    best, trial = errors[0], trials[0]
+    of = (
+        f"the interval of {parameter_words(targets[0])}"
+        if len(targets) == 1
+        else f"the intervals of the {len(targets)} targets on average"
+    )
+    is_more = best["narrowing"] > trial["narrowing"]
+    than = "more than any" if is_more else "less than the best"
+    yield Statement(
+        question=Question.NEXT,
+        sentence=f"Knowing the {_error(best['name'])} twice as well"
+        f"{_sizes(answer, best['name'])} narrows {of} by {_percent(best)}, {than} of the "
+        f"{len(trials)} candidate trials (one more {_trial(answer, trial['name'])}: "
+        f"{_percent(trial)}).",
+        tables=(_ranking(answer),),
+    )
+
+
+def _ranking(answer: Design) -> Table:
+    """Both kinds together, the most helpful first; of several targets the one that gains most."""
+    several = len(answer.choice.targets) > 1
+    rows = [
+        (
+            _trial(answer, x["name"]) if x["kind"] == "trial" else _error(x["name"]),
+            100.0 * x["narrowing"],
+            *(_most(answer, x) if several else ()),
+        )
+        for x in answer.choice.ranking[:MOST_ROWS]
+    ]
+    most = (Column(name="most of all"), Column(name="by", unit="%", decimals=1))
+    columns = (
+        Column(name="one more trial, or what is known twice as well"),
+        Column(name="narrows by", unit="%", decimals=1),
+        *(most if several else ()),
+    )
+    return Table(title="What would narrow the targets", columns=columns, rows=tuple(rows))
+
+
+def _most(answer: Design, row: dict[str, Any]) -> tuple[str, float]:
+    choice, narrowing = answer.choice, answer.choice.narrowing
+    names, shares = (
+        (choice.names, narrowing.by_trial)
+        if row["kind"] == "trial"
+        else (narrowing.errors, narrowing.by_error)
+    )
+    own = shares[names.index(row["name"])]
+    place = int(np.argmax(own))
+    return label_without_unit(choice.targets[place]), 100.0 * float(own[place])
+
+
+def _trial(answer: Design, name: str) -> str:
+    return trial_words(answer.candidate(answer.choice.names.index(name)))
+
+
+def _error(name: str) -> str:
+    """A stated error in words, without its article."""
+    kind, _, place = name.partition(".")
+    words = kind.replace("_", " ")
+    if not place:
+        return words
+    ligament, _, bone = place.rpartition("_")
+    return f"{ligament} {words} on the {bone}" if ligament else f"{words} of the {bone}"
+
+
+def _sizes(answer: Design, name: str) -> str:
+    """How well that is, in brackets, where it is one size for each unit."""
+    own = [x for x in answer.nuisances if group_name(x.name) == name]
+    sds = {unit: {x.prior_sd for x in own if x.name.endswith(f"_{unit}")} for unit in UNITS}
+    told = [(min(x), unit) for unit, x in sds.items() if x]
+    if not told or any(len(x) > 1 for x in sds.values()):
+        return ""
+    new, old = (" and ".join(f"{y * x:.3g} {unit}" for x, unit in told) for y in (SHARE, 1.0))
+    return f" (to {new} instead of {old})"
+
+
+def _percent(row: dict[str, Any]) -> str:
+    return f"{100.0 * row['narrowing']:.2g} %"
