@@ -1,5 +1,6 @@
 from .case import BlindCase as BlindCase
 from .case import blind_case as blind_case
+from .conditions import stated_conditions as stated_conditions
 from .effects import LISTED as LISTED
 from .effects import UNLISTED as UNLISTED
 from .folder import write_blind as write_blind

@@ -20,7 +20,7 @@ from identknee.blind.fitting import BaseFit, Noise, base_fit, left_over, scaled_
 from identknee.blind.hidden import Hidden, Scene
 from identknee.blind.rims import rims_of, stays_inside
 from identknee.blind.sites import places_of
-from identknee.blind.stated_errors import actual_knee, with_load_errors
+from identknee.blind.stated_errors import NO_ERRORS, drawn_wrong, true_errors, with_load_errors
 from identknee.blind.truth import Truth
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
@@ -134,13 +134,12 @@ def blind_case(
     )
     exponent = conditions.exponent(streams[4])
     noise = Noise(sd_mm=SD, sd_deg=SD, correlation=CORRELATION)
-    actual, base = knee, experiment_of(knee, protocol, exponent)
+    actual, off, base = knee, NO_ERRORS, experiment_of(knee, protocol, exponent)
     wanted, redraws, found = (noise, signal, amplitude), 0, None
     while found is None and redraws < MOST_DRAWS:
         if redraws % DRAWS_A_KNEE == 0 and conditions.has_stated_errors:
-            actual = actual_knee(knee, conditions, streams[6])
-            base = experiment_of(actual, protocol, exponent)
-            base = with_load_errors(base, conditions, streams[6])
+            actual, off = drawn_wrong(knee, conditions, streams[6])
+            base = with_load_errors(experiment_of(actual, protocol, exponent), off)
             scene = replace(scene, places=places_of(actual), start=_start(actual))
         found = _drawn(base, names, scene, wanted, streams[2])
         if found is None or not stays_inside(found.own, found.run, rims_of(actual)):
@@ -164,6 +163,7 @@ def blind_case(
     laxity = replace(laxity, coordinates=laxity.coordinates + remounting)
     facts |= {"contact_exponent": exponent, "largest_remounting": float(np.abs(remounting).max())}
     truth = _truth(actual, seed, found, {**facts, "redraws": redraws, "wanted_signal": signal})
+    truth = replace(truth, stated_errors=true_errors(knee, actual, off))
     return BlindCase(laxity=laxity, truth=truth, noise_free=exact)
 
 

@@ -1,12 +1,13 @@
 """What blind cases are drawn from, so that what the generator shares with a library can vary."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from identknee.blind.experiment import EXPONENT
 from identknee.runs.arrays import Array
+from identknee.subject.uncertainty import EXACTLY, UncertainLike, with_stated
 
 # Draws until one lies between the ends of a spread.
 MOST_TRIES = 1000
@@ -20,6 +21,16 @@ SIZES = (
     "load_axes_deg",
     "load_gain",
 )
+# What can be drawn wrong: the name it is stated by, and that of its condition.
+STATED = {
+    "insertions_mm": "insertion_mm",
+    "registration_deg": "registration_deg",
+    "registration_mm": "registration_mm",
+    "load_axes_deg": "load_axes_deg",
+    "load_gain": "load_gain",
+    "zero_mm": "remount_mm",
+    "zero_deg": "remount_deg",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,3 +189,32 @@ class Conditions:
 
 
 STANDARD = Conditions()
+
+
+def stated_conditions(uncertain: UncertainLike) -> Conditions:
+    """The standard conditions with what is given wrong by the stated amount.
+
+    Parameters
+    ----------
+    uncertain
+        Standard deviations as in ``"insertions=2mm,registration=2deg"``; None for exact.
+
+    Raises
+    ------
+    ValueError
+        If something is stated to be uncertain that the generator always takes as exact.
+
+    Examples
+    --------
+    >>> stated_conditions("insertions=2mm").insertion_mm
+    2.0
+    """
+    stated = with_stated(EXACTLY, uncertain)
+    sizes = {x.name: getattr(stated, x.name) for x in fields(stated)}
+    for name, size in sizes.items():
+        if name not in STATED and size != 0.0:
+            raise ValueError(
+                f"a blind case takes {name} as exact; state only insertions, registration, "
+                "load_axes, load_gain or zero"
+            )
+    return replace(STANDARD, **{own: sizes[name] for name, own in STATED.items()})

@@ -4,7 +4,7 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,9 @@ class Truth:
         Femoral and tibial end of each effect that is a line, in the subject's common frame [mm].
     facts
         The noise and how often the draw was repeated.
+    stated_errors
+        How wrong what is given was drawn [mm, deg, or relative], by the name of the nuisance that
+        stands for it; empty where it is exact.
     """
 
     seed: int
@@ -55,6 +58,7 @@ class Truth:
     is_largest: bool
     lines: Mapping[str, tuple[Array, Array]]
     facts: Mapping[str, object]
+    stated_errors: Mapping[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything in the types JSON knows."""
@@ -67,6 +71,7 @@ class Truth:
             "is_largest": self.is_largest,
             "lines": plain(self.lines),
             "facts": plain(self.facts),
+            "stated_errors": dict(self.stated_errors),
         }
 
 
@@ -108,6 +113,7 @@ def read_truth(folder: PathLike) -> Truth:
             is_largest=values.is_largest,
             lines={name: (np.array(x), np.array(y)) for name, (x, y) in values.lines.items()},
             facts=values.facts,
+            stated_errors=values.stated_errors,
         )
     except (ValueError, KeyError, TypeError, RecursionError, zlib.error) as error:
         raise InputError(

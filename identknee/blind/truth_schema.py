@@ -27,3 +27,4 @@ class TruthFile(Part):
     is_largest: bool
     lines: dict[str, tuple[Point, Point]]
     facts: dict[str, Any]
+    stated_errors: dict[str, Number] = Field(default_factory=dict)

@@ -26,12 +26,22 @@ Signal = Annotated[
     ),
 ]
 
+Uncertain = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=SIZE,...",
+        help="How wrong the knee and the tests are to be, as in insertions=2mm,registration=2deg: "
+        "one standard deviation. Exact if not given. Give `diagnose` the same.",
+    ),
+]
+
 
 def blind(
     context: typer.Context,
     subject: SubjectOrReference = "reference",
     effect: Effect = None,
     signal: Signal = None,
+    uncertain: Uncertain = None,
     out: Out = Path("identknee-blind"),
     seed: Seed = 0,
     workers: Workers = 1,
@@ -46,8 +56,11 @@ def blind(
     prepare_folder(out)
     knee = ik.read_subject(subject)
     recording = record("blind", _told(context.params), {"subject": knee_digest(knee)}, seed)
+    conditions = ik.blind.stated_conditions(uncertain)
     case, seconds = timed(
-        lambda: ik.blind.blind_case(knee, seed=seed, effect=_chosen(effect), signal=signal)
+        lambda: ik.blind.blind_case(
+            knee, seed=seed, effect=_chosen(effect), signal=signal, conditions=conditions
+        )
     )
     ik.blind.write_blind(case, out)
     if signal is not None:

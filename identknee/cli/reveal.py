@@ -1,5 +1,8 @@
 """`identknee reveal`: the truth behind blind data, and how a diagnosis compares with it."""
 
+import math
+import re
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -73,6 +76,9 @@ def _lines(truth: "ik.blind.Truth", score: "ik.blind.Score") -> list[str]:
     for effect, numbers in truth.amplitudes.items():
         size = ", ".join(f"{name} {value:.3g} {unit}" for name, (value, unit) in numbers.items())
         lines.append(f"{effect}: {size}")
+    if truth.stated_errors:
+        told = ", ".join(_true_errors(truth.stated_errors))
+        lines.append(f"What was given with the knee is wrong by: {told}.")
     if score.line_offset_mm is not None:
         lines.append(
             f"The line found lies {score.line_offset_mm:.1f} mm and "
@@ -82,3 +88,18 @@ def _lines(truth: "ik.blind.Truth", score: "ik.blind.Score") -> list[str]:
     if before is not None and after is not None:
         lines.append(f"Mean stiffness error {before:.2f} kN before, {after:.2f} kN after.")
     return lines
+
+
+def _true_errors(errors: Mapping[str, float]) -> list[str]:
+    """How far off each place, frame and set of axes is, and each kind of load."""
+    lengths: dict[tuple[str, str], float] = {}
+    gains = []
+    for name, value in errors.items():
+        words = re.split("[._]", name)
+        unit, kind = words[-1], name.partition(".")[0]
+        if kind == "load_gain":
+            gains.append(f"{' '.join(words[2:])} {100.0 * value:+.2g} %")
+        else:
+            key = (name[: -len(f"_x_{unit}")], unit)
+            lengths[key] = math.hypot(lengths.get(key, 0.0), value)
+    return [*(f"{name} {x:.2g} {unit}" for (name, unit), x in lengths.items()), *gains]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from identknee.blind.case import blind_case
+from identknee.blind.conditions import stated_conditions
 from identknee.blind.experiment import conduct, experiment_of, theta_slopes
 from identknee.calibrate.fit import fit
 from identknee.laxity.protocol import load_protocol
@@ -14,6 +15,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.subject.knee import Knee
+from identknee.subject.uncertainty import with_stated
 
 SD = 0.3
 # What a null may leave after the fit of the ligament parameters, in units of the noise.
@@ -67,3 +69,24 @@ def test_a_null_leaves_little(which: str, request: pytest.FixtureRequest) -> Non
     signals = _signals(request.getfixturevalue(which))
     assert min(signals) > LEAST_SIGNAL
     assert max(signals) < LARGEST_SIGNAL
+
+
+@pytest.mark.parametrize(
+    "uncertain",
+    ["insertions=2mm", "registration=2deg", "registration=2mm", "load_axes=3deg", "load_gain=10%"],
+)
+def test_true_errors_are_the_nuisances_of_the_model(reference: Knee, uncertain: str) -> None:
+    """A knee whose geometry or loads are wrong is the model at the values that `reveal` tells."""
+    protocol = load_protocol("seed63").select(range(0, 63, 4))
+    conditions = stated_conditions(uncertain)
+    case = blind_case(reference, seed=3, effect=None, protocol=protocol, conditions=conditions)
+    knee = reference.with_uncertainty(with_stated(reference.uncertainty, uncertain))
+    model = LaxityModel(knee=knee, protocol=protocol)
+    assert set(case.truth.stated_errors) == set(model.parameters.nuisance_names)
+    exact, wrong = (
+        model.predict(model.parameters.vector(x), derivatives=False).coordinates
+        for x in (case.truth.theta, {**case.truth.theta, **case.truth.stated_errors})
+    )
+    off = [np.sqrt(np.nanmean((x - case.noise_free.coordinates) ** 2)) for x in (exact, wrong)]
+    assert off[1] < 0.5 * off[0]
+    assert off[1] < 0.2

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.blind.conditions import STANDARD, Conditions
+from identknee.blind.conditions import STANDARD, Conditions, stated_conditions
 from identknee.blind.experiment import experiment_of
-from identknee.blind.stated_errors import actual_knee, with_load_errors
+from identknee.blind.stated_errors import (
+    LoadErrors,
+    actual_knee,
+    load_errors,
+    with_load_errors,
+)
 from identknee.subject.knee import Knee
 
 N = 200
@@ -15,6 +20,10 @@ N = 200
 def drawn(conditions: Conditions) -> list[Knee]:
     generator = np.random.default_rng(0)
     return [actual_knee(small_knee(), conditions, generator) for _ in range(N)]
+
+
+def off(conditions: Conditions) -> LoadErrors:
+    return load_errors(conditions, np.random.default_rng(1))
 
 
 def test_insertions_err_by_the_stated_size_along_every_axis_of_their_bone() -> None:
@@ -44,10 +53,10 @@ def test_frames_turn_and_shift_by_the_stated_size() -> None:
 
 def test_loads_keep_their_size_where_only_their_axes_turn() -> None:
     experiment = experiment_of(small_knee(), small_protocol())
-    turned = with_load_errors(experiment, Conditions(load_axes_deg=3.0), np.random.default_rng(1))
+    turned = with_load_errors(experiment, off(Conditions(load_axes_deg=3.0)))
     before, after = (np.linalg.norm(x.loads[:, 2:], axis=1) for x in (experiment, turned))
     np.testing.assert_allclose(after, before, rtol=1e-12)
-    scaled = with_load_errors(experiment, Conditions(load_gain=0.1), np.random.default_rng(1))
+    scaled = with_load_errors(experiment, off(Conditions(load_gain=0.1)))
     has_load = experiment.loads != 0.0
     ratios = np.where(has_load, scaled.loads / np.where(has_load, experiment.loads, 1.0), np.nan)
     assert np.nanmax(np.nanstd(ratios, axis=0)) < 1e-12
@@ -56,3 +65,13 @@ def test_loads_keep_their_size_where_only_their_axes_turn() -> None:
 def test_the_standard_conditions_have_no_such_errors() -> None:
     assert not STANDARD.has_stated_errors
     assert Conditions(insertion_mm=1.0).has_stated_errors
+
+
+def test_what_can_be_stated_is_drawn_and_what_cannot_is_refused() -> None:
+    made = stated_conditions("insertions=2mm,registration=1deg,load_gain=3%,zero=0.2mm")
+    sizes = (made.insertion_mm, made.registration_deg, made.load_gain, made.remount_mm)
+    assert sizes == (2.0, 1.0, 0.03, 0.2)
+    assert (made.registration_mm, made.load_axes_deg, made.remount_deg) == (0.0, 0.0, 0.0)
+    assert not stated_conditions(None).has_stated_errors
+    with pytest.raises(ValueError, match="takes contact_modulus as exact"):
+        stated_conditions("contact_modulus=0.3")

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_runs import refused, run
 
@@ -87,3 +88,17 @@ def test_a_signal_that_is_reached_needs_no_word(folder: Path, tmp_path: Path) ->
     words = ["--effect", "rig_compliance_IE", "--signal", 8, "--seed", 7, "--out", tmp_path]
     assert run("blind", *words).stderr == ""
     assert "was asked for" not in run("reveal", folder, _diagnosis(tmp_path, "ADEQUATE")).stdout
+
+
+def test_a_knee_is_given_as_wrong_as_stated_and_the_errors_are_revealed(tmp_path: Path) -> None:
+    words = ["--effect", "none", "--seed", 3, "--uncertain", "insertions=2mm,load_gain=3%"]
+    result = run("blind", *words, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    errors = ik.blind.read_truth(tmp_path).stated_errors
+    acl = np.array([errors[f"insertion.ACL_femur_{axis}_mm"] for axis in "xyz"])
+    told = run("reveal", tmp_path, _diagnosis(tmp_path, "ADEQUATE")).stdout
+    assert f"wrong by: insertion.ACL_femur {np.linalg.norm(acl):.2g} mm" in told
+    assert f"varus moment {100.0 * errors['load_gain.varus_moment']:+.2g} %" in told
+    assert "surface_mm as exact" in refused(
+        "blind", "--uncertain", "surface=1mm", "--out", tmp_path
+    )
