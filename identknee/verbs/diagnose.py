@@ -50,6 +50,7 @@ from identknee.verbs.diagnosis_gain import gain_found
 from identknee.verbs.diagnosis_rows import row_findings_of
 from identknee.verbs.identification import warm_up, with_noise
 from identknee.verbs.trials import advised, trials_of
+from identknee.verbs.used_trials import lost_findings, testable
 from identknee.verbs.values import NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 
@@ -113,13 +114,16 @@ def diagnose(
     model = LaxityModel(knee=run.knee, protocol=laxity.protocol)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)
-    starts = [] if start == "subject" else [start]
-    found = investigate(run.knee, laxity, starts=starts, effects=effects, seed=seed)
+    knee, used = testable(run.knee, laxity, start)
+    lost = lost_findings(laxity, used.laxity)
+    starts = [] if start == "subject" else [used.start]
+    found = investigate(knee, used.laxity, starts=starts, effects=effects, seed=seed)
     if found is None:
-        return untestable(_why_untestable(run.knee, laxity), end_point_findings(laxity))
+        return untestable(_why_untestable(knee, laxity), (*lost, *end_point_findings(laxity)))
     answer = diagnosis_of(found)
     rows = row_findings_of(found, effects=effects, seed=seed)
-    answer = replace(answer, findings=(*rows, *answer.findings))
+    said = (*answer.assumptions, *used.sentences)
+    answer = replace(answer, assumptions=said, findings=(*lost, *rows, *answer.findings))
     if run.out is not None:
         _write_extension(found, run.out)
     return answer
@@ -169,9 +173,9 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
         trial_wrench=TrialWrench(
             components=WRENCH,
             whole=WRENCH_UNITS * wrench.wrench,
-            sd_whole=WRENCH_UNITS * _sds(wrench.covariance),
+            sd_whole=WRENCH_UNITS * np.sqrt(np.einsum("nii->ni", wrench.covariance)),
             outside=WRENCH_UNITS * wrench.outside,
-            sd_outside=WRENCH_UNITS * _sds(wrench.outside_covariance),
+            sd_outside=WRENCH_UNITS * np.sqrt(np.einsum("nii->ni", wrench.outside_covariance)),
         ),
         parameter_names=base.fitted.model.parameters.names[:n],
         explanations=tuple(_explanation(x, n) for x in _compared(found)),
@@ -385,10 +389,6 @@ def _added_effect(choice: EffectChoice, knee: Knee) -> AddedEffect:
         stiffness_sd=choice.stiffness_sd_kN,
         site_sd=choice.site_sd_mm,
     )
-
-
-def _sds(covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.einsum("nii->ni", covariance)))
 
 
 def _values(tree: Mapping[str, Mapping[str, Estimate]]) -> dict[str, dict[str, float]]:

@@ -190,7 +190,7 @@ def fit(
     problem = trials.problem(used.laxity)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
-        Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), used.laxity
+        Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), laxity
     )
     return Calibration(
         **simulated(model, prediction),

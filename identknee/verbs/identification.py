@@ -40,6 +40,7 @@ from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress_bar
 from identknee.subject.knee import Knee
+from identknee.verbs.used_trials import TrialSearch, lost_findings
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
 
 # Of lengths and of angles [mm, deg].
@@ -67,6 +68,8 @@ class Identification:
         such coordinate was measured.
     assumptions
         What was taken for granted, as sentences for the user.
+    lost
+        Which measured trials have no equilibrium and blank cells in `laxity`, as findings.
     """
 
     knee: Knee
@@ -78,6 +81,7 @@ class Identification:
     degrees_of_freedom: int | None
     estimated_noise: Sizes
     assumptions: tuple[str, ...]
+    lost: tuple[Finding, ...] = ()
 
     def findings_at(
         self, theta: Array, deviance: float, fits: Sequence[Fit] = ()
@@ -95,6 +99,7 @@ class Identification:
         """
         parameters = self.problem.parameters
         model = (
+            *self.lost,
             *stability_findings(self.model),
             *feasibility_findings(self.problem, np.asarray(theta)),
             *rim_findings(
@@ -177,12 +182,19 @@ def identification(
     """
     limits = bounds_of(bounds)
     laxity = with_noise(laxity, noise)
-    model = LaxityModel(knee=knee, protocol=laxity.protocol)
-    residuals = LaxityResiduals(
-        model=model, laxity=laxity, weighting="unit" if laxity.sd is None else "noise"
+    trials = TrialSearch(
+        model=LaxityModel(knee=knee, protocol=laxity.protocol).with_tests(laxity),
+        laxity=laxity,
+        weighting="unit" if laxity.sd is None else "noise",
+        bounds=limits,
+        fixed=fixed or (),
     )
-    theta = load_start(start, with_bounds(residuals, limits).parameters)
+    theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(knee, laxity.protocol)
+    used = trials.used(theta)
+    lost = lost_findings(laxity, used.laxity)
+    model, laxity, theta = trials.model, used.laxity, used.start
+    residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
     if has_shared_errors(knee.uncertainty):
         residuals = _with_shared_errors(residuals, theta)
     part = restricted(with_bounds(residuals, limits), fixed or (), theta)
@@ -190,7 +202,7 @@ def identification(
     degrees: int | None = None
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
-    assumptions = [knee.uncertainty.sentence, *_about_the_data(laxity, asked)]
+    assumptions = [knee.uncertainty.sentence, *used.sentences, *_about_the_data(laxity, asked)]
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
         problem, degrees = estimate.problem, estimate.degrees_of_freedom
@@ -205,6 +217,7 @@ def identification(
         degrees_of_freedom=degrees,
         estimated_noise=sizes,
         assumptions=tuple(assumptions),
+        lost=lost,
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import Problem, with_bounds, with_nuisance_priors
+from identknee.calibrate.starts import load_start
 from identknee.laxity.protocol import LOADS
 from identknee.laxity.table import Laxity
 from identknee.mechanics.load_paths import NEAR
@@ -20,6 +21,7 @@ from identknee.model.measured_start import strains_as_measured
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.findings import Finding, Severity
+from identknee.subject.knee import Knee
 
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
 STRETCHES = (0.04, 0.06, 0.08, 0.1)
@@ -189,6 +191,27 @@ class TrialSearch:
 def _names(laxity: Laxity) -> tuple[str, ...]:
     """The trials with data."""
     return tuple(laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.any(axis=1)))
+
+
+def testable(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, UsedTrials]:
+    """The knee with strains at which trials have an equilibrium, and these trials.
+
+    Strains away from which a fit has to begin are no prior knowledge: where it has, the knee's own
+    become those of the beginning. Nothing is taken as uncertain here.
+    """
+    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=()).with_tests(laxity)
+    trials = TrialSearch(model=model, laxity=laxity, weighting="unit", bounds={})
+    begun = load_start(start, model.parameters)
+    used = trials.used(begun)
+    if used.start is begun:
+        return knee, used
+    strains = used.start[len(knee.ligaments) :].tolist()
+    ligaments = tuple(
+        replace(x, reference_strain_pct=strain)
+        for x, strain in zip(knee.ligaments, strains, strict=True)
+    )
+    said = "Priors of the reference strains are centred there."
+    return replace(knee, ligaments=ligaments), replace(used, sentences=(*used.sentences, said))
 
 
 def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:

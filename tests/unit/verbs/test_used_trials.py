@@ -7,8 +7,10 @@ from small_knee import small_knee, small_protocol
 
 import identknee as ik
 from identknee.calibrate.fit import fit
+from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
+from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.findings import Severity
 from identknee.subject.knee import Knee
@@ -96,3 +98,20 @@ def test_all_trials_are_used_from_a_start_that_has_them() -> None:
 def _search(laxity: Laxity, knee: Knee | None = None) -> TrialSearch:
     model = LaxityModel(knee=knee or small_knee(), protocol=laxity.protocol).with_tests(laxity)
     return TrialSearch(model=model, laxity=laxity, weighting="unit", bounds={})
+
+
+def test_verbs_of_identification_begin_there_too_and_name_what_they_leave_out() -> None:
+    laxity = displaced(as_read())
+    found = ik.information(slack(), laxity, noise="0.3mm,0.3deg")
+    assert any("from its measured pose under its whole load" in x for x in found.assumptions)
+    (lost,) = [x for x in found.findings if x.where == "trials"]
+    assert f"rests on {laxity.n - 1} of {laxity.n} measured trials" in lost.sentence
+
+
+def test_a_diagnosis_begins_there_too() -> None:
+    laxity = displaced(as_read())
+    effects = [effect_named(slack(), "flexion_offset")]
+    found = ik.diagnose(slack(), laxity, noise="0.3mm,0.3deg", effects=effects)
+    assert found.verdict is Verdict.ADEQUATE
+    assert found.assumptions[-1] == "Priors of the reference strains are centred there."
+    assert "rests on" in next(x for x in found.findings if x.where == "trials").sentence
