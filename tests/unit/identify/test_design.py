@@ -229,10 +229,12 @@ def _with_nuisances() -> Problem:
     rng = np.random.default_rng(11)
     parameters = replace(
         plain_parameters(4, -1e3, 1e3),
-        prior_sd=np.array([0.5, 2.0, 2.0, 3.0]),
+        prior_sd=np.array([0.5, 2.0, 2.0, 0.3]),
         is_nuisance=np.array([True, False, False, True]),
     )
     matrix, data = rng.normal(size=(9, 4)), rng.normal(size=9)
+    # Each nuisance does nearly what a parameter does: priors decide between them.
+    matrix[:, [0, 3]] = matrix[:, [1, 2]] + 0.2 * matrix[:, [0, 3]]
     return with_nuisance_priors(Linear(parameters=parameters, matrix=matrix, data=data))
 
 
