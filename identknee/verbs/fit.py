@@ -270,7 +270,10 @@ def _beside_the_table(
     if model.poses is None:
         return findings
     named = {x.where for x in findings}
-    return (*(x for x in end_point_findings(laxity) if x.where not in named), *findings)
+    rows = tuple(x for x in end_point_findings(laxity) if x.where not in named)
+    # What is wrong with the whole table makes its trials contradict one another.
+    whole = against_load_findings(laxity)
+    return (*whole, *(x for x in (*rows, *findings) if x not in whole))
 
 
 def _states_noise(laxity: Laxity) -> bool:
