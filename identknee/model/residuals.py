@@ -32,6 +32,8 @@ class LaxityResiduals:
     shared
         What further errors of one standard deviation change in the coordinates, shape
         ``(n, 5, k)``: they are averaged over, as errors that many values share. None for none.
+    offset
+        What is added to predicted coordinates [mm, deg], shape ``(n, 5)``; nothing if None.
 
     Raises
     ------
@@ -45,6 +47,7 @@ class LaxityResiduals:
     laxity: Laxity
     weighting: Weighting = "unit"
     shared: Array | None = None
+    offset: Array | None = None
     _whitening: Array = field(init=False, repr=False)
     _left: Array | None = field(init=False, repr=False)
 
@@ -88,8 +91,7 @@ class LaxityResiduals:
         measured = self.laxity.is_measured
         if not prediction.is_converged[measured.any(axis=1)].all():
             return np.full(int(measured.sum()), np.inf)
-        difference = self._relative(prediction.coordinates) - self.laxity.coordinates
-        return self.weighted(difference)
+        return self.weighted(-self._difference(prediction.coordinates))
 
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite.
@@ -106,8 +108,7 @@ class LaxityResiduals:
 
     def differences(self, theta: Array) -> Array:
         """Measured less predicted coordinates, shape ``(n, 5)``; NaN where either is missing."""
-        predicted = self.model.predict_once(theta).coordinates
-        return np.asarray(self.laxity.coordinates - self._relative(predicted))
+        return self._difference(self.model.predict_once(theta).coordinates)
 
     def rows(self, values: Array) -> Array:
         """The rows of changes of the coordinates (n, 5, ...) that belong to residuals.
@@ -137,6 +138,10 @@ class LaxityResiduals:
     def as_measured(self, coordinates: Array) -> Array:
         """Predicted coordinates ``(n, 5)`` from the zero of the data [mm, deg]."""
         return self._relative(coordinates)
+
+    def _difference(self, predicted: Array) -> Array:
+        shown = predicted if self.offset is None else predicted + self.offset
+        return np.asarray(self.laxity.coordinates - self._relative(shown))
 
     def _relative(self, values: Array) -> Array:
         if self.laxity.zero == "absolute":

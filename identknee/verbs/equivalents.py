@@ -23,6 +23,7 @@ from identknee.runs.outcome import Outcome
 from identknee.runs.progress import planned
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
+from identknee.verbs.averaged import averaged
 from identknee.verbs.identification import (
     Identification,
     check_start,
@@ -113,7 +114,7 @@ def equivalents(
     uncertain
         How well geometry, frames and loads are known, as in
         ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
+        exactly. These errors are averaged over to first order at the best fit.
     noise, start, fixed, bounds
         As for `identknee.verbs.identification.identification`.
     out
@@ -136,6 +137,7 @@ def equivalents(
     setup = identification(
         run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
     )
+    setup = averaged(setup, seed=seed, executor=run.executor)
     check_start(setup)
     quantities = _forces(setup, forces, trials)
     run.start_clock()

@@ -70,6 +70,9 @@ class Identification:
         What was taken for granted, as sentences for the user.
     lost
         Which measured trials have no equilibrium and blank cells in `laxity`, as findings.
+    nuisances_at
+        Where the nuisances were averaged over: the problem that has them, and its best fit; None
+        where they are among the parameters.
     """
 
     knee: Knee
@@ -82,6 +85,7 @@ class Identification:
     estimated_noise: Sizes
     assumptions: tuple[str, ...]
     lost: tuple[Finding, ...] = ()
+    nuisances_at: tuple[Problem, Array] | None = None
 
     def findings_at(
         self, theta: Array, deviance: float, fits: Sequence[Fit] = ()
@@ -105,7 +109,7 @@ class Identification:
             *rim_findings(
                 self.model.protocol.trials, self.model.predict_once(self.free.expand(theta))
             ),
-            *nuisance_findings(self.problem, np.asarray(theta)),
+            *nuisance_findings(*(self.nuisances_at or (self.problem, np.asarray(theta)))),
         )
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
@@ -130,7 +134,8 @@ class Identification:
         theta
             The best parameters of the problem, shape ``(n,)``.
         """
-        nuisances = nuisance_estimates(self.problem, np.asarray(theta))
+        problem, best = self.nuisances_at or (self.problem, np.asarray(theta))
+        nuisances = nuisance_estimates(problem, best)
         return {"uncertainty": self.knee.uncertainty.words, "nuisances": nuisances}
 
     def free_index(self, name: str, option: str) -> int:

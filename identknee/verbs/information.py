@@ -10,6 +10,7 @@ from identknee.runs.declare import declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
+from identknee.verbs.averaged import averaged
 from identknee.verbs.identification import best_fits, identification
 from identknee.verbs.values import BoundsLike, NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
@@ -72,7 +73,7 @@ def information(
     uncertain
         How well geometry, frames and loads are known, as in
         ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
+        exactly. These errors are averaged over to first order at the best fit.
     noise, start, fixed, bounds
         As for `identknee.verbs.identification.identification`.
     out
@@ -92,6 +93,7 @@ def information(
     setup = identification(
         run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
     )
+    setup = averaged(setup, seed=seed, executor=run.executor)
     # Refuses a scaling that is none before anything takes time.
     scaled_units(setup.problem.parameters, scaling)
     run.start_clock()

@@ -335,8 +335,8 @@ IDENTIFICATION = (
     ),
     _fault(
         "model/residuals.py",
-        "difference = self._relative(prediction.coordinates) - self.laxity.coordinates",
-        "difference = self.laxity.coordinates - self._relative(prediction.coordinates)",
+        "return self.weighted(-self._difference(prediction.coordinates))",
+        "return self.weighted(self._difference(prediction.coordinates))",
         "residuals have the other sign than their derivatives",
         "tests/unit/model/test_residuals.py",
     ),

@@ -26,7 +26,7 @@ def fit_statements(answer: Calibration) -> Iterator[Statement]:
         question=Question.SEARCH,
         sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
         f"(RMSE over {answer.rmse.n_compared} measured values). {answer.sentence}{caution}",
-        tables=(_table(answer),),
+        tables=(_table(answer), *_nuisances(answer)),
         is_answer=True,
     )
 
@@ -34,6 +34,7 @@ def fit_statements(answer: Calibration) -> Iterator[Statement]:
 def _table(answer: Calibration) -> Table:
     search = answer.search
     notes = dict.fromkeys(answer.at_bounds, "at its bound") | dict.fromkeys(search.fixed, "fixed")
+    nuisances = {x.name for x in answer.nuisances}
     rows = zip(answer.parameter_names, search.start.tolist(), search.theta.tolist(), strict=True)
     return Table(
         title="Fitted parameters",
@@ -43,5 +44,23 @@ def _table(answer: Calibration) -> Table:
             Column(name="fitted", decimals=None),
             Column(name="remark"),
         ),
-        rows=tuple((label(name), start, end, notes.get(name, "")) for name, start, end in rows),
+        rows=tuple(
+            (label(name), start, end, notes.get(name, ""))
+            for name, start, end in rows
+            if name not in nuisances
+        ),
     )
+
+
+def _nuisances(answer: Calibration) -> Iterator[Table]:
+    if answer.nuisances:
+        yield Table(
+            title="Stated errors of geometry and tests at the fit",
+            columns=(
+                Column(name="error"),
+                Column(name="fitted", decimals=None),
+                Column(name="sd", decimals=None),
+                Column(name="stated sd", decimals=None),
+            ),
+            rows=tuple((label(x.name), x.value, x.sd, x.prior_sd) for x in answer.nuisances),
+        )

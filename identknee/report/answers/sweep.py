@@ -70,7 +70,7 @@ def _kinds(survey: Survey) -> Table:
 
 
 def _basins(survey: Survey) -> Table:
-    names = survey.basins.parameter_names
+    names = survey.searches.parameters.names_of_interest
     return Table(
         title="Where searches ended",
         columns=(
@@ -81,7 +81,13 @@ def _basins(survey: Survey) -> Table:
             *(Column(name=label(x), decimals=None) for x in names),
         ),
         rows=tuple(
-            (f"{k}", x["objective"], x["n_starts"], 100 * x["share"], *x["parameters"].values())
+            (
+                f"{k}",
+                x["objective"],
+                x["n_starts"],
+                100 * x["share"],
+                *(x["parameters"][name] for name in names),
+            )
             for k, x in enumerate(survey.basins.listed, 1)
         ),
     )

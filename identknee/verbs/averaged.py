@@ -1,0 +1,126 @@
+"""Stated errors of geometry and tests, averaged over to first order instead of fitted."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from identknee.calibrate.problem import Bounded, restricted
+from identknee.model.residuals import LaxityResiduals
+from identknee.model.shared_errors import has_shared_errors, shared_errors
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.executors import Executor
+from identknee.verbs.identification import Identification, best_fits
+
+# Draws of the errors that show how far predictions are from straight lines, and their seed.
+N_DRAWS, DRAWS_SEED = 16, 0
+
+
+def averaged(setup: Identification, *, seed: int, executor: Executor) -> Identification:
+    """The same question of the parameters of interest alone; itself where it has no nuisances.
+
+    Around the best fit nuisances change predictions along straight lines. Their priors then add
+    to the covariance of the noise, ``V = noise + J C J'``, and leave no parameter behind.
+
+    Parameters
+    ----------
+    setup
+        The question, nuisances with their priors among its parameters.
+    seed
+        Seed of the starts of the fits.
+    executor
+        Anything with an ordered ``map``.
+
+    Raises
+    ------
+    ValueError
+        If there are nuisances and the data state no noise.
+    NotComputed
+        If no parameters near the start have a prediction in every measured trial.
+    """
+    nuisances = setup.problem.parameters.nuisance_names
+    if not nuisances:
+        return setup
+    if setup.degrees_of_freedom is not None:
+        raise ValueError(
+            "stated errors can be averaged over only beside a stated noise; add --noise, for "
+            "example --noise 0.5mm,0.5deg, or hold the geometry exact with --uncertain none"
+        )
+    best = best_fits(setup, seed=seed, executor=executor)[0].theta
+    theta = setup.free.expand(best)
+    everything = setup.free.everything
+    varied = np.isin(everything.names, nuisances)
+    residuals = _with_straight_lines(setup, theta, varied)
+    kept = set(setup.problem.parameters.names_of_interest)
+    held = [name for name in everything.names if name not in kept]
+    part = restricted(Bounded(problem=residuals, parameters=everything), held, theta)
+    sentence = (
+        f"{len(nuisances)} stated errors were averaged over to first order at the best fit, where "
+        "predictions hold them. Drawn from their priors they bend predictions away from straight "
+        f"lines by {_bend(setup, residuals, theta, varied):.2g} standard deviations of noise and "
+        f"errors together (root mean square of up to {N_DRAWS} draws)."
+    )
+    return replace(
+        setup,
+        problem=part,
+        free=part.free,
+        start=part.free.restrict(setup.free.expand(setup.start)),
+        nuisances_at=(setup.problem, best),
+        assumptions=(*setup.assumptions, sentence),
+    )
+
+
+def _with_straight_lines(setup: Identification, theta: Array, varied: BoolArray) -> LaxityResiduals:
+    """Residuals whose covariance holds the errors `varied`, their means at the priors' middles."""
+    everything = setup.free.everything
+    _, jacobian = _tangent(setup, theta)
+    here = everything.to_working(theta)[varied]
+    middle = everything.to_working(everything.center)[varied]
+    # Of a lognormal error the logarithm is normal.
+    by_working = jacobian[:, :, varied] * np.where(everything.is_log, theta, 1.0)[varied]
+    columns = by_working * everything.prior_sd[varied]
+    if has_shared_errors(setup.knee.uncertainty):
+        columns = np.concatenate([columns, shared_errors(setup.model, theta)], axis=2)
+    return LaxityResiduals(
+        model=setup.model,
+        laxity=setup.laxity,
+        weighting="noise",
+        shared=columns,
+        offset=by_working @ (middle - here),
+    )
+
+
+def _bend(
+    setup: Identification, residuals: LaxityResiduals, theta: Array, varied: BoolArray
+) -> float:
+    """Root mean square departure from straight lines of draws of the errors."""
+    everything, model = setup.free.everything, setup.model
+    generator = np.random.default_rng(DRAWS_SEED)
+    coordinates, jacobian = _tangent(setup, theta)
+    squares = []
+    for _ in range(N_DRAWS):
+        working = everything.to_working(theta)
+        step = np.zeros(everything.n)
+        step[varied] = generator.normal(scale=everything.prior_sd[varied])
+        there = everything.from_working(working + step)
+        moved = np.where(varied, np.clip(there, everything.lower, everything.upper), theta)
+        bent = model.predict(moved, derivatives=False).coordinates - coordinates
+        rows = residuals.rows(bent - jacobian @ _slopes(moved, theta, everything.is_log))
+        # A draw without an equilibrium in some trial tells nothing.
+        if np.isfinite(rows).all():
+            squares.append(np.mean(rows**2))
+    return float(np.sqrt(np.mean(squares))) if squares else np.inf
+
+
+def _tangent(setup: Identification, theta: Array) -> tuple[Array, Array]:
+    """Coordinates at theta and their derivatives, shapes ``(n, 5)`` and ``(n, 5, p)``."""
+    at = setup.model.predict(theta)
+    if at.jacobian is None:  # pragma: no cover - it was asked for
+        raise AssertionError
+    return at.coordinates, at.jacobian
+
+
+def _slopes(moved: Array, theta: Array, is_log: BoolArray) -> Array:
+    """Steps of theta that the straight lines of `_with_straight_lines` take for a draw."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = theta * np.log(moved / theta)
+    return np.where(is_log & (moved != theta), logs, moved - theta)

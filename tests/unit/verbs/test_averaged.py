@@ -1,0 +1,99 @@
+"""Errors averaged over to first order against the covariance of all parameters together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tolerances import CLOSED_FORM
+
+import identknee as ik
+from identknee.laxity.noise import add_noise
+from identknee.laxity.table import Laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.runs.executors import serial
+from identknee.subject.knee import Knee
+from identknee.subject.uncertainty import with_stated
+from identknee.verbs.averaged import averaged
+from identknee.verbs.identification import Identification, identification
+
+FIXED = [f"{x}.{y}" for x in ("LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
+# The two sides solve the same normal equations by other routes.
+SOLVED = 1e6 * CLOSED_FORM
+
+
+@pytest.fixture(scope="module")
+def knee() -> Knee:
+    knee = ik.example("reference")
+    return knee.with_uncertainty(
+        with_stated(knee.uncertainty, "insertions=1mm,contact_modulus=20%")
+    )
+
+
+@pytest.fixture(scope="module")
+def measured(reference_model: LaxityModel) -> Laxity:
+    """Few trials with more error than noise, so that nuisances leave the middle of their priors."""
+    small = reference_model.with_protocol(reference_model.protocol.select(range(0, 63, 6)))
+    return add_noise(small.simulate(small.parameters.center), sd_mm=0.3, sd_deg=0.5, seed=1)
+
+
+@pytest.fixture(scope="module")
+def setup(knee: Knee, measured: Laxity) -> Identification:
+    return identification(knee, measured, fixed=FIXED)
+
+
+@pytest.fixture(scope="module")
+def marginal(setup: Identification) -> Identification:
+    return averaged(setup, seed=0, executor=serial)
+
+
+def test_the_parameters_of_interest_remain(setup: Identification, marginal: Identification) -> None:
+    assert marginal.problem.parameters.names == setup.problem.parameters.names_of_interest
+    assert marginal.free.parameters.names == marginal.problem.parameters.names
+
+
+def test_information_is_that_of_the_marginal_covariance(marginal: Identification) -> None:
+    problem, best = marginal.nuisances_at or pytest.fail("nothing was averaged over")
+    is_asked = problem.parameters.is_of_interest
+    full = problem.jacobian(best)
+    covariance = np.linalg.inv(full.T @ full)[np.ix_(is_asked, is_asked)]
+    own = marginal.problem.jacobian(best[is_asked])
+    np.testing.assert_allclose(np.linalg.inv(own.T @ own), covariance, rtol=SOLVED)
+
+
+def test_the_gradient_is_that_of_the_deviance_with_nuisances_fitted_anew(
+    marginal: Identification,
+) -> None:
+    problem, best = marginal.nuisances_at or pytest.fail("nothing was averaged over")
+    is_asked = problem.parameters.is_of_interest
+    residuals, jacobian = problem.residuals(best), problem.jacobian(best)
+    nuisances = jacobian[:, ~is_asked]
+    left = residuals - nuisances @ np.linalg.lstsq(nuisances, residuals, rcond=None)[0]
+    here = marginal.problem.residuals(best[is_asked])
+    assert here @ here == pytest.approx(left @ left, rel=SOLVED)
+    np.testing.assert_allclose(
+        marginal.problem.jacobian(best[is_asked]).T @ here,
+        jacobian[:, is_asked].T @ left,
+        atol=SOLVED * np.abs(jacobian).max(),
+    )
+
+
+def test_it_says_how_far_predictions_bend(marginal: Identification) -> None:
+    assert "25 stated errors were averaged over" in marginal.assumptions[-1]
+    assert "inf" not in marginal.assumptions[-1]
+
+
+def test_a_knee_known_exactly_is_left_alone(measured: Laxity) -> None:
+    exact = identification(ik.example("reference"), measured, fixed=FIXED)
+    assert averaged(exact, seed=0, executor=serial) is exact
+
+
+def test_errors_beside_an_unknown_noise_are_refused(knee: Knee, measured: Laxity) -> None:
+    unknown = identification(knee, replace(measured, sd=None), fixed=FIXED)
+    with pytest.raises(ValueError, match=r"--noise 0\.5mm,0\.5deg"):
+        averaged(unknown, seed=0, executor=serial)
+
+
+def test_equivalents_list_ligament_parameters_alone(knee: Knee, measured: Laxity) -> None:
+    found = ik.equivalents(knee, measured, n_sets=2, forces="none", fixed=FIXED)
+    assert all(x.startswith(("ACL", "PCL")) for x in found.region.parameters)
+    assert {x.name.split(".")[0] for x in found.nuisances} == {"insertion", "contact_modulus"}
