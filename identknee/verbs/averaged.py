@@ -55,9 +55,7 @@ def averaged(setup: Identification, *, seed: int, executor: Executor) -> Identif
     part = restricted(Bounded(problem=residuals, parameters=everything), held, theta)
     sentence = (
         f"{len(nuisances)} stated errors were averaged over to first order at the best fit, where "
-        "predictions hold them. Drawn from their priors they bend predictions away from straight "
-        f"lines by {_bend(setup, residuals, theta, varied):.2g} standard deviations of noise and "
-        f"errors together (root mean square of up to {N_DRAWS} draws)."
+        f"predictions hold them. {_bend(setup, residuals, theta, varied)}"
     )
     return replace(
         setup,
@@ -73,11 +71,8 @@ def _with_straight_lines(setup: Identification, theta: Array, varied: BoolArray)
     """Residuals whose covariance holds the errors `varied`, their means at the priors' middles."""
     everything = setup.free.everything
     _, jacobian = _tangent(setup, theta)
-    here = everything.to_working(theta)[varied]
-    middle = everything.to_working(everything.center)[varied]
-    # Of a lognormal error the logarithm is normal.
-    by_working = jacobian[:, :, varied] * np.where(everything.is_log, theta, 1.0)[varied]
-    columns = by_working * everything.prior_sd[varied]
+    slopes = jacobian[:, :, varied]
+    columns = slopes * everything.prior_sd[varied]
     if has_shared_errors(setup.knee.uncertainty):
         columns = np.concatenate([columns, shared_errors(setup.model, theta)], axis=2)
     return LaxityResiduals(
@@ -85,30 +80,36 @@ def _with_straight_lines(setup: Identification, theta: Array, varied: BoolArray)
         laxity=setup.laxity,
         weighting="noise",
         shared=columns,
-        offset=by_working @ (middle - here),
+        offset=slopes @ (everything.center - theta)[varied],
     )
 
 
 def _bend(
     setup: Identification, residuals: LaxityResiduals, theta: Array, varied: BoolArray
-) -> float:
-    """Root mean square departure from straight lines of draws of the errors."""
+) -> str:
+    """How far draws of the errors depart from straight lines, as a sentence."""
     everything, model = setup.free.everything, setup.model
     generator = np.random.default_rng(DRAWS_SEED)
     coordinates, jacobian = _tangent(setup, theta)
     squares = []
     for _ in range(N_DRAWS):
-        working = everything.to_working(theta)
         step = np.zeros(everything.n)
         step[varied] = generator.normal(scale=everything.prior_sd[varied])
-        there = everything.from_working(working + step)
-        moved = np.where(varied, np.clip(there, everything.lower, everything.upper), theta)
-        bent = model.predict(moved, derivatives=False).coordinates - coordinates
-        rows = residuals.rows(bent - jacobian @ _slopes(moved, theta, everything.is_log))
+        step = np.clip(theta + step, everything.lower, everything.upper) - theta
+        bent = model.predict(theta + step, derivatives=False).coordinates - coordinates
+        rows = residuals.rows(bent - jacobian @ step)
         # A draw without an equilibrium in some trial tells nothing.
         if np.isfinite(rows).all():
             squares.append(np.mean(rows**2))
-    return float(np.sqrt(np.mean(squares))) if squares else np.inf
+    if not squares:
+        return (
+            "No draw from their priors has a prediction in every trial: the result may be far off."
+        )
+    return (
+        "Drawn from their priors they bend predictions away from straight lines by "
+        f"{np.sqrt(np.mean(squares)):.2g} standard deviations of noise and errors together (root "
+        f"mean square of {len(squares)} draws)."
+    )
 
 
 def _tangent(setup: Identification, theta: Array) -> tuple[Array, Array]:
@@ -117,10 +118,3 @@ def _tangent(setup: Identification, theta: Array) -> tuple[Array, Array]:
     if at.jacobian is None:  # pragma: no cover - it was asked for
         raise AssertionError
     return at.coordinates, at.jacobian
-
-
-def _slopes(moved: Array, theta: Array, is_log: BoolArray) -> Array:
-    """Steps of theta that the straight lines of `_with_straight_lines` take for a draw."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logs = theta * np.log(moved / theta)
-    return np.where(is_log & (moved != theta), logs, moved - theta)

@@ -340,6 +340,20 @@ IDENTIFICATION = (
         "residuals have the other sign than their derivatives",
         "tests/unit/model/test_residuals.py",
     ),
+    _fault(
+        "verbs/averaged.py",
+        "offset=slopes @ (everything.center - theta)[varied],",
+        "offset=slopes @ (theta - everything.center)[varied],",
+        "errors averaged over move predictions away from the middle of their priors",
+        "tests/unit/verbs/test_averaged.py",
+    ),
+    _fault(
+        "identify/design/better_known.py",
+        "np.sqrt(SHARE**-2 - 1.0)",
+        "np.sqrt(SHARE**-2)",
+        "an error known twice as well narrows too much",
+        "tests/unit/identify/test_design.py",
+    ),
 )
 DIAGNOSIS = (
     _diagnosis(
