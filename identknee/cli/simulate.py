@@ -9,7 +9,11 @@ import identknee as ik
 from identknee.cli.command import Continuation, Json, Out, Seed, Subject, Workers, run_verb
 
 ProtocolName = Annotated[
-    str, typer.Option(help="seed63, table2, drawer, or the path of a TOML file.")
+    str,
+    typer.Option(
+        help="seed63, table2, drawer, the path of a TOML file, or a laxity table ending in .csv, "
+        "whose trials are run as `fit` would run them."
+    ),
 ]
 Values = Annotated[
     list[str] | None,

@@ -1,11 +1,12 @@
 """The laxity of a knee under a protocol, and how each trial ended."""
 
+from pathlib import Path
 from typing import Any, get_args
 
 from identknee.calibrate.starts import load_start
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.laxity.table import Laxity, write_laxity
+from identknee.laxity.table import Laxity, read_laxity, write_laxity
 from identknee.mechanics.load_paths import Continuation
 from identknee.model.laxity_model import Contact, LaxityModel
 from identknee.model.prediction import Prediction
@@ -141,7 +142,8 @@ def simulate(
     subject
         A knee, its folder, or the name of one that comes with identknee.
     protocol
-        Trials: ``"seed63"``, ``"table2"``, ``"drawer"``, a TOML file or a `Protocol`.
+        Trials: ``"seed63"``, ``"table2"``, ``"drawer"``, a TOML file, a `Protocol`, or a laxity
+        table (CSV), whose trials are run as a fit to it would run them.
     values
         Parameters other than those of `start`, such as ``{"ACL.stiffness_kN": 9.5}``.
     start
@@ -174,9 +176,12 @@ def simulate(
     check_word("continuation", continuation, get_args(Continuation))
     check_word("contact", contact, get_args(Contact))
     sizes = None if noise is None else noise_of(noise)
-    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol)
+    tests = _tests(protocol)
     chosen = values_of(values)
+    trials = tests.protocol if isinstance(tests, Laxity) else tests
     model = LaxityModel(knee=run.knee, protocol=trials, continuation=continuation, contact=contact)
+    if isinstance(tests, Laxity):
+        model = model.with_tests(tests)
     begun = load_start(start, model.parameters).tolist()
     theta = model.parameters.vector(dict(zip(model.parameters.names, begun, strict=True)) | chosen)
     warm_up(run.knee, trials)
@@ -200,6 +205,13 @@ def simulate(
     if run.out is not None:
         write_laxity(answer.laxity if noisy is None else noisy, run.out / LAXITY_FILE)
     return answer
+
+
+def _tests(protocol: str | Protocol) -> Protocol | Laxity:
+    if isinstance(protocol, Protocol):
+        return protocol
+    is_table = Path(protocol).suffix.lower() == ".csv"
+    return read_laxity(protocol) if is_table else load_protocol(protocol)
 
 
 def simulated(model: LaxityModel, prediction: Prediction) -> dict[str, Any]:

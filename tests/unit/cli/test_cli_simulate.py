@@ -10,6 +10,8 @@ import xarray
 from cli_runs import refused, run, short_protocol
 
 import identknee as ik
+from identknee.laxity.table import write_laxity
+from identknee.model.laxity_model import LaxityModel
 
 
 def test_the_table_is_what_the_model_predicts(tmp_path: Path) -> None:
@@ -27,6 +29,23 @@ def test_the_table_is_what_the_model_predicts(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.coordinates, simulation.laxity.coordinates)
     assert read.protocol.trials == simulation.laxity.protocol.trials
     assert read.sd is None
+
+
+def test_the_trials_of_a_measured_table_are_run_as_a_fit_runs_them(tmp_path: Path) -> None:
+    table, out = ik.read_laxity("s192803"), tmp_path / "out"
+    write_laxity(table, tmp_path / "measured.csv")
+    result = run(
+        *("simulate", "s192803_bundles", "--protocol", tmp_path / "measured.csv", "--out", out)
+    )
+    assert result.exit_code == 0, result.output
+    knee = ik.read_subject("s192803_bundles")
+    model = LaxityModel(knee=knee, protocol=table.protocol).with_tests(table)
+    expected = model.predict(model.parameters.start, derivatives=False).coordinates
+    read = ik.read_laxity(out / "laxity.csv")
+    assert read.protocol.trials == table.protocol.trials
+    np.testing.assert_array_equal(read.coordinates, expected)
+    # From the unloaded knee most of its trials are not reached.
+    assert np.isnan(expected).any(axis=1).sum() <= 1
 
 
 def test_the_summary_has_the_keys_others_rely_on(tmp_path: Path) -> None:
