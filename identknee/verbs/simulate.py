@@ -18,6 +18,7 @@ from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import warm_up
+from identknee.verbs.used_trials import about_paths
 from identknee.verbs.values import (
     NoiseLike,
     ValuesLike,
@@ -200,6 +201,7 @@ def simulate(
     answer = Simulation(
         **simulated(model, prediction),
         noisy=noisy,
+        assumptions=about_paths(model),
         findings=rim_findings(trials.trials, prediction),
     )
     if run.out is not None:

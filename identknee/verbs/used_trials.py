@@ -39,7 +39,8 @@ class UsedTrials:
     laxity
         The data, cells of trials without equilibrium blank.
     start
-        Where to begin, shape ``(p,)``: all trials of the data have an equilibrium there.
+        Where to begin, shape ``(p,)``; where the model begins at measured poses, all trials of
+        the data have an equilibrium there.
     sentences
         What was done, for the user.
     """
@@ -82,7 +83,7 @@ class TrialSearch:
         Where the model begins at measured poses and loses trials at the start, it also begins with
         reference strains from the lengths of the ligaments in those poses.
         """
-        said = _about_paths(self.model)
+        said = about_paths(self.model)
         lost = self.measured & ~self.has_equilibrium(start)
         if self.model.poses is None or not lost.any():
             return UsedTrials(laxity=self.laxity, start=start, sentences=said)
@@ -228,7 +229,8 @@ def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
     return (Finding(severity=Severity.WARNING, sentence=sentence, where="trials"),)
 
 
-def _about_paths(model: LaxityModel) -> tuple[str, ...]:
+def about_paths(model: LaxityModel) -> tuple[str, ...]:
+    """That equilibria were looked for from the measured poses, where they were."""
     if model.poses is None:
         return ()
     sentence = (

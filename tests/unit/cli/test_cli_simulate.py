@@ -38,6 +38,7 @@ def test_the_trials_of_a_measured_table_are_run_as_a_fit_runs_them(tmp_path: Pat
         *("simulate", "s192803_bundles", "--protocol", tmp_path / "measured.csv", "--out", out)
     )
     assert result.exit_code == 0, result.output
+    assert "from its measured pose" in result.stdout
     knee = ik.read_subject("s192803_bundles")
     model = LaxityModel(knee=knee, protocol=table.protocol).with_tests(table)
     expected = model.predict(model.parameters.start, derivatives=False).coordinates
