@@ -16,9 +16,9 @@ from packaging.specifiers import SpecifierSet
 
 import identknee as ik
 from identknee.cli.command import show, timed
-from identknee.cli.library_threads import LIBRARY_THREADS
 from identknee.runs.errors import NotComputed
 from identknee.runs.files import BYTES_PER_MB, prepare_folder
+from identknee.runs.library_threads import LIBRARY_THREADS
 from identknee.runs.progress import progress_bar
 
 # Extras for work on identknee itself; a user misses nothing without them.

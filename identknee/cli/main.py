@@ -5,7 +5,7 @@ import signal
 import sys
 from types import FrameType
 
-from identknee.cli.library_threads import LIBRARY_THREADS
+from identknee.runs.library_threads import LIBRARY_THREADS
 
 NOT_COMPUTED, INTERRUPTED = 1, 130
 STOPPED = "identknee: stopped while starting"

@@ -27,6 +27,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from identknee.runs.files import write_atomically
+from identknee.runs.library_threads import use_one_library_thread
 from identknee.runs.unforeseen import are_warnings_logged, log_warnings
 
 Item = TypeVar("Item")
@@ -181,6 +182,7 @@ def _check_workers(n_workers: int) -> None:
 
 def _start_worker(line: Connection, folder: str, has_log: bool) -> None:  # noqa: FBT001
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    use_one_library_thread()
     if has_log:
         log_warnings()
     if sys.platform == "linux":

@@ -15,6 +15,7 @@ from identknee.laxity.table import Laxity, read_laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.runs.executors import Executor, process_pool
 from identknee.runs.files import PathLike, digest, prepare_folder
+from identknee.runs.library_threads import one_library_thread
 from identknee.runs.record import record
 from identknee.runs.resume import finish_work, open_work
 from identknee.runs.store import Store
@@ -129,7 +130,7 @@ def verb(
     def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         bound = called.__signature__.bind(*args, **kwargs)  # type: ignore[attr-defined]
         bound.apply_defaults()
-        with _run(function, bound.arguments) as (run, recording):
+        with one_library_thread(), _run(function, bound.arguments) as (run, recording):
             run.start_clock()
             result = function(run, *bound.args, **bound.kwargs)
             result = replace(result, seconds=run.seconds, record=recording.finish())
