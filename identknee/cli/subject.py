@@ -42,6 +42,22 @@ PROPOSAL = (
     "better, add to subject.toml: [uncertainty] insertions_mm = 2.0 (segmentation repeats to 1 to "
     "4 mm)."
 )
+Fitted = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="A result of fit, profile or simulate for SUBJECT, whose parameters the knee gets.",
+    ),
+]
+Osim = Annotated[bool, typer.Option("--osim", help="Also write an OpenSim 4 model.")]
+Source = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE.osim",
+        help="The OpenSim model that SUBJECT was imported from: write a copy of it with the "
+        "knee's ligaments. Give lenhart2015 for the one that comes with identknee.",
+    ),
+]
 Bundles = Annotated[
     Literal["separate", "merged"],
     typer.Option(help="Keep the bundles separate, or merge them to four single lines."),
@@ -121,16 +137,27 @@ def draw(
 def export(
     context: typer.Context,
     subject: Subject,
+    fitted: Fitted = None,
+    osim: Osim = False,
+    source: Source = None,
     out: Out = Path("identknee-subject"),
     seed: Seed = 0,
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Write SUBJECT as a subject folder."""
+    """Write SUBJECT as a subject folder, and for other tools.
+
+    With --fitted the knee has the parameters of a result. With --source they are written into a
+    copy of the OpenSim model that the knee was imported from; all else in that model stays. With
+    --osim alone the model holds two bones, their cartilage and the ligaments.
+    """
     prepare_folder(out)
     knee = ik.read_subject(subject)
     recording = record("subject export", context.params, {"subject": knee_digest(knee)}, seed)
-    _write_subject(knee, out, recording, as_json=as_json)
+    from identknee.report.export import export_knee
+
+    knee, written = export_knee(knee, out, fitted=fitted, osim=osim, source=source)
+    _tell_written(knee, written, recording, as_json=as_json)
 
 
 @app.command(
@@ -153,17 +180,20 @@ def import_osim(
     recording = record(
         "subject import-osim", context.params, {"osim": digest(opensim_file(file))}, seed
     )
-    _write_subject(knee, out, recording, as_json=as_json)
+    _tell_written(knee, [ik.write_subject(knee, out)], recording, as_json=as_json)
 
 
-def _write_subject(knee: "ik.Knee", out: Path, recording: Recording, *, as_json: bool) -> None:
+def _tell_written(
+    knee: "ik.Knee", written: Sequence[Path], recording: Recording, *, as_json: bool
+) -> None:
     from identknee.report.groups import subject_groups
 
-    ik.write_subject(knee, out)
+    out, *others = written
     summary = _write(out, _knee_summary(knee), subject_groups(knee), recording)
     names = ", ".join(x.name for x in knee.ligaments)
     line = f"{knee.name}: {len(knee.ligaments)} ligaments ({names}) written to {out}"
-    show(summary, [line, f"Next: identknee subject check {out}"], as_json=as_json)
+    also = [f"Also written: {x}" for x in others]
+    show(summary, [line, *also, f"Next: identknee subject check {out}"], as_json=as_json)
 
 
 def _write(out: Path, summary: dict[str, Any], groups: Any, recording: Recording) -> dict[str, Any]:

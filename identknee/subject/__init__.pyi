@@ -1,6 +1,7 @@
 from .check import GeometryFinding as GeometryFinding
 from .frames import Frame as Frame
 from .ligament import Ligament as Ligament
+from .opensim_export import write_opensim as write_opensim
 from .surface import Surface as Surface
 from .surface import joined as joined
 from .surface import write_surface as write_surface

@@ -1,8 +1,6 @@
 """Knees of OpenSim models that describe contact and ligaments as OpenSim JAM does."""
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -10,37 +8,19 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike
 from identknee.subject.check import unusable
 from identknee.subject.examples import opensim_file
 from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee, Landmark, Side
-from identknee.subject.ligament import Ligament
-from identknee.subject.opensim_model import MM_PER_M, Element, Joint, OsimModel, Transform
+from identknee.subject.knee import Knee, Landmark
+from identknee.subject.opensim_bones import Bones, bones_of, contact_meshes
+from identknee.subject.opensim_lines import lines_of, merged
+from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel, Transform
 from identknee.subject.surface import Surface, joined, read_surface
 
-MESH_CLASSES = ("Smith2018ContactMesh", "ContactMesh")
-LIGAMENT_CLASS = "Blankevoort1991Ligament"
-TRANSITION_STRAIN = 0.06
-# How the bundles of the four single lines begin; the first beginning that occurs is taken, so that
-# the deep and posterior bundles of the medial collateral ligament stay out of its line.
-MERGED = {"ACL": ("ACL",), "PCL": ("PCL",), "LCL": ("LCL",), "MCL": ("MCLs", "sMCL", "MCL")}
 # Parts of a tibial mesh smaller than this share of it are crumbs.
 CRUMB_SHARE = 0.01
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Bones:
-    """The joint of a knee, and where its bodies are in the joint's parent frame [m]."""
-
-    model: OsimModel
-    joint: Joint
-    side: Side
-    femur: dict[str, Transform]
-    tibia: dict[str, Transform]
-    tibia_frame: Transform
 
 
 def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "separate") -> Knee:
@@ -75,11 +55,12 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     if bundles not in ("separate", "merged"):
         raise ValueError(f'bundles must be "separate" or "merged", got {bundles!r}')
     model = OsimModel(opensim_file(path))
-    meshes = [x for kind in MESH_CLASSES for x in model.all_of(kind)]
-    bones = _bones(model, meshes)
-    ligaments, remarks = _ligaments(bones)
+    bones = bones_of(model)
+    meshes = contact_meshes(model)
+    lines, remarks = lines_of(bones)
+    ligaments = [x.ligament for x in lines]
     if bundles == "merged":
-        ligaments = _merged(model, ligaments)
+        ligaments = merged(model, ligaments)
     knee = Knee(
         name=model.path.stem,
         side=bones.side,
@@ -100,57 +81,6 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     return knee
 
 
-def _bones(model: OsimModel, meshes: Sequence[Element]) -> _Bones:
-    carriers = {_body(model, x) for x in meshes}
-    femora = sorted(x for x in carriers if "femur" in x.lower())
-    tibiae = sorted(x for x in carriers if "tibia" in x.lower())
-    for bone, found in (("femur", femora), ("tibia", tibiae)):
-        if len(found) != 1:
-            raise model.refusal(
-                "contact geometry",
-                f"one {bone} with a contact mesh is wanted, found {', '.join(found) or 'none'}",
-                f"Give a model of one knee whose {bone} is called so and has a contact mesh.",
-            )
-    femoral, tibial = model.welded(femora[0]), model.welded(tibiae[0])
-    for joint in model.joints:
-        if joint.parent in femoral and joint.child in tibial:
-            break
-    else:
-        raise model.refusal(
-            "joints",
-            f"no joint leads from {femora[0]} to {tibiae[0]}",
-            "Only knees with one joint between femur (its parent) and tibia are supported.",
-        )
-    to_parent = (femoral[joint.parent] @ joint.parent_frame).inverse
-    tibia_frame = model.displacement(joint)
-    to_child = tibia_frame @ (tibial[joint.child] @ joint.child_frame).inverse
-    return _Bones(
-        model=model,
-        joint=joint,
-        side=_side(model, femora[0], joint.name, tibiae[0]),
-        femur={name: to_parent @ place for name, place in femoral.items()},
-        tibia={name: to_child @ place for name, place in tibial.items()},
-        tibia_frame=tibia_frame,
-    )
-
-
-def _side(model: OsimModel, *names: str) -> Side:
-    """The side that the names of bodies and joint end with."""
-    for name in names:
-        found = re.search(r"(?:^|[_\-. ])(r|right|l|left)(?:[_\-. ]|$)", name.lower())
-        if found:
-            return "right" if found[1].startswith("r") else "left"
-    raise model.refusal(
-        "bodies",
-        f"neither of {', '.join(names)} says which side it is of",
-        "Let the name of the femur end with _r or _l.",
-    )
-
-
-def _body(model: OsimModel, mesh: Element) -> str:
-    return model.placed(mesh.findtext("socket_frame", ""))[0]
-
-
 def _meshes(
     model: OsimModel, meshes: Sequence[Element], bodies: dict[str, Transform]
 ) -> list[Surface]:
@@ -168,14 +98,21 @@ def _meshes(
                     "Move the mesh in its file instead.",
                 )
         name = (mesh.findtext("mesh_file") or mesh.findtext("filename") or "").strip()
-        surface = read_surface(_mesh_file(model, mesh, name))
+        surface = read_surface(mesh_file(model, mesh, name))
         factors = model.vector(mesh, "scale_factors", "1 1 1")
         scaled = Surface(vertices=surface.vertices * factors, faces=surface.faces)
         surfaces.append((bodies[body] @ frame).moved(scaled).scaled(MM_PER_M))
     return surfaces
 
 
-def _mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
+def mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
+    """The file of a mesh, beside the model or in its folder ``Geometry``.
+
+    Raises
+    ------
+    InputError
+        If it is in neither.
+    """
     folder = model.path.parent
     for candidate in (folder / name, folder / "Geometry" / Path(name).name):
         if name and candidate.is_file():
@@ -187,7 +124,7 @@ def _mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
     )
 
 
-def _plateaus(bones: _Bones, tibia: Surface) -> tuple[Surface, Surface]:
+def _plateaus(bones: Bones, tibia: Surface) -> tuple[Surface, Surface]:
     """The medial and the lateral part of a tibial surface of two unconnected parts."""
     parts = sorted(_components(tibia), key=lambda x: x.areas.sum(), reverse=True)
     parts = [x for x in parts if x.areas.sum() > CRUMB_SHARE * tibia.areas.sum()]
@@ -217,110 +154,7 @@ def _components(surface: Surface) -> list[Surface]:
     return parts
 
 
-def _ligaments(bones: _Bones) -> tuple[list[Ligament], list[str]]:
-    """The ligaments between femur and tibia, and what to say about those not taken exactly."""
-    model = bones.model
-    ligaments: list[Ligament] = []
-    bent, stiffening = [], []
-    for element in model.all_of(LIGAMENT_CLASS):
-        ends = _ends(bones, element)
-        if ends is None:
-            continue
-        name = element.get("name", "")
-        ligaments.append(_ligament(model, element, ends))
-        if _is_bent(element):
-            bent.append(name)
-        if model.numbers(element, "transition_strain", "0.06")[0] != TRANSITION_STRAIN:
-            stiffening.append(name)
-    if not ligaments:
-        raise model.refusal(
-            "forces",
-            f"no {LIGAMENT_CLASS} leads from the femur to the tibia",
-            "Give a model whose ligaments are of that class.",
-        )
-    remarks = []
-    if bent:
-        remarks.append(f"Straight lines replace paths that wrap or bend: {', '.join(bent)}.")
-    if stiffening:
-        remarks.append(f"The transition strain 0.06 replaces that of {', '.join(stiffening)}.")
-    return ligaments, remarks
-
-
-def _ends(bones: _Bones, element: Element) -> tuple[Array, Array] | None:
-    """Femoral and tibial end of a ligament in the common frame [m]; None if it has none there."""
-    points = element.findall("GeometryPath/PathPointSet/objects/*")
-    if len(points) < 2:
-        return None
-    ends: dict[str, Array] = {}
-    for point in (points[0], points[-1]):
-        body, frame = bones.model.placed(point.findtext("socket_parent_frame", ""))
-        for bone, bodies in (("femur", bones.femur), ("tibia", bones.tibia)):
-            if body in bodies:
-                ends[bone] = (bodies[body] @ frame)(bones.model.vector(point, "location"))
-    return (ends["femur"], ends["tibia"]) if len(ends) == 2 else None
-
-
-def _is_bent(element: Element) -> bool:
-    path = "GeometryPath"
-    return (
-        len(element.findall(f"{path}/PathPointSet/objects/*")) > 2
-        or element.find(f"{path}/PathWrapSet/objects/PathWrap") is not None
-    )
-
-
-def _ligament(model: OsimModel, element: Element, ends: tuple[Array, Array]) -> Ligament:
-    name = element.get("name", "")
-    slack = model.number(element, "slack_length")
-    if slack <= 0.0:
-        raise model.refusal(
-            f"ligament {name}", f"its slack length is {slack:g} m", "Give a positive one."
-        )
-    try:
-        return Ligament(
-            name=name,
-            femur=ends[0] * MM_PER_M,
-            tibia=ends[1] * MM_PER_M,
-            stiffness_kN=model.number(element, "linear_stiffness") / 1000.0,
-            reference_strain_pct=100.0 * (float(np.linalg.norm(ends[1] - ends[0])) / slack - 1.0),
-        )
-    except ValueError as error:
-        raise InputError(
-            model.path, f"ligament {name}", str(error), "Correct it in the model."
-        ) from error
-
-
-def _merged(model: OsimModel, ligaments: Sequence[Ligament]) -> list[Ligament]:
-    """The four single lines, each from the bundles whose names begin with its own."""
-    lines = []
-    for name, beginnings in MERGED.items():
-        for beginning in beginnings:
-            bundle = [x for x in ligaments if x.name.lower().startswith(beginning.lower())]
-            if bundle:
-                lines.append(_line(name, bundle))
-                break
-        else:
-            raise model.refusal(
-                "forces",
-                f"no ligament's name begins with {' or '.join(beginnings)}",
-                "Import the bundles separately, or rename them.",
-            )
-    return lines
-
-
-def _line(name: str, bundle: Sequence[Ligament]) -> Ligament:
-    stiffness = np.array([x.stiffness_kN for x in bundle])
-    strain = np.array([x.reference_strain_pct for x in bundle])
-    total = float(stiffness.sum())
-    return Ligament(
-        name=name,
-        femur=np.mean([x.femur for x in bundle], axis=0),
-        tibia=np.mean([x.tibia for x in bundle], axis=0),
-        stiffness_kN=total,
-        reference_strain_pct=float(np.average(strain, weights=stiffness if total else None)),
-    )
-
-
-def _landmarks(bones: _Bones) -> tuple[Landmark, ...]:
+def _landmarks(bones: Bones) -> tuple[Landmark, ...]:
     """The hip and the ankle centre where joints named so hold on to the bones."""
     found = {}
     for joint in bones.model.joints:

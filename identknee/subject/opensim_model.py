@@ -102,6 +102,8 @@ class OsimModel:
     ----------
     path
         The file.
+    root
+        Its XML.
     joints
         All of its joints.
     """
@@ -128,6 +130,7 @@ class OsimModel:
             raise self.refusal(
                 "length_units", f"lengths are in {units}", "Save the model in metres."
             )
+        self.root: Element = root
         self._model = found
         self._offsets = {
             (joint.get("name", ""), frame.get("name", "")): frame

@@ -79,6 +79,20 @@ def test_an_exported_subject_reads_back_as_the_same_knee(tmp_path: Path) -> None
     assert len(copy.femur.faces) == len(knee.femur.faces)
 
 
+def test_a_fit_goes_back_into_the_opensim_model(tmp_path: Path) -> None:
+    knee, fit = tmp_path / "knee", tmp_path / "fit"
+    run("subject", "import-osim", "lenhart2015", "--bundles", "merged", "--out", knee)
+    run("simulate", knee, "--protocol", "drawer", "--set", "ACL.stiffness_kN=7", "--out", fit)
+    words = ["--fitted", fit, "--source", "lenhart2015", "--out", tmp_path / "back"]
+    result = run("subject", "export", knee, *words)
+    assert result.exit_code == 0, result.output
+    model = tmp_path / "back" / "lenhart2015.osim"
+    assert f"Also written: {model}" in result.stdout
+    merged = ik.import_opensim(model, bundles="merged")
+    for found in (merged, ik.read_subject(tmp_path / "back")):
+        assert found.ligament("ACL").stiffness_kN == pytest.approx(7.0, rel=1e-12)
+
+
 def test_an_opensim_model_becomes_a_subject(tmp_path: Path) -> None:
     words = ["--bundles", "merged", "--out", tmp_path / "subject", "--json"]
     result = run("subject", "import-osim", "lenhart2015", *words)

@@ -1,0 +1,103 @@
+"""A knee with what a result found of it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from identknee.model.nuisances.geometry import insertions
+from identknee.model.parameters import STIFFNESS, STRAIN
+from identknee.runs.arrays import Array
+from identknee.subject.effect_choice import EffectChoice
+from identknee.subject.knee import Knee
+from identknee.subject.uncertainty import with_stated
+from identknee.verbs.answer import Answer
+from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.profile import Profiles
+from identknee.verbs.simulate import SimulatedLaxity
+
+
+def fitted_knee(knee: Knee, answer: Answer) -> Knee:
+    """The knee with the ligaments, and the amplitudes of its own effects, that a result found.
+
+    Insertions that were taken as uncertain are where the result has them. What else was uncertain
+    is an error of frames or tests, and stays out of the knee.
+
+    Parameters
+    ----------
+    knee
+        The subject of the result.
+    answer
+        Of `fit`, `profile` or `simulate`.
+
+    Raises
+    ------
+    ValueError
+        If the result is of another knee, or holds no parameter set.
+    """
+    values = fitted_values(answer)
+    stated = _as_stated(knee, answer)
+    shifts = _insertion_shifts(stated, values)
+    ligaments = [
+        replace(
+            x,
+            femur=x.femur + shift[0] @ knee.femur_frame.axes,
+            tibia=x.tibia + shift[1] @ knee.tibia_frame.axes,
+            stiffness_kN=values.get(f"{x.name}.{STIFFNESS}", x.stiffness_kN),
+            reference_strain_pct=values.get(f"{x.name}.{STRAIN}", x.reference_strain_pct),
+        )
+        for x, shift in zip(knee.ligaments, shifts, strict=True)
+    ]
+    effects = [_fitted_effect(x, values) for x in knee.effects]
+    return knee.with_ligaments(ligaments).with_effects(effects)
+
+
+def fitted_values(answer: Answer) -> dict[str, float]:
+    """The parameters that a result found, by name.
+
+    Raises
+    ------
+    ValueError
+        If the result holds no parameter set.
+    """
+    if isinstance(answer, SimulatedLaxity):
+        return dict(zip(answer.parameter_names, answer.theta.tolist(), strict=True))
+    if isinstance(answer, Profiles):
+        return answer.optimum_by_name
+    raise ValueError(
+        f"a result of type {type(answer).__name__} holds no parameter set; give one of fit, "
+        "profile or simulate"
+    )
+
+
+def _as_stated(knee: Knee, answer: Answer) -> Knee:
+    """The knee with the uncertainty that the call stated in place of its own."""
+    if answer.record is None:
+        return knee
+    stated = answer.record.settings.get("uncertain")
+    if stated is not None:
+        knee = knee.with_uncertainty(with_stated(knee.uncertainty, stated))
+    if answer.record.inputs.get("subject") != knee_digest(knee):
+        raise ValueError(
+            f"the result is not of {knee.name} as it is now; give the subject that it was made with"
+        )
+    return knee
+
+
+def _insertion_shifts(knee: Knee, values: Mapping[str, float]) -> Array:
+    """Of both ends of every ligament along the axes of their bones [mm], ``(n, 2, 3)``."""
+    shape = (len(knee.ligaments), 2, 3)
+    spread = knee.uncertainty.insertions_mm
+    is_own = any(x.name == "insertion" for x in knee.effects)
+    if is_own or (isinstance(spread, float) and spread == 0.0):
+        return np.zeros(shape)
+    nuisance = insertions(knee)
+    found = np.array([values.get(x, 0.0) for x in nuisance.parameters.names])
+    shifts: Array = (nuisance.matrix @ found).reshape(shape)
+    return shifts
+
+
+def _fitted_effect(choice: EffectChoice, values: Mapping[str, float]) -> EffectChoice:
+    start = f"{choice.name}."
+    found = {x.removeprefix(start): value for x, value in values.items() if x.startswith(start)}
+    return replace(choice, values={**choice.values, **found}) if found else choice
