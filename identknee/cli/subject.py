@@ -46,7 +46,8 @@ Fitted = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="A result of fit, profile or simulate for SUBJECT, whose parameters the knee gets.",
+        help="A result of fit, profile or simulate for SUBJECT, whose parameters the knee gets, or "
+        "a folder with several results.",
     ),
 ]
 Osim = Annotated[bool, typer.Option("--osim", help="Also write an OpenSim 4 model.")]
@@ -56,6 +57,18 @@ Source = Annotated[
         metavar="FILE.osim",
         help="The OpenSim model that SUBJECT was imported from: write a copy of it with the "
         "knee's ligaments. Give lenhart2015 for the one that comes with identknee.",
+    ),
+]
+Vtk = Annotated[
+    bool,
+    typer.Option("--vtk", help="Also write the knee in every trial, for ParaView and PyVista."),
+]
+PosedTrials = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="The trials of --vtk: seed63, table2, drawer, or a TOML file. If not given, "
+        "those of the result, or drawer.",
     ),
 ]
 Bundles = Annotated[
@@ -140,6 +153,8 @@ def export(
     fitted: Fitted = None,
     osim: Osim = False,
     source: Source = None,
+    vtk: Vtk = False,
+    protocol: PosedTrials = None,
     out: Out = Path("identknee-subject"),
     seed: Seed = 0,
     workers: Workers = 1,
@@ -147,17 +162,22 @@ def export(
 ) -> None:
     """Write SUBJECT as a subject folder, and for other tools.
 
-    With --fitted the knee has the parameters of a result. With --source they are written into a
-    copy of the OpenSim model that the knee was imported from; all else in that model stays. With
-    --osim alone the model holds two bones, their cartilage and the ligaments.
+    With --fitted the knee has the parameters of a result, and parameters.tsv lists them in the
+    form of PEtab with their 95 % sets. With --source they are written into a copy of the OpenSim
+    model that the knee was imported from; all else in that model stays. With --osim alone the
+    model holds two bones, their cartilage and the ligaments. With --vtk the knee is written in
+    every trial, with gap and pressure on each face and the force of each ligament.
     """
     prepare_folder(out)
     knee = ik.read_subject(subject)
     recording = record("subject export", context.params, {"subject": knee_digest(knee)}, seed)
     from identknee.report.export import export_knee
 
-    knee, written = export_knee(knee, out, fitted=fitted, osim=osim, source=source)
-    _tell_written(knee, written, recording, as_json=as_json)
+    written = export_knee(
+        knee, out, fitted=fitted, osim=osim, source=source, vtk=vtk, protocol=protocol
+    )
+    others = [f"Also written: {x}" for x in written.others]
+    _tell_written(written.knee, out, others, recording, as_json=as_json)
 
 
 @app.command(
@@ -180,20 +200,19 @@ def import_osim(
     recording = record(
         "subject import-osim", context.params, {"osim": digest(opensim_file(file))}, seed
     )
-    _tell_written(knee, [ik.write_subject(knee, out)], recording, as_json=as_json)
+    ik.write_subject(knee, out)
+    _tell_written(knee, out, [], recording, as_json=as_json)
 
 
 def _tell_written(
-    knee: "ik.Knee", written: Sequence[Path], recording: Recording, *, as_json: bool
+    knee: "ik.Knee", out: Path, others: Sequence[str], recording: Recording, *, as_json: bool
 ) -> None:
     from identknee.report.groups import subject_groups
 
-    out, *others = written
     summary = _write(out, _knee_summary(knee), subject_groups(knee), recording)
     names = ", ".join(x.name for x in knee.ligaments)
     line = f"{knee.name}: {len(knee.ligaments)} ligaments ({names}) written to {out}"
-    also = [f"Also written: {x}" for x in others]
-    show(summary, [line, *also, f"Next: identknee subject check {out}"], as_json=as_json)
+    show(summary, [line, *others, f"Next: identknee subject check {out}"], as_json=as_json)
 
 
 def _write(out: Path, summary: dict[str, Any], groups: Any, recording: Recording) -> dict[str, Any]:

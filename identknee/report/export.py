@@ -1,13 +1,44 @@
 """A knee, and what was found of it, in the files of other tools."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
-from identknee.runs.files import PathLike
+from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.model.laxity_model import LaxityModel
+from identknee.report.overview.ranges import ranges_of
+from identknee.report.page.results import Result, found_results
+from identknee.report.parameter_table import parameter_table
+from identknee.report.vtk_poses import write_poses
+from identknee.runs.files import PathLike, write_atomically
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim_export import write_opensim
-from identknee.verbs.files import load
-from identknee.verbs.fitted_knee import fitted_knee
+from identknee.verbs.fit import Calibration
+from identknee.verbs.fitted_knee import as_stated, fitted_knee, fitted_values
+from identknee.verbs.simulate import SimulatedLaxity
+
+TABLE, POSES = "parameters.tsv", "vtk"
+# What a parameter set is taken from, where there are several results.
+SEARCHED = ("simulate", "profile", "fit")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """What was written.
+
+    Attributes
+    ----------
+    knee
+        The knee as it was written.
+    folder
+        Its subject folder.
+    others
+        Files and folders for other tools.
+    """
+
+    knee: Knee
+    folder: Path
+    others: tuple[Path, ...]
 
 
 def export_knee(
@@ -17,8 +48,10 @@ def export_knee(
     fitted: PathLike | None = None,
     osim: bool = False,
     source: PathLike | None = None,
-) -> tuple[Knee, tuple[Path, ...]]:
-    """The knee written, and the paths of what was written: its folder first.
+    vtk: bool = False,
+    protocol: str | Protocol | None = None,
+) -> Exported:
+    """The knee written as a subject folder, and for other tools.
 
     Parameters
     ----------
@@ -27,22 +60,88 @@ def export_knee(
     out
         The folder, made if it is not there.
     fitted
-        A result of `fit`, `profile` or `simulate` of the subject: the knee is written with the
-        parameters found there.
+        A result of `fit`, `profile` or `simulate` of the subject, or a folder with several: the
+        knee is written with the parameters found, the latest fit counting most, and they become a
+        table with the 95 % sets that these results have.
     osim
         Whether to write an OpenSim model as well.
     source
         The OpenSim model that the knee was imported from, of which a changed copy is written; it
         stands for `osim` too.
+    vtk
+        Whether to write the knee in every trial, for ParaView and PyVista.
+    protocol
+        The trials of `vtk`; those of the result, else of ``"drawer"``, if None.
 
     Raises
     ------
     ValueError
-        If a file cannot be used, or the result is of another knee.
+        If a file cannot be used, or no result is one of this knee with a parameter set.
     """
-    if fitted is not None:
-        knee = fitted_knee(knee, load(fitted))
-    written = [write_subject(knee, out)]
+    results = [] if fitted is None else _of_knee(knee, fitted)
+    written = knee if fitted is None else fitted_knee(knee, _latest(results).answer)
+    folder = write_subject(written, out)
+    others = []
+    if results:
+        others.append(_write_table(knee, results, folder))
     if osim or source is not None:
-        written.append(write_opensim(knee, out, source=source))
-    return knee, tuple(written)
+        others.append(write_opensim(written, folder, source=source))
+    if vtk:
+        others.append(_write_trials(written, results, protocol, folder))
+    return Exported(knee=written, folder=folder, others=tuple(others))
+
+
+def _of_knee(knee: Knee, folder: PathLike) -> list[Result]:
+    """The results of this knee, older ones first within a verb."""
+    results, refused = [], None
+    for result in found_results(Path(folder)):
+        try:
+            as_stated(knee, result.answer)
+        except ValueError as error:
+            refused = error
+        else:
+            results.append(result)
+    if refused is not None and not results:
+        raise refused
+    return results
+
+
+def _latest(results: list[Result]) -> Result:
+    """The result whose parameter set counts; without one the last is refused by who asks it."""
+    searched = [x for x in results if x.verb in SEARCHED]
+    return max(searched or results, key=_rank)
+
+
+def _rank(result: Result) -> tuple[int, str]:
+    verb = SEARCHED.index(result.verb) if result.verb in SEARCHED else -1
+    return verb, str(result.record["started"])
+
+
+def _write_table(knee: Knee, results: list[Result], folder: Path) -> Path:
+    """The parameters, with what all results of the same data say of them."""
+    latest = _latest(results)
+    answer = latest.answer
+    stated = as_stated(knee, answer)
+    parameters = LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters
+    settings = {} if answer.record is None else answer.record.settings
+    table = parameter_table(
+        parameters,
+        fitted_values(answer),
+        ranges_of([x.answer for x in results if x.data_digest == latest.data_digest]),
+        fixed=settings.get("fixed") or (),
+    )
+    return write_atomically(folder / TABLE, table)
+
+
+def _write_trials(
+    knee: Knee, results: list[Result], protocol: str | Protocol | None, folder: Path
+) -> Path:
+    answer = _latest(results).answer if results else None
+    if protocol is None and isinstance(answer, SimulatedLaxity):
+        protocol = answer.protocol
+    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol or "drawer")
+    model = LaxityModel(knee=knee, protocol=trials)
+    if isinstance(answer, Calibration) and trials is answer.protocol:
+        # The search of a measured trial begins at its measured pose.
+        model = model.with_tests(answer.data)
+    return write_poses(model, model.parameters.start, folder / POSES)

@@ -36,7 +36,7 @@ def fitted_knee(knee: Knee, answer: Answer) -> Knee:
         If the result is of another knee, or holds no parameter set.
     """
     values = fitted_values(answer)
-    stated = _as_stated(knee, answer)
+    stated = as_stated(knee, answer)
     shifts = _insertion_shifts(stated, values)
     ligaments = [
         replace(
@@ -70,8 +70,14 @@ def fitted_values(answer: Answer) -> dict[str, float]:
     )
 
 
-def _as_stated(knee: Knee, answer: Answer) -> Knee:
-    """The knee with the uncertainty that the call stated in place of its own."""
+def as_stated(knee: Knee, answer: Answer) -> Knee:
+    """The knee of a result, with the uncertainty that the call stated in place of its own.
+
+    Raises
+    ------
+    ValueError
+        If the result is of another knee.
+    """
     if answer.record is None:
         return knee
     stated = answer.record.settings.get("uncertain")
