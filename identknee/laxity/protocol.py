@@ -90,6 +90,23 @@ class Protocol:
             loads=self.loads[chosen],
         )
 
+    def under(self, shares: Array) -> "Protocol":
+        """The trials under shares (n,) of their loads; compression stays, as a rig holds it.
+
+        Examples
+        --------
+        >>> protocol = load_protocol("drawer").select([0])
+        >>> part = protocol.under(np.array([0.5]))
+        >>> bool((part.loads == 0.5 * protocol.loads).all())
+        True
+        """
+        loads = self.loads * shares[:, None]
+        compression = LOADS.index("distraction_force_N")
+        loads[:, compression] = np.minimum(self.loads[:, compression], loads[:, compression])
+        return Protocol(
+            name=self.name, trials=self.trials, flexion_deg=self.flexion_deg, loads=loads
+        )
+
 
 def concatenate(protocols: Sequence[Protocol], *, name: str | None = None) -> Protocol:
     """All trials of `protocols`, one after the other; a trial they share is kept once.

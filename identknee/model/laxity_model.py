@@ -19,15 +19,16 @@ from identknee.mechanics.memory import Equilibria
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model.effects.effect import Effect, Tests
-from identknee.model.effects.stored import effects_of, values_of
-from identknee.model.extension import Extension, joined
+from identknee.model.effects.stored import effects_of
+from identknee.model.extension import Extension
 from identknee.model.joint import Joint, joint_of, sheets_of
-from identknee.model.measured_start import measured_poses
-from identknee.model.nuisances.library import nuisances_of
-from identknee.model.parameters import Parameters, ligament_parameters
+from identknee.model.knee_parameters import knee_parameters
+from identknee.model.measured_start import known_poses, measured_poses
+from identknee.model.nuisances.library import held_errors, nuisances_of
+from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
 from identknee.model.setting import PER_KN, PER_PCT, Setting
-from identknee.model.stated_priors import with_priors
+from identknee.model.tied import Tied, tied
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.outcome import Outcome
 from identknee.runs.short_repr import short_repr
@@ -86,8 +87,9 @@ class LaxityModel:
         As in `Laxity`, for effects that depend on when a trial was run.
     poses
         Measured pose of each trial: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``. The
-        equilibrium under its whole load is then looked for from there. None where paths begin
-        unloaded in the scanned pose.
+        equilibrium under its whole load is then looked for from there. Those that the knee is known
+        to take if not given; None where it states none, and paths begin unloaded in the scanned
+        pose.
     contact
         ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
         ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
@@ -106,6 +108,7 @@ class LaxityModel:
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
+    tied: Tied = field(init=False, repr=False)
     extension: Extension = field(init=False, repr=False)
 
     __repr__ = short_repr
@@ -114,6 +117,9 @@ class LaxityModel:
         joint = joint_of(self.knee, self.n_points)
         flexion = np.radians(self.protocol.flexion_deg)
         loads = self.protocol.loads @ _GENERALISED
+        if self.poses is None and self.continuation == "continuation":
+            poses = known_poses(self.knee, self.protocol)
+            object.__setattr__(self, "poses", poses)
         if self.poses is None:
             paths = load_paths(flexion, loads, joint.start_flexion, self.continuation)
         else:
@@ -124,7 +130,9 @@ class LaxityModel:
         extension = Extension(effects=effects)
         if effects and self.contact == "mesh":
             raise ValueError('effects need contact="field": mesh contact has no derivatives')
-        parameters = _parameters(self.knee, extension.parameters)
+        units = tied(self.knee)
+        parameters = knee_parameters(self.knee, units, extension.parameters)
+        object.__setattr__(self, "tied", units)
         object.__setattr__(self, "joint", joint)
         object.__setattr__(self, "paths", paths)
         object.__setattr__(self, "parameters", parameters)
@@ -133,7 +141,7 @@ class LaxityModel:
     @property
     def n_ligament_parameters(self) -> int:
         """How many parameters come before those of the effects."""
-        return 2 * len(self.knee.ligaments)
+        return 2 * self.tied.n
 
     def with_protocol(self, protocol: Protocol) -> "LaxityModel":
         """The same model under another protocol; itself where it is its own.
@@ -148,6 +156,8 @@ class LaxityModel:
         """The same model under the protocol of measured laxity, its trials run as measured."""
         model = self.with_protocol(laxity.protocol)
         poses = None if self.continuation == "single-step" else measured_poses(laxity)
+        if poses is None and self.continuation == "continuation":
+            poses = known_poses(self.knee, laxity.protocol)
         is_known = model.order is laxity.order and model.phase is laxity.phase
         if (is_known or not self.effects) and np.array_equal(model.poses, poses):  # type: ignore[arg-type]
             return model
@@ -258,17 +268,18 @@ class LaxityModel:
                 f"theta must have {self.parameters.n} values, one for each of "
                 f"{', '.join(self.parameters.names)}; got shape {theta.shape}"
             )
-        m = self.n_ligament_parameters // 2
-        stiffness, strain = theta[:m] * PER_KN, theta[m : 2 * m] * PER_PCT
-        others = np.ones(theta.size - 2 * m, bool)
-        allowed = np.isfinite(theta) & np.r_[stiffness >= 0.0, strain > -1.0, others]
+        u = self.tied.n
+        strain = self.tied.strain(theta[u : 2 * u]) * PER_PCT
+        others = np.ones(theta.size - 2 * u, bool)
+        is_taut = ~(self.tied.member.T @ (strain <= -1.0)).astype(bool)
+        allowed = np.isfinite(theta) & np.r_[theta[:u] >= 0.0, is_taut, others]
         if not allowed.all():
             worst = int(np.flatnonzero(~allowed)[0])
             raise ValueError(
                 f"{self.parameters.names[worst]} is {theta[worst]:g}: stiffness must be finite and "
                 "at least 0 kN, reference strain finite and above -100 %"
             )
-        return stiffness, strain
+        return self.tied.stiffness(theta[:u]) * PER_KN, strain
 
     def _prediction(
         self, theta: Array, setting: Setting, found: Equilibria, *, derivatives: bool
@@ -301,15 +312,16 @@ class LaxityModel:
 
     def _pose_jacobian(self, theta: Array, setting: Setting, found: Equilibria) -> Array:
         """D pose [rad, mm] / d theta in its units, shape ``(n, 5, p)``."""
-        nodes, m = self.paths.trial_node, self.n_ligament_parameters // 2
+        nodes = self.paths.trial_node
         n_lines = setting.stiffness.size
         by_line = found.sensitivities[nodes]
         # A ligament moves every line that takes a share of it.
-        owned = setting.owned(m)
+        owned = setting.owned(len(self.knee.ligaments))
+        shares = (owned * setting.share[:, None]) @ self.tied.by_stiffness
         by_ligament = np.concatenate(
             [
-                PER_KN * by_line[:, :, :n_lines] @ (owned * setting.share[:, None]),
-                PER_PCT * by_line[:, :, n_lines : 2 * n_lines] @ owned,
+                PER_KN * by_line[:, :, :n_lines] @ shares,
+                PER_PCT * by_line[:, :, n_lines : 2 * n_lines] @ (owned @ self.tied.member),
             ],
             axis=2,
         )
@@ -360,30 +372,17 @@ class LaxityModel:
         )
 
 
-def _parameters(knee: Knee, amplitudes: Parameters | None) -> Parameters:
-    """Parameters of the ligaments, then the amplitudes, with what the knee states of them."""
-    parameters = ligament_parameters(
-        [x.name for x in knee.ligaments],
-        [x.stiffness_kN for x in knee.ligaments],
-        [x.reference_strain_pct for x in knee.ligaments],
-    )
-    if amplitudes is not None:
-        parameters = joined([parameters, amplitudes])
-    known = set(parameters.names)
-    priors = {name: x for name, x in knee.priors.items() if name in known}
-    bounds = {name: x for name, x in knee.bounds.items() if name in known}
-    own = {name: x for name, x in values_of(knee).items() if name in known}
-    return with_priors(parameters.with_own(own), priors).with_bounds(bounds)
-
-
 def _own_effects(knee: Knee) -> tuple[Effect, ...]:
     """The effects stored with a knee, then its nuisances.
 
-    An effect that is both is one mechanism: it has the prior of the nuisance.
+    An effect that is both is one mechanism: it has the prior of the nuisance, or is held where the
+    knee states none.
     """
-    nuisances = nuisances_of(knee)
-    names = {x.name for x in nuisances}
-    return (*(x for x in effects_of(knee) if x.name not in names), *nuisances)
+    errors = (*held_errors(knee), *nuisances_of(knee))
+    names = {x.name for x in errors}
+    if any(x.name in names for x in knee.effects):
+        knee = knee.with_effects([x for x in knee.effects if x.name not in names])
+    return (*effects_of(knee), *errors)
 
 
 @lru_cache(maxsize=4)

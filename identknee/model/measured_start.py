@@ -2,11 +2,17 @@
 
 import numpy as np
 
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.grood_suntay import pose_from_coordinates
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.setting import PER_PCT, Setting
 from identknee.runs.arrays import Array
+from identknee.subject.knee import Knee
+from identknee.subject.known_pose import KnownPose, pose_at
+
+# Trials within so many degrees of flexion of each other have one pose between them.
+POSE_EVERY_DEG = 15.0
 
 
 def measured_poses(laxity: Laxity) -> Array | None:
@@ -23,6 +29,35 @@ def measured_poses(laxity: Laxity) -> Array | None:
     apart = np.abs(angles[:, None] - angles)
     nearest = np.argmin(np.where(measured.T[:, None], apart, np.inf), axis=2).T
     return pose_from_coordinates(np.take_along_axis(laxity.coordinates, nearest, axis=0))
+
+
+def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
+    """Pose of each trial that the knee is known to take, shape ``(n, 5)``; None if it states none.
+
+    No load is looked at: it is the pose in the middle of what the loads do at that flexion angle.
+    """
+    if not knee.poses:
+        return None
+    return pose_from_coordinates(pose_at(knee.poses, protocol.flexion_deg))
+
+
+def poses_of(protocol: Protocol, coordinates: Array) -> tuple[KnownPose, ...]:
+    """The mean pose of the trials near each flexion angle, from coordinates ``(n, 5)``.
+
+    Trials without coordinates are left out.
+    """
+    has_pose = np.isfinite(coordinates).all(axis=1)
+    angles = protocol.flexion_deg
+    group = np.round(angles / POSE_EVERY_DEG)
+    made = []
+    for one in np.unique(group[has_pose]).tolist():
+        own = has_pose & (group == one)
+        made.append(
+            KnownPose(
+                flexion_deg=float(angles[own].mean()), coordinates=coordinates[own].mean(axis=0)
+            )
+        )
+    return tuple(made)
 
 
 def strains_as_measured(setting: Setting, stretch: float) -> Array:

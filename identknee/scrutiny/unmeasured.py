@@ -79,7 +79,8 @@ def _strains(
     model: LaxityModel, prediction: Prediction, tension: Array
 ) -> Iterator[tuple[str, str]]:
     """From the force, which has one strain where it is not zero."""
-    stiffness = PER_KN * prediction.theta[: len(model.knee.ligaments)]
+    u = model.tied.n
+    stiffness = PER_KN * model.tied.stiffness(prediction.theta[:u])
     with np.errstate(divide="ignore", invalid="ignore"):
         share = tension / stiffness
     strain = np.where(

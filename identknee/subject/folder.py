@@ -16,9 +16,12 @@ from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.check import unusable
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.examples import known_names, named_subject
+from identknee.subject.fitted_values import FITTED, fitted_text, read_fitted
 from identknee.subject.frames import Frame, frames_from_landmarks
 from identknee.subject.knee import Knee, Landmark
+from identknee.subject.known_pose import KnownPose
 from identknee.subject.ligament import Ligament
+from identknee.subject.ligament_group import LigamentGroup
 from identknee.subject.reference import reference_knee
 from identknee.subject.stated_prior import StatedPrior
 from identknee.subject.subject_file import (
@@ -100,6 +103,8 @@ def read_subject(path: PathLike) -> Knee:
 def write_subject(knee: Knee, folder: PathLike) -> Path:
     """Path of the folder that now holds the knee: ``subject.toml`` and surfaces as binary PLY.
 
+    Parameters at which the knee was fitted stand beside it in ``fitted.toml``.
+
     Reading it gives the same numbers back; only a closed-form distance is lost. A left knee is
     mirrored back to the side it came from. Nothing is left half-written.
 
@@ -117,7 +122,13 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
         for surface, name in zip((written.femur, *written.tibia), names, strict=True):
             write_surface(surface, Path(staging) / name)
         write_atomically(Path(staging) / FILE, _text(written, names))
-        for name in (*names, FILE):
+        files = [*names, FILE]
+        if knee.fitted:
+            write_atomically(Path(staging) / FITTED, fitted_text(knee.fitted))
+            files.append(FITTED)
+        else:
+            (target / FITTED).unlink(missing_ok=True)
+        for name in files:
             (Path(staging) / name).replace(target / name)
     return target
 
@@ -137,6 +148,16 @@ def _knee(file: Path, tables: SubjectTables) -> Knee:
     surfaces = tuple(read_surface(file.parent / getattr(tables.surfaces, x)) for x in SURFACES)
     ligaments = [_ligament(file, x) for x in tables.ligaments]
     effects = [_effect(file, x) for x in tables.effects]
+    groups = [
+        _made(
+            file, f"group {x.name}", partial(LigamentGroup, name=x.name, members=tuple(x.members))
+        )
+        for x in tables.groups
+    ]
+    poses = tuple(
+        KnownPose(flexion_deg=x.flexion_deg, coordinates=np.array(x.coordinates))
+        for x in tables.poses
+    )
     knee = _made(
         file,
         "",
@@ -154,6 +175,9 @@ def _knee(file: Path, tables: SubjectTables) -> Knee:
             uncertainty=_uncertainty(file, tables),
             priors=_priors(file, tables),
             bounds={x: (low, high) for x, (low, high) in tables.bounds.items()},
+            groups=tuple(groups),
+            poses=poses,
+            fitted=read_fitted(file.parent) if file.name == FILE else {},
         ),
     )
     return knee.mirrored() if tables.side == "left" else knee
@@ -285,6 +309,12 @@ def _stated_lines(knee: Knee) -> list[str]:
         given = {"sd": prior.sd, "log_sd": prior.log_sd, "center": prior.center}
         lines += ["", f"[priors.{_toml(name)}]"]
         lines += [f"{key} = {_toml(x)}" for key, x in given.items() if x is not None]
+    for group in knee.groups:
+        lines += ["", "[[groups]]", f"name = {_toml(group.name)}"]
+        lines += [f"members = {_toml(list(group.members))}"]
+    for pose in knee.poses:
+        lines += ["", "[[poses]]", f"flexion_deg = {_toml(float(pose.flexion_deg))}"]
+        lines += [f"coordinates = {_toml(pose.coordinates.tolist())}"]
     if knee.bounds:
         lines += ["", "[bounds]"]
         lines += [f"{_toml(name)} = {_toml(list(x))}" for name, x in knee.bounds.items()]

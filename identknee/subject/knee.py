@@ -10,7 +10,9 @@ from identknee.runs.arrays import Array, frozen
 from identknee.runs.short_repr import short_repr
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.frames import Frame
+from identknee.subject.known_pose import KnownPose
 from identknee.subject.ligament import Ligament
+from identknee.subject.ligament_group import LigamentGroup, check_groups
 from identknee.subject.stated_prior import StatedPrior
 from identknee.subject.surface import Surface
 from identknee.subject.uncertainty import EXACTLY, Uncertainty
@@ -70,6 +72,12 @@ class Knee:
         How well all this is known; what is not stated counts as exact.
     priors, bounds
         Priors and bounds of parameters by name, in place of the usual ones.
+    groups
+        Ligaments whose parameters are tied.
+    poses
+        Where the knee is known to be, so that searches for equilibria begin there.
+    fitted
+        Parameters by name at which the knee was fitted: a search starts there.
     femur_distance
         Signed distance [mm] of points ``(n, 3)`` to the femur, negative inside, where a closed form
         of it is known.
@@ -94,6 +102,9 @@ class Knee:
     uncertainty: Uncertainty = EXACTLY
     priors: Mapping[str, StatedPrior] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    groups: tuple[LigamentGroup, ...] = ()
+    poses: tuple[KnownPose, ...] = ()
+    fitted: Mapping[str, float] = field(default_factory=dict)
     femur_distance: Callable[[Array], Array] | None = None
 
     __repr__ = short_repr
@@ -112,10 +123,13 @@ class Knee:
                 kind = "ligaments" if ligaments.count(name) > 1 else "ligaments or effects"
                 raise ValueError(f"two {kind} are called {name}; rename one of them")
         self.uncertainty.check_ligaments(ligaments)
+        check_groups(self.groups, self.ligaments)
         object.__setattr__(self, "tibia", tuple(self.tibia))
         object.__setattr__(self, "ligaments", tuple(self.ligaments))
         object.__setattr__(self, "landmarks", tuple(self.landmarks))
         object.__setattr__(self, "effects", tuple(self.effects))
+        object.__setattr__(self, "groups", tuple(self.groups))
+        object.__setattr__(self, "poses", tuple(self.poses))
 
     @property
     def reference_lengths(self) -> Array:

@@ -132,6 +132,29 @@ class BoneSpreads(Part):
     tibia: Spread = 0.0
 
 
+class GroupTable(Part):
+    """A ``[[groups]]``: ligaments whose parameters are tied."""
+
+    name: Text
+    members: Annotated[
+        list[str], otherwise("{} is not a list of texts", 'Write members = ["...", "..."].')
+    ]
+
+
+class PoseTable(Part):
+    """A ``[[poses]]``: where the knee is known to be."""
+
+    flexion_deg: Number
+    coordinates: Annotated[
+        list[Number],
+        Field(min_length=5, max_length=5),
+        otherwise(
+            "five numbers are wanted, got {}",
+            "Write [lateral shift, anterior drawer, distraction, varus, internal] in mm and deg.",
+        ),
+    ]
+
+
 class UncertaintyTable(Part):
     """``[uncertainty]``, any of it."""
 
@@ -179,9 +202,9 @@ class LandmarkTable(Part):
     lateral_malleolus: Point | None = None
 
 
-_LIGAMENTS, _EFFECTS = (
+_LIGAMENTS, _EFFECTS, _GROUPS, _POSES = (
     otherwise("a list of tables is wanted", f"Write each below a line [[{x}]].")
-    for x in ("ligaments", "effects")
+    for x in ("ligaments", "effects", "groups", "poses")
 )
 
 
@@ -211,6 +234,8 @@ class SubjectTables(Part):
     effects: Annotated[list[Annotated[EffectTable, _EFFECTS]], _EFFECTS] = Field(
         default_factory=list
     )
+    groups: Annotated[list[Annotated[GroupTable, _GROUPS]], _GROUPS] = Field(default_factory=list)
+    poses: Annotated[list[Annotated[PoseTable, _POSES]], _POSES] = Field(default_factory=list)
 
     uncertainty: Annotated[
         UncertaintyTable, otherwise(_TABLE, "Write it below a line [uncertainty].")
@@ -272,7 +297,8 @@ def place_of(place: Place, values: Mapping[str, Any], key: str = "") -> str:
     while len(steps) > 2 and isinstance(steps[-1], int):
         steps.pop()
     table = ""
-    if len(steps) > 1 and steps[0] in ("ligaments", "effects") and isinstance(steps[1], int):
+    named = ("ligaments", "effects", "groups", "poses")
+    if len(steps) > 1 and steps[0] in named and isinstance(steps[1], int):
         own = values[steps[0]][steps[1]]
         name = own.get("name", steps[1] + 1) if isinstance(own, dict) else steps[1] + 1
         table = f"{str(steps[0])[:-1]} {name}"

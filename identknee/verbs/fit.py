@@ -1,6 +1,7 @@
 """One parameter set from measured laxity and one start, and what speaks against it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Literal, get_args
 
@@ -16,7 +17,9 @@ from identknee.identify.nuisances import nuisance_estimates
 from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import Laxity
 from identknee.mechanics.load_paths import Continuation
+from identknee.model.effects.stored import choice_of
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.measured_start import poses_of
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.soundness import rim_findings, stability_findings
@@ -28,15 +31,19 @@ from identknee.scrutiny.against_load import against_load_findings
 from identknee.scrutiny.broken_convention import convention_findings
 from identknee.scrutiny.contradictions import end_point_findings, row_findings
 from identknee.scrutiny.unmeasured import unmeasured_findings
+from identknee.subject.folder import write_subject
+from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
-from identknee.verbs.used_trials import TrialSearch, lost_findings
+from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model
 from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 
 # How many trials without equilibrium are listed by name for each reason.
 MOST_LISTED = 6
+# The subject as fitted, in the folder of the results.
+FITTED = "fitted"
 Weighting = Literal["unit", "noise"]
 
 
@@ -129,6 +136,9 @@ def fit(
 ) -> Calibration:
     """One parameter set fitted to measured laxity from one start.
 
+    In a folder it leaves ``fitted``, the subject with the parameters and errors found, which
+    `simulate` predicts other tests from.
+
     Parameters
     ----------
     subject
@@ -172,15 +182,14 @@ def fit(
     check_word("continuation", continuation, get_args(Continuation))
     check_word("weighting", weighting, get_args(Weighting))
     laxity = run.laxity
-    model = LaxityModel(knee=run.knee, protocol=laxity.protocol, continuation=continuation)
+    model, pattern = table_model(run.knee, laxity, continuation)
     trials = TrialSearch(
-        model=model.with_tests(laxity),
+        model=model,
         laxity=laxity,
         weighting=weighting,
         bounds=bounds_of(bounds),
         fixed=fixed or (),
     )
-    model = trials.model
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(run.knee, laxity.protocol)
     run.start_clock()
@@ -192,6 +201,8 @@ def fit(
     error = laxity_rmse(
         Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), laxity
     )
+    if run.out is not None and found.outcome is not Outcome.START_FAILED:
+        write_subject(extended_by_fit(model, prediction), run.out / FITTED)
     return Calibration(
         **simulated(model, prediction),
         start=start,
@@ -199,7 +210,7 @@ def fit(
         data=laxity,
         rmse=error,
         trials_used=used.names,
-        assumptions=(run.knee.uncertainty.sentence, *used.sentences),
+        assumptions=(run.knee.uncertainty.sentence, *pattern, *used.sentences),
         uncertainty=run.knee.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=(
@@ -210,6 +221,23 @@ def fit(
                 _findings(problem, found, (model, prediction), error, used.laxity),
             ),
         ),
+    )
+
+
+def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
+    """The subject of a fit with all that was found: parameters, effects, errors and poses.
+
+    Ligaments keep the values that the subject came with, on which priors are centred.
+    """
+    knee, parameters, theta = model.knee, model.parameters, prediction.theta
+    choices = [
+        choice_of(knee, x, theta[[parameters.index(name) for name in x.parameters.names]])
+        for x in model.effects
+    ]
+    return replace(
+        knee.with_effects(choices),
+        fitted=dict(zip(parameters.names, theta.tolist(), strict=True)),
+        poses=() if model.poses is None else poses_of(model.protocol, prediction.coordinates),
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from identknee.model.nuisances.geometry import insertions
 from identknee.model.parameters import STIFFNESS, STRAIN
+from identknee.model.tied import tied
 from identknee.runs.arrays import Array
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.knee import Knee
@@ -15,6 +16,7 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.knee_digest import knee_digest
 from identknee.verbs.profile import Profiles
 from identknee.verbs.simulate import SimulatedLaxity
+from identknee.verbs.used_trials import table_model
 
 
 def fitted_knee(knee: Knee, answer: Answer) -> Knee:
@@ -38,15 +40,18 @@ def fitted_knee(knee: Knee, answer: Answer) -> Knee:
     values = fitted_values(answer)
     stated = as_stated(knee, answer)
     shifts = _insertion_shifts(stated, values)
+    stiffness, strain = _by_ligament(knee, answer, values)
     ligaments = [
         replace(
             x,
             femur=x.femur + shift[0] @ knee.femur_frame.axes,
             tibia=x.tibia + shift[1] @ knee.tibia_frame.axes,
-            stiffness_kN=values.get(f"{x.name}.{STIFFNESS}", x.stiffness_kN),
-            reference_strain_pct=values.get(f"{x.name}.{STRAIN}", x.reference_strain_pct),
+            stiffness_kN=own_stiffness,
+            reference_strain_pct=own_strain,
         )
-        for x, shift in zip(knee.ligaments, shifts, strict=True)
+        for x, shift, own_stiffness, own_strain in zip(
+            knee.ligaments, shifts, stiffness, strain, strict=True
+        )
     ]
     effects = [_fitted_effect(x, values) for x in knee.effects]
     return knee.with_ligaments(ligaments).with_effects(effects)
@@ -68,6 +73,21 @@ def fitted_values(answer: Answer) -> dict[str, float]:
         f"a result of type {type(answer).__name__} holds no parameter set; give one of fit, "
         "profile or simulate"
     )
+
+
+def _by_ligament(
+    knee: Knee, answer: Answer, values: Mapping[str, float]
+) -> tuple[list[float], list[float]]:
+    """Stiffness and reference strain of each ligament, those of a group from what it has."""
+    data = getattr(answer, "data", None)
+    # The fit may have kept another pattern of the grouped bundles.
+    units = tied(knee if data is None else table_model(knee, data)[0].knee)
+    own = zip(
+        units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist(), strict=True
+    )
+    found = [(values.get(f"{x}.{STIFFNESS}", k), values.get(f"{x}.{STRAIN}", e)) for x, k, e in own]
+    stiffness, strain = np.array(found).T
+    return units.stiffness(stiffness).tolist(), units.strain(strain).tolist()
 
 
 def as_stated(knee: Knee, answer: Answer) -> Knee:

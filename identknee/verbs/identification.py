@@ -40,7 +40,7 @@ from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress_bar
 from identknee.subject.knee import Knee
-from identknee.verbs.used_trials import TrialSearch, lost_findings
+from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
 
 # Of lengths and of angles [mm, deg].
@@ -187,8 +187,10 @@ def identification(
     """
     limits = bounds_of(bounds)
     laxity = with_noise(laxity, noise)
+    model, pattern = table_model(knee, laxity)
+    knee = model.knee
     trials = TrialSearch(
-        model=LaxityModel(knee=knee, protocol=laxity.protocol).with_tests(laxity),
+        model=model,
         laxity=laxity,
         weighting="unit" if laxity.sd is None else "noise",
         bounds=limits,
@@ -198,7 +200,7 @@ def identification(
     warm_up(knee, laxity.protocol)
     used = trials.used(theta)
     lost = lost_findings(laxity, used.laxity)
-    model, laxity, theta = trials.model, used.laxity, used.start
+    laxity, theta = used.laxity, used.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
     if has_shared_errors(knee.uncertainty):
         residuals = _with_shared_errors(residuals, theta)
@@ -207,7 +209,8 @@ def identification(
     degrees: int | None = None
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
-    assumptions = [knee.uncertainty.sentence, *used.sentences, *_about_the_data(laxity, asked)]
+    said = (knee.uncertainty.sentence, *pattern, *used.sentences)
+    assumptions = [*said, *_about_the_data(laxity, asked)]
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
         problem, degrees = estimate.problem, estimate.degrees_of_freedom

@@ -18,6 +18,10 @@ def knee_digest(knee: Knee) -> str:
     stated = (knee.uncertainty, sorted(knee.priors.items()), sorted(knee.bounds.items()))
     if stated != (EXACTLY, [], []):
         parts.append(repr(stated).encode())
+    known = [(x.flexion_deg, x.coordinates.tolist()) for x in knee.poses]
+    further = (knee.groups, known, sorted(knee.fitted.items()))
+    if further != ((), [], []):
+        parts.append(repr(further).encode())
     for surface in (knee.femur, *knee.tibia):
         parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
     for frame in (knee.femur_frame, knee.tibia_frame):

@@ -1,14 +1,17 @@
 """The laxity of a knee under a protocol, and how each trial ended."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 from identknee.calibrate.starts import load_start
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import Laxity, read_laxity, write_laxity
 from identknee.mechanics.load_paths import Continuation
 from identknee.model.laxity_model import Contact, LaxityModel
+from identknee.model.own_poses import at_own_poses
 from identknee.model.prediction import Prediction
 from identknee.model.soundness import rim_findings
 from identknee.model.tensions import tensions_of
@@ -110,6 +113,11 @@ class Simulation(SimulatedLaxity):
     noisy: Laxity | None = entry(
         "The laxity with noise added", group="observed_data", only="`--noise`", default=None
     )
+    rmse: LaxityError | None = entry(
+        "Root-mean-square error against the measured laxity",
+        only="a laxity table as protocol",
+        default=None,
+    )
 
     @property
     def failure(self) -> str:  # type: ignore[explicit-override]
@@ -144,7 +152,9 @@ def simulate(
         A knee, its folder, or the name of one that comes with identknee.
     protocol
         Trials: ``"seed63"``, ``"table2"``, ``"drawer"``, a TOML file, a `Protocol`, or a laxity
-        table (CSV), whose trials are run as a fit to it would run them.
+        table (CSV), whose trials are run as a fit to it would run them, and whose values are
+        compared with. A subject that was fitted begins at the poses of its fit instead of the
+        measured ones.
     values
         Parameters other than those of `start`, such as ``{"ACL.stiffness_kN": 9.5}``.
     start
@@ -182,11 +192,15 @@ def simulate(
     trials = tests.protocol if isinstance(tests, Laxity) else tests
     model = LaxityModel(knee=run.knee, protocol=trials, continuation=continuation, contact=contact)
     if isinstance(tests, Laxity):
-        model = model.with_tests(tests)
+        its_own = replace(model, order=tests.order, phase=tests.phase)
+        model = its_own if run.knee.poses else model.with_tests(tests)
     begun = load_start(start, model.parameters).tolist()
     theta = model.parameters.vector(dict(zip(model.parameters.names, begun, strict=True)) | chosen)
     warm_up(run.knee, trials)
     run.start_clock()
+    said = about_paths(model)
+    if run.knee.poses:
+        model = at_own_poses(model, theta)
     prediction = model.predict(theta, derivatives=False)
     noisy = None
     if sizes is not None:
@@ -201,7 +215,8 @@ def simulate(
     answer = Simulation(
         **simulated(model, prediction),
         noisy=noisy,
-        assumptions=about_paths(model),
+        rmse=_error(prediction, tests) if isinstance(tests, Laxity) else None,
+        assumptions=said,
         findings=rim_findings(trials.trials, prediction),
     )
     if run.out is not None:
@@ -214,6 +229,14 @@ def _tests(protocol: str | Protocol) -> Protocol | Laxity:
         return protocol
     is_table = Path(protocol).suffix.lower() == ".csv"
     return read_laxity(protocol) if is_table else load_protocol(protocol)
+
+
+def _error(prediction: Prediction, tests: Laxity) -> LaxityError | None:
+    """How far the prediction is from the measured laxity; None where nothing was measured."""
+    if not tests.is_measured.any():
+        return None
+    simulated = Laxity(protocol=tests.protocol, coordinates=prediction.coordinates)
+    return laxity_rmse(simulated, tests)
 
 
 def simulated(model: LaxityModel, prediction: Prediction) -> dict[str, Any]:

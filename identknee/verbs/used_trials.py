@@ -12,12 +12,11 @@ import numpy as np
 from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import Problem, with_bounds, with_nuisance_priors
 from identknee.calibrate.starts import load_start
-from identknee.laxity.protocol import LOADS
 from identknee.laxity.table import Laxity
-from identknee.mechanics.load_paths import NEAR
+from identknee.mechanics.load_paths import NEAR, Continuation
 from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import strains_as_measured
+from identknee.model.measured_start import known_poses, strains_as_measured
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.findings import Finding, Severity
@@ -25,9 +24,9 @@ from identknee.subject.knee import Knee
 
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
 STRETCHES = (0.04, 0.06, 0.08, 0.1)
+PATTERN_STRETCH = 0.06
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 MOST_ROUNDS, BUDGET = 8, 300
-COMPRESSION = LOADS.index("distraction_force_N")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -145,9 +144,10 @@ class TrialSearch:
     def _stretched(self, start: Array, stretch: float) -> Array:
         """Theta with reference strains as the measured poses have them, kept to the bounds."""
         parameters = self.problem(self.laxity).parameters
-        n = self.model.n_ligament_parameters // 2
+        n, m = self.model.tied.n, len(self.model.knee.ligaments)
         theta = np.array(start)
-        theta[n : 2 * n] = strains_as_measured(self.model.setting(start), stretch)[:n]
+        strains = strains_as_measured(self.model.setting(start), stretch)[:m]
+        theta[n : 2 * n] = self.model.tied.least_strain(strains)
         theta = np.clip(theta, parameters.lower, parameters.upper)
         held = [parameters.index(x) for x in self.fixed]
         theta[held] = start[held]
@@ -194,25 +194,59 @@ def _names(laxity: Laxity) -> tuple[str, ...]:
     return tuple(laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.any(axis=1)))
 
 
+def table_model(
+    knee: Knee, laxity: Laxity, continuation: Continuation = "continuation"
+) -> tuple[LaxityModel, tuple[str, ...]]:
+    """The model of measured laxity, and what was changed of the knee's strains, as sentences.
+
+    Of grouped bundles the pattern of strains is kept in all fits. Where trials have no equilibrium
+    at the knee's own strains, these are no pattern to keep: it becomes the one that stretches each
+    bundle alike at the longest of its measured lengths.
+    """
+    model = LaxityModel(knee=knee, protocol=laxity.protocol, continuation=continuation)
+    model = model.with_tests(laxity)
+    if not knee.groups or knee.fitted or model.poses is None:
+        return model, ()
+    measured = laxity.is_measured.any(axis=1)
+    start = model.parameters.start
+    if model.predict(start, derivatives=False).is_converged[measured].all():
+        return model, ()
+    strains = strains_as_measured(model.setting(start), PATTERN_STRETCH).tolist()
+    tied = {member for group in knee.groups for member in group.members}
+    ligaments = [
+        replace(x, reference_strain_pct=strain) if x.name in tied else x
+        for x, strain in zip(knee.ligaments, strains[: len(knee.ligaments)], strict=True)
+    ]
+    sentence = (
+        "At the strains of the subject not all trials have an equilibrium, so grouped bundles keep "
+        f"another pattern: that which stretches each by {100 * PATTERN_STRETCH:.0f} % at the "
+        "longest of its measured lengths."
+    )
+    return replace(model, knee=knee.with_ligaments(ligaments)), (sentence,)
+
+
 def testable(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, UsedTrials]:
     """The knee with strains at which trials have an equilibrium, and these trials.
 
     Strains away from which a fit has to begin are no prior knowledge: where it has, the knee's own
     become those of the beginning. Nothing is taken as uncertain here.
     """
-    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=()).with_tests(laxity)
+    model, said = table_model(knee, laxity)
+    model, knee = model.with_effects(()), model.knee
     trials = TrialSearch(model=model, laxity=laxity, weighting="unit", bounds={})
     begun = load_start(start, model.parameters)
     used = trials.used(begun)
     if used.start is begun:
-        return knee, used
-    strains = used.start[len(knee.ligaments) :].tolist()
+        return knee, replace(used, sentences=(*said, *used.sentences))
+    strains = model.tied.strain(used.start[model.tied.n :]).tolist()
     ligaments = tuple(
         replace(x, reference_strain_pct=strain)
         for x, strain in zip(knee.ligaments, strains, strict=True)
     )
-    said = "Priors of the reference strains are centred there."
-    return replace(knee, ligaments=ligaments), replace(used, sentences=(*used.sentences, said))
+    centred = "Priors of the reference strains are centred there."
+    return replace(knee, ligaments=ligaments), replace(
+        used, sentences=(*said, *used.sentences, centred)
+    )
 
 
 def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
@@ -230,9 +264,16 @@ def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
 
 
 def about_paths(model: LaxityModel) -> tuple[str, ...]:
-    """That equilibria were looked for from the measured poses, where they were."""
+    """Where equilibria were looked for, if not along paths from the scanned pose."""
     if model.poses is None:
         return ()
+    known = known_poses(model.knee, model.protocol)
+    if known is not None and np.array_equal(model.poses, known):
+        sentence = (
+            "Equilibria were followed under growing loads from the poses that the fitted "
+            "subject states for each flexion angle, not from measured ones."
+        )
+        return (sentence,)
     sentence = (
         "Each trial has a flexion angle of its own, as a rig reads it: its equilibrium was looked "
         "for from its measured pose under its whole load, not along a path from the scanned pose, "
@@ -251,7 +292,4 @@ def _under(laxity: Laxity, shares: Array) -> Laxity:
     """The data as if each trial had borne a share of its load; compression stays, as it held."""
     if np.all(shares == 1.0):
         return laxity
-    protocol = laxity.protocol
-    loads = protocol.loads * shares[:, None]
-    loads[:, COMPRESSION] = np.minimum(protocol.loads[:, COMPRESSION], loads[:, COMPRESSION])
-    return replace(laxity, protocol=replace(protocol, loads=loads))
+    return replace(laxity, protocol=laxity.protocol.under(shares))

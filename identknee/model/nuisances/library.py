@@ -1,10 +1,26 @@
 """The nuisances of a knee: every error that it states, as an effect whose prior is known."""
 
+from collections.abc import Callable
+from types import MappingProxyType
+
+from identknee.model.effects.changes import held
 from identknee.model.effects.effect import Effect
 from identknee.model.nuisances.geometry import contact_modulus, insertions, reference_pose
 from identknee.model.nuisances.loading import flexion, load_axes, load_gain
 from identknee.model.nuisances.registration import Registration
 from identknee.subject.knee import Knee
+
+# Errors that a subject may hold without their being uncertain, at any spread: it does not count.
+_HELD = MappingProxyType[str, Callable[[], Effect]](
+    {
+        "reference_pose": lambda: reference_pose(1.0, 1.0),
+        "contact_modulus": lambda: contact_modulus(1.0),
+        "load_gain": lambda: load_gain(1.0),
+        "load_axes": lambda: load_axes(1.0),
+        "flexion": lambda: flexion(1.0),
+        "registration": lambda: Registration(sd_deg=1.0, sd_mm=1.0),
+    }
+)
 
 
 def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
@@ -37,4 +53,26 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
         made.append(flexion(stated.flexion_deg))
     if stated.registration_deg > 0.0 or stated.registration_mm > 0.0:
         made.append(Registration(sd_deg=stated.registration_deg, sd_mm=stated.registration_mm))
+    return tuple(made)
+
+
+def held_errors(knee: Knee) -> tuple[Effect, ...]:
+    """Errors stored with the knee that it does not state to be uncertain, at their stored sizes.
+
+    Raises
+    ------
+    ValueError
+        If a stored error has no such part.
+    """
+    stated = {x.name for x in nuisances_of(knee)}
+    made = []
+    for choice in knee.effects:
+        if choice.name in stated or choice.name not in _HELD:
+            continue
+        effect = _HELD[choice.name]()
+        sizes = dict.fromkeys(effect.parameters.names, 0.0)
+        for name, value in choice.values.items():
+            effect.parameters.index(f"{choice.name}.{name}")
+            sizes[f"{choice.name}.{name}"] = value
+        made.append(held(effect, sizes))
     return tuple(made)

@@ -4,8 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from identknee.laxity.rmse import LaxityError
+from identknee.laxity.table import COORDINATES
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
+from identknee.report.words import amount, label_without_unit, listed, unit_of
 from identknee.runs.outcome import Outcome
 from identknee.verbs.simulate import Simulation
 
@@ -24,6 +27,30 @@ def simulate_statements(answer: Simulation) -> Iterator[Statement]:
         question=Question.LAXITY,
         sentence=f"{_how_many(answer)} a stable pose.{blank}{lowest}",
         tables=(table,) if lost else (),
+    )
+    if answer.rmse is not None and answer.rmse.n_compared:
+        yield _error(answer.rmse)
+
+
+def _error(error: LaxityError) -> Statement:
+    names = (*zip(COORDINATES, error.by_coordinate.tolist(), strict=True),)
+    table = Table(
+        title="Error against the measured laxity (root mean square)",
+        columns=(Column(name="coordinate"), Column(name="error", decimals=2), Column(name="unit")),
+        rows=tuple(
+            (label_without_unit(name), size, unit_of(name))
+            for name, size in names
+            if np.isfinite(size)
+        ),
+    )
+    missing = f"; {error.n_missing} have no prediction" if error.n_missing else ""
+    sizes = ((error.mm, "mm"), (error.deg, "deg"))
+    errors = [amount(size, unit) for size, unit in sizes if np.isfinite(size)]
+    return Statement(
+        question=Question.LAXITY,
+        sentence=f"The prediction is off by {listed(errors)} on average (RMSE over "
+        f"{error.n_compared} measured values{missing}).",
+        tables=(table,),
     )
 
 

@@ -1,19 +1,23 @@
 """Fits to tables of which the model loses trials at the start."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 from small_knee import small_knee, small_protocol
 
 import identknee as ik
 from identknee.calibrate.fit import fit
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.findings import Severity
+from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee
+from identknee.subject.uncertainty import Uncertainty
 from identknee.verbs.used_trials import TrialSearch
 
 
@@ -115,3 +119,25 @@ def test_a_diagnosis_begins_there_too() -> None:
     assert found.verdict is Verdict.ADEQUATE
     assert found.assumptions[-1] == "Priors of the reference strains are centred there."
     assert "rests on" in next(x for x in found.findings if x.where == "trials").sentence
+
+
+def test_the_folder_of_a_fit_predicts_its_table_without_the_measured_poses(tmp_path: Path) -> None:
+    """Insertions, frames, parameters and poses of the fit are all in the folder."""
+    laxity = as_read()
+    noise = 0.1 * np.random.default_rng(3).normal(size=(laxity.n, 5))
+    shifted = laxity.coordinates + noise
+    table = write_laxity(replace(laxity, coordinates=shifted), tmp_path / "table.csv")
+    uncertain = "insertions=1mm,registration=2deg,registration=1mm"
+    knee = write_subject(small_knee(), tmp_path / "knee")
+    fitted = ik.fit(knee, table, uncertain=uncertain, out=tmp_path / "fit")
+    predicted = ik.simulate(tmp_path / "fit" / "fitted", str(table))
+    np.testing.assert_allclose(predicted.coordinates, fitted.coordinates, atol=0.05)
+    assert predicted.rmse is not None
+    assert predicted.rmse.mm == pytest.approx(fitted.rmse.mm, rel=0.02)
+    assert "followed under growing loads" in " ".join(predicted.assumptions)
+    # Taken as exact, they stay where the fit put them.
+    exactly = read_subject(tmp_path / "fit" / "fitted").with_uncertainty(Uncertainty())
+    model = LaxityModel(knee=exactly, protocol=laxity.protocol)
+    assert not any(x.startswith("registration") for x in model.parameters.names)
+    again = ik.simulate(exactly, str(table))
+    np.testing.assert_allclose(again.coordinates, predicted.coordinates, atol=1e-6)

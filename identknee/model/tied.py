@@ -1,0 +1,87 @@
+"""The calibrated parameters of a knee's ligaments, and how those of tied bundles hang together."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identknee.runs.arrays import Array, frozen
+from identknee.subject.knee import Knee
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tied:
+    """Units with one stiffness and one strain each: a group of ligaments, or one alone.
+
+    Attributes
+    ----------
+    names
+        Of the u units, in the order of their first ligaments.
+    member
+        Which of the m ligaments belongs to which unit, 1 or 0, shape ``(m, u)``.
+    share
+        Stiffness of each ligament over that of its unit, shape ``(m,)``.
+    offset
+        Reference strain of each less that of its unit [%], shape ``(m,)``.
+    stiffness_kN, reference_strain_pct
+        The knee's own of each unit: the sum, and the mean weighted by stiffness, shape ``(u,)``.
+    """
+
+    names: tuple[str, ...]
+    member: Array
+    share: Array
+    offset: Array
+    stiffness_kN: Array  # noqa: N815 - the unit
+    reference_strain_pct: Array
+    by_stiffness: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "by_stiffness", self.member * self.share[:, None])
+
+    @property
+    def n(self) -> int:
+        """How many units there are."""
+        return len(self.names)
+
+    def stiffness(self, values: Array) -> Array:
+        """Stiffness of each ligament from those of the units, shape ``(m,)``."""
+        return np.asarray(self.by_stiffness @ values)
+
+    def strain(self, values: Array) -> Array:
+        """Reference strain of each ligament [%] from those of the units, shape ``(m,)``."""
+        return np.asarray(self.member @ values + self.offset)
+
+    def least_strain(self, strains: Array) -> Array:
+        """The largest strain of each unit [%] at which no member exceeds its own, ``(u,)``."""
+        allowed = np.where(self.member > 0.0, (strains - self.offset)[:, None], np.inf)
+        return np.asarray(allowed.min(axis=0))
+
+
+def tied(knee: Knee) -> Tied:
+    """The units whose parameters are calibrated: the knee's groups, and its other ligaments.
+
+    Examples
+    --------
+    >>> from identknee.subject.reference import reference_knee
+    >>> tied(reference_knee()).names
+    ('ACL', 'PCL', 'LCL', 'MCL')
+    """
+    group_of = {member: group.name for group in knee.groups for member in group.members}
+    owners = [group_of.get(x.name, x.name) for x in knee.ligaments]
+    names = tuple(dict.fromkeys(owners))
+    member = np.array([[float(owner == x) for x in names] for owner in owners])
+    member = member.reshape(len(owners), len(names))
+    stiffness = np.array([x.stiffness_kN for x in knee.ligaments])
+    strain = np.array([x.reference_strain_pct for x in knee.ligaments])
+    alone = member.sum(axis=0) == 1.0
+    total = stiffness @ member
+    # A ligament alone may have no stiffness, and has it whole all the same.
+    weights = np.where(member @ alone > 0.0, 1.0, stiffness / np.maximum(member @ total, 1e-300))
+    mean = (weights * strain) @ member
+    return Tied(
+        names=names,
+        member=frozen(member, None, None, name="members"),
+        share=frozen(weights, None, name="shares"),
+        offset=frozen(strain - member @ mean, None, name="offsets"),
+        stiffness_kN=total,
+        reference_strain_pct=mean,
+    )
