@@ -8,6 +8,7 @@ from . import report as report
 from . import runs as runs
 from . import scrutiny as scrutiny
 from . import subject as subject
+from . import verbs as verbs
 from .calibrate.starts import load_start as load_start
 from .diagnosis.explanations.verdict import Verdict as Verdict
 from .identify.profile.profiles import profile_parameters as profile_parameters

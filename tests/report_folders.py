@@ -12,7 +12,7 @@ from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.report.result_files import write_result
+from identknee.runs.files import write_json
 from identknee.runs.record import record
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
@@ -26,19 +26,12 @@ OPEN_BELOW = "x0.value_pct"
 
 
 def write_verb(
-    folder: Path,
-    verb: str,
-    summary: dict[str, Any],
-    groups: dict[str, Any],
-    *,
-    subject: str = "reference",
-    digest: str = KNEE,
+    folder: Path, verb: str, summary: dict[str, Any], *, subject: str = "reference"
 ) -> Path:
-    """A folder with what a verb leaves."""
+    """A folder with the summary that a verb leaves."""
     folder.mkdir(parents=True, exist_ok=True)
-    settings = {"subject": subject, "data": "test/laxity.csv"}
-    inputs = {"subject": digest, "data": "d" * 64}
-    write_result(folder, summary, groups, record(verb, settings, inputs, 0).finish())
+    made = record(verb, {"subject": subject}, {"subject": KNEE}, 0).finish()
+    write_json(folder / "result.json", {**summary, "record": made.to_dict()})
     return folder
 
 

@@ -62,7 +62,7 @@ knee = ik.read_subject(folder)
 # ligaments; so does this, with a remedy for each thing found.
 
 for finding in ik.check_geometry(knee):
-    print(f"{finding.severity}: {finding.subject}: {finding.sentence} {finding.remedy}")
+    print(finding.line)
 
 # %%
 # Look at it from behind and from the side: insertions in another place than meant are seen at once.

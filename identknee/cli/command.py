@@ -222,7 +222,11 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
 
 
 def run_verb(
-    context: typer.Context, function: "Callable[..., Given]", *, without: Sequence[str] = ()
+    context: typer.Context,
+    function: "Callable[..., Given]",
+    *,
+    without: Sequence[str] = (),
+    then: str = "",
 ) -> "Given":
     """Call a verb of the library with the options of the command, and print its answer.
 
@@ -234,6 +238,8 @@ def run_verb(
         The verb.
     without
         Options of the command that the verb does not have.
+    then
+        What to do next, said after the answer.
     """
     arguments = {name: x for name, x in context.params.items() if name not in without}
     as_json = arguments.pop("as_json")
@@ -243,10 +249,18 @@ def run_verb(
     from identknee.runs.plain_records import summary_of
 
     lines = [] if as_json else terminal_lines(answer)
-    show(summary_of(answer), [*lines, f"Results: {arguments['out']}"], as_json=as_json)
+    lines += [f"Results: {arguments['out']}", *([then] if then else [])]
+    show(summary_of(answer), lines, as_json=as_json)
     if answer.failure:
         raise NotComputed(answer.failure)
     return answer
+
+
+def print_found(found: Any, *lines: str, as_json: bool) -> None:
+    """Print what a function found that leaves no files: as JSON, or in its own words."""
+    from identknee.runs.plain_records import summary_of
+
+    show(summary_of(found), [str(found), *lines], as_json=as_json)
 
 
 def timed(function: Callable[[], Result]) -> tuple[Result, float]:

@@ -1,6 +1,6 @@
 """Insertions moved within their uncertainty: what restores trials, and a knee that settles."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +8,8 @@ import numpy as np
 from identknee.model.effects.insertion import SHIFT_LIMIT, insertion
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.subject.knee import Knee
 from identknee.subject.ligament import Ligament
@@ -29,32 +30,46 @@ ENOUGH_MARGIN = 0.5
 Score = tuple[int, float, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class InsertionMove:
-    """One insertion moved along an axis of its bone's frame, and what that gains.
+    """One insertion moved along an axis of its bone's frame, and what that gains."""
 
-    Attributes
-    ----------
-    ligament, bone
-        Which insertion: the ligament and ``"femur"`` or ``"tibia"``.
-    direction
-        Such as ``"anteriorly"``.
-    distance_mm
-        How far [mm].
-    n_restored
-        Trials that converge then, less those that converge without; negative where it loses some.
-    """
-
-    ligament: str
-    bone: str
-    direction: str
-    distance_mm: float
-    n_restored: int
+    ligament: str = entry("Ligament whose insertion is moved")
+    bone: str = entry("Bone of the insertion, femur or tibia")
+    direction: str = entry("Direction along an axis of the bone's frame, such as anteriorly")
+    distance_mm: float = entry("How far the insertion is moved", unit="mm")
+    n_restored: int = entry(
+        "Trials that converge then, less those that converge without; negative where it loses some",
+        unit="1",
+    )
 
     @property
     def words(self) -> str:
         """Where to, as in a sentence."""
         return f"{self.ligament} on the {self.bone} {self.distance_mm:g} mm {self.direction}"
+
+
+@declared
+class MovedInsertion:
+    """An insertion that is no longer where it was given."""
+
+    ligament: str = entry("Ligament whose insertion moved")
+    bone: str = entry("Bone of the insertion, femur or tibia")
+    distance_mm: float = entry("How far the insertion moved", unit="mm")
+    shift_mm: Array = array(
+        "Shift along x, y and z of the bone's frame", "axis", unit="mm", is_in_json=True
+    )
+
+    @property
+    def words(self) -> str:
+        """Where to, as in ``ACL on the femur moved 5.0 mm (5.0 mm anteriorly)``."""
+        parts = [
+            f"{abs(x):.1f} mm {names[int(x > 0.0)]}"
+            for x, names in zip(self.shift_mm, DIRECTIONS, strict=True)
+            if x != 0.0
+        ]
+        moved = f"{self.ligament} on the {self.bone} moved {self.distance_mm:.1f} mm"
+        return f"{moved} ({', '.join(parts)})"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,9 +80,8 @@ class SettledKnee:
     ----------
     knee
         The subject with the insertions moved.
-    shifts
-        Shifts of the femoral and tibial insertions along x, y and z of the bone's frame [mm], shape
-        ``(n_ligaments, 2, 3)``.
+    moved
+        The insertions that moved.
     n_trials, n_before, n_after
         Trials of the protocol; how many converge before and after.
     lowest_margin
@@ -75,40 +89,11 @@ class SettledKnee:
     """
 
     knee: Knee
-    shifts: Array
+    moved: tuple[MovedInsertion, ...]
     n_trials: int
     n_before: int
     n_after: int
     lowest_margin: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shifts", frozen(self.shifts, None, 2, 3, name="shifts"))
-
-    @property
-    def distances(self) -> dict[tuple[str, str], float]:
-        """How far each insertion that moved did [mm], by ligament and bone."""
-        sizes = np.linalg.norm(self.shifts, axis=2)
-        return {
-            (ligament.name, bone): float(sizes[i, k])
-            for i, ligament in enumerate(self.knee.ligaments)
-            for k, bone in enumerate(BONES)
-            if sizes[i, k] > 0.0
-        }
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """How each insertion moved, as in ``ACL on the femur moved 5 mm (5 mm anteriorly)``."""
-        sentences = []
-        for (ligament, bone), distance in self.distances.items():
-            i = [x.name for x in self.knee.ligaments].index(ligament)
-            parts = [
-                f"{abs(x):.1f} mm {names[int(x > 0.0)]}"
-                for x, names in zip(self.shifts[i, BONES.index(bone)], DIRECTIONS, strict=True)
-                if x != 0.0
-            ]
-            moved = f"{ligament} on the {bone} moved {distance:.1f} mm"
-            sentences.append(f"{moved} ({', '.join(parts)})")
-        return tuple(sentences)
 
 
 def rank_moves(
@@ -170,7 +155,7 @@ def settle(
     shifts, score = search.fewest(shifts, score)
     return SettledKnee(
         knee=_moved(model.knee, shifts),
-        shifts=shifts,
+        moved=tuple(_moves(model.knee, shifts)),
         n_trials=model.protocol.n,
         n_before=before[0],
         n_after=score[0],
@@ -268,6 +253,19 @@ def _score(found: Prediction) -> Score:
     # The margin counts up to what is enough and only where no trial is lost.
     margin = min(float(margins.min()), ENOUGH_MARGIN) if converged.all() else 0.0
     return int(converged.sum()), float(found.reached[~converged].sum()), margin
+
+
+def _moves(knee: Knee, shifts: Array) -> Iterator[MovedInsertion]:
+    """The insertions whose shift is not zero; `shifts` has shape ``(n_ligaments, 2, 3)``."""
+    for ligament, own in zip(knee.ligaments, shifts, strict=True):
+        for bone, shift in zip(BONES, own, strict=True):
+            if shift.any():
+                yield MovedInsertion(
+                    ligament=ligament.name,
+                    bone=bone,
+                    distance_mm=float(np.linalg.norm(shift)),
+                    shift_mm=shift,
+                )
 
 
 def _moved(knee: Knee, shifts: Array) -> Knee:

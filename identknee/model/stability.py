@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,8 +12,10 @@ from identknee.model.insertion_moves import ENOUGH_MARGIN, WITHIN, InsertionMove
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
+from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress
 from identknee.subject.check import GeometryFinding
@@ -26,70 +28,80 @@ ENOUGH_CONVERGED = 0.99
 ENOUGH_MM, ENOUGH_DEG = 0.07, 0.25
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
+class TrialStability:
+    """How a trial ended at the subject's own parameters."""
+
+    trial: str = entry("Name of the trial")
+    outcome: Outcome = entry("How the trial ended")
+    margin: float = entry(
+        "Stability margin; of the last stable pose where the trial did not converge",
+        unit="N/mm",
+        key="margin_N_per_mm",
+    )
+
+
+@declared
 class StabilityReport:
     """How a model behaves at the subject's own parameters and in a box around them.
 
-    Attributes
-    ----------
-    trials
-        Names of the trials, n of them.
-    outcomes
-        How each ended at the subject's own parameters.
-    margins
-        Stability margin of each there [N/mm], shape ``(n,)``; of the last stable pose where the
-        trial did not converge.
-    n_samples
-        Parameter vectors drawn from the box: stiffness +-50 %, reference strain +-3 %, other
-        amplitudes of effects over their plausible ranges.
-    box_outcomes
-        How many of the ``n * n_samples`` trials ended in each way.
-    box_margins
-        Lowest margin over the protocol of each vector [N/mm], shape ``(n_samples,)``; of those
-        whose trials all converged, NaN for the others.
-    change
-        Largest change between the chosen contact points and all vertices, over trials that
-        converge with both, in the order and units of `COORDINATES` [mm, deg], shape ``(5,)``;
-        NaN where there is no such trial.
-    moves
-        Insertions moved within their uncertainty, the moves that restore most trials first; none
-        where all converge.
-    findings
-        The same in sentences, each with its remedy.
+    The box is +-50 % of each stiffness, +-3 % of reference strain, and the plausible ranges of
+    other amplitudes of effects.
     """
 
-    trials: tuple[str, ...]
-    outcomes: tuple[Outcome, ...]
-    margins: Array
-    n_samples: int
-    box_outcomes: Mapping[Outcome, int]
-    box_margins: Array
-    change: Array
-    moves: tuple[InsertionMove, ...] = ()
-    findings: tuple[GeometryFinding, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name, length in (
-            ("margins", len(self.trials)),
-            ("box_margins", self.n_samples),
-            ("change", len(COORDINATES)),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), length, name=name))
+    protocol: str = entry("Name of the protocol")
+    trials: tuple[TrialStability, ...] = entry("How each trial ended", rows="trial")
+    n_samples: int = entry("Parameter vectors drawn from the box", unit="1")
+    box_outcomes: Mapping[Outcome, int] = entry(
+        "How many trials of all vectors ended in each way", unit="1"
+    )
+    box_margins: Array = array(
+        "Lowest margin over the protocol of each vector; NaN where a trial did not converge",
+        "sample",
+        unit="N/mm",
+        key="box_margin_N_per_mm",
+    )
+    change: Array = array(
+        "Largest change between the chosen contact points and all vertices, over trials that "
+        "converge with both; NaN where there is none",
+        "coordinate",
+        unit=OF_COORDINATE,
+        key="change_by_contact_points",
+    )
+    moves: tuple[InsertionMove, ...] = entry(
+        "Insertions moved within their uncertainty, the moves that restore most trials first; none "
+        "where all converge",
+        default=(),
+    )
 
     @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """How each trial ended at the subject's own parameters."""
+        return tuple(x.outcome for x in self.trials)
+
+    @property
+    @derived("Trials of the protocol", unit="1")
+    def n_trials(self) -> int:
+        """How many trials there are."""
+        return len(self.trials)
+
+    @property
+    @derived("Trials that converged at the subject's own parameters", unit="1")
     def n_converged(self) -> int:
         """How many trials converged at the subject's own parameters."""
         return self.outcomes.count(Outcome.CONVERGED)
 
     @property
+    @derived("Lowest margin of the converged trials", unit="N/mm", key="lowest_margin_N_per_mm")
     def lowest_margin(self) -> float:
         """Smallest margin of a trial that converged at the subject's own parameters [N/mm].
 
         NaN where none did.
         """
-        return _lowest(self.margins[[x is Outcome.CONVERGED for x in self.outcomes]])
+        return min((x.margin for x in self._converged), default=np.nan)
 
     @property
+    @derived("Share of the trials in the box that converged", unit="1", key="box_converged_share")
     def converged_share(self) -> float:
         """Share of all trials in the box that converged; NaN without samples."""
         total = sum(self.box_outcomes.values())
@@ -104,6 +116,25 @@ class StabilityReport:
     def change_deg(self) -> float:
         """Largest change of a rotation by the choice of contact points [deg]."""
         return float(np.max(self.change[ROTATIONS]))
+
+    @property
+    @derived("Largest change if all vertices were contact points, as mm and deg")
+    def contact_points_change(self) -> dict[str, float]:
+        """Both changes by the choice of contact points [mm, deg]."""
+        return {"mm": self.change_mm, "deg": self.change_deg}
+
+    @property
+    def findings(self) -> tuple[GeometryFinding, ...]:
+        """The same in sentences, each with its remedy."""
+        return (
+            _own_finding(self),
+            *([_box_finding(self)] if self.n_samples else []),
+            _points_finding(self),
+        )
+
+    @property
+    def _converged(self) -> list[TrialStability]:
+        return [x for x in self.trials if x.outcome is Outcome.CONVERGED]
 
 
 def check_stability(
@@ -152,17 +183,16 @@ def check_stability(
     moves: tuple[InsertionMove, ...] = ()
     if not own.all_converged:
         moves = rank_moves(model, within_mm=within_mm, executor=executor)
-    report = StabilityReport(
-        trials=model.protocol.trials,
-        outcomes=own.outcomes,
-        margins=own.margins,
+    ends = zip(model.protocol.trials, own.outcomes, own.margins.tolist(), strict=True)
+    return StabilityReport(
+        protocol=model.protocol.name,
+        trials=tuple(TrialStability(trial=x, outcome=y, margin=z) for x, y, z in ends),
         n_samples=n_samples,
         box_outcomes=dict(counts),
         box_margins=np.array(lowest),
         change=_largest_change(own, whole),
         moves=moves,
     )
-    return replace(report, findings=_findings(report, model))
 
 
 def box_sample(parameters: Parameters, n: int, generator: np.random.Generator) -> Array:
@@ -196,21 +226,12 @@ def _lowest(values: Array) -> float:
     return float(values.min()) if values.size else float("nan")
 
 
-def _findings(report: StabilityReport, model: LaxityModel) -> tuple[GeometryFinding, ...]:
-    protocol = model.protocol.name
-    return (
-        _own_finding(report, protocol),
-        *([_box_finding(report, protocol)] if report.n_samples else []),
-        _points_finding(report, protocol),
-    )
-
-
-def _own_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
-    n = len(report.trials)
+def _own_finding(report: StabilityReport) -> GeometryFinding:
+    n, protocol = report.n_trials, report.protocol
     if report.n_converged < n:
         return GeometryFinding(
-            severity="error",
-            subject="stability",
+            severity=Severity.ERROR,
+            where="stability",
             sentence=(
                 f"{n - report.n_converged} of the {n} trials of {protocol} do not converge at the "
                 f"subject's own parameters. {' '.join(_lost(report))}"
@@ -221,15 +242,14 @@ def _own_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
                 "objective."
             ),
         )
-    converged = [i for i, x in enumerate(report.outcomes) if x is Outcome.CONVERGED]
-    weakest = min(converged, key=lambda i: float(report.margins[i]))
+    weakest = min(report.trials, key=lambda x: x.margin).trial
     is_low = report.lowest_margin < ENOUGH_MARGIN
     return GeometryFinding(
-        severity="warning" if is_low else "info",
-        subject="stability",
+        severity=Severity.WARNING if is_low else Severity.INFO,
+        where="stability",
         sentence=(
             f"All {n} trials of {protocol} converge at the subject's own parameters; the lowest "
-            f"stability margin is {report.lowest_margin:.3g} N/mm, in {report.trials[weakest]}."
+            f"stability margin is {report.lowest_margin:.3g} N/mm, in {weakest}."
         ),
         remedy=(
             f"Below {ENOUGH_MARGIN:g} N/mm a small change may end the branch: check the ligaments "
@@ -243,9 +263,9 @@ def _own_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
 def _lost(report: StabilityReport) -> list[str]:
     """Of each way in which trials ended how many did, which, and what it means."""
     by_outcome: dict[Outcome, list[str]] = {}
-    for trial, outcome in zip(report.trials, report.outcomes, strict=True):
-        if outcome is not Outcome.CONVERGED:
-            by_outcome.setdefault(outcome, []).append(trial)
+    for x in report.trials:
+        if x.outcome is not Outcome.CONVERGED:
+            by_outcome.setdefault(x.outcome, []).append(x.trial)
     sentences = []
     for outcome, trials in by_outcome.items():
         named = ", ".join(trials[:MOST_LISTED])
@@ -266,7 +286,7 @@ def _worth_moving(moves: tuple[InsertionMove, ...]) -> str:
     return f"Move one insertion: {gains}; or several together: identknee subject settle."
 
 
-def _box_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
+def _box_finding(report: StabilityReport) -> GeometryFinding:
     share = report.converged_share
     failed: dict[Outcome, int] = {
         end: n for end, n in report.box_outcomes.items() if end is not Outcome.CONVERGED
@@ -275,12 +295,13 @@ def _box_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
     is_low = share < ENOUGH_CONVERGED
     ended = f" ({_counted(failed)})" if failed else ""
     return GeometryFinding(
-        severity="warning" if is_low else "info",
-        subject="stability",
+        severity=Severity.WARNING if is_low else Severity.INFO,
+        where="stability",
         sentence=(
             f"In the box of stiffness +-{100 * STIFFNESS_SHARE:g} % and reference strain "
-            f"+-{STRAIN_PCT:g} %, {100 * share:.2f} % of the trials of {protocol} converge{ended}; "
-            f"{n_failed} of {report.n_samples} parameter vectors lose at least one trial."
+            f"+-{STRAIN_PCT:g} %, {100 * share:.2f} % of the trials of {report.protocol} "
+            f"converge{ended}; {n_failed} of {report.n_samples} parameter vectors lose at least "
+            "one trial."
         ),
         remedy=(
             "Expect cliffs when calibrating: start near, keep to narrower bounds, or move the "
@@ -291,21 +312,21 @@ def _box_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
     )
 
 
-def _points_finding(report: StabilityReport, protocol: str) -> GeometryFinding:
+def _points_finding(report: StabilityReport) -> GeometryFinding:
     if np.isnan(report.change).any():
         return GeometryFinding(
-            severity="warning",
-            subject="contact points",
+            severity=Severity.WARNING,
+            where="contact points",
             sentence="No trial converges both with the default contact points and all vertices.",
             remedy="Mend what stops the trials first.",
         )
     is_large = report.change_mm > ENOUGH_MM or report.change_deg > ENOUGH_DEG
     return GeometryFinding(
-        severity="warning" if is_large else "info",
-        subject="contact points",
+        severity=Severity.WARNING if is_large else Severity.INFO,
+        where="contact points",
         sentence=(
             f"Between the default contact points and all vertices the pose changes by at most "
-            f"{report.change_mm:.3f} mm and {report.change_deg:.3f} deg over {protocol}."
+            f"{report.change_mm:.3f} mm and {report.change_deg:.3f} deg over {report.protocol}."
         ),
         remedy=(
             f"More than {ENOUGH_MM:g} mm or {ENOUGH_DEG:g} deg: smooth the cartilage surfaces, or "

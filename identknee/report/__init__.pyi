@@ -7,6 +7,7 @@ from .diagnosis_figures import parameters_before_after_figure as parameters_befo
 from .diagnosis_figures import scores_figure as scores_figure
 from .equivalents_figures import ranges_figure as ranges_figure
 from .equivalents_figures import sets_figure as sets_figure
+from .export import export_subject as export_subject
 from .figures import BLACK as BLACK
 from .figures import COLOURS as COLOURS
 from .figures import GREY as GREY

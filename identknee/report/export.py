@@ -10,12 +10,14 @@ from identknee.report.page.results import Result, found_results
 from identknee.report.parameter_table import parameter_table
 from identknee.report.vtk_poses import write_poses
 from identknee.runs.files import PathLike, write_atomically
-from identknee.subject.folder import write_subject
+from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim_export import write_opensim
 from identknee.verbs.fit import Calibration
 from identknee.verbs.fitted_knee import as_stated, fitted_knee, fitted_values
 from identknee.verbs.simulate import SimulatedLaxity
+from identknee.verbs.subject_facts import SubjectFacts, exported_subject
+from identknee.verbs.verb import SubjectLike
 
 TABLE, POSES = "parameters.tsv", "vtk"
 # What a parameter set is taken from, where there are several results.
@@ -89,6 +91,41 @@ def export_knee(
     if vtk:
         others.append(_write_trials(written, results, protocol, folder))
     return Exported(knee=written, folder=folder, others=tuple(others))
+
+
+def export_subject(
+    subject: SubjectLike,
+    *,
+    fitted: PathLike | None = None,
+    osim: bool = False,
+    source: PathLike | None = None,
+    vtk: bool = False,
+    protocol: str | Protocol | None = None,
+    out: PathLike,
+) -> SubjectFacts:
+    """What was written of a subject, as `export_knee` does, with the record of how it was made.
+
+    Parameters
+    ----------
+    subject
+        A knee, a subject folder, or the name of one that comes with identknee.
+    fitted, osim, source, vtk, protocol, out
+        As in `export_knee`.
+    """
+    knee = subject if isinstance(subject, Knee) else read_subject(subject)
+    made = export_knee(
+        knee, out, fitted=fitted, osim=osim, source=source, vtk=vtk, protocol=protocol
+    )
+    return exported_subject(
+        made.knee,
+        fitted=fitted,
+        osim=osim,
+        source=source,
+        vtk=vtk,
+        protocol=protocol,
+        written=made.others,
+        out=out,
+    )
 
 
 def _of_knee(knee: Knee, folder: PathLike) -> list[Result]:

@@ -67,6 +67,11 @@ class Entry:
     is_inline: bool = False
     words: tuple[str, ...] = ()
 
+    @property
+    def is_in_files(self) -> bool:
+        """Whether either file has it; what is not, the caller of a verb gets alone."""
+        return self.is_in_json or bool(self.dims or self.group or self.rows)
+
 
 def entry(
     meaning: str,

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from enum import Enum, unique
+from typing import TypeVar
 
 from identknee.runs.declare import declared, entry
 
@@ -54,6 +55,9 @@ class Finding:
         }
 
 
+Found = TypeVar("Found", bound=Finding)
+
+
 def finding_lines(findings: Iterable[Finding]) -> list[str]:
     """What a terminal shows, the gravest first.
 
@@ -63,8 +67,13 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
     >>> finding_lines([about])
     ['Warning: Only one start.']
     """
+    return [x.line for x in gravest_first(findings)]
+
+
+def gravest_first(findings: Iterable[Found]) -> list[Found]:
+    """The findings by their severity, in their order where it is the same."""
     order = list(Severity)
-    return [x.line for x in sorted(findings, key=lambda x: -order.index(x.severity))]
+    return sorted(findings, key=lambda x: -order.index(x.severity))
 
 
 def findings_summary(findings: Iterable[Finding]) -> list[dict[str, str]]:

@@ -1,14 +1,14 @@
 """What looks wrong with a knee's geometry, each finding one sentence with its remedy."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 
 from identknee.mechanics.pose import angles_of
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
+from identknee.runs.findings import Finding, Severity, gravest_first
 from identknee.subject import sheets
 from identknee.subject.frames import (
     Frame,
@@ -19,8 +19,6 @@ from identknee.subject.frames import (
 )
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface
-
-Severity = Literal["error", "warning", "info"]
 
 # Lengths in mm below which a knee's dimensions can only be metres.
 METRES = 1.0
@@ -45,26 +43,18 @@ LEAST_UPWARD_SHARE = 0.005
 FORWARD_SHARE = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GeometryFinding:
-    """Something a check found.
+@declared
+class GeometryFinding(Finding):
+    """Something a check of a knee found."""
 
-    Attributes
-    ----------
-    severity
-        ``"error"`` where no result would mean anything, ``"warning"`` where one might not.
-    subject
-        What it is about, such as a surface or a ligament.
-    sentence
-        What was found.
-    remedy
-        What to do about it; empty where there is nothing to do.
-    """
+    where: str = entry("What it is about, such as a surface or a ligament", key="subject")
+    remedy: str = entry("What to do about it; empty where there is nothing to do")
 
-    severity: Severity
-    subject: str
-    sentence: str
-    remedy: str
+    # typing.override came with Python 3.12.
+    @property
+    def line(self) -> str:  # type: ignore[explicit-override]
+        """As a terminal shows it."""
+        return f"{self.severity.prefix}{self.where}: {self.sentence} {self.remedy}".rstrip()
 
 
 def check_geometry(knee: Knee) -> tuple[GeometryFinding, ...]:
@@ -77,8 +67,7 @@ def check_geometry(knee: Knee) -> tuple[GeometryFinding, ...]:
         *_frame_findings(knee),
         *_landmark_findings(knee),
     ]
-    rank = ("error", "warning", "info")
-    return tuple(sorted(findings, key=lambda x: rank.index(x.severity)))
+    return tuple(gravest_first(findings))
 
 
 def unusable(knee: Knee) -> tuple[GeometryFinding, ...]:
@@ -264,8 +253,8 @@ def _contact_findings(knee: Knee) -> Iterator[GeometryFinding]:
         else:
             state = f"overlaps the femur by {depth:.2f} mm" if depth > 0 else f"is {gap:.2f} mm off"
             yield GeometryFinding(
-                severity="info",
-                subject=name,
+                severity=Severity.INFO,
+                where=name,
                 sentence=f"In the scanned pose it {state}.",
                 remedy="",
             )
@@ -376,8 +365,10 @@ def _long_axis_angles(
 
 
 def _error(subject: str, sentence: str, remedy: str) -> GeometryFinding:
-    return GeometryFinding(severity="error", subject=subject, sentence=sentence, remedy=remedy)
+    return GeometryFinding(severity=Severity.ERROR, where=subject, sentence=sentence, remedy=remedy)
 
 
 def _warning(subject: str, sentence: str, remedy: str) -> GeometryFinding:
-    return GeometryFinding(severity="warning", subject=subject, sentence=sentence, remedy=remedy)
+    return GeometryFinding(
+        severity=Severity.WARNING, where=subject, sentence=sentence, remedy=remedy
+    )

@@ -136,7 +136,7 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
 def _read(file: Path) -> Knee:
     knee = _knee(file, read_tables(file))
     for finding in unusable(knee):
-        raise InputError(file, finding.subject, finding.sentence, finding.remedy)
+        raise InputError(file, finding.where, finding.sentence, finding.remedy)
     return knee
 
 

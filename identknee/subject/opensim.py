@@ -77,7 +77,7 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     if knee.side == "left":
         knee = knee.mirrored()
     for finding in unusable(knee):
-        raise InputError(model.path, finding.subject, finding.sentence, finding.remedy)
+        raise InputError(model.path, finding.where, finding.sentence, finding.remedy)
     return knee
 
 

@@ -64,5 +64,5 @@ def _file(about: Entry) -> str:
     """Which of the two files has it, and in which group."""
     group = f", group `{about.group}`" if about.group else ""
     if not about.is_in_json:
-        return f"nc{group}"
+        return f"nc{group}" if about.is_in_files else "none"
     return f"json and nc{group}" if about.is_in_arrays or about.rows else "json"

@@ -35,6 +35,11 @@ ANSWERS = {
     "diagnose": "identknee.verbs.diagnosis:Diagnosis",
     "isolability": "identknee.verbs.isolability:Isolability",
     "design": "identknee.verbs.design:Design",
+    "subject check": "identknee.verbs.subject_check:SubjectCheck",
+    "subject settle": "identknee.verbs.subject_settle:SettledSubject",
+    "subject show": "identknee.verbs.subject_facts:SubjectFacts",
+    "subject export": "identknee.verbs.subject_facts:SubjectFacts",
+    "subject import-osim": "identknee.verbs.subject_facts:SubjectFacts",
 }
 Given = TypeVar("Given", bound=Answer)
 # Made of other fields, in the words of the version that reads them.

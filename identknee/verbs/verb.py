@@ -3,7 +3,7 @@
 import functools
 import inspect
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,9 +29,9 @@ WORK = "unfinished.sqlite"
 # What cannot change a number; everything else decides whether stored work may be resumed. Of
 # subject and data the content decides, whatever they are called and wherever they stand.
 NOT_DECIDING = frozenset({"out", "workers", "subject", "data"})
-BESIDE = "__not_deciding__"
+BESIDE, RECORDED = "__not_deciding__", "__recorded_as__"
 # Files that a name is read from, and what a folder of results is known by.
-READ, SUMMARY = (".toml", ".json"), "result.json"
+READ, SUMMARY = (".toml", ".json", ".osim"), "result.json"
 # Kept by their names in the record of a call.
 _NAMED = (Knee, Protocol, MechanicalEffect, ObservationEffect)
 SubjectLike = Knee | PathLike
@@ -159,9 +159,23 @@ def not_deciding(*names: str) -> Callable[[Function], Function]:
     return mark
 
 
+def recorded_as(name: str, *, secret: Sequence[str] = ()) -> Callable[[Function], Function]:
+    """Decorator, below ``@verb``: the verb's name in its record, and arguments to leave out of it.
+
+    Without it the name is that of the function, and every argument is recorded.
+    """
+
+    def mark(function: Function) -> Function:
+        setattr(function, RECORDED, (name, frozenset(secret)))
+        return function
+
+    return mark
+
+
 @contextmanager
 def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator[tuple[Run, Any]]:
-    name, beside = function.__name__, NOT_DECIDING | getattr(function, BESIDE, frozenset())
+    name, secret = getattr(function, RECORDED, (function.__name__, frozenset()))
+    beside = NOT_DECIDING | getattr(function, BESIDE, frozenset())
     out = arguments.get("out")
     folder = None if out is None else prepare_folder(out)
     data = arguments.get("data")
@@ -171,8 +185,9 @@ def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator
     if (stated := arguments.get("uncertain")) is not None:
         knee = knee.with_uncertainty(with_stated(knee.uncertainty, stated))
     inputs = _inputs(arguments, knee, data)
-    settings = {key: _setting(value) for key, value in arguments.items()}
-    recording = record(name, settings, inputs, arguments.get("seed"))
+    settings = {key: _setting(x) for key, x in arguments.items()}
+    told = {key: x for key, x in settings.items() if key not in secret}
+    recording = record(name, told, inputs, arguments.get("seed"))
     deciding = {key: x for key, x in settings.items() if key not in beside}
     with ExitStack() as stack:
         run = Run(
@@ -223,7 +238,9 @@ def _protocol_digest(protocol: Protocol) -> str:
 
 
 def _setting(value: Any) -> Any:
-    """An argument as the record keeps it: a knee or effects by name, a table by what it is."""
+    """An argument as the record keeps it: a knee or effects by name, else by what it is."""
+    if isinstance(value, Answer):
+        return f"a {type(value).__name__} in memory"
     if isinstance(value, _NAMED):
         return value.name
     if isinstance(value, list | tuple) and any(isinstance(x, _NAMED) for x in value):

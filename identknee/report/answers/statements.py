@@ -14,6 +14,11 @@ from identknee.report.answers.profile import profile_statements
 from identknee.report.answers.sample import sample_statements
 from identknee.report.answers.sensitivity import sensitivity_statements
 from identknee.report.answers.simulate import simulate_statements
+from identknee.report.answers.subject import (
+    check_statements,
+    settle_statements,
+    subject_statements,
+)
 from identknee.report.answers.sweep import sweep_statements
 from identknee.report.statement import Statement
 from identknee.verbs.answer import Answer
@@ -28,6 +33,9 @@ from identknee.verbs.profile import Profiles
 from identknee.verbs.sample import Sample
 from identknee.verbs.sensitivity import GlobalSensitivity
 from identknee.verbs.simulate import Simulation
+from identknee.verbs.subject_check import SubjectCheck
+from identknee.verbs.subject_facts import SubjectFacts
+from identknee.verbs.subject_settle import SettledSubject
 from identknee.verbs.sweep import Sweep
 
 _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
@@ -43,6 +51,9 @@ _OF: Mapping[type[Answer], Callable[[Any], Iterator[Statement]]] = {
     Diagnosis: diagnosis_statements,
     Isolability: isolability_statements,
     Design: design_statements,
+    SubjectFacts: subject_statements,
+    SubjectCheck: check_statements,
+    SettledSubject: settle_statements,
 }
 
 

@@ -39,7 +39,7 @@ def test_a_knee_that_cannot_be_held_ends_with_2_and_a_remedy(tmp_path: Path) -> 
     words = ["--protocol", short_protocol(tmp_path), "--samples", "0", "--out", tmp_path / "out"]
     result = run("subject", "check", tmp_path / "slack", *words)
     assert result.exit_code == 2
-    assert "error   stability: 10 of the 10 trials of short do not converge" in result.stdout
+    assert "Error: stability: 10 of the 10 trials of short do not converge" in result.stdout
     assert "No single insertion moved by 3 mm restores a trial" in result.stdout
     assert summary_of(tmp_path / "out")["n_errors"] == 1
 

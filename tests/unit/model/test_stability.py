@@ -9,6 +9,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import ligament_parameters
 from identknee.model.stability import StabilityReport, box_sample, check_stability
 from identknee.runs.executors import threads
+from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
 from identknee.subject.reference import reference_knee
 
@@ -28,7 +29,7 @@ def report(model: LaxityModel) -> StabilityReport:
 def test_the_reference_knee_is_stable(report: StabilityReport) -> None:
     assert report.n_converged == 63
     assert report.lowest_margin > 0.5
-    assert [x.severity for x in report.findings][:1] == ["info"]
+    assert report.findings[0].severity is Severity.INFO
     assert report.findings[0].sentence.startswith("All 63 trials of seed63 converge")
 
 
@@ -54,9 +55,9 @@ def test_fewer_contact_points_are_compared_with_all() -> None:
     assert report.change_deg > 0.0
     assert np.isnan(report.converged_share)
     finding = report.findings[-1]
-    assert finding.subject == "contact points"
+    assert finding.where == "contact points"
     assert f"{report.change_mm:.3f} mm and {report.change_deg:.3f} deg" in finding.sentence
-    assert (finding.severity == "warning") == bool(finding.remedy)
+    assert (finding.severity is Severity.WARNING) == bool(finding.remedy)
 
 
 def test_a_knee_without_ligament_forces_is_an_error() -> None:
@@ -78,17 +79,17 @@ def test_a_knee_without_ligament_forces_is_an_error() -> None:
     assert report.n_converged == 0
     assert np.isnan(report.lowest_margin)
     first, last = report.findings
-    assert first.severity == "error"
+    assert first.severity is Severity.ERROR
     assert first.sentence.startswith("2 of the 2 trials of seed63 do not converge")
     assert "unconstrained 2 (flexion0_varus-10Nm, flexion0_varus-8Nm): Nothing" in first.sentence
     assert "No single insertion moved by 3 mm restores a trial" in first.remedy
     assert len(report.moves) == 4 * 2 * 6
-    assert last.severity == "warning"
+    assert last.severity is Severity.WARNING
 
 
 def test_every_finding_that_is_no_info_has_a_remedy(report: StabilityReport) -> None:
     for finding in report.findings:
-        assert bool(finding.remedy) == (finding.severity != "info")
+        assert bool(finding.remedy) == (finding.severity is not Severity.INFO)
 
 
 def test_the_box_stays_within_the_bounds() -> None:

@@ -250,7 +250,7 @@ def test_folders_that_hold_nothing_are_refused(tmp_path: Path) -> None:
 
 def test_what_is_no_result_is_passed_over(tmp_path: Path) -> None:
     profile_folder(tmp_path / "profile")
-    write_verb(tmp_path / "blind", "blind", {"secret": True}, {})
+    write_verb(tmp_path / "blind", "blind", {"secret": True})
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "result.json").write_text("[1, 2]", encoding="utf-8")
     assert [x.verb for x in found_results(tmp_path)] == ["profile"]

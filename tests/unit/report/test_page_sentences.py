@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from report_folders import straight_profiles, write_given, write_verb
+from report_folders import straight_profiles, write_given
 
 from identknee.diagnosis.explanations.candidates import Visibility
 from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
@@ -14,7 +13,7 @@ from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.isolability import isolability_statements
 from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.page import report_html
-from identknee.report.page.results import Result, found_results
+from identknee.report.page.results import found_results
 from identknee.report.page.warnings import warnings
 from identknee.report.statement import Question
 from identknee.runs.findings import Finding, Severity
@@ -66,11 +65,6 @@ def profile(
         slopes=np.array([0.0]),
         branches=np.array([0]),
     )
-
-
-def result(folder: Path, verb: str, summary: dict[str, Any]) -> Result:
-    (found,) = found_results(write_verb(folder, verb, summary, {}))
-    return found
 
 
 def said_of(*profiles: Profile) -> list[str]:

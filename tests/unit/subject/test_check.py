@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from identknee.runs.arrays import IntArray
 from identknee.runs.errors import InputError
+from identknee.runs.findings import Severity
 from identknee.subject.check import GeometryFinding, check_geometry, unusable
 from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.frames import Frame
@@ -26,14 +27,14 @@ def knee() -> Knee:
 def alarming(findings: tuple[GeometryFinding, ...]) -> list[GeometryFinding]:
     for finding in findings:
         assert finding.sentence.endswith(".")
-        assert finding.remedy.endswith(".") or finding.severity == "info"
-    return [x for x in findings if x.severity != "info"]
+        assert finding.remedy.endswith(".") or finding.severity is Severity.INFO
+    return [x for x in findings if x.severity is not Severity.INFO]
 
 
 def test_sound_knees_raise_no_alarm(knee: Knee) -> None:
     for sound in (knee, posed_reference(1), posed_reference(2, side="right")):
         assert alarming(check_geometry(sound)) == []
-        assert {x.subject for x in check_geometry(sound)} == {"tibia_medial", "tibia_lateral"}
+        assert {x.where for x in check_geometry(sound)} == {"tibia_medial", "tibia_lateral"}
 
 
 def test_named_subjects_raise_no_alarm() -> None:
@@ -100,7 +101,7 @@ def _finned(surface: Surface) -> Surface:
 def test_damaged_plateau(knee: Knee, damage: Callable[[Surface], Surface], said: str) -> None:
     damaged = replace(knee, tibia=(damage(knee.tibia[0]), knee.tibia[1]))
     found = [x for x in alarming(check_geometry(damaged)) if said in x.sentence]
-    assert [x.subject for x in found] == ["tibia_medial"]
+    assert [x.where for x in found] == ["tibia_medial"]
 
 
 @pytest.mark.parametrize(
@@ -115,7 +116,7 @@ def test_damaged_plateau(knee: Knee, damage: Callable[[Surface], Surface], said:
 def test_odd_ligament(knee: Knee, changes: dict[str, object], said: str) -> None:
     odd = replace(knee.ligaments[0], **changes)  # type: ignore[arg-type]
     findings = alarming(check_geometry(knee.with_ligaments([odd, *knee.ligaments[1:]])))
-    assert [x.subject for x in findings] == ["ligament ACL"]
+    assert [x.where for x in findings] == ["ligament ACL"]
     assert said in findings[0].sentence
 
 
@@ -136,7 +137,7 @@ def test_frames_that_fit_no_scan(knee: Knee) -> None:
         assert any(f"the {name} angle is" in x.sentence for x in findings), name
     away = Frame(origin=np.array([0.0, 400.0, 0.0]), axes=np.eye(3))
     findings = alarming(check_geometry(replace(knee, femur_frame=away)))
-    assert [x.subject for x in findings] == ["femur frame"]
+    assert [x.where for x in findings] == ["femur frame"]
 
 
 def test_size_of_no_knee(knee: Knee) -> None:
@@ -155,7 +156,7 @@ def test_landmarks_against_frames(knee: Knee) -> None:
     def marked(*names: str) -> list[tuple[str, str]]:
         marks = tuple(Landmark(name=x, position=np.array(places[x])) for x in names)
         findings = alarming(check_geometry(replace(knee, landmarks=marks)))
-        return [(x.subject, x.sentence.split()[1]) for x in findings]
+        return [(x.where, x.sentence.split()[1]) for x in findings]
 
     assert marked(*places) == [
         ("femur frame", "lateral"),
@@ -172,13 +173,13 @@ def test_errors_come_first_and_forbid_use(knee: Knee) -> None:
     odd = replace(knee.ligaments[0], stiffness_kN=0.0)
     wrong = replace(knee, femur=femur, ligaments=(odd,))
     findings = check_geometry(wrong)
-    assert [x.severity for x in findings[:2]] == ["error", "warning"]
-    assert unusable(wrong) == findings[:1]
-    assert findings[0].subject == "femur"
+    assert [x.severity for x in findings[:2]] == [Severity.ERROR, Severity.WARNING]
+    assert [x.line for x in unusable(wrong)] == [findings[0].line]
+    assert findings[0].where == "femur"
 
 
 def test_exchanged_plateaus(knee: Knee) -> None:
-    assert [x.subject for x in unusable(replace(knee, tibia=knee.tibia[::-1]))] == ["side"]
+    assert [x.where for x in unusable(replace(knee, tibia=knee.tibia[::-1]))] == ["side"]
 
 
 @pytest.mark.parametrize(

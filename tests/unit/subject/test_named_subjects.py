@@ -8,6 +8,7 @@ from common.records import knee_digest
 
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest
+from identknee.runs.findings import Severity
 from identknee.subject.check import check_geometry
 from identknee.subject.examples import FOLDER, NAMED_SUBJECTS, known_names
 from identknee.subject.folder import example, read_subject, write_subject
@@ -62,7 +63,7 @@ def test_a_named_subject_is_what_its_source_says(name: str) -> None:
     # A left knee is mirrored: lateral is where z of the tibia grows.
     medial, lateral = (knee.tibia_frame.to_local(x.centroid)[2] for x in knee.tibia)
     assert medial < 0.0 < lateral
-    assert [x for x in check_geometry(knee) if x.severity != "info"] == []
+    assert [x for x in check_geometry(knee) if x.severity is not Severity.INFO] == []
 
 
 @pytest.mark.parametrize("name", ["lenhart2015", "lenhart2015_stable"])

@@ -10,6 +10,8 @@ import pytest
 from cli_runs import run, short_protocol
 
 import identknee as ik
+from identknee.report.export import export_subject
+from identknee.runs.declare import entries
 from identknee.runs.plain_records import to_plain
 from identknee.verbs.answer import Answer
 from identknee.verbs.files import load
@@ -32,8 +34,10 @@ CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
 
 
 def said(answer: Answer) -> str:
-    """All that an answer holds but when it was made, as text, because NaN differs from itself."""
-    return json.dumps(without_times(to_plain(replace(answer, record=None))))
+    """All that files hold of an answer but when it was made, as text: NaN differs from itself."""
+    kept = entries(type(answer)).items()
+    alone: dict[str, Any] = {name: None for name, about in kept if not about.is_in_files}
+    return json.dumps(without_times(to_plain(replace(answer, record=None, **alone))))
 
 
 def without_times(plain: Any) -> Any:
@@ -77,3 +81,41 @@ def test_a_simulation_is_the_same_from_both(tmp_path: Path) -> None:
     result = run("simulate", "reference", *setting, *words, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     assert said(load(tmp_path)) == said(made)
+
+
+@pytest.mark.parametrize(
+    ("verb", "function", "options"),
+    [
+        ("check", ik.verbs.check_subject, {"protocol": "drawer", "samples": 3, "seed": 2}),
+        ("settle", ik.verbs.settle_subject, {"protocol": "drawer", "within": 2.0}),
+        ("show", ik.verbs.describe_subject, {}),
+    ],
+)
+def test_what_is_said_of_a_subject_is_the_same_from_both(
+    verb: str, function: Callable[..., Answer], options: Mapping[str, Any], tmp_path: Path
+) -> None:
+    made = function(ik.reference_knee(), **options)
+    words = [y for name, x in options.items() for y in (f"--{name}", x)]
+    result = run("subject", verb, "reference", *words, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert said(load(tmp_path)) == said(made)
+    assert str(made) in result.stdout
+
+
+def test_an_exported_knee_is_the_same_from_both(tmp_path: Path) -> None:
+    made = export_subject(ik.reference_knee(), osim=True, out=tmp_path / "python")
+    result = run("subject", "export", "reference", "--osim", "--out", tmp_path / "typed")
+    assert result.exit_code == 0, result.output
+    assert said(load(tmp_path / "typed")) == said(made).replace("python", "typed")
+    assert (tmp_path / "typed" / "reference.osim").is_file()
+
+
+def test_an_imported_knee_is_the_same_from_both(tmp_path: Path) -> None:
+    made = ik.verbs.import_subject("lenhart2015", bundles="merged")
+    result = run("subject", "import-osim", "lenhart2015", "--bundles", "merged", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert said(load(tmp_path)) == said(made)
+    listed = {x.name for x in ik.verbs.list_subjects().subjects}
+    assert {
+        x["name"] for x in json.loads(run("subject", "list", "--json").stdout)["subjects"]
+    } == listed
