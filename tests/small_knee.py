@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import Laxity
+from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee
@@ -120,3 +122,18 @@ def _dish(i: int) -> Surface:
     c = (a * n + b).ravel()
     faces = np.r_[np.stack([c, c + 1, c + n + 1], 1), np.stack([c, c + n + 1, c + n], 1)]
     return Surface(vertices=vertices, faces=faces)
+
+
+def as_read() -> Laxity:
+    """What the knee does under loads and their opposites, at angles as a rig reads them."""
+    nominal = small_protocol()
+    loads = nominal.loads[~nominal.is_unloaded]
+    n = 2 * len(loads)
+    protocol = Protocol(
+        name="as read",
+        trials=tuple(f"trial {i}" for i in range(n)),
+        flexion_deg=np.linspace(3.1, 15.7, n),
+        loads=np.concatenate([loads, -loads]),
+    )
+    model = LaxityModel(knee=small_knee(), protocol=protocol)
+    return model.simulate(model.parameters.start)

@@ -49,6 +49,14 @@ Bounds = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=LOW:HIGH", help="Bounds of a parameter. May be repeated."),
 ]
+HoldOut = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="TRIAL",
+        help="Keep this trial from the fit and predict it, with intervals. * stands for any "
+        "letters, as in 'Internal*'. May be repeated.",
+    ),
+]
 
 
 def fit(
@@ -63,6 +71,7 @@ def fit(
     priors: Priors = False,
     fixed: Fixed = None,
     bounds: Bounds = None,
+    hold_out: HoldOut = None,
     continuation: Continuation = "continuation",
     out: Out = Path("identknee-fit"),
     seed: Seed = 0,

@@ -34,6 +34,7 @@ from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike
+from identknee.verbs.held_out import HeldOut, predicted, split
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model
@@ -56,6 +57,9 @@ class Calibration(SimulatedLaxity):
     data: Laxity = entry("The measured laxity", group="observed_data")
     rmse: LaxityError = entry("Root-mean-square error of the predicted laxity")
     trials_used: tuple[str, ...] = entry("Measured trials that the fit rests on")
+    held_out: HeldOut | None = entry(
+        "Trials kept from the fit, and what it predicts of them", only="`--hold-out`", default=None
+    )
 
     @property
     @derived("How the search ended")
@@ -129,6 +133,7 @@ def fit(
     priors: bool = False,
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
+    hold_out: Sequence[str] | None = None,
     continuation: Continuation = "continuation",
     out: PathLike | None = None,
     seed: int = 0,
@@ -164,6 +169,8 @@ def fit(
         Names of parameters held at the start.
     bounds
         Lower and upper bound by parameter name.
+    hold_out
+        Names of trials to keep from the fit and to predict, ``*`` standing for any letters.
     continuation
         As for `identknee.model.laxity_model.LaxityModel`.
     out
@@ -181,7 +188,7 @@ def fit(
     """
     check_word("continuation", continuation, get_args(Continuation))
     check_word("weighting", weighting, get_args(Weighting))
-    laxity = run.laxity
+    laxity, is_held = split(run.laxity, hold_out or ())
     model, pattern = table_model(run.knee, laxity, continuation)
     trials = TrialSearch(
         model=model,
@@ -201,8 +208,14 @@ def fit(
     error = laxity_rmse(
         Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), laxity
     )
-    if run.out is not None and found.outcome is not Outcome.START_FAILED:
-        write_subject(extended_by_fit(model, prediction), run.out / FITTED)
+    held = None
+    if found.outcome is not Outcome.START_FAILED:
+        knee = extended_by_fit(model, prediction)
+        if run.out is not None:
+            write_subject(knee, run.out / FITTED)
+        if is_held.any():
+            kept = run.laxity.select(is_held)
+            held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
     return Calibration(
         **simulated(model, prediction),
         start=start,
@@ -210,6 +223,7 @@ def fit(
         data=laxity,
         rmse=error,
         trials_used=used.names,
+        held_out=held,
         assumptions=(run.knee.uncertainty.sentence, *pattern, *used.sentences),
         uncertainty=run.knee.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),

@@ -6,10 +6,11 @@ import numpy as np
 
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import amount, label, listed
+from identknee.report.words import amount, coordinate_words, label, listed, unit_of
 from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
 from identknee.verbs.fit import Calibration
+from identknee.verbs.held_out import HeldOut
 
 
 def fit_statements(answer: Calibration) -> Iterator[Statement]:
@@ -28,6 +29,37 @@ def fit_statements(answer: Calibration) -> Iterator[Statement]:
         f"(RMSE over {answer.rmse.n_compared} measured values). {answer.sentence}{caution}",
         tables=(_table(answer), *_nuisances(answer)),
         is_answer=True,
+    )
+    if answer.held_out is not None:
+        yield _held_out(answer.held_out)
+
+
+def _held_out(held: HeldOut) -> Statement:
+    sizes = [f"{amount(x, unit_of(k))} {coordinate_words(k)}" for k, x in held.rmse.items()]
+    lost = (
+        f" {len(held.lost)} of them have no prediction: {listed(held.lost)}." if held.lost else ""
+    )
+    share = f"{100 * held.within_90:.0f} % of the values predicted lie in their 90 % intervals."
+    shown = f" {share}" if sizes else ""
+    errors = f", to {listed(sizes)} on average (RMSE)" if sizes else ""
+    return Statement(
+        question=Question.SEARCH,
+        sentence=f"It predicts {len(held.trials)} trials that it did not see{errors}.{lost}{shown}",
+        tables=(
+            Table(
+                title="Trials held out",
+                columns=(
+                    Column(name="value"),
+                    Column(name="measured", decimals=2),
+                    Column(name="predicted", decimals=2),
+                    Column(name="sd", decimals=2),
+                ),
+                rows=tuple(
+                    (f"{label(x.coordinate)} in {x.trial}", x.measured, x.predicted, x.sd)
+                    for x in held.values
+                ),
+            ),
+        ),
     )
 
 

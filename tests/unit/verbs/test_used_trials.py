@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_knee import small_knee, small_protocol
+from small_knee import as_read, small_knee
 
 import identknee as ik
 from identknee.calibrate.fit import fit
 from identknee.diagnosis.explanations.verdict import Verdict
-from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
@@ -19,21 +18,6 @@ from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import Uncertainty
 from identknee.verbs.used_trials import TrialSearch
-
-
-def as_read() -> Laxity:
-    """What the knee does under loads and their opposites, at angles as a rig reads them."""
-    nominal = small_protocol()
-    loads = nominal.loads[~nominal.is_unloaded]
-    n = 2 * len(loads)
-    protocol = Protocol(
-        name="as read",
-        trials=tuple(f"trial {i}" for i in range(n)),
-        flexion_deg=np.linspace(3.1, 15.7, n),
-        loads=np.concatenate([loads, -loads]),
-    )
-    model = LaxityModel(knee=small_knee(), protocol=protocol)
-    return model.simulate(model.parameters.start)
 
 
 def slack() -> Knee:
