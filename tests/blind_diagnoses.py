@@ -68,30 +68,31 @@ def outcome_of(task: BlindTask) -> dict[str, Any]:
     }
     if found is None:
         return {**outcome, "verdict": Verdict.NOT_TESTABLE.value, "group": [], "causes": []}
-    outcome |= _judged(case, found, with_gain=task.measures_gain)
+    outcome |= judged(case, found, with_gain=task.measures_gain)
     if task.adds_trials and found.advice is not None:
         outcome["added"] = _with_added(subject, task, case, found.advice.trials)
     return outcome
 
 
-def _judged(case: BlindCase, found: Investigation, *, with_gain: bool) -> dict[str, Any]:
+def judged(case: BlindCase, found: Investigation, *, with_gain: bool) -> dict[str, Any]:
+    """A diagnosis beside the truth of its case, in plain numbers."""
     summary = summary_of(diagnosis_of(found))
-    judged = score(case.truth, summary)
+    told = score(case.truth, summary)
     best = found.attribution.best
     return {
-        "verdict": judged.verdict,
+        "verdict": told.verdict,
         "causes": [x["name"] for x in summary["causes"]],
         "group": summary["group"],
-        "correct": judged.correct,
-        "wrong": judged.wrong,
-        "in_group": judged.in_group,
+        "correct": told.correct,
+        "wrong": told.wrong,
+        "in_group": told.in_group,
         "p_value": found.conclusion.p_value,
         "p_after": best.misfit_p_value,
-        "covered": judged.amplitudes_covered,
-        "stiffness_error": list(judged.stiffness_error_kN),
-        "strain_error": list(judged.strain_error_pct),
-        "coverage": [judged.covered_before, judged.covered_after],
-        "line": [judged.line_offset_mm, judged.line_angle_deg],
+        "covered": told.amplitudes_covered,
+        "stiffness_error": list(told.stiffness_error_kN),
+        "strain_error": list(told.strain_error_pct),
+        "coverage": [told.covered_before, told.covered_after],
+        "line": [told.line_offset_mm, told.line_angle_deg],
         "nearest": _nearest(found, case.truth.effects),
         "held_out": _held_out(found) if with_gain else None,
     }
@@ -141,8 +142,8 @@ def _with_added(
     found = investigate(subject, again.laxity)
     if found is None:
         return None
-    judged = _judged(again, found, with_gain=False)
-    return {x: judged[x] for x in ("verdict", "causes", "group", "correct", "wrong")}
+    again_judged = judged(again, found, with_gain=False)
+    return {x: again_judged[x] for x in ("verdict", "causes", "group", "correct", "wrong")}
 
 
 def _restated(laxity: Laxity, factor: float) -> Laxity:

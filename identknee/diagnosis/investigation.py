@@ -9,6 +9,7 @@ from identknee.calibrate.doubts import bound_findings
 from identknee.calibrate.starts import load_start
 from identknee.diagnosis.advice.advice import Advice, advise
 from identknee.diagnosis.explanations.attribution import Attribution, attribute
+from identknee.diagnosis.explanations.beyond_prior import insertions_beyond
 from identknee.diagnosis.explanations.candidates import Exclusion
 from identknee.diagnosis.explanations.causes import Cause, causes_of
 from identknee.diagnosis.explanations.fitting import BaseFit, fit_base, fit_from
@@ -254,11 +255,17 @@ def _explained(
 ) -> tuple[Attribution, float]:
     """The explanation of what a fit leaves, and how probable so clear a misfit is."""
     base = without_causes(base_fit)
+    beyond = insertions_beyond(base.fitted)
+    effects = [*effects, *beyond.causes]
     attribution = attribute(base, effects, seed=seed)
     p_value = base.alarm_p_value(attribution.steps[0].scores.p_value)
-    if p_value <= LEVEL and not attribution.steps[0].is_significant:
-        attribution = attribute(base, effects, seed=seed, is_forced=True)
-    return attribution, p_value
+    if attribution.steps[0].is_significant or not (p_value <= LEVEL or beyond.causes):
+        return attribution, p_value
+    forced = attribute(base, effects, seed=seed, is_forced=True)
+    if p_value <= LEVEL:
+        return forced, p_value
+    # An insertion beyond its prior is an alarm of its own where a cause explains it.
+    return (forced, beyond.p_value) if forced.best.causes else (attribution, p_value)
 
 
 def lower_start(attribution: Attribution) -> Array | None:

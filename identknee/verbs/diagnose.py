@@ -237,8 +237,7 @@ def _cause(cause: Cause, knee: Knee) -> CauseFound:
 
 
 def _ends(line: Array, knee: Knee) -> dict[str, Any]:
-    femur, tibia = map(tuple, knee.as_scanned(line).tolist())
-    return {"femur": femur, "tibia": tibia}
+    return dict(zip(("femur", "tibia"), map(tuple, knee.as_scanned(line).tolist()), strict=True))
 
 
 def _line(line: LineFinding) -> LineFound:
@@ -320,13 +319,15 @@ def _noise(found: Investigation) -> NoiseFound:
 
 
 def _advice(found: Investigation) -> AdviceFound | None:
-    if found.advice is None:
+    if (advice := found.advice) is None:
         return None
     return AdviceFound(
-        sentence=found.advice.sentence,
-        rivals=found.advice.rivals,
-        distance_before=tuple(found.advice.before.tolist()),
-        distance_after=tuple(found.advice.after.tolist()),
+        sentence=advice.sentence,
+        rivals=advice.rivals,
+        distance_before=tuple(advice.before.tolist()),
+        distance_after=tuple(advice.after.tolist()),
+        distance_with_one_trial=tuple(advice.with_one_trial.tolist()),
+        distance_with_error_halved=advice.with_error_halved,
     )
 
 

@@ -12,6 +12,7 @@ from identknee.diagnosis.noise.data_noise import NoiseSource
 from identknee.diagnosis.score.localisation import CellScore
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import FACTS
+from identknee.model.effects.moved_insertion import direction_words
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
@@ -65,7 +66,8 @@ class CauseFound:
     @derived("What the cause is, as a sentence")
     def meaning(self) -> str:
         """What the cause is, as a sentence."""
-        return FACTS[self.name].sentence if self.name in FACTS else OF_THE_CALLER
+        moved = direction_words({name: x.value for name, x in self.parameters.items()})
+        return moved or (FACTS[self.name].sentence if self.name in FACTS else OF_THE_CALLER)
 
     @property
     @derived("Where its plausible size comes from")
@@ -186,6 +188,10 @@ class AdviceFound:
     rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
     distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
     distance_after: tuple[float, ...] = entry("The same with the trials")
+    distance_with_one_trial: tuple[float, ...] = entry("The same with the first trial alone")
+    distance_with_error_halved: Mapping[str, tuple[float, ...]] = entry(
+        "The same with one stated error known twice as well, by its name"
+    )
 
 
 @declared

@@ -33,6 +33,7 @@ MODULES = {
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
     "uncertain": "verify_uncertain",
+    "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }
 
 if __name__ == "__main__":

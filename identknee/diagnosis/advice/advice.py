@@ -1,11 +1,17 @@
 """Which trials to add so that explanations that fit alike come apart."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.diagnosis.advice.isolability import AdvisedTrials, Pair, advise_trials
+from identknee.diagnosis.advice.better_known import measured_errors
+from identknee.diagnosis.advice.isolability import (
+    AdvisedTrials,
+    Pair,
+    advise_trials,
+    pair_distances,
+)
 from identknee.diagnosis.explanations.fitting import Fitted, plain_noise
 from identknee.diagnosis.explanations.refit import Refit, Rival
 from identknee.diagnosis.noise.nuisances import nuisance_changes
@@ -79,8 +85,14 @@ class OfferedTrials:
         )
 
     def advise(
-        self, rows: Rows, pairs: Sequence[Pair], fitted: Fitted, *, n_base: int
-    ) -> tuple[Protocol, AdvisedTrials]:
+        self,
+        rows: Rows,
+        pairs: Sequence[Pair],
+        fitted: Fitted,
+        *,
+        n_base: int,
+        measured: Sequence[Array] = (),
+    ) -> tuple[Protocol, AdvisedTrials, Array]:
         """The trials that separate pairs most, under a fit's prior and nuisances.
 
         Parameters
@@ -93,13 +105,29 @@ class OfferedTrials:
             The fit.
         n_base
             How many base parameters there are.
+        measured
+            Rows of other measurements, shape ``(k, q)`` each, whose distances are wanted too.
+
+        Returns
+        -------
+        trials, found
+            The trials, and what they bring.
+        others
+            Distance of each pair with each other measurement alone, ``(len(measured), n_pairs)``.
         """
         nuisances = self.nuisances(fitted)
         n = nuisances.made.shape[1]
         prior = fitted.evaluation.jacobian[fitted.n_data :, :n_base]
         of_base = np.pad(prior, ((0, 0), (0, rows.made.shape[1] - n_base + n)))
+        made = np.vstack([np.hstack([rows.made, nuisances.made]), of_base])
+        others = [
+            pair_distances(
+                np.vstack([made, np.pad(x, ((0, 0), (0, n)))]), pairs, n_base=n_base, n_nuisances=n
+            )
+            for x in measured
+        ]
         found = advise_trials(
-            np.vstack([np.hstack([rows.made, nuisances.made]), of_base]),
+            made,
             np.concatenate([rows.offered, nuisances.offered], axis=2),
             pairs,
             n_base=n_base,
@@ -113,7 +141,7 @@ class OfferedTrials:
             flexion_deg=offered.flexion_deg[chosen],
             loads=offered.loads[chosen],
         )
-        return advised, found
+        return advised, found, np.array(others).reshape(-1, len(pairs))
 
     def _choice(self, model: LaxityModel, theta: Array) -> CandidateLaxity:
         return CandidateLaxity(
@@ -138,12 +166,18 @@ class Advice:
     before, after
         Distance of each rival in units of noise without and with these trials, see
         `identknee.diagnosis.explanations.refit.expected_distance`.
+    with_one_trial
+        The same with the first of these trials alone.
+    with_error_halved
+        The same, without any trial, with one stated error known twice as well, by its name.
     """
 
     trials: Protocol
     rivals: tuple[tuple[str, ...], ...]
     before: Array
     after: Array
+    with_one_trial: Array
+    with_error_halved: Mapping[str, tuple[float, ...]]
 
     @property
     def sentence(self) -> str:
@@ -177,12 +211,17 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | Non
         return None
     offer = OfferedTrials(laxity=laxity, candidates=candidate_trials(laxity.protocol))
     rows, pairs = _table(best, rivals, offer)
-    trials, found = offer.advise(rows, pairs, best.fitted, n_base=best.n_base)
+    measured = measured_errors(best, rivals, pairs, rows.made.shape[1])
+    trials, found, others = offer.advise(
+        rows, pairs, best.fitted, n_base=best.n_base, measured=list(measured.values())
+    )
     return Advice(
         trials=trials,
         rivals=tuple(x.refit.names for x in rivals),
         before=found.distances[0],
         after=found.distances[-1],
+        with_one_trial=found.distances[min(1, len(found.chosen))],
+        with_error_halved={k: tuple(x) for k, x in zip(measured, others.tolist(), strict=True)},
     )
 
 

@@ -252,6 +252,14 @@ def advise_trials(
     )
 
 
+def pair_distances(
+    made: Array, pairs: Sequence[Pair], *, n_base: int, n_nuisances: int = 0
+) -> Array:
+    """Distance of each pair by rows that are made, shape ``(n_pairs,)``; as in `advise_trials`."""
+    information = _Marginal(made, n_nuisances).information
+    return np.asarray(_pair_distances(information[None], pairs, n_base)[0])
+
+
 class _Marginal:
     """Information of rows about parameters, averaged over nuisances, and what more rows add."""
 

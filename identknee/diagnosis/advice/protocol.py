@@ -25,6 +25,7 @@ from identknee.diagnosis.explanations.candidates import (
 )
 from identknee.diagnosis.explanations.fitting import (
     Fitted,
+    base_model,
     fit_from,
     fitted_with_nuisances,
     plain_noise,
@@ -32,10 +33,9 @@ from identknee.diagnosis.explanations.fitting import (
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.model.effects.contact_law import contact_nuisance
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import library
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.effects.stored import values_of
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 
@@ -115,34 +115,66 @@ def protocol_isolability(
     seed
         Seed of the distributions under no effect.
     """
-    fitted = _own_fit(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
+    told = _told(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2), seed)
+    if told is None:
+        return None
+    fitted, candidates, variants = told.fitted, told.candidates, told.variants
+    return ProtocolIsolability(
+        protocol=fitted.laxity.protocol,
+        visibility=tuple(candidates.visibility(x.effect) for x in variants),
+        distances=told.apart,
+        advice=tuple(
+            _advise(fitted, candidates, [x for x in variants if x.effect.name in names])
+            for names in told.groups
+            if len(names) > 1
+        ),
+        look_alikes=_look_alikes(told.apart),
+    )
+
+
+def protocol_groups(
+    knee: Knee, protocol: Protocol, *, sd_mm: float, sd_deg: float, seed: int = 0
+) -> tuple[tuple[str, ...], ...]:
+    """The effects in groups that the protocol cannot tell apart, without advice on trials.
+
+    Parameters as in `protocol_isolability`; empty where no trial is predicted.
+    """
+    told = _told(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2), seed)
+    return () if told is None else told.groups
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Told:
+    """What the subject's own values tell: the fit, its candidates and how far they are apart."""
+
+    fitted: Fitted
+    candidates: Candidates
+    variants: tuple[Variant, ...]
+    apart: Distances
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        return groups(_among(self.apart, [x for x in self.apart.effects if x != IMITATOR]))
+
+
+def _told(knee: Knee, protocol: Protocol, sd: Array, seed: int) -> _Told | None:
+    fitted = _own_fit(knee, protocol, sd)
     if fitted is None:
         return None
     present = {x.name for x in fitted.model.effects}
     tried = [x for x in library(knee) if x.name not in present]
     candidates = library_candidates(fitted, tried, seed=seed)
     typical = [candidates.typical(x.name) for x in tried]
-    variants = [x for x in typical if x is not None]
+    variants = tuple(x for x in typical if x is not None)
     projected = [candidates.projected(x) for x in variants]
     apart = worst_distances(projected, ROOT, candidates.test.signatures)
-    together = groups(_among(apart, [x for x in apart.effects if x != IMITATOR]))
-    return ProtocolIsolability(
-        protocol=fitted.laxity.protocol,
-        visibility=tuple(candidates.visibility(x.effect) for x in variants),
-        distances=apart,
-        advice=tuple(
-            _advise(fitted, candidates, [x for x in variants if x.effect.name in names])
-            for names in together
-            if len(names) > 1
-        ),
-        look_alikes=_look_alikes(apart),
-    )
+    return _Told(fitted=fitted, candidates=candidates, variants=variants, apart=apart)
 
 
 def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
     """The base model at the subject's own values, as if fitted to its own prediction."""
-    model = LaxityModel(knee=knee, protocol=protocol, effects=(contact_nuisance(),))
-    theta = model.parameters.center
+    model = base_model(knee, protocol)
+    theta = model.parameters.vector(values_of(knee))
     predicted = model.predict(theta, derivatives=False).is_converged
     if not predicted.any():
         return None
@@ -180,7 +212,7 @@ def _advise(fitted: Fitted, candidates: Candidates, members: Sequence[Variant]) 
     variants = list({id(x): x for x in [*members, *(rival for _, rival in confused)]}.values())
     laxity = fitted.laxity
     offer = OfferedTrials(laxity=laxity, candidates=candidate_trials(laxity.protocol))
-    trials, found = offer.advise(
+    trials, found, _ = offer.advise(
         _rows(fitted, variants, offer),
         _pairs(fitted, candidates, variants, confused),
         fitted,

@@ -23,6 +23,7 @@ from identknee.mechanics.grood_suntay import coordinate_jacobian
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import FACTS
+from identknee.model.effects.moved_insertion import MovedInsertion
 from identknee.model.effects.placed import Structure
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.effects.units import PLAIN, unit_of
@@ -109,7 +110,7 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
             effect=effect,
             signature=Signature(
                 name=effect.name,
-                variant="" if strain is None else f"strain {strain:g} %",
+                variant=_place(effect) if strain is None else f"strain {strain:g} %",
                 columns=changes[:, moved],
                 prior_sd=p.prior_sd[moved],
                 sign=_signs(p)[moved],
@@ -118,6 +119,11 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
             moved=moved,
             is_secant=is_secant,
         )
+
+
+def _place(effect: Effect) -> str:
+    """What tells effects of one name apart."""
+    return effect.variant if isinstance(effect, MovedInsertion) else ""
 
 
 def _baselines(effect: Effect) -> list[Array]:

@@ -12,7 +12,13 @@ from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
 from identknee.diagnosis.noise.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.noise.nuisances import nuisance_changes
 from identknee.diagnosis.score.misfit import Projector, base_projector
-from identknee.identify.nuisances import NuisanceEstimate, nuisance_estimates, nuisance_findings
+from identknee.identify.nuisances import (
+    NuisanceEstimate,
+    NuisanceGroup,
+    nuisance_estimates,
+    nuisance_findings,
+    nuisance_groups,
+)
 from identknee.identify.optimum import sobol_around
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
@@ -146,6 +152,13 @@ class Fitted:
     def nuisances(self) -> tuple[NuisanceEstimate, ...]:
         """What the knee states to be uncertain, as the fit leaves it."""
         return nuisance_estimates(weighed(self.model, self.laxity, self.noise), self.theta)
+
+    @property
+    def nuisance_groups(self) -> tuple[NuisanceGroup, ...]:
+        """How improbable those of each kind and place are under their prior; empty without any."""
+        if self.model.parameters.is_of_interest.all():
+            return ()
+        return nuisance_groups(weighed(self.model, self.laxity, self.noise), self.theta)
 
     @property
     def projector(self) -> Projector:

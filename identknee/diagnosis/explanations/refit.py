@@ -6,6 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from identknee.diagnosis.explanations.extended import knee_with, values_by_owner
 from identknee.diagnosis.explanations.fitting import (
     MOST_STEPS,
     BaseFit,
@@ -22,7 +23,6 @@ from identknee.diagnosis.score.misfit import (
 from identknee.diagnosis.score.score import CandidateScore, Scores
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
-from identknee.model.effects.stored import choice_of
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
@@ -146,22 +146,17 @@ class Refit:
     def extended_knee(self) -> Knee:
         """The subject whose model has the effects of the fit, each with the amplitudes found.
 
-        Ligaments keep the values that the subject came with: priors are centred on them, and data
-        used for both prior and likelihood would count twice. A search starts at the fit with
-        `fitted_values`.
+        An insertion found elsewhere is moved there. Ligaments keep the values that the subject came
+        with: priors are centred on them, and data used for both prior and likelihood would count
+        twice. A search starts at the fit with `fitted_values`.
         """
-        knee, effects = self.fitted.model.knee, self.fitted.model.effects
-        return knee.with_effects([choice_of(knee, x, self.amplitudes(x.name)) for x in effects])
+        model = self.fitted.model
+        return knee_with(model.knee, [(x, self._values(x)) for x in model.effects])
 
     @property
     def fitted_values(self) -> dict[str, dict[str, float]]:
-        """All parameters by owner and name, as in a file of starts."""
-        tree: dict[str, dict[str, float]] = {}
-        names = self.fitted.model.parameters.names
-        for name, value in zip(names, self.fitted.theta.tolist(), strict=True):
-            owner, _, quantity = name.partition(".")
-            tree.setdefault(owner, {})[quantity] = value
-        return tree
+        """All parameters by owner and name, as in a file of starts for `extended_knee`."""
+        return values_by_owner(self.fitted.model, self.fitted.theta)
 
     def covariance(self) -> Array:
         """Covariance of all parameters, priors included, shape ``(p, p)``."""
@@ -170,8 +165,12 @@ class Refit:
 
     def places(self, name: str) -> Array:
         """Where the amplitudes of the cause called `name` stand in theta."""
-        names = self.fitted.model.parameters.names
-        return np.array([i for i, x in enumerate(names) if x.startswith(f"{name}.")], dtype=int)
+        cause = next(x for x in self.causes if x.name == name)
+        return np.array([self.fitted.model.parameters.index(x) for x in cause.parameters.names])
+
+    def _values(self, effect: Effect) -> Array:
+        p = self.fitted.model.parameters
+        return np.asarray(self.fitted.theta[[p.index(x) for x in effect.parameters.names]])
 
     def is_at_end(self, name: str) -> bool:
         """Whether an amplitude lies at an end of its plausible range other than zero."""

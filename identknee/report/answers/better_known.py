@@ -1,12 +1,12 @@
 """Whether a trial or an error known better would tell more, in words."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from identknee.identify.design.better_known import SHARE
-from identknee.identify.nuisances import group_name
+from identknee.identify.nuisances import NuisanceEstimate, group_name
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import label_without_unit, parameter_words, trial_words
@@ -32,9 +32,9 @@ def better_known_statements(answer: Design) -> Iterator[Statement]:
     than = "more than any" if is_more else "less than the best"
     yield Statement(
         question=Question.NEXT,
-        sentence=f"Knowing the {_error(best['name'])} twice as well"
-        f"{_sizes(answer, best['name'])} narrows {of} by {_percent(best)}, {than} of the "
-        f"{len(trials)} candidate trials (one more {_trial(answer, trial['name'])}: "
+        sentence=f"Knowing the {error_words(best['name'])} twice as well"
+        f"{sizes_words(answer.nuisances, best['name'])} narrows {of} by {_percent(best)}, "
+        f"{than} of the {len(trials)} candidate trials (one more {_trial(answer, trial['name'])}: "
         f"{_percent(trial)}).",
         tables=(_ranking(answer),),
     )
@@ -45,7 +45,7 @@ def _ranking(answer: Design) -> Table:
     several = len(answer.choice.targets) > 1
     rows = [
         (
-            _trial(answer, x["name"]) if x["kind"] == "trial" else _error(x["name"]),
+            _trial(answer, x["name"]) if x["kind"] == "trial" else error_words(x["name"]),
             100.0 * x["narrowing"],
             *(_most(answer, x) if several else ()),
         )
@@ -76,7 +76,7 @@ def _trial(answer: Design, name: str) -> str:
     return trial_words(answer.candidate(answer.choice.names.index(name)))
 
 
-def _error(name: str) -> str:
+def error_words(name: str) -> str:
     """A stated error in words, without its article."""
     kind, _, place = name.partition(".")
     words = kind.replace("_", " ")
@@ -86,9 +86,9 @@ def _error(name: str) -> str:
     return f"{ligament} {words} on the {bone}" if ligament else f"{words} of the {bone}"
 
 
-def _sizes(answer: Design, name: str) -> str:
+def sizes_words(nuisances: Sequence[NuisanceEstimate], name: str) -> str:
     """How well that is, in brackets, where it is one size for each unit."""
-    own = [x for x in answer.nuisances if group_name(x.name) == name]
+    own = [x for x in nuisances if group_name(x.name) == name]
     sds = {unit: {x.prior_sd for x in own if x.name.endswith(f"_{unit}")} for unit in UNITS}
     told = [(min(x), unit) for unit, x in sds.items() if x]
     if not told or any(len(x) > 1 for x in sds.values()):

@@ -11,6 +11,7 @@ from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.score.score import Cell
 from identknee.model.effects.facts import FACTS, MISSING_LINE, cause_label
 from identknee.report.answers.advised import trial_table, trials_words
+from identknee.report.answers.better_known import error_words, sizes_words
 from identknee.report.answers.isolability import SIZES, sizes_seen
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
@@ -21,7 +22,7 @@ from identknee.report.words import (
     listed,
     parameter_words,
 )
-from identknee.verbs.diagnosis import CauseFound, Diagnosis, Misfit, RivalFound
+from identknee.verbs.diagnosis import AdviceFound, CauseFound, Diagnosis, Misfit, RivalFound
 from identknee.verbs.diagnosis_gain import GainFound
 
 Value = TypeVar("Value")
@@ -64,6 +65,8 @@ def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
             tables=(trial_table(answer.advised_trials),),
             is_answer=True,
         )
+    if answer.advice is not None and answer.advice.distance_with_error_halved:
+        yield _better_known(answer, answer.advice)
 
 
 def verdict_sentence(answer: Diagnosis) -> str:
@@ -246,6 +249,32 @@ def _change(answer: Diagnosis) -> Statement:
         question=Question.WRONG,
         sentence=sentence,
         tables=(Table(title=title, columns=columns, rows=tuple(rows)),),
+    )
+
+
+def _better_known(answer: Diagnosis, advice: AdviceFound) -> Statement:
+    """Whether a stated error known better would tell more than one more trial."""
+    least = {name: min(x) for name, x in advice.distance_with_error_halved.items()}
+    trial, now = min(advice.distance_with_one_trial), min(advice.distance_before)
+    order = sorted(least, key=lambda x: -least[x])
+    best, distances = order[0], {error_words(x): least[x] for x in order}
+    distances["the first trial to add"] = trial
+    rows = sorted(distances.items(), key=lambda x: x[1], reverse=True)
+    return Statement(
+        question=Question.NEXT,
+        sentence=f"Knowing the {error_words(best)} twice as well"
+        f"{sizes_words(answer.nuisances, best)} would set the nearest rival {least[best]:.1f} "
+        f"units of noise apart instead of {now:.1f}, the first trial to add {trial:.1f}.",
+        tables=(
+            Table(
+                title="What would tell the nearest rival",
+                columns=(
+                    Column(name="known twice as well, or added"),
+                    Column(name="distance", unit="sd of the noise", decimals=1),
+                ),
+                rows=tuple(rows),
+            ),
+        ),
     )
 
 
