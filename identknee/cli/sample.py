@@ -34,10 +34,10 @@ Nested = Annotated[
     ),
 ]
 Moves = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="How walkers move. newton uses the exact Jacobian; difference and stretch do "
-        "not need it."
+        help="How walkers move. newton and hamiltonian use the exact Jacobian; difference and "
+        "stretch do not need it.  [default: newton up to 12 parameters, hamiltonian beyond]"
     ),
 ]
 
@@ -48,7 +48,7 @@ def sample(
     data: Data,
     basins: Basins = None,
     n_ensembles: NEnsembles = 4,
-    moves: Moves = "newton",
+    moves: Moves = None,
     budget: Budget = 400_000,
     nested: Nested = False,
     noise: Noise = None,

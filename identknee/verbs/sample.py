@@ -156,7 +156,7 @@ def sample(
     *,
     basins: PathLike | None = None,
     n_ensembles: int = 4,
-    moves: str = "newton",
+    moves: str | None = None,
     budget: int = 400_000,
     nested: bool = False,
     noise: NoiseLike = None,
@@ -182,7 +182,8 @@ def sample(
     n_ensembles
         Independent ensembles of walkers.
     moves
-        ``"newton"`` uses the exact Jacobian; ``"difference"`` and ``"stretch"`` do without.
+        ``"newton"`` and ``"hamiltonian"`` use the exact Jacobian, ``"difference"`` and
+        ``"stretch"`` do without; Newton up to 12 parameters and Hamiltonian beyond if None.
     budget
         Simulations after which sampling ends anyway; with more the same work goes on.
     nested

@@ -177,6 +177,20 @@ IDENTIFICATION = (
         "moves::test_moments_are_those_of_the_density",
     ),
     _identify(
+        "posterior/hamiltonian.py",
+        "log_prob - _kinetic(momentum, mass) - before",
+        "log_prob - start.log_prob",
+        "trajectories are accepted without regard to their momentum",
+        "moves::test_moments_are_those_of_the_density",
+    ),
+    _identify(
+        "posterior/hamiltonian.py",
+        'scaled = np.einsum("kji,kj->ki", factors, points - blobs[:, :n])',
+        'scaled = np.einsum("kji,kj->ki", factors, blobs[:, :n] - points)',
+        "trajectories go uphill",
+        "moves::test_trajectories_follow_the_gradient_in_many_dimensions",
+    ),
+    _identify(
         "posterior/moves.py",
         "- 0.5 * (degrees + n) * np.log1p(squares / degrees)",
         "- 0.5 * degrees * np.log1p(squares / degrees)",

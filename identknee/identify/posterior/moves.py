@@ -9,6 +9,7 @@ from emcee.moves.red_blue import RedBlueMove
 from emcee.state import State
 from scipy.special import gammaln, logsumexp
 
+from identknee.identify.posterior.hamiltonian import HamiltonianMove
 from identknee.runs.arrays import Array
 
 SNOOKER_RANGE = (1.2, 2.2)
@@ -146,6 +147,11 @@ def newton_moves() -> list[tuple[Move, float]]:
     return [(NewtonMove(), 0.9), (DEMove(), 0.08), (SnookerMove(), 0.02)]
 
 
+def hamiltonian_moves() -> list[tuple[Move, float]]:
+    """For many parameters: mostly trajectories; Newton steps lead from one basin to another."""
+    return [(HamiltonianMove(), 0.85), (NewtonMove(), 0.15)]
+
+
 def difference_moves() -> list[tuple[Move, float]]:
     """Differential evolution for four steps in five and snooker for the fifth; no derivatives."""
     return [(DEMove(), 0.8), (SnookerMove(), 0.2)]
@@ -158,6 +164,7 @@ def stretch_moves() -> list[tuple[Move, float]]:
 
 MOVES: dict[str, Callable[[], list[tuple[Move, float]]]] = {
     "newton": newton_moves,
+    "hamiltonian": hamiltonian_moves,
     "difference": difference_moves,
     "stretch": stretch_moves,
 }

@@ -6,6 +6,7 @@ import pytest
 from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal, multivariate_t
 
+from identknee.identify.posterior.hamiltonian import HamiltonianMove
 from identknee.identify.posterior.moves import MOVES, KernelMixture, NewtonMove, SnookerMove
 from identknee.runs.arrays import Array
 
@@ -36,7 +37,9 @@ def sampled(move: emcee.moves.Move, n: int = 2, seed: int = 1) -> Array:
     return np.asarray(sampler.get_chain(discard=STEPS // 10))
 
 
-@pytest.mark.parametrize("move", [NewtonMove(), SnookerMove(), *[m() for m in MOVES.values()]])
+@pytest.mark.parametrize(
+    "move", [NewtonMove(), HamiltonianMove(), SnookerMove(), *[m() for m in MOVES.values()]]
+)
 def test_moments_are_those_of_the_density(move: emcee.moves.Move) -> None:
     chain = sampled(move)
     gamma = 0.5772156649015329
@@ -44,6 +47,34 @@ def test_moments_are_those_of_the_density(move: emcee.moves.Move) -> None:
         tau = emcee.autocorr.integrated_time(values, quiet=True)
         error = values.std(axis=(0, 1)) * np.sqrt(tau / (values.shape[0] * values.shape[1]))
         assert np.all(np.abs(values.mean(axis=(0, 1)) - expected) < SIGMAS * error)
+
+
+def test_trajectories_follow_the_gradient_in_many_dimensions() -> None:
+    """Of a normal density in 40 coordinates, of very different width, most are accepted."""
+    n, walkers, steps = 40, 12, 60
+    sd = np.geomspace(0.01, 100.0, n)
+    factor = np.diag(1.0 / sd).ravel()
+
+    def normal(points: Array) -> Array:
+        log_density = -0.5 * np.sum((points / sd) ** 2, axis=1)
+        kernels = np.tile(np.concatenate([np.zeros(n), factor]), (len(points), 1))
+        return np.column_stack([log_density, kernels])
+
+    generator = np.random.default_rng(3)
+    sampler = emcee.EnsembleSampler(
+        walkers, n, normal, moves=HamiltonianMove(), vectorize=True, blobs_dtype=np.float64
+    )
+    state = emcee.State(
+        2.0 * sd * generator.normal(size=(walkers, n)),
+        random_state=np.random.RandomState(3).get_state(),
+    )
+    sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+    assert sampler.acceptance_fraction.mean() > 0.8
+    chain = sampler.get_chain(discard=10) / sd
+    # Trajectories of a quarter to three quarters of a turn: draws three steps apart are new.
+    error = np.sqrt(3.0 / (walkers * (steps - 10)))
+    assert np.all(np.abs(chain.mean(axis=(0, 1))) < SIGMAS * error)
+    assert np.all(np.abs(chain.var(axis=(0, 1)) - 1.0) < SIGMAS * np.sqrt(2.0) * error)
 
 
 def test_the_snooker_move_of_emcee_is_not_used() -> None:

@@ -80,7 +80,7 @@ def test_a_linear_problem_gives_its_normal_posterior_and_passes_the_gate() -> No
     assert found.excluded.without_prediction == 0.0
 
 
-@pytest.mark.parametrize("moves", ["newton", "difference", "stretch"])
+@pytest.mark.parametrize("moves", ["newton", "hamiltonian", "difference", "stretch"])
 def test_every_kind_of_moves_samples_a_bent_posterior(moves: str) -> None:
     problem = bent(3)
 
