@@ -77,7 +77,7 @@ def _trajectories(model: Any, start: State, mass: Array) -> tuple[State, Array]:
 
 
 def _kinetic(momentum: Array, mass: Array) -> Array:
-    return 0.5 * np.sum(momentum * np.linalg.solve(mass, momentum.T).T, axis=1)
+    return np.asarray(0.5 * np.sum(momentum * np.linalg.solve(mass, momentum.T).T, axis=1))
 
 
 def _factors(blobs: Array, n: int) -> Array:
@@ -94,4 +94,4 @@ def _gradient(points: Array, blobs: Array) -> Array:
     n = points.shape[1]
     factors = _factors(blobs, n)
     scaled = np.einsum("kji,kj->ki", factors, points - blobs[:, :n])
-    return np.einsum("kij,kj->ki", factors, scaled)
+    return np.asarray(np.einsum("kij,kj->ki", factors, scaled))
