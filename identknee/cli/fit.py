@@ -49,6 +49,13 @@ Bounds = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=LOW:HIGH", help="Bounds of a parameter. May be repeated."),
 ]
+Likelihood = Annotated[
+    Literal["normal", "student"],
+    typer.Option(
+        help="normal: least squares. student: errors with heavy tails and an estimated scale, so "
+        "that values far off count little."
+    ),
+]
 HoldOut = Annotated[
     list[str] | None,
     typer.Option(
@@ -67,6 +74,7 @@ def fit(
     method: Method = "least-squares",
     budget: Budget = None,
     weighting: Weighting = "unit",
+    likelihood: Likelihood = "normal",
     uncertain: Uncertain = None,
     priors: Priors = False,
     fixed: Fixed = None,

@@ -34,6 +34,7 @@ from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike
+from identknee.verbs.heavy_tails import about_tails, robust
 from identknee.verbs.held_out import HeldOut, predicted, split
 from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
@@ -46,6 +47,7 @@ MOST_LISTED = 6
 # The subject as fitted, in the folder of the results.
 FITTED = "fitted"
 Weighting = Literal["unit", "noise"]
+Likelihood = Literal["normal", "student"]
 
 
 @declared
@@ -129,6 +131,7 @@ def fit(
     method: str = "least-squares",
     budget: int | None = None,
     weighting: Weighting = "unit",
+    likelihood: Likelihood = "normal",
     uncertain: UncertainLike = None,
     priors: bool = False,
     fixed: Sequence[str] | None = None,
@@ -159,6 +162,9 @@ def fit(
         Simulations allowed; 2,500 if None.
     weighting
         ``"unit"`` for plain mm and deg, ``"noise"`` for residuals divided by their stated noise.
+    likelihood
+        ``"normal"`` for least squares, ``"student"`` for errors with heavy tails, whose scale is
+        estimated: values that are far off count little.
     uncertain
         How well geometry, frames and loads are known, as in
         ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
@@ -188,6 +194,7 @@ def fit(
     """
     check_word("continuation", continuation, get_args(Continuation))
     check_word("weighting", weighting, get_args(Weighting))
+    check_word("likelihood", likelihood, get_args(Likelihood))
     laxity, is_held = split(run.laxity, hold_out or ())
     model, pattern = table_model(run.knee, laxity, continuation)
     trials = TrialSearch(
@@ -200,9 +207,9 @@ def fit(
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(run.knee, laxity.protocol)
     run.start_clock()
-    used, found = trials.fitted(
-        theta, partial(search, method=method, seed=seed, budget=budget, priors=priors)
-    )
+    plain = partial(search, method=method, seed=seed, budget=budget, priors=priors)
+    is_robust = likelihood == "student"
+    used, found = trials.fitted(theta, partial(robust, plain) if is_robust else plain)
     problem = trials.problem(used.laxity)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
@@ -216,6 +223,8 @@ def fit(
         if is_held.any():
             kept = run.laxity.select(is_held)
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
+    tails = about_tails(problem, used.laxity, found) if is_robust else ()
+    said = _findings(problem, found, (model, prediction), error, used.laxity)
     return Calibration(
         **simulated(model, prediction),
         start=start,
@@ -224,17 +233,10 @@ def fit(
         rmse=error,
         trials_used=used.names,
         held_out=held,
-        assumptions=(run.knee.uncertainty.sentence, *pattern, *used.sentences),
+        assumptions=(run.knee.uncertainty.sentence, *pattern, *used.sentences, *tails),
         uncertainty=run.knee.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
-        findings=(
-            *lost_findings(laxity, used.laxity),
-            *_beside_the_table(
-                model,
-                laxity,
-                _findings(problem, found, (model, prediction), error, used.laxity),
-            ),
-        ),
+        findings=(*lost_findings(laxity, used.laxity), *_beside_the_table(model, laxity, said)),
     )
 
 

@@ -10,7 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identknee.calibrate.fit import Fit, fit
-from identknee.calibrate.problem import Problem, with_bounds, with_nuisance_priors
+from identknee.calibrate.problem import (
+    Bounded,
+    Problem,
+    with_bounds,
+    with_nuisance_priors,
+    without_priors,
+)
 from identknee.calibrate.starts import load_start
 from identknee.laxity.table import Laxity
 from identknee.mechanics.load_paths import NEAR, Continuation
@@ -189,6 +195,16 @@ class TrialSearch:
         return int(used.is_measured.any(axis=1).sum()), -float(residuals @ residuals)
 
 
+def residuals_of(problem: Problem) -> LaxityResiduals:
+    """The residuals of the data of a problem that `TrialSearch` made."""
+    inner = without_priors(problem)
+    while isinstance(inner, Bounded):
+        inner = inner.problem
+    if not isinstance(inner, LaxityResiduals):
+        raise TypeError(f"{type(inner).__name__} has no residuals of a table")
+    return inner
+
+
 def _names(laxity: Laxity) -> tuple[str, ...]:
     """The trials with data."""
     return tuple(laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.any(axis=1)))
@@ -229,22 +245,24 @@ def testable(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, UsedTrials]:
     """The knee with strains at which trials have an equilibrium, and these trials.
 
     Strains away from which a fit has to begin are no prior knowledge: where it has, the knee's own
-    become those of the beginning. Nothing is taken as uncertain here.
+    become those of the beginning. Stated errors are as large there as the trials ask for.
     """
     model, said = table_model(knee, laxity)
-    model, knee = model.with_effects(()), model.knee
+    knee = model.knee
     trials = TrialSearch(model=model, laxity=laxity, weighting="unit", bounds={})
     begun = load_start(start, model.parameters)
     used = trials.used(begun)
     if used.start is begun:
         return knee, replace(used, sentences=(*said, *used.sentences))
-    strains = model.tied.strain(used.start[model.tied.n :]).tolist()
+    u, parameters = model.tied.n, model.parameters
+    strains = model.tied.strain(used.start[u : 2 * u]).tolist()
     ligaments = tuple(
         replace(x, reference_strain_pct=strain)
         for x, strain in zip(knee.ligaments, strains, strict=True)
     )
     centred = "Priors of the reference strains are centred there."
-    return replace(knee, ligaments=ligaments), replace(
+    errors = zip(parameters.names[2 * u :], used.start[2 * u :].tolist(), strict=True)
+    return replace(knee, ligaments=ligaments, fitted=dict(errors)), replace(
         used, sentences=(*said, *used.sentences, centred)
     )
 

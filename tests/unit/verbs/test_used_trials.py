@@ -125,3 +125,19 @@ def test_the_folder_of_a_fit_predicts_its_table_without_the_measured_poses(tmp_p
     assert not any(x.startswith("registration") for x in model.parameters.names)
     again = ik.simulate(exactly, str(table))
     np.testing.assert_allclose(again.coordinates, predicted.coordinates, atol=1e-6)
+
+
+def test_a_robust_fit_is_not_moved_by_a_wrong_row() -> None:
+    laxity = as_read()
+    coordinates = np.array(laxity.coordinates)
+    coordinates += 0.05 * np.random.default_rng(7).normal(size=coordinates.shape)
+    truth = ik.fit(small_knee(), replace(laxity, coordinates=coordinates)).theta
+    coordinates[3] += [1.0, 2.0, 0.0, 2.0, 4.0]
+    wrong = replace(laxity, coordinates=coordinates)
+    plain = ik.fit(small_knee(), wrong)
+    robust = ik.fit(small_knee(), wrong, likelihood="student")
+    strains = slice(4, 8)
+    off = np.abs(np.array([plain.theta, robust.theta]) - truth)[:, strains].max(axis=1)
+    assert off[1] < 0.25 * off[0]
+    (said,) = [x for x in robust.assumptions if x.startswith("Errors were taken as Student's t")]
+    assert "internal of trial 3 (0.0" in said
