@@ -1,4 +1,5 @@
 from . import blind as blind
+from . import blind_test as blind_test
 from . import calibrate as calibrate
 from . import diagnosis as diagnosis
 from . import identify as identify

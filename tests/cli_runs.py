@@ -1,13 +1,19 @@
 """Verbs run in this process, on a protocol of few trials."""
 
+import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 from typer.testing import CliRunner, Result
 
 import identknee as ik
 from identknee.cli.app import app
+from identknee.runs.declare import entries
+from identknee.runs.plain_records import to_plain
+from identknee.verbs.answer import Answer
 
 UNFORESEEN = "this should not have happened"
 _READ_SUBJECT = ik.read_subject
@@ -63,3 +69,18 @@ def short_protocol(folder: Path) -> Path:
     path = folder / "short.toml"
     path.write_text(SHORT_PROTOCOL, encoding="utf-8")
     return path
+
+
+def said(answer: Answer) -> str:
+    """All that files hold of an answer but when it was made, as text: NaN differs from itself."""
+    kept = entries(type(answer)).items()
+    alone: dict[str, Any] = {name: None for name, about in kept if not about.is_in_files}
+    return json.dumps(without_times(to_plain(replace(answer, record=None, **alone))))
+
+
+def without_times(plain: Any) -> Any:
+    if isinstance(plain, list):
+        return [without_times(x) for x in plain]
+    if not isinstance(plain, dict):
+        return plain
+    return {name: without_times(x) for name, x in plain.items() if "seconds" not in name}

@@ -10,7 +10,7 @@ ROOT = Path(ik.__file__).parent
 # In the order of the flow; the command line has a page of its own.
 PACKAGES = (
     *("subject", "laxity", "model", "calibrate", "identify", "scrutiny", "diagnosis"),
-    *("verbs", "report", "blind", "mechanics", "runs"),
+    *("verbs", "report", "blind", "blind_test", "mechanics", "runs"),
 )
 
 

@@ -1,7 +1,6 @@
 """How a diagnosis compares with the truth."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,53 +8,47 @@ import numpy as np
 from identknee.blind.effects import UNLISTED
 from identknee.blind.truth import Truth
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 
 # A line found this near to the true one is the true one.
 NEAR_MM, NEAR_DEG = 10.0, 15.0
 ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "ADEQUATE", "NAMED", "AMBIGUOUS", "UNEXPLAINED"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Score:
-    """A diagnosis beside the truth.
+    """A diagnosis beside the truth."""
 
-    Attributes
-    ----------
-    verdict
-        The diagnosis's verdict.
-    correct
-        Whether it named all that is hidden and nothing else, gave a group that holds it, found
-        nothing where nothing is hidden, or left unexplained what no library lists.
-    wrong
-        Whether it named a cause that is not there.
-    in_group
-        Whether all that is hidden is among the causes named and the group; None for a null.
-    sentence
-        All this for a person.
-    line_offset_mm, line_angle_deg
-        Distance of the line found from the middle of the true one [mm], and the angle between them
-        [deg]; None without either.
-    amplitudes_covered
-        Share of the amplitudes of the true causes named whose intervals hold them; None without
-        any.
-    stiffness_error_kN, strain_error_pct
-        Mean absolute error of the ligament parameters before and after; None where not given.
-    covered_before, covered_after
-        Share of the parameters' intervals that hold the truth; None where not given.
-    """
-
-    verdict: str
-    correct: bool
-    wrong: bool
-    in_group: bool | None
-    sentence: str
-    line_offset_mm: float | None
-    line_angle_deg: float | None
-    amplitudes_covered: float | None
-    stiffness_error_kN: tuple[float | None, float | None]  # noqa: N815 - the unit
-    strain_error_pct: tuple[float | None, float | None]
-    covered_before: float | None
-    covered_after: float | None
+    verdict: str = entry("Verdict of the diagnosis")
+    correct: bool = entry(
+        "Whether it named all that is hidden and nothing else, gave a group that holds it, found "
+        "nothing where nothing is hidden, or left unexplained what no library lists"
+    )
+    wrong: bool = entry("Whether it named a cause that is not there")
+    in_group: bool | None = entry(
+        "Whether all that is hidden is among the causes named and the group; null for a null"
+    )
+    sentence: str = entry("All this for a person")
+    line_offset_mm: float | None = entry(
+        "Distance of the line found from the middle of the true one; null without either",
+        unit="mm",
+    )
+    line_angle_deg: float | None = entry("Angle between the two lines", unit="deg")
+    amplitudes_covered: float | None = entry(
+        "Share of the amplitudes of the true causes named whose intervals hold them; null without "
+        "any",
+        unit="1",
+    )
+    stiffness_error_kN: tuple[float | None, float | None] = entry(  # noqa: N815 - the unit
+        "Mean absolute error of the stiffnesses before and after; null where not given", unit="kN"
+    )
+    strain_error_pct: tuple[float | None, float | None] = entry(
+        "Mean absolute error of the reference strains before and after", unit="%"
+    )
+    covered_before: float | None = entry(
+        "Share of the parameters' intervals that hold the truth before", unit="1"
+    )
+    covered_after: float | None = entry("The same share after", unit="1")
 
 
 def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:

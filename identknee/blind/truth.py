@@ -4,16 +4,16 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from identknee.blind.truth_schema import TruthFile
 from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_PARAMETER, declared, entry
 from identknee.runs.errors import InputError
-from identknee.runs.files import BYTES_PER_MB, PathLike, check_readable, plain, write_json
+from identknee.runs.files import BYTES_PER_MB, PathLike, check_readable, write_json
+from identknee.runs.plain_records import summary_of
 
 TRUTH_FILE = "truth.json"
 FORMAT = 1
@@ -21,58 +21,41 @@ LARGEST_BYTES = 10**7
 NOTE = "Sealed: `identknee reveal` opens it. Diagnose the data first."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Truth:
-    """What is behind a blind data set.
+    """What is behind a blind data set."""
 
-    Attributes
-    ----------
-    seed
-        That it was drawn with.
-    effects
-        Names of the hidden effects; none for a null.
-    amplitudes
-        Of each effect: value and unit by the name of the library's parameter; ``"amplitude"`` is
-        the one that it was sized by.
-    theta
-        True stiffness [kN] and reference strain [%] by the name of the parameter.
-    signal
-        Root of the chi-square that the best fit of the ligament parameters leaves of the noise-free
-        data, the generator's own knee fitted, in units of the true noise.
-    is_largest
-        Whether an effect ended at its largest plausible size short of the wanted signal.
-    lines
-        Femoral and tibial end of each effect that is a line, in the subject's common frame [mm].
-    facts
-        The noise and how often the draw was repeated.
-    stated_errors
-        How wrong what is given was drawn [mm, deg, or relative], by the name of the nuisance that
-        stands for it; empty where it is exact.
-    """
+    seed: int = entry("Seed that it was drawn with", unit="1")
+    effects: tuple[str, ...] = entry("Names of the hidden effects; none for a null")
+    amplitudes: Mapping[str, Mapping[str, tuple[float, str]]] = entry(
+        "Value and unit of each effect's amplitudes by the names of the library's parameters; the "
+        "one called amplitude is what it was sized by"
+    )
+    theta: Mapping[str, float] = entry("True ligament parameters by name", unit=OF_PARAMETER)
+    signal: float = entry(
+        "Root of the chi-square that the best fit of the ligament parameters leaves of the "
+        "noise-free data, the generator's own knee fitted, in units of the true noise",
+        unit="1",
+    )
+    is_largest: bool = entry(
+        "Whether an effect ended at its largest plausible size short of the wanted signal"
+    )
+    lines: Mapping[str, tuple[Array, Array]] = entry(
+        "Femoral and tibial end of each effect that is a line, in the subject's common frame",
+        unit="mm",
+    )
+    facts: Mapping[str, object] = entry("The noise and how often the draw was repeated")
+    stated_errors: Mapping[str, float] = entry(
+        "How wrong what is given was drawn [mm, deg, or relative], by the name of the nuisance "
+        "that stands for it; empty where it is exact",
+        default_factory=dict,
+    )
 
-    seed: int
-    effects: tuple[str, ...]
-    amplitudes: Mapping[str, Mapping[str, tuple[float, str]]]
-    theta: Mapping[str, float]
-    signal: float
-    is_largest: bool
-    lines: Mapping[str, tuple[Array, Array]]
-    facts: Mapping[str, object]
-    stated_errors: Mapping[str, float] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Everything in the types JSON knows."""
-        return {
-            "seed": self.seed,
-            "effects": list(self.effects),
-            "amplitudes": plain(self.amplitudes),
-            "theta": dict(self.theta),
-            "signal": self.signal,
-            "is_largest": self.is_largest,
-            "lines": plain(self.lines),
-            "facts": plain(self.facts),
-            "stated_errors": dict(self.stated_errors),
-        }
+    @property
+    def wanted_signal(self) -> float | None:
+        """The signal that was asked for; None where none was."""
+        wanted = self.facts.get("wanted_signal")
+        return wanted if isinstance(wanted, int | float) else None
 
 
 def write_truth(truth: Truth, folder: PathLike) -> Path:
@@ -83,7 +66,7 @@ def write_truth(truth: Truth, folder: PathLike) -> Path:
     InputError
         If it cannot be written.
     """
-    text = json.dumps(truth.to_dict(), allow_nan=False)
+    text = json.dumps(summary_of(truth), allow_nan=False)
     sealed = base64.b64encode(zlib.compress(text.encode())).decode()
     return write_json(Path(folder) / TRUTH_FILE, {"format": FORMAT, "note": NOTE, "sealed": sealed})
 

@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     from identknee.verbs.answer import Answer
 
     Given = TypeVar("Given", bound=Answer)
-
-Result = TypeVar("Result")
 
 # Of a path or a value that is absurdly long.
 LONGEST_SENTENCE = 2000
@@ -245,10 +242,9 @@ def run_verb(
     as_json = arguments.pop("as_json")
     answer = function(**arguments)
     # These load xarray and what draws tables, which takes longer than most mistakes.
-    from identknee.report.terminal import terminal_lines
     from identknee.runs.plain_records import summary_of
 
-    lines = [] if as_json else terminal_lines(answer)
+    lines = [] if as_json else [str(answer)]
     lines += [f"Results: {arguments['out']}", *([then] if then else [])]
     show(summary_of(answer), lines, as_json=as_json)
     if answer.failure:
@@ -258,13 +254,12 @@ def run_verb(
 
 def print_found(found: Any, *lines: str, as_json: bool) -> None:
     """Print what a function found that leaves no files: as JSON, or in its own words."""
-    from identknee.runs.plain_records import summary_of
+    summary = {}
+    if as_json:
+        # A broken installation, of which only words are wanted, may lack what this loads.
+        from identknee.runs.plain_records import summary_of
 
-    show(summary_of(found), [str(found), *lines], as_json=as_json)
-
-
-def timed(function: Callable[[], Result]) -> tuple[Result, float]:
-    """What the function returns, and how long it took [s]."""
-    began = time.perf_counter()
-    result = function()
-    return result, time.perf_counter() - began
+        summary = summary_of(found)
+    show(summary, [str(found), *lines], as_json=as_json)
+    if failure := getattr(found, "failure", ""):
+        raise NotComputed(failure)

@@ -1,3 +1,6 @@
+from .installation import Check as Check
+from .installation import Installation as Installation
+from .installation import doctor as doctor
 from .named_subjects import list_subjects as list_subjects
 from .subject_check import SubjectCheck as SubjectCheck
 from .subject_check import check_subject as check_subject

@@ -35,6 +35,7 @@ ANSWERS = {
     "diagnose": "identknee.verbs.diagnosis:Diagnosis",
     "isolability": "identknee.verbs.isolability:Isolability",
     "design": "identknee.verbs.design:Design",
+    "blind": "identknee.blind_test.blind_data:BlindData",
     "subject check": "identknee.verbs.subject_check:SubjectCheck",
     "subject settle": "identknee.verbs.subject_settle:SettledSubject",
     "subject show": "identknee.verbs.subject_facts:SubjectFacts",
@@ -110,9 +111,14 @@ def loaded(file: Path, summary: Mapping[str, Any]) -> Answer:
 
 def answer_class(verb: str) -> type[Answer]:
     """The class of a verb's answer."""
-    module, _, name = ANSWERS[verb].partition(":")
-    found: type[Answer] = getattr(import_module(module), name)
+    found: type[Answer] = class_at(ANSWERS[verb])
     return found
+
+
+def class_at(place: str) -> Any:
+    """The class at ``module:name``, loaded when it is wanted."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
 
 
 def _check_agreement(file: Path, summary: Mapping[str, Any], answer: Answer) -> None:

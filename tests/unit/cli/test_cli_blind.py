@@ -1,28 +1,42 @@
 """`identknee blind` and `identknee reveal`, from their words to their files and sentences."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from cli_runs import refused, run
+from cli_runs import refused, run, said
+from diagnoses import FRAME, answered
+from report_folders import write_given
 
 import identknee as ik
+from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.runs.files import plain
+from identknee.runs.plain_records import summary_of
+from identknee.verbs.files import load
+
+OPTIONS: dict[str, Any] = {"seed": 7, "effect": "rig_compliance_IE", "signal": 8}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out: Path = tmp_path_factory.mktemp("blind")
-    result = run("blind", "--seed", 7, "--effect", "rig_compliance_IE", "--signal", 8, "--out", out)
+    words = [y for name, x in OPTIONS.items() for y in (f"--{name}", x)]
+    result = run("blind", *words, "--out", out)
     assert result.exit_code == 0, result.output
+    assert result.stderr == "", "a signal that is reached needs no word"
     assert "63 trials" in result.stdout
     return out
 
 
 def _diagnosis(folder: Path, verdict: str, *causes: str) -> Path:
-    summary = {"verdict": verdict, "causes": [{"name": x} for x in causes], "group": []}
-    (folder / "result.json").write_text(json.dumps(summary), encoding="utf-8")
-    return folder
+    """A folder that `diagnose` might have left."""
+    made = answered(FRAME)
+    named = [replace(made.causes[0], name=x, line=None) for x in causes]
+    answer = replace(made, verdict=Verdict(verdict), causes=tuple(named), line=None)
+    return write_given(folder, "diagnose", answer)
 
 
 def test_the_folder_gives_nothing_away(folder: Path) -> None:
@@ -30,7 +44,7 @@ def test_the_folder_gives_nothing_away(folder: Path) -> None:
     assert laxity.n == 63
     assert laxity.sd is not None
     for path in folder.iterdir():
-        assert "compliance" not in path.read_text(encoding="utf-8")
+        assert b"compliance" not in path.read_bytes()
 
 
 def test_the_truth_is_revealed_and_a_right_name_scored(folder: Path, tmp_path: Path) -> None:
@@ -55,7 +69,7 @@ def test_mistakes_end_in_a_sentence(folder: Path, tmp_path: Path) -> None:
     assert "menicus" in refused("blind", "--effect", "menicus", "--out", tmp_path)
     assert "there is no truth.json in it" in refused("reveal", tmp_path / "none", tmp_path)
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
-    assert "verdict" in refused("reveal", folder, tmp_path)
+    assert "None is no verb with a result" in refused("reveal", folder, tmp_path)
 
 
 def test_a_signal_that_is_not_reached_is_said(tmp_path: Path) -> None:
@@ -84,10 +98,19 @@ def test_what_a_random_case_says_of_its_signal_tells_nothing(tmp_path: Path) -> 
     assert "may be less than 6" in said[0]
 
 
-def test_a_signal_that_is_reached_needs_no_word(folder: Path, tmp_path: Path) -> None:
-    words = ["--effect", "rig_compliance_IE", "--signal", 8, "--seed", 7, "--out", tmp_path]
-    assert run("blind", *words).stderr == ""
-    assert "was asked for" not in run("reveal", folder, _diagnosis(tmp_path, "ADEQUATE")).stdout
+def test_python_gives_the_same_data_and_reveals_the_same(folder: Path, tmp_path: Path) -> None:
+    made = ik.blind_test.make_blind(**OPTIONS)
+    assert said(load(folder)) == said(made)
+    assert made.case is not None
+    again = ik.write_laxity(made.case.laxity, tmp_path / "again.csv")
+    assert (folder / "laxity.csv").read_bytes() == again.read_bytes()
+    diagnosis = answered(FRAME)
+    left = write_given(tmp_path / "diagnosis", "diagnose", diagnosis)
+    revealed = ik.blind_test.reveal(made, diagnosis)
+    assert "was asked for" not in str(revealed)
+    assert run("reveal", folder, left).stdout.strip() == str(revealed)
+    printed = json.loads(run("reveal", folder, left, "--json").stdout)
+    assert printed == plain(summary_of(revealed))
 
 
 def test_a_knee_is_given_as_wrong_as_stated_and_the_errors_are_revealed(tmp_path: Path) -> None:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 import xarray
-from cli_runs import run, short_protocol
+from cli_runs import run, said, short_protocol
 
 import identknee as ik
 from identknee.identify.profile.profiles import profile_parameters
+from identknee.verbs.files import load
 
 
 @pytest.fixture
@@ -28,6 +29,7 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     result = run("demo", "--runs", "1", "--budget", "60", "--out", out)
     assert result.exit_code == 0, result.output
+    assert said(load(out)) == said(ik.demo(runs=1, budget=60))
     assert "Short settings" in result.stderr
     for word in ("complex", "least-squares", "IG2", "IG4", "budget 1", "minimum 1"):
         assert word in result.stdout

@@ -47,11 +47,13 @@ def test_a_name_is_simulated(tmp_path: Path) -> None:
 
 
 def test_a_name_stands_for_data_too(tmp_path: Path) -> None:
-    run("fit", "s192803", "s192803", "--out", tmp_path)
+    run("fit", "s192803", "s192803", "--budget", 5, "--out", tmp_path)
     summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     assert summary["rmse"]["n_compared"] + summary["rmse"]["n_missing"] == 125
     assert summary["record"]["settings"]["data"] == "s192803"
     assert summary["record"]["inputs"]["data"] == digest(TABLES["s192803"])
+    # The row that cannot be right is a finding of every fit.
+    assert "Valgus_60" in [x["where"] for x in summary["findings"]]
 
 
 def test_a_name_wins_over_what_is_called_so_and_says_so(

@@ -12,8 +12,8 @@ from cli_runs import run
 from typer.testing import Result
 
 import identknee as ik
-from identknee.cli import doctor
 from identknee.mechanics import compiled
+from identknee.verbs import installation, self_test
 
 ROOT = Path(__file__).parents[3]
 
@@ -36,7 +36,9 @@ class _Installed:
 
 
 def _installed(monkeypatch: pytest.MonkeyPatch, *requires: str, python: str = ">=3.11") -> None:
-    monkeypatch.setattr(doctor, "distribution", lambda _: _Installed(*requires, python=python))
+    monkeypatch.setattr(
+        installation, "distribution", lambda _: _Installed(*requires, python=python)
+    )
 
 
 def _lines(result: Result, name: str) -> str:
@@ -57,7 +59,10 @@ def test_all_is_sound_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_checks_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
     _installed(monkeypatch, "numpy>=1.26")
     summary = json.loads(run("doctor", "--json").stdout)
-    assert summary["is_sound"] is True
+    made = ik.verbs.doctor()
+    assert summary["is_sound"] is made.is_sound is True
+    named = [(x["group"], x["name"]) for x in summary["checks"]]
+    assert named == [(x.group, x.name) for x in made.checks]
     groups = list(dict.fromkeys(x["group"] for x in summary["checks"]))
     assert groups == ["versions", "machine", "cache", "extras", "self-test"]
     assert set(summary["checks"][0]) == {"group", "name", "is_sound", "found", "remedy"}
@@ -96,7 +101,7 @@ def test_sources_that_are_not_installed_are_told(monkeypatch: pytest.MonkeyPatch
     def missing(_: str) -> Any:
         raise PackageNotFoundError
 
-    monkeypatch.setattr(doctor, "distribution", missing)
+    monkeypatch.setattr(installation, "distribution", missing)
     result = run("doctor")
     assert result.exit_code == 1
     assert _lines(result, "identknee").endswith("Install it: pip install .")
@@ -129,7 +134,7 @@ def test_an_extra_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_wrong_poses_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     _installed(monkeypatch)
-    monkeypatch.setattr(doctor, "SAME_MM_OR_DEG", -1.0)
+    monkeypatch.setattr(self_test, "SAME_MM_OR_DEG", -1.0)
     result = run("doctor")
     assert result.exit_code == 1
     assert "Trust no result of this installation." in _lines(result, "poses")
@@ -142,7 +147,7 @@ def test_a_library_that_breaks_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> 
     def broken() -> ik.Knee:
         raise ImportError("numba needs numpy 2.2\nor less.")
 
-    monkeypatch.setattr(ik, "reference_knee", broken)
+    monkeypatch.setattr(self_test, "reference_knee", broken)
     result = run("doctor")
     assert result.exit_code == 1
     assert "ImportError: numba needs numpy 2.2 or less. Install" in _lines(result, "run")
@@ -151,7 +156,7 @@ def test_a_library_that_breaks_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_stored_poses_are_the_pinned_ones() -> None:
     pinned = json.loads((ROOT / "tests/pinned/reference_knee.json").read_text(encoding="utf-8"))
     trials = list(pinned["calibration"]["poses"])
-    stored = ik.read_laxity(Path(str(files("identknee.cli").joinpath("self_test.csv"))))
+    stored = ik.read_laxity(Path(str(files("identknee.verbs").joinpath("self_test.csv"))))
     rows = [trials.index(x) for x in stored.protocol.trials]
     np.testing.assert_array_equal(
         stored.coordinates, np.array(pinned["program"]["coordinates"])[rows]

@@ -1,7 +1,6 @@
 """Trials that the others contradict: leave-one-out residuals, and what answers say of them."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,7 +106,7 @@ def test_a_fit_names_a_gross_row_and_says_what_it_is_without(states_noise: bool)
     assert row_findings(model, right, theta) == ()
 
 
-def test_the_row_that_cannot_be_right_is_found_without_a_model(tmp_path: Path) -> None:
+def test_the_row_that_cannot_be_right_is_found_without_a_model() -> None:
     laxity = ik.example_laxity("s192803")
     (row,) = suspicious_end_points(laxity)
     assert laxity.protocol.trials[row.trial] == "Valgus_60"
@@ -116,8 +115,6 @@ def test_the_row_that_cannot_be_right_is_found_without_a_model(tmp_path: Path) -
     assert "under 9.6 N·m of valgus moment at 57 deg" in found.sentence
     kept = np.arange(laxity.n) != row.trial
     assert suspicious_end_points(laxity.select(kept)) == []
-    answer = ik.fit("s192803", "s192803", out=tmp_path)
-    assert "Valgus_60" in [x.where for x in answer.findings]
 
 
 def test_the_table_alone_says_nothing_of_ramps() -> None:

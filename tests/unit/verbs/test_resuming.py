@@ -39,7 +39,7 @@ def arguments_of(verb: str) -> dict[str, Any]:
     given |= {"osim": "model.osim", "bundles": "separate", "out": None}
     given |= dict.fromkeys(("fitted", "source", "vtk", "written"), "none")
     return {
-        name: given[name] if x.default is x.empty else x.default
+        name: given[name] if name == "subject" or x.default is x.empty else x.default
         for name, x in inspect.signature(function_of(verb)).parameters.items()
     }
 

@@ -1,0 +1,5 @@
+"""Blind data made and revealed: the one place that knows generator and diagnosis."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

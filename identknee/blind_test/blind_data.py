@@ -1,0 +1,115 @@
+"""Laxity of a knee with a hidden effect."""
+
+from collections.abc import Sequence
+
+from identknee.blind.case import RANDOM, BlindCase, blind_case
+from identknee.blind.conditions import stated_conditions
+from identknee.blind.folder import write_blind
+from identknee.runs.declare import declared, entry
+from identknee.runs.files import PathLike
+from identknee.subject.uncertainty import UncertainLike
+from identknee.verbs.answer import Answer
+from identknee.verbs.verb import Run, SubjectLike, recorded_as, verb
+
+# The word for no effect.
+NONE = "none"
+# Of the signal asked for: less than this is another case.
+REACHED = 0.9
+
+
+@declared
+class BlindData(Answer):
+    """Data with a hidden effect; the files and the printed text do not tell which."""
+
+    subject: str = entry("Name of the subject")
+    n_trials: int = entry("Trials in laxity.csv", unit="1")
+    case: BlindCase | None = entry(
+        "The data, and the truth behind them; None where the answer was read from files",
+        is_in_json=False,
+        default=None,
+    )
+    is_secret: bool = entry(
+        "Whether even who made the data is not to know the effect", is_in_json=False, default=True
+    )
+
+    # typing.override came with Python 3.12.
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        """How many trials there are, and nothing of what is hidden."""
+        return f"{self.n_trials} trials of {self.subject}; something may be hidden in them."
+
+    __repr__ = __str__
+
+    @property
+    def remark(self) -> str:
+        """What who made the data must know of the signal; empty where there is nothing to know.
+
+        Where chance drew the effect, the same is said whatever was drawn.
+        """
+        truth = None if self.case is None else self.case.truth
+        wanted = None if truth is None else truth.wanted_signal
+        if truth is None or wanted is None:
+            return ""
+        if self.is_secret:
+            return (
+                f"The signal may be less than {wanted:g}: nothing may be hidden, or an effect at "
+                "its largest plausible size. identknee reveal says what it is."
+            )
+        if not truth.effects or truth.signal >= REACHED * wanted:
+            return ""
+        why = "the largest plausible size gives no more" if truth.is_largest else "it stays below"
+        return (
+            f"The signal of {' and '.join(truth.effects)} is {truth.signal:.2g}, not {wanted:g}: "
+            f"{why}. Ask for less, or choose another --effect or --seed."
+        )
+
+
+@verb
+@recorded_as("blind", secret=("effect", "signal"))
+def make_blind(
+    run: Run,
+    subject: SubjectLike = "reference",
+    *,
+    effect: str | Sequence[str] | None = RANDOM,
+    signal: float | None = None,
+    uncertain: UncertainLike | None = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+) -> BlindData:
+    """Laxity data with a hidden effect, made by an independent generator, to test a diagnosis.
+
+    Parameters
+    ----------
+    subject
+        A knee, a subject folder, or the name of one that comes with identknee.
+    effect
+        Name of the hidden cause, several names, ``"random"``, or None or ``"none"`` for nothing.
+    signal
+        Root of the chi-square that ligament parameters alone cannot fit; from the literature if
+        None.
+    uncertain
+        How wrong the knee and the tests are to be, as in ``"insertions=2mm,registration=2deg"``:
+        one standard deviation. Exact if None. Give `diagnose` the same.
+    out
+        Folder for ``laxity.csv`` and the sealed ``truth.json``; nothing is written if None.
+    seed
+        Seed of all random numbers.
+
+    Raises
+    ------
+    ValueError
+        If an effect is unknown, the signal is not positive, or no draw has an equilibrium in every
+        trial.
+    """
+    names = (effect,) if isinstance(effect, str) else tuple(effect or ())
+    case = blind_case(
+        run.knee,
+        seed=seed,
+        effect=RANDOM if names == (RANDOM,) else None if names in ((), (NONE,)) else names,
+        signal=signal,
+        conditions=stated_conditions(uncertain),
+    )
+    if run.out is not None:
+        write_blind(case, run.out)
+    return BlindData(
+        subject=run.knee.name, n_trials=case.laxity.n, case=case, is_secret=RANDOM in names
+    )
