@@ -78,7 +78,7 @@ for trial, value in zip(simulation.trials, drawer, strict=True):
     print(f"{trial.trial:24} {trial.outcome.value:10} anterior drawer {value:6.2f} mm")
 
 # %%
-# The stability margin says how far from a snap each pose is. A knee should have a good one over
+# The stability margin says how far each pose is from a jump. A knee should have a good one over
 # its whole protocol before anyone calibrates on it.
 
 print(f"smallest margin: {min(x.margin_N_per_mm for x in simulation.trials):.1f} N/mm")

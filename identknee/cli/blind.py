@@ -42,7 +42,7 @@ def blind(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Make laxity data of SUBJECT with a hidden effect, to test a diagnosis.
+    """Make laxity data with a hidden effect, to test a diagnosis.
 
     The data come from an independent generator. Writes laxity.csv for `diagnose`, and a sealed
     truth.json for `reveal`. The signal is the root of the chi-square that ligament parameters

@@ -27,7 +27,7 @@ def demo(
     workers: Workers = 2,
     as_json: Json = False,
 ) -> None:
-    """Ask the question of the paper, and answer it, in about a minute.
+    """Ask the paper's question, and answer it in about a minute.
 
     Does a good fit mean that the parameters are right? Laxity of known parameters is simulated
     in 63 trials. It is fitted from the four initial guesses of the paper, by its Complex method

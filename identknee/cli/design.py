@@ -59,7 +59,7 @@ def design(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Choose the laxity trials that would tell most about what is still open.
+    """Choose the trials that would best close what is still open.
 
     The advice is checked: the trials are simulated at the best fit and added to the data, and
     the intervals are computed again. Fill in advised_trials.csv and append it to your data.

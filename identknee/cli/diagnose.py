@@ -40,7 +40,7 @@ def diagnose(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Find what the model of SUBJECT gets wrong in DATA.csv, and the likely physical cause.
+    """Find what the model of SUBJECT gets wrong, and why.
 
     The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the
     other causes that would fit, and the trials that would tell them apart. The folder extended

@@ -11,9 +11,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print the checks as JSON, an
 
 
 def doctor(as_json: Json = False) -> None:
-    """Check this installation: versions, cores, cache, extras and a short self-test.
+    """Check this installation, with a short self-test.
 
-    The self-test repeats known trials of the reference knee. The first one after an
-    installation compiles, which takes up to a minute. The exit code is 1 if anything is wrong.
+    It looks at versions, cores, cache and extras. The self-test repeats known trials of the
+    reference knee. The first one after an installation compiles, which takes up to a minute. The
+    exit code is 1 if anything is wrong.
     """
     print_found(ik.verbs.doctor(), as_json=as_json)

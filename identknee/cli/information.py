@@ -33,7 +33,7 @@ def information(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Find which combinations of parameters the data determine, and how well.
+    """Find which parameter combinations the data determine.
 
     Gives the eigenvalues of the Fisher information at the best fit, next to the noise of the
     solver. It also gives the rank at random points within the bounds, and shows where the least

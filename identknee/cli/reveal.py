@@ -17,5 +17,5 @@ DiagnosisFolder = Annotated[
 
 
 def reveal(blind_dir: BlindFolder, diagnosis_dir: DiagnosisFolder, as_json: Json = False) -> None:
-    """Reveal what is hidden in BLIND_DIR, and score the diagnosis in DIAGNOSIS_DIR."""
+    """Reveal a hidden effect, and score its diagnosis."""
     print_found(ik.blind_test.reveal(blind_dir, diagnosis_dir), as_json=as_json)

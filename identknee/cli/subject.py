@@ -26,7 +26,7 @@ UNUSED = ("seed", "workers")
 
 app = typer.Typer(
     cls=Verbs,
-    help="List the knees that come with identknee; check, show, export or import one.",
+    help="List, check, show, settle, export or import a subject.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -89,10 +89,10 @@ Bundles = Annotated[
 
 @app.command("list", epilog="Example: identknee subject list --json")
 def list_all(as_json: Json = False) -> None:
-    """List the subjects that come with identknee, with their sources and licences.
+    """List the subjects that come with identknee.
 
-    Use a name wherever a command wants SUBJECT. A subject with measured laxity also stands for
-    its DATA.csv.
+    Sources and licences stand with each. Use a name wherever a command wants SUBJECT. A subject
+    with measured laxity also stands for its DATA.csv.
     """
     print_found(
         ik.verbs.list_subjects(),
@@ -137,11 +137,11 @@ def settle(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Move the insertions of SUBJECT within their uncertainty until all trials are stable.
+    """Move the insertions of SUBJECT until all trials are stable.
 
-    Writes a subject folder with the moved insertions, and says how far each one moved. A moved
-    insertion is no longer the one that was segmented. The exit code is 1 if some trials still
-    have no stable pose. Nothing is random: the seed changes nothing.
+    They stay within their uncertainty. Writes a subject folder with the moved insertions, and says
+    how far each one moved. A moved insertion is no longer the one that was segmented. The exit
+    code is 1 if some trials still have no stable pose. Nothing is random: the seed changes nothing.
     """
     then = f"Next: identknee subject check {out}"
     run_verb(context, ik.verbs.settle_subject, without=("seed",), then=then)

@@ -68,7 +68,7 @@ def sweep(
     workers: Workers = 1,
     as_json: Json = False,
 ) -> None:
-    """Fit from many starts, and see where each search stopped and why.
+    """Fit from many starts, and see what stopped each search.
 
     A search may end in a minimum, give up in a valley, or stop at a cliff, where the simulated
     knee jumps. Least squares with exact derivatives goes on from each end, so that only real

@@ -318,7 +318,7 @@ def _points_finding(report: StabilityReport) -> GeometryFinding:
             severity=Severity.WARNING,
             where="contact points",
             sentence="No trial converges both with the default contact points and all vertices.",
-            remedy="Mend what stops the trials first.",
+            remedy="Correct what stops the trials first.",
         )
     is_large = report.change_mm > ENOUGH_MM or report.change_deg > ENOUGH_DEG
     return GeometryFinding(

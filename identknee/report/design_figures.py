@@ -95,7 +95,7 @@ def candidates_figure(
         axes.annotate(order, places[k], ha="center", va="center", fontsize=7)
     axes.set_xticks(range(len(angles)), [f"{x:g}" for x in angles])
     axes.set_yticks(range(len(rows)), rows, fontsize=SMALL)
-    axes.set_xlabel("flexion [deg]; crosses have no prediction everywhere the data allow")
+    axes.set_xlabel("flexion [deg]; cross: no prediction at some parameters that the data allow")
     figure.colorbar(image, ax=axes, label=label)
     return figure
 

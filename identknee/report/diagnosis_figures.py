@@ -16,6 +16,7 @@ from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.units import unit_of
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
+from identknee.report.words import coordinate_words
 from identknee.report.wrench_figure import wrench_figure
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
@@ -32,6 +33,18 @@ SMALL, TINY = 8, 7
 # Share of the largest score from which on a cell is dark.
 DARK = 0.6
 QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "reference strain [%]"}
+
+
+def misfit_words(sentence: str) -> str:
+    """Where the misfit is, its coordinate in words.
+
+    Examples
+    --------
+    >>> misfit_words("internal_deg under varus moment at 30 deg, 24 % of the excess")
+    'internal rotation under varus moment at 30 deg, 24 % of the excess misfit'
+    """
+    coordinate, _, rest = sentence.removesuffix(".").partition(" ")
+    return f"{coordinate_words(coordinate)} {rest}{' misfit' * rest.endswith('excess')}"
 
 
 def misfit_figure(cells: Sequence[CellScore], sentence: str) -> Figure:
@@ -55,7 +68,7 @@ def misfit_figure(cells: Sequence[CellScore], sentence: str) -> Figure:
     scores = np.full((len(rows), len(columns)), np.nan)
     size = (2.9 + 0.5 * len(columns), 2.1 + 0.42 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle(sentence, fontsize=9)
+    figure.suptitle(misfit_words(sentence), fontsize=9)
     if not cells:
         return figure
     axes = figure.add_subplot()
@@ -218,7 +231,7 @@ def isolability_figure(distances: Distances) -> Figure:
     values = np.array(distances.values[:, order])
     np.fill_diagonal(values, np.nan)
     values[~np.isfinite(values)] = np.nan
-    size = 2.6 + 0.33 * len(names)
+    size = 3.4 + 0.33 * len(names)
     figure = Figure(figsize=(size + 0.8, size), layout="constrained")
     axes = figure.add_subplot()
     axes.set_facecolor("0.85")
@@ -227,10 +240,11 @@ def isolability_figure(distances: Distances) -> Figure:
         if np.isfinite(value) and value < LEAST_DISTANCE:
             _write_cell(axes, column, row, f"{value:.1f}", is_dark=True)
     figure.colorbar(image, ax=axes, label="distance [sd of the noise]", shrink=0.8)
-    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=TINY)
-    axes.set_yticks(range(len(names)), names, fontsize=TINY)
-    axes.set_xlabel("fitted in its place")
-    axes.set_ylabel("true")
+    labels = [cause_label(x) for x in names]
+    axes.set_xticks(range(len(names)), labels, rotation=90, fontsize=TINY)
+    axes.set_yticks(range(len(names)), labels, fontsize=TINY)
+    axes.set_xlabel("cause fitted in its place")
+    axes.set_ylabel("true cause")
     return figure
 
 

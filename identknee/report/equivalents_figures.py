@@ -7,6 +7,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from identknee.report.figures import BLACK, COLOURS, GREY, SMALL
 from identknee.runs.arrays import Array
@@ -51,6 +52,7 @@ def sets_figure(
         for k, values_of_set in enumerate(values[:2]):
             axes.plot(trials, values_of_set, color=COLOURS[k], linewidth=1.0)
         axes.axhline(0.0, color=BLACK, linewidth=0.8)
+        axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         axes.set_xlabel("trial")
         axes.set_title(f"{name}\nless {origin}", fontsize=SMALL + 1)
         _bare(axes)
@@ -92,6 +94,8 @@ def ranges_figure(
     for k, (name, values) in enumerate(ranges.items()):
         y = rows - 0.4 + (k + 0.5) * thickness
         widths = values[:, 1] - values[:, 0]
+        # Bars would pin the axis to their ends, and hide a mark that stands there.
+        axes.use_sticky_edges = False
         axes.barh(y, widths, 0.86 * thickness, values[:, 0], color=COLOURS[k], label=name)
     for row, value in zip(rows, at_fit, strict=True):
         axes.plot([value, value], [row - 0.42, row + 0.42], color=BLACK, linewidth=1.4)

@@ -13,7 +13,7 @@ from identknee.diagnosis.noise.data_noise import load_curves
 from identknee.diagnosis.noise.noise_model import Curve
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
-from identknee.report.figures import BLACK, COLOURS, SMALL, STYLES
+from identknee.report.figures import BLACK, COLOURS, MARKERS, SMALL, STYLES
 from identknee.runs.arrays import Array, frozen
 
 # The coordinate that moves along each load.
@@ -103,6 +103,36 @@ def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
     for row, coordinate in enumerate(COORDINATES):
         grid[row, 0].set_ylabel(_words(coordinate), fontsize=SMALL)
     _legend(figure, grid[0, 0])
+    return figure
+
+
+def by_flexion_figure(curves: LaxityCurves) -> Figure:
+    """Every coordinate of every trial against flexion, for trials that make up no load curves.
+
+    Lines join what was measured to what a model has for the same trial.
+    """
+    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
+    grid = figure.subplots(2, 3, sharex=True)
+    flexion = curves.protocol.flexion_deg
+    for i, (axes, coordinate) in enumerate(zip(grid.flat, COORDINATES, strict=False)):
+        for k, (name, values) in enumerate(curves.simulated.items()):
+            axes.plot(
+                flexion, values[:, i], MARKERS[k], color=COLOURS[k], markersize=5.0,
+                markerfacecolor="none", label=name,
+            )  # fmt: skip
+            if curves.measured is not None:
+                ends = curves.measured[:, i], values[:, i]
+                axes.vlines(flexion, *ends, color=COLOURS[k], linewidth=0.7)
+        if curves.measured is not None:
+            axes.plot(
+                flexion, curves.measured[:, i], "o", color=BLACK, markersize=3.0, label="measured"
+            )
+        axes.set_ylabel(_words(coordinate), fontsize=SMALL + 1)
+        axes.set_xlabel("flexion [deg]", fontsize=SMALL + 1)
+        axes.tick_params(labelsize=SMALL, labelbottom=True)
+        axes.spines[["top", "right"]].set_visible(False)
+    grid.flat[-1].remove()
+    _legend(figure, grid.flat[0])
     return figure
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from identknee.report import words
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL
 from identknee.runs.arrays import Array
 
@@ -42,7 +43,7 @@ def effects_figure(
                 color=COLOURS[i % len(COLOURS)],
                 fillstyle="full" if i < len(COLOURS) else "none",
                 capsize=2,
-                label=parameter,
+                label=words.label(parameter),
             )
         axes.set_xlim(0, top)
         axes.set_ylim(0, top)

@@ -127,11 +127,11 @@ def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
         raise InputError(file, "", "the text is not UTF-8", "Save it as UTF-8.") from error
     except RecursionError as error:
         raise InputError(
-            file, "", "this is not TOML: it is nested too deeply", "Mend it."
+            file, "", "this is not TOML: it is nested too deeply", "Correct the file."
         ) from error
     # Dates that are none and numbers of too many digits are no TOMLDecodeError.
     except (ValueError, OverflowError) as error:
-        raise InputError(file, "", f"this is not TOML: {error}", "Mend that line.") from error
+        raise InputError(file, "", f"this is not TOML: {error}", "Correct that line.") from error
 
 
 def read_json(path: PathLike, remedy: str, limit_mb: float = 512) -> Any:

@@ -150,7 +150,7 @@ def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
     elif _curls_up_in_front(knee):
         yield _error(
             "side",
-            f"For a {knee.side} knee, the rear of the femoral condyles lies in front.",
+            f"For a {knee.side} knee, the rounded back of the femoral condyles points forwards.",
             f'Write side = "{other}" if it is a {other} knee; else exchange the medial and lateral '
             "landmarks or turn the femoral axes, x forwards and z to the subject's right.",
         )

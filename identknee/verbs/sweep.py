@@ -41,7 +41,7 @@ class Sweep(Answer):
     design: str = entry("Design of the starts, sobol or shells")
     survey: Survey = entry("The searches and what is read from them", is_inline=True)
     cliffs: CliffMap | None = entry(
-        "Cliffs on straight paths from starts to the best end; null where none was looked for",
+        "Cliffs on straight paths from starts to the best fit; null where none was looked for",
         group="cliffs",
     )
 
@@ -98,7 +98,7 @@ def sweep(
     within
         Mean distance in kN and in % from the best end at which it counts as recovered.
     paths
-        Starts whose straight path to the best end is searched for cliffs.
+        Starts whose straight path to the best fit is searched for cliffs.
     uncertain
         How well geometry, frames and loads are known, as in
         ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for

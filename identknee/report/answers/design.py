@@ -20,7 +20,7 @@ def design_statements(answer: Design) -> Iterator[Statement]:
     yield Statement(
         question=Question.NEXT,
         sentence=f"Next test for {listed(map(parameter_words, choice.targets))}: {trials}. "
-        f"{capital(parameter_words(name))} would then be known from "
+        f"{capital(parameter_words(name))} would then lie in "
         f"{_ends(after.lower, after.upper)} instead of {_ends(before.lower, before.upper)} "
         f"{before.unit}. {ADVICE} lists the trials, to be filled in and appended to the data.",
         tables=(_targets(answer), _trials(answer)),

@@ -32,7 +32,7 @@ def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
         )
         yield Statement(
             question=Question.KNOWN,
-            sentence=f"Among them {parameter_words(widest.name)} is anywhere "
+            sentence=f"Among such sets, {parameter_words(widest.name)} lies anywhere "
             f"{between(_ends(widest), widest.unit)}.{several}",
             tables=(_table(shown, "Forces that differ most"),),
         )

@@ -20,7 +20,8 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
         alike = f" Hardest to tell apart are {words} (collinearity {pair.collinearity:.3g})."
     yield _known(
         f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
-        f"Of {structure.n_points} points drawn, {structure.n_with_prediction} have a prediction."
+        f"Of {structure.n_points} random parameter sets, {structure.n_with_prediction} have a "
+        "prediction."
         f"{alike}"
     )
     yield _known(

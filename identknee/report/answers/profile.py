@@ -80,16 +80,16 @@ def clause(profile: Profile) -> str:
         parts = listed((between(x, unit) for x in profile.intervals), "or")
         return f"lies in one of several separate ranges ({parts})"
     if profile.verdict is ProfileVerdict.UNDETERMINED:
-        return "is left undecided, as the computation of a limit was not finished"
+        return "is undecided, because a limit was not fully computed"
     if low == high == 0.0 and profile.unit == "N":
         return "is slack"
     if low is not None and high is not None:
         half = amount(0.5 * (high - low), unit, 2)
         return f"is known to within ±{half} ({amount(low, '')} to {amount(high, unit)})"
     if low is not None:
-        return f"is not known upwards (at least {amount(low, unit)}{_model_ends(profile)})"
+        return f"has no upper limit (at least {amount(low, unit)}{_model_ends(profile)})"
     if high is not None:
-        return f"is not known downwards (at most {amount(high, unit)}{_model_ends(profile)})"
+        return f"has no lower limit (at most {amount(high, unit)}{_model_ends(profile)})"
     if profile.verdict is ProfileVerdict.STRUCTURALLY_SUSPECT:
         return "is not known, and more data of this kind may not help"
     return f"is not known: these data bound it on neither side{_model_ends(profile)}"
@@ -116,7 +116,7 @@ def _how_many(profiles: Sequence[Profile]) -> str:
     n, level = len(profiles), 100 * profiles[0].level
     k = sum(x.lower is not None and x.upper is not None for x in profiles)
     said = f"ligament parameter{'' if n == 1 else 's'} on both sides"
-    which = f"all {n}" if k == n and n > 1 else f"{k or 'none'} of the {n}"
+    which = ("both" if n == 2 else f"all {n}") if k == n and n > 1 else f"{k or 'none'} of the {n}"
     return f"at {level:g} % confidence the data bound {which} {said}."
 
 

@@ -51,12 +51,12 @@ def _statement(sentence: str, *tables: Table) -> Statement:
 def _trusted(answer: Sample) -> str:
     """Whether the sample may be relied on."""
     if answer.outcome is SampleOutcome.CONVERGED:
-        return "Independent samplers agree on that."
+        return "Independent samplers agree."
     unmet = sum(not x["met"] for x in answer.gate.values())
     count = f" {unmet} of {len(answer.gate)} conditions of convergence are not met." * bool(unmet)
     is_short = answer.outcome is SampleOutcome.BUDGET
     remedy = " The same command with a larger --budget goes on from here." if is_short else ""
-    return f"Do not rely on that yet. {answer.sentence}{count}{remedy}"
+    return f"Do not rely on this yet. {answer.sentence}{count}{remedy}"
 
 
 def _probable(marginals: Mapping[str, Marginal]) -> str:
@@ -101,7 +101,7 @@ def _conditions(answer: Sample) -> Table:
 def _opinion(nested: Nested) -> str:
     worst = float(np.max(np.abs(nested.quantile_differences)))
     return (
-        f"Nested sampling: log evidence {nested.log_evidence:.2f} +- "
+        f"Nested sampling: log evidence {nested.log_evidence:.2f} ± "
         f"{nested.log_evidence_error:.2f}; its quantiles differ by {worst:.1f} joint standard "
         "errors at most."
     )

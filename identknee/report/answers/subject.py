@@ -20,7 +20,7 @@ def check_statements(answer: SubjectCheck) -> Iterator[Statement]:
     """Side and ligaments, and whether stability was not checked."""
     yield from subject_statements(answer)
     if answer.stability is None:
-        sentence = "Stability was not checked: mend the errors below first."
+        sentence = "Stability was not checked: correct the errors below first."
         yield Statement(question=Question.WRONG, sentence=sentence)
 
 

@@ -30,7 +30,7 @@ def sweep_statements(answer: Sweep) -> Iterator[Statement]:
     if survey.unseen.n:
         yield _statement(
             f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
-            f"{_pct(survey.unseen.upper)} %) would end at a minimum that none has found so far."
+            f"{_pct(survey.unseen.upper)} %) would end at a minimum that no search has found."
         )
     for name, recovery in survey.recoveries.items():
         yield _statement(_radius(recovery, SEARCHES[name], survey.within))
@@ -97,7 +97,7 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
     radius = recovery.radius
     if radius.value == 0.0:
         return (
-            f"No distance is known from which nine of ten starts lead {searches} back to within "
+            f"No distance was found within which nine of ten starts lead {searches} back to "
             f"{within:g} kN and % of the best end: either there is none or more starts are needed."
         )
     return (
@@ -110,7 +110,7 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
 def _cliffs(cliffs: CliffMap) -> str:
     lost = ", ".join(f"{name} ({n})" for name, n in list(cliffs.trials_lost.items())[:MOST_LOST])
     return (
-        f"On {cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best end the "
+        f"On {cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best fit the "
         f"simulated knee jumps{f', most often in {lost}' if lost else ''}."
     )
 

@@ -244,7 +244,10 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
         size, width, spread = index.final, index.final_half_widths, found.indices["sigma"].final
         # The last group is failure.
         order = np.argsort(-np.nan_to_num(size[:-1], nan=-1.0).max(axis=1))
-        panels = {", ".join(groups[i]): (size[i], width[i], spread[i]) for i in order[:2]}
+        panels = {
+            ", ".join([label(groups[i][0]), *groups[i][1:]]): (size[i], width[i], spread[i])
+            for i in order[:2]
+        }
         yield Drawing(
             name="effects",
             figure=effects_figure(panels, parameters),

@@ -10,6 +10,7 @@ from identknee.report.laxity_figures import (
     LaxityCurves,
     all_coordinates_figure,
     along_load_figure,
+    by_flexion_figure,
 )
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Findings, Result
@@ -46,6 +47,16 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
                     figure=figure,
                     caption=_caption(curves),
                     description=f"Laxity along every load at each flexion angle: {told}.",
+                ),
+            )
+        else:
+            yield (
+                result,
+                Drawing(
+                    name="laxity",
+                    figure=by_flexion_figure(curves),
+                    caption=_by_flexion_caption(curves),
+                    description=f"All five coordinates of every trial against flexion: {told}.",
                 ),
             )
         if (whole := all_coordinates_figure(curves)) is not None:
@@ -153,3 +164,13 @@ def _caption(curves: LaxityCurves) -> str:
     if curves.band is not None:
         parts.append(f"band: {curves.band[0]}")
     return f"How far the knee moves along each load; {'; '.join(parts)}."
+
+
+def _by_flexion_caption(curves: LaxityCurves) -> str:
+    drawn = listed(curves.simulated)
+    if curves.measured is None:
+        return f"Where the tibia lies in every trial; coloured: {drawn}."
+    return (
+        f"Where the tibia lies in every trial; black: measured, coloured: {drawn}. A line joins "
+        "both of one trial: the longer, the worse they agree."
+    )

@@ -11,6 +11,7 @@ from identknee.report.design_figures import candidates_figure, intervals_figure,
 from identknee.report.diagnosis_figures import (
     isolability_figure,
     misfit_figure,
+    misfit_words,
     parameters_before_after_figure,
     residuals_figure,
 )
@@ -39,11 +40,12 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
         figure=misfit_figure(misfit.map, misfit.sentence),
         caption="Measured less predicted, in units of the noise: red where more was measured, blue "
         "where less; framed where noise alone hardly does that.",
-        description=f"Map of the misfit by coordinate, flexion and load. {misfit.sentence}.",
+        description="Map of the misfit by coordinate, flexion and load: "
+        f"{misfit_words(misfit.sentence)}.",
     )
     causes = listed(map(cause_label, answer.cause_names))
     before = residuals.before
-    changes = {f"what {causes} explains": before - residuals.after} if causes else {}
+    changes = {f"what is explained by {causes}": before - residuals.after} if causes else {}
     if (figure := residuals_figure(trials.protocol, before, residuals.sd, changes)) is not None:
         yield Drawing(
             name="residuals",

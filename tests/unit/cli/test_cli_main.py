@@ -34,6 +34,13 @@ def test_the_version_is_that_of_the_package() -> None:
     assert run("--version").stdout == f"identknee {version('identknee')}\n"
 
 
+@pytest.mark.parametrize("group", [(), ("subject",)])
+def test_a_list_of_commands_cuts_no_sentence_off(group: tuple[str, ...]) -> None:
+    listed = run(*group, "--help").stdout.partition("Commands:")[2]
+    assert len(listed.splitlines()) > 5
+    assert "..." not in listed
+
+
 def test_without_a_verb_the_help_is_shown() -> None:
     result = run()
     assert result.exit_code == 2

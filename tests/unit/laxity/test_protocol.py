@@ -192,7 +192,7 @@ def test_odd_files_end_in_a_sentence(tmp_path: Path, text: str) -> None:
 
 
 def test_text_that_is_not_toml(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"this is not TOML: .*line 1.*\. Mend that line\."):
+    with pytest.raises(InputError, match=r"this is not TOML: .*line 1.*\. Correct that line\."):
         load_protocol(written(tmp_path, "format : 1"))
     path = tmp_path / "mine.toml"
     path.write_bytes(b"name = '\xff'")

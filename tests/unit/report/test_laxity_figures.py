@@ -1,14 +1,18 @@
 """Laxity along load curves: what is drawn is what is given."""
 
 import numpy as np
+from figure_checks import clipped, empty_axes, overlapping
+from figure_checks import drawn as drawn_by
 from report_folders import few_trials
 
+from identknee.laxity.examples import example_laxity
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.laxity_figures import (
     LaxityCurves,
     all_coordinates_figure,
     along_load_figure,
+    by_flexion_figure,
 )
 from identknee.report.picture import vector
 
@@ -75,3 +79,25 @@ def test_a_figure_can_go_into_a_paper() -> None:
         assert written.startswith(begins)
         # The same figure is the same file, whenever it is written.
         assert vector(figure, form) == written
+
+
+def test_trials_without_load_curves_are_drawn_by_flexion() -> None:
+    data = example_laxity("s192803")
+    given = LaxityCurves(
+        protocol=data.protocol,
+        simulated={"fit": data.coordinates + 2.0},
+        measured=data.coordinates,
+    )
+    assert along_load_figure(given) is None
+    figure = by_flexion_figure(given)
+    assert [x.get_ylabel() for x in figure.axes] == [
+        *("lateral shift [mm]", "anterior drawer [mm]", "distraction [mm]"),
+        *("varus [deg]", "internal [deg]"),
+    ]
+    for i, axes in enumerate(figure.axes):
+        drawn = {x.get_label(): np.asarray(x.get_ydata()) for x in axes.lines}
+        np.testing.assert_array_equal(drawn["fit"], data.coordinates[:, i] + 2.0)
+        np.testing.assert_array_equal(drawn["measured"], data.coordinates[:, i])
+    assert empty_axes(figure, renderer := drawn_by(figure)) == []
+    assert clipped(figure, renderer) == []
+    assert overlapping(figure, renderer) == []

@@ -159,7 +159,7 @@ def test_a_page_without_a_knee_holds_no_library(page: str) -> None:
 def test_an_open_end_is_said_to_be_open(page: str) -> None:
     words = re.sub(r"<[^>]+>", " ", page).replace("&nbsp;", " ")
     assert "At 95 % confidence the data bound 1 of the 2 ligament parameters on both" in words
-    assert re.search(r"is not known downwards \(at most \S+ %\)", words)
+    assert re.search(r"has no lower limit \(at most \S+ %\)", words)
     assert OPEN_BELOW.partition(".")[0] in words
 
 

@@ -80,7 +80,7 @@ def test_known_and_unknown_stand_in_one_sentence() -> None:
     assert said == (
         "At 95 % confidence the data bound 1 of the 3 ligament parameters on both "
         "sides. The ACL's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN); "
-        "the band's is not known upwards (at least 6 kN); the LCL's is not known: "
+        "the band's has no upper limit (at least 6 kN); the LCL's is not known: "
         "these data bound it on neither side."
     )
 
@@ -93,7 +93,7 @@ def test_an_end_that_only_the_model_makes_is_said_to_be_open() -> None:
         upper=(SideStatus.OPEN_AT_FEASIBILITY, 25.438),
     )
     (statement,) = parameter_statements([cut])
-    assert "not known upwards (at least 14.9 kN; the model ends at 25.4 kN)" in statement.sentence
+    assert "has no upper limit (at least 14.9 kN; the model ends at 25.4 kN)" in statement.sentence
     assert "bound none of the 1" in statement.sentence
     (table,) = statement.tables
     assert table.rows[0][3] == "open, the model ends at 25.44"
@@ -112,7 +112,7 @@ def test_of_many_the_best_and_all_open_ones_are_named() -> None:
 @pytest.mark.parametrize(
     ("verdict", "words"),
     [
-        (ProfileVerdict.UNDETERMINED, "is left undecided"),
+        (ProfileVerdict.UNDETERMINED, "is undecided"),
         (
             ProfileVerdict.MULTIMODAL,
             "lies in one of several separate ranges (1 to 2 kN or 3 to 4 kN)",

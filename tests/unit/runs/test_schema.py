@@ -94,20 +94,20 @@ def test_long_values_are_cut() -> None:
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (b"{", "this is not JSON. Mend it."),
-        (b'"\xff"', "this is not JSON. Mend it."),
-        (b'"\\ud800"', "this is not JSON. Mend it."),
-        (b"1" * 5000, "this is not JSON. Mend it."),
-        (b"[" * 100_000, "nested too deeply. Mend it."),
+        (b"{", "this is not JSON. Correct the file."),
+        (b'"\xff"', "this is not JSON. Correct the file."),
+        (b'"\\ud800"', "this is not JSON. Correct the file."),
+        (b"1" * 5000, "this is not JSON. Correct the file."),
+        (b"[" * 100_000, "nested too deeply. Correct the file."),
     ],
 )
 def test_what_is_no_json_is_told(tmp_path: Path, content: bytes, why: str) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(content)
     with pytest.raises(InputError, match=why):
-        read_json(path, "Mend it.")
+        read_json(path, "Correct the file.")
     path.write_text(json.dumps({"a": [1.5, None]}), encoding="utf-8")
-    assert read_json(path, "Mend it.") == {"a": [1.5, None]}
+    assert read_json(path, "Correct the file.") == {"a": [1.5, None]}
 
 
 def test_toml_may_begin_with_the_mark_of_its_encoding(tmp_path: Path) -> None:

@@ -275,5 +275,5 @@ def test_the_wrong_side_with_landmarks(tmp_path: Path, side: Side, other: Side) 
     np.testing.assert_allclose(back.femur_frame.axes, knee.femur_frame.axes, atol=PLACE)
     file.write_text(file.read_text().replace(f'side = "{side}"', f'side = "{other}"'))
     message = refused(folder)
-    assert "the rear of the femoral condyles lies in front" in message
+    assert "the rounded back of the femoral condyles points forwards" in message
     assert f'Write side = "{side}"' in message
