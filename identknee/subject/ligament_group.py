@@ -1,5 +1,6 @@
 """Ligaments whose parameters are tied: the bundles of one anatomical ligament."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +8,8 @@ from identknee.runs.errors import suggestion
 from identknee.subject.ligament import Ligament
 
 LEAST = 2
+# A name, a number, perhaps a side.
+_NUMBERED = re.compile(r"(.*[^\W\d_])[-_ ]?\d+(?:[-_ ][rl])?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +40,31 @@ class LigamentGroup:
                 f"the group {self.name} must name two or more ligaments, each once; got "
                 f"{', '.join(self.members) or 'none'}"
             )
+
+
+def groups_by_name(ligaments: Sequence[Ligament]) -> tuple[LigamentGroup, ...]:
+    """Groups of the ligaments that are called alike but for a number at the end, such as ``ACL2``.
+
+    Examples
+    --------
+    >>> places = {"femur": [0, 9, 0], "tibia": [0, 0, 0]}
+    >>> numbers = {"stiffness_kN": 1.0, "reference_strain_pct": 0.0}
+    >>> names = ["ACL1", "ACL2", "LCL1_r", "LCL2_r", "PFL"]
+    >>> made = groups_by_name([Ligament(name=x, **places, **numbers) for x in names])
+    >>> [(x.name, x.members) for x in made]
+    [('ACL', ('ACL1', 'ACL2')), ('LCL', ('LCL1_r', 'LCL2_r'))]
+    """
+    taken = {x.name for x in ligaments}
+    members: dict[str, list[str]] = {}
+    for ligament in ligaments:
+        numbered = _NUMBERED.fullmatch(ligament.name)
+        if numbered and numbered[1] not in taken and ligament.stiffness_kN > 0.0:
+            members.setdefault(numbered[1], []).append(ligament.name)
+    return tuple(
+        LigamentGroup(name=name, members=tuple(own))
+        for name, own in members.items()
+        if len(own) >= LEAST
+    )
 
 
 def check_groups(groups: Sequence[LigamentGroup], ligaments: Sequence[Ligament]) -> None:

@@ -14,6 +14,7 @@ from identknee.subject.check import unusable
 from identknee.subject.examples import opensim_file
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee, Landmark
+from identknee.subject.ligament_group import groups_by_name
 from identknee.subject.opensim_bones import Bones, bones_of, contact_meshes
 from identknee.subject.opensim_lines import lines_of, merged
 from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel, Transform
@@ -37,9 +38,10 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     path
         The ``.osim`` file, or the name ``"lenhart2015"`` for the one that comes with identknee.
     bundles
-        ``"separate"`` for the ligaments as they are; ``"merged"`` for ACL, PCL, LCL and
-        (superficial) MCL alone, each the mean of its bundles' insertions, the sum of their
-        stiffnesses and the mean of their strains weighted by stiffness.
+        ``"separate"`` for the ligaments as they are, those tied that are called alike but for a
+        number at the end; ``"merged"`` for ACL, PCL, LCL and (superficial) MCL alone, each the
+        mean of its bundles' insertions, the sum of their stiffnesses and the mean of their strains
+        weighted by stiffness.
 
     Raises
     ------
@@ -68,6 +70,7 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
         femur=joined(*_meshes(model, meshes, bones.femur)),
         tibia=_plateaus(bones, joined(*_meshes(model, meshes, bones.tibia))),
         ligaments=tuple(ligaments),
+        groups=groups_by_name(ligaments) if bundles == "separate" else (),
         femur_frame=Frame(origin=np.zeros(3), axes=np.eye(3)),
         tibia_frame=Frame(
             origin=bones.tibia_frame.translation * MM_PER_M, axes=bones.tibia_frame.rotation.T

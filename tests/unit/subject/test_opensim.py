@@ -178,6 +178,19 @@ def test_the_55_bundles_of_lenhart2015() -> None:
         strain = 100.0 * bundle["straight_line_ref_strain"]
         assert line.reference_strain_pct == pytest.approx(strain, abs=6e-3)
         assert (line.name in knee.description) == (bundle["wrap_object"] is not None)
+    assert [x.name for x in knee.groups] == [
+        "MCLd",
+        "MCLs",
+        "ACLpl",
+        "ACLam",
+        "PCLal",
+        "PCLpm",
+        "LCL",
+        "MCLp",
+        "PFL",
+        "pCAP",
+    ]
+    assert sum(len(x.members) for x in knee.groups) == 55
     places = {x.name: x.position for x in knee.landmarks}
     frames = listed["frames"]["landmarks_mm"]
     np.testing.assert_allclose(places["hip_centre"], frames["hip_centre_in_femur_frame"], atol=1e-3)
@@ -188,6 +201,7 @@ def test_the_55_bundles_of_lenhart2015() -> None:
 
 def test_the_four_lines_of_lenhart2015() -> None:
     knee = import_opensim("lenhart2015", bundles="merged")
+    assert not knee.groups
     listed = stored("lenhart2015.json")["four_ligaments"]
     subject = example("lenhart2015")
     assert {x.name for x in knee.ligaments} == set(listed)
