@@ -12,6 +12,8 @@ from identknee.runs.declare import declared, entry
 
 # A line found this near to the true one is the true one.
 NEAR_MM, NEAR_DEG = 10.0, 15.0
+# Errors common to the trials of a flexion angle, as a diagnosis names them.
+REMOUNTING = "remounting"
 ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "ADEQUATE", "NAMED", "AMBIGUOUS", "UNEXPLAINED"
 
 
@@ -70,6 +72,8 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     named = {str(x["name"]) for x in diagnosis.get("causes") or ()}
     group = {str(x) for x in diagnosis.get("group") or ()}
     hidden = set(truth.effects)
+    # There beside what is hidden, named or not.
+    mounted = {REMOUNTING} if truth.facts.get("largest_remounting", 0.0) else set()
     is_named = verdict == NAMED
     offset, angle = _nearest_line(truth, diagnosis)
     # A structure is where its line runs, whatever it is called.
@@ -77,11 +81,11 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     is_placed = is_there and bool(hidden & set(UNLISTED))
     correct = {
         ADEQUATE: not hidden,
-        NAMED: (bool(hidden) and named == hidden) or is_placed,
-        AMBIGUOUS: (bool(hidden) and hidden <= group | named) or is_placed,
+        NAMED: (bool(named) and hidden <= named <= hidden | mounted) or is_placed,
+        AMBIGUOUS: (bool(hidden or mounted) and (hidden or mounted) <= group | named) or is_placed,
         UNEXPLAINED: bool(hidden & set(UNLISTED)),
     }.get(verdict, False)
-    wrong = is_named and bool(named - hidden) and not (is_placed and len(named) == 1)
+    wrong = is_named and bool(named - hidden - mounted) and not (is_placed and len(named) == 1)
     before, after, covered_before, covered_after = (
         _by_name(diagnosis.get(f"parameters_{x}"))
         for x in ("before", "after", "before_ci95", "after_ci95")

@@ -14,6 +14,7 @@ from identknee.diagnosis.explanations.candidates import Exclusion
 from identknee.diagnosis.explanations.causes import Cause, causes_of
 from identknee.diagnosis.explanations.fitting import BaseFit, fit_base, fit_from
 from identknee.diagnosis.explanations.refit import Refit, without_causes
+from identknee.diagnosis.explanations.remounted import remounted
 from identknee.diagnosis.explanations.verdict import LEVEL, Conclusion, Verdict, conclude
 from identknee.diagnosis.gain.gain import Gain, measure_gain
 from identknee.diagnosis.missing_line.line import LineFinding, find_line
@@ -259,13 +260,16 @@ def _explained(
     effects = [*effects, *beyond.causes]
     attribution = attribute(base, effects, seed=seed)
     p_value = base.alarm_p_value(attribution.steps[0].scores.p_value)
-    if attribution.steps[0].is_significant or not (p_value <= LEVEL or beyond.causes):
+    is_alarm = p_value <= LEVEL
+    if not attribution.steps[0].is_significant and (is_alarm or beyond.causes):
+        forced = attribute(base, effects, seed=seed, is_forced=True)
+        # An insertion beyond its prior is an alarm of its own where a cause explains it.
+        if is_alarm or forced.best.causes:
+            attribution, p_value = forced, p_value if is_alarm else beyond.p_value
+    mounted = remounted(base, attribution.best) if p_value <= LEVEL else None
+    if mounted is None:
         return attribution, p_value
-    forced = attribute(base, effects, seed=seed, is_forced=True)
-    if p_value <= LEVEL:
-        return forced, p_value
-    # An insertion beyond its prior is an alarm of its own where a cause explains it.
-    return (forced, beyond.p_value) if forced.best.causes else (attribution, p_value)
+    return attribute(base, [*effects, mounted], seed=seed, is_forced=True), p_value
 
 
 def lower_start(attribution: Attribution) -> Array | None:

@@ -25,7 +25,9 @@ from types import MappingProxyType
 from typing import Literal
 
 Slot = Literal["force", "load", "observation", "parameter", "history"]
-MISSING_LINE = "missing_line"
+MISSING_LINE, REMOUNTING = "missing_line", "remounting"
+# Causes that no library offers: they are tried where others fail.
+NOT_OFFERED = (MISSING_LINE, REMOUNTING)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -284,6 +286,15 @@ _ALL = (
         source=f"a quarter of the modulus, {_ESTIMATE}",
         relevant=0.4,
         is_numerical=True,
+    ),
+    EffectFacts(
+        name=REMOUNTING,
+        label="zero error of each flexion angle",
+        slot="observation",
+        sentence="All trials of a flexion angle share errors of zero, as if the knee was mounted "
+        "again for each: state them, for example --uncertain zero=0.3mm,zero=0.3deg.",
+        source=f"0.3 mm and 0.3 deg, {_ESTIMATE}",
+        relevant=0.1,
     ),
     EffectFacts(
         name=MISSING_LINE,

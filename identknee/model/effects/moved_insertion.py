@@ -60,7 +60,7 @@ class MovedInsertion:
         """The setting with the effect at shifts ``values[i]`` in copy i."""
         return self.shifts.change_copies(setting, self._whole(values))
 
-    def moved(self, knee: Knee, values: Array) -> Knee:
+    def applied(self, knee: Knee, values: Array) -> Knee:
         """The knee whose insertion lies there."""
         frame = knee.femur_frame if self.bone == BONES[0] else knee.tibia_frame
         ligaments = [

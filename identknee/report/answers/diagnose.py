@@ -1,7 +1,7 @@
 """What a diagnosis says: what the model gets wrong, why, and which tests would tell more."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from typing import TypeVar
 
 from identknee.diagnosis.explanations.candidates import Exclusion
@@ -9,7 +9,7 @@ from identknee.diagnosis.explanations.causes import Interval
 from identknee.diagnosis.explanations.refit import RivalState
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.score.score import Cell
-from identknee.model.effects.facts import FACTS, MISSING_LINE, cause_label
+from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
 from identknee.report.answers.advised import trial_table, trials_words
 from identknee.report.answers.better_known import error_words, sizes_words
 from identknee.report.answers.isolability import SIZES, sizes_seen
@@ -56,7 +56,7 @@ def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
     if answer.noise is not None:
         yield Statement(question=Question.WRONG, sentence=answer.noise.sentence)
     if answer.effects:
-        yield _tried(answer.effects)
+        yield _tried(answer.effects, {x.name.partition(".")[0] for x in answer.nuisances})
     if answer.advised_trials:
         said = "" if answer.advice is None else answer.advice.sentence
         yield Statement(
@@ -308,7 +308,7 @@ def _whichever(answer: Diagnosis) -> Statement | None:
     )
 
 
-def _tried(effects: Mapping[str, Exclusion]) -> Statement:
+def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
     rows = tuple(
         (cause_label(name), FOUND[x.cell], x.score, *sizes_seen(x), 100.0 * x.power)
         for name, x in effects.items()
@@ -321,12 +321,15 @@ def _tried(effects: Mapping[str, Exclusion]) -> Statement:
         Column(name="chance to see that one", unit="%", decimals=0),
     )
     counts = Counter(FOUND[x.cell] for x in effects.values())
-    known = [x for x, y in FACTS.items() if x != MISSING_LINE and not y.is_numerical]
-    missing = [cause_label(x) for x in known if x not in effects]
+    known = [x for x, y in FACTS.items() if x not in NOT_OFFERED and not y.is_numerical]
+    missing = [cause_label(x) for x in known if x not in effects and x not in uncertain]
+    stated = [cause_label(x) for x in known if x in uncertain]
     said = f"Of {len({*known, *effects})} known causes, {len(effects)} were tested: "
     said += "; ".join(f"{n} {words}" for words, n in counts.items()) + "."
     if missing:
         said += f" Not testable with these data or this knee: {listed(missing)}."
+    if stated:
+        said += f" Taken as uncertain from the start: {listed(stated)}."
     return Statement(
         question=Question.WRONG,
         sentence=said,

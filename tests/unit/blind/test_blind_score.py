@@ -25,6 +25,7 @@ TRUTH = Truth(
 NULL = replace(TRUTH, effects=(), amplitudes={}, lines={}, signal=0.0)
 UNLISTED = replace(TRUTH, effects=("missing_line",))
 PAIR = replace(TRUTH, effects=("anterolateral", "drift"))
+MOUNTED, REMOUNTED = (replace(x, facts={"largest_remounting": 0.5}) for x in (TRUTH, NULL))
 
 
 def _diagnosis(verdict: str, *causes: str, group: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -49,6 +50,12 @@ def _diagnosis(verdict: str, *causes: str, group: tuple[str, ...] = ()) -> dict[
         (UNLISTED, _diagnosis("NAMED", "meniscus"), False, True),
         (PAIR, _diagnosis("NAMED", "anterolateral", "drift"), True, False),
         (PAIR, _diagnosis("NAMED", "drift"), False, False),
+        (NULL, _diagnosis("NAMED", "remounting"), False, True),
+        (REMOUNTED, _diagnosis("NAMED", "remounting"), True, False),
+        (REMOUNTED, _diagnosis("NAMED", "meniscus"), False, True),
+        (REMOUNTED, _diagnosis("AMBIGUOUS", group=("remounting", "drift")), True, False),
+        (MOUNTED, _diagnosis("NAMED", "remounting"), False, False),
+        (MOUNTED, _diagnosis("NAMED", "remounting", "anterolateral"), True, False),
     ],
 )
 def test_right_and_wrong(

@@ -25,7 +25,7 @@ SHIFT = np.array([0.0, -7.0, 0.0])
 
 def elsewhere(shift: np.ndarray) -> Knee:
     """The reference knee, the LCL on the femur elsewhere."""
-    return moved_insertion(reference_knee(), "LCL", "femur").moved(reference_knee(), shift)
+    return moved_insertion(reference_knee(), "LCL", "femur").applied(reference_knee(), shift)
 
 
 def laxity_of(knee: Knee) -> Laxity:

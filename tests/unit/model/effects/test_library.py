@@ -12,7 +12,7 @@ from tolerances import DIFFERENCE, SAME_POSE
 
 from identknee.laxity.protocol import Protocol
 from identknee.model import joint
-from identknee.model.effects.facts import FACTS, MISSING_LINE
+from identknee.model.effects.facts import FACTS, NOT_OFFERED
 from identknee.model.effects.library import effect_named, library
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -20,7 +20,7 @@ from identknee.subject.knee import Knee
 
 HISTORY = {"hysteresis", "creep", "drift"}
 NUMERICAL = ["contact_law"]
-NAMES = [x for x in FACTS if x != MISSING_LINE]
+NAMES = [x for x in FACTS if x not in NOT_OFFERED]
 # A difference of solved poses [mm, deg] over this share of an amplitude's range.
 STEP = 1e-5
 # The same field made between other roundings [mm, deg].

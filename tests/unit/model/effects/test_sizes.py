@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_library import PROTOCOL
 
-from identknee.model.effects.facts import FACTS, MISSING_LINE
+from identknee.model.effects.facts import FACTS, NOT_OFFERED
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import ligament_parameters
@@ -50,7 +50,7 @@ LARGEST = {
     "drift": (1.0, "mm or deg over the series"),
     "contact_law": (np.log(1.25), "a quarter of the modulus"),
 }
-NAMES = [x for x in FACTS if x != MISSING_LINE]
+NAMES = [x for x in FACTS if x not in NOT_OFFERED]
 
 
 def sds(knee: Knee, name: str, parameter: str, size: float) -> float:
