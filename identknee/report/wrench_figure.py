@@ -56,9 +56,11 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     grid = figure.subplots(len(angles), len(directions), squeeze=False)
     force, moment = _largest(pulls)
     lines = _lines(answer, knee)
-    for k, axes in enumerate(grid.flat):
-        # Arrows cross what is written on every panel, so ligaments have names on the first only.
-        _draw_plateau(axes, knee, lines, is_named=k == 0)
+    # Arrows cross what is written beside them: names stand where these are shortest.
+    least = min(pulls, key=lambda x: _force(x) / force + abs(x.internal_moment_Nm) / moment)
+    named = grid[angles.index(least.flexion_deg), directions.index(least.direction)]
+    for axes in grid.flat:
+        _draw_plateau(axes, knee, lines, is_named=axes is named)
     for pull in pulls:
         axes = grid[angles.index(pull.flexion_deg), directions.index(pull.direction)]
         _draw_pull(axes, pull, REACH / force, MOST_TURN / moment)
@@ -107,7 +109,7 @@ def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array], *, is_name
             (float(away[0]), float(away[1])),
             textcoords="offset points",
             fontsize=TINY,
-            ha="center",
+            ha="left" if away[0] > 4.0 else "right" if away[0] < -4.0 else "center",
             va="center",
         )
     for line, colour in zip(lines.values(), cycle(LINES), strict=False):

@@ -1,9 +1,11 @@
 """What a model lacks, as arrows on the plateau."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from diagnoses import FRAME, answered, diagnosed
+from figure_checks import drawn
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 
@@ -11,6 +13,8 @@ from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.missing_line.wrench import missing_wrench
 from identknee.report.wrench_figure import LEVEL, SHOWN, wrench_figure
 from identknee.subject.reference import reference_knee
+from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.files import load
 
 
 def test_every_flexion_and_direction_has_a_force_and_its_ellipse() -> None:
@@ -18,11 +22,24 @@ def test_every_flexion_and_direction_has_a_force_and_its_ellipse() -> None:
     figure = wrench_figure(answered(FRAME), reference_knee())
     panels = [x for x in figure.axes if x.patches]
     assert len(panels) == len({x.flexion_deg for x in pulls}) * len({x.direction for x in pulls})
-    drawn = [[type(x) for x in panel.patches] for panel in panels]
-    assert sum(x.count(Ellipse) for x in drawn) == len(pulls)
-    for types in drawn:
+    kinds = [[type(x) for x in panel.patches] for panel in panels]
+    assert sum(x.count(Ellipse) for x in kinds) == len(pulls)
+    for types in kinds:
         # An arc has a head of its own.
         assert types.count(FancyArrowPatch) == 1 + types.count(Arc)
+
+
+def test_names_stand_clear_of_the_arrows() -> None:
+    answer = load(Path(__file__).parents[2] / "fuzz" / "results" / "diagnose")
+    assert isinstance(answer, Diagnosis)
+    figure = wrench_figure(answer, reference_knee())
+    renderer = drawn(figure)
+    (panel,) = [x for x in figure.axes if any(y.get_text() == "LCL" for y in x.texts)]
+    arrows = [x.get_window_extent(renderer) for x in panel.patches if type(x) is FancyArrowPatch]
+    names = [x.name for x in reference_knee().ligaments]
+    for text in panel.texts:
+        if text.get_text() in names:
+            assert not any(text.get_window_extent(renderer).overlaps(x) for x in arrows)
 
 
 def test_what_may_be_noise_is_grey() -> None:
