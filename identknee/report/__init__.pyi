@@ -1,4 +1,3 @@
-from .comparison import largest_by as largest_by
 from .comparison import spread as spread
 from .design_figures import candidates_figure as candidates_figure
 from .diagnosis_figures import added_variable_figure as added_variable_figure

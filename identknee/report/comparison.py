@@ -1,35 +1,11 @@
-"""How far parameter sets are from one another: parameters, tensions, spread over seeds."""
+"""Where the middle of some values lies, and how widely they scatter."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array
-
 BOOTSTRAP_DRAWS = 9999
-
-
-def largest_by(values: Array, labels: Sequence[object], order: Sequence[object]) -> Array:
-    """Largest of `values` (n, m) among the rows of each label, shape ``(len(order), m)``.
-
-    Parameters
-    ----------
-    values
-        With a row a trial; NaN is left out.
-    labels
-        Of each row.
-    order
-        The labels wanted. One without a number gives NaN.
-    """
-    table = np.full((len(order), values.shape[1]), np.nan)
-    for row, wanted in enumerate(order):
-        chosen = values[[label == wanted for label in labels]]
-        known = ~np.isnan(chosen)
-        some = known.any(axis=0)
-        table[row, some] = np.where(known, chosen, -np.inf).max(axis=0, initial=-np.inf)[some]
-    return table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,11 +9,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from common.page import draw_study, table
+from common.paper_figures import evaluation_figure, margin_figure
+from common.rows_of_paper import laxity_table
 from matplotlib.figure import Figure
 
 import identknee as ik
-from identknee.report.figures import evaluation_figure, margin_figure
-from identknee.report.tables import laxity_table
 
 WELL_POSED = ("reference", "lenhart2015_stable")
 INTERNAL = ik.laxity.COORDINATES.index("internal_deg")

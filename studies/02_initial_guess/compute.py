@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from common import records
+from common.largest import largest_by
 from common.problems import truth_of
 from common.records import Row, rounded, study_knee, write_record
 
@@ -183,10 +184,10 @@ def errors(its: Setting, theta: ik.runs.Array) -> Row:
         "rmse_mm": kinematic.mm,
         "rmse_deg": kinematic.deg,
         "rmse_by_flexion": kinematic.by_flexion,
-        "tension_by_flexion_N": ik.report.largest_by(
+        "tension_by_flexion_N": largest_by(
             differences, flexion.tolist(), angles(its.model.protocol)
         ),
-        "tension_by_scenario_N": ik.report.largest_by(
+        "tension_by_scenario_N": largest_by(
             differences, ik.laxity.load_scenarios(its.model.protocol), SCENARIOS
         ),
     }
@@ -215,10 +216,10 @@ def profile(knee_name: str) -> Row:
             "flexion_deg": protocol.flexion_deg,
             "loads": protocol.loads,
             "at_truth": its.at_truth.coordinates,
-            "largest_tension_by_flexion_N": ik.report.largest_by(
+            "largest_tension_by_flexion_N": largest_by(
                 tensions, protocol.flexion_deg.tolist(), angles(protocol)
             ),
-            "largest_tension_by_scenario_N": ik.report.largest_by(
+            "largest_tension_by_scenario_N": largest_by(
                 tensions, ik.laxity.load_scenarios(protocol), SCENARIOS
             ),
             "margin_N_per_mm": its.at_truth.margins,

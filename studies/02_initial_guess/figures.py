@@ -9,17 +9,17 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from common.page import draw_study
-from common.records import study_knee
-from matplotlib.figure import Figure
-from paper_tables import PAPER_TABLE3, rows, tables
-
-import identknee as ik
-from identknee.report.figures import (
+from common.paper_figures import (
     error_figure,
     force_strain_figure,
     parameters_figure,
     profile_figure,
 )
+from common.records import study_knee
+from matplotlib.figure import Figure
+from paper_tables import PAPER_TABLE3, rows, tables
+
+import identknee as ik
 
 Row = Mapping[str, Any]
 

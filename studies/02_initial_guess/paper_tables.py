@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 from common.page import Cell, table
+from common.rows_of_paper import error_table, start_table
 
 import identknee as ik
-from identknee.report.tables import error_table, start_table
 
 Row = Mapping[str, Any]
 

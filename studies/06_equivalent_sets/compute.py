@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from common import records
+from common.largest import largest_by
 from common.problems import model_of, truth_of
 from common.records import Row, rounded, study_knee, write_record
 
@@ -224,12 +225,8 @@ def force_tables(model: ik.LaxityModel, found: EquivalentSets, protocol: ik.Prot
         [max(x.upper.value - x.at_fit, x.at_fit - x.lower.value) for x in found.quantities.values()]
     ).reshape(-1, n_ligaments)
     return {
-        "by_flexion_N": ik.report.largest_by(
-            farthest, protocol.flexion_deg.tolist(), angles(model)
-        ),
-        "by_scenario_N": ik.report.largest_by(
-            farthest, ik.laxity.load_scenarios(protocol), SCENARIOS
-        ),
+        "by_flexion_N": largest_by(farthest, protocol.flexion_deg.tolist(), angles(model)),
+        "by_scenario_N": largest_by(farthest, ik.laxity.load_scenarios(protocol), SCENARIOS),
     }
 
 

@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from common import records
+from common.largest import largest_by
 from common.records import Row, rounded, study_knee, write_record
 from other_studies import module_of
 
@@ -172,7 +173,7 @@ def soft_errors(its: Any, model: Any, theta: ik.runs.Array) -> Row:
             "rmse_deg": kinematic.deg,
             "largest_mm": np.nanmax(change[:, ik.laxity.TRANSLATIONS]),
             "largest_deg": np.nanmax(change[:, ik.laxity.ROTATIONS]),
-            "tension_by_scenario_N": ik.report.largest_by(
+            "tension_by_scenario_N": largest_by(
                 differences, ik.laxity.load_scenarios(whole.protocol), GUESSES.SCENARIOS
             ),
         }

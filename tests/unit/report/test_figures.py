@@ -2,10 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-
-from identknee.laxity.published import TABLE2
-from identknee.report.figures import (
+from common.paper_figures import (
     error_figure,
     evaluation_figure,
     force_strain_figure,
@@ -13,6 +10,9 @@ from identknee.report.figures import (
     parameters_figure,
     profile_figure,
 )
+from matplotlib.figure import Figure
+
+from identknee.laxity.published import TABLE2
 from identknee.report.picture import png, vector
 
 TRUTH = np.array([10.0, 18.0, 8.0, -4.0])

@@ -1,16 +1,14 @@
 import numpy as np
 import pytest
+from common.rows_of_paper import error_table, laxity_table, start_table
 
 from identknee.laxity.published import TABLE2, TABLE5
 from identknee.report.comparison import spread
 from identknee.report.tables import (
     Column,
     Table,
-    error_table,
     filled,
-    laxity_table,
     median_range,
-    start_table,
 )
 
 SMALL = Table(
