@@ -113,14 +113,7 @@ def fitted(task: Row) -> Row:
 def held_out(task: Row) -> Row:
     """A fit without some trials, and its prediction of these."""
     laxity = table()
-    names = [
-        x
-        for x, is_measured in zip(
-            laxity.protocol.trials, laxity.is_measured.any(axis=1), strict=True
-        )
-        if is_measured
-    ]
-    laxity = laxity.select([laxity.protocol.trials.index(x) for x in names])
+    laxity = laxity.select(np.flatnonzero(laxity.is_measured.any(axis=1)))
     found = ik.fit(
         task["knee"],
         laxity,
