@@ -14,7 +14,7 @@ from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim_export import write_opensim
 from identknee.verbs.fit import Calibration
-from identknee.verbs.fitted_knee import as_stated, fitted_knee, fitted_values
+from identknee.verbs.fitted_knee import as_fitted, as_stated, fitted_knee, fitted_values
 from identknee.verbs.simulate import SimulatedLaxity
 from identknee.verbs.subject_facts import SubjectFacts, exported_subject
 from identknee.verbs.verb import SubjectLike
@@ -87,7 +87,7 @@ def export_knee(
     if results:
         others.append(_write_table(knee, results, folder))
     if osim or source is not None:
-        others.append(write_opensim(written, folder, source=source))
+        others.append(write_opensim(as_fitted(written), folder, source=source))
     if vtk:
         others.append(_write_trials(written, results, protocol, folder))
     return Exported(knee=written, folder=folder, others=tuple(others))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from identknee.model.effects.insertion import AXES, BONES
 from identknee.model.nuisances.geometry import insertions
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.model.tied import tied
@@ -17,6 +18,8 @@ from identknee.verbs.knee_digest import knee_digest
 from identknee.verbs.profile import Profiles
 from identknee.verbs.simulate import SimulatedLaxity
 from identknee.verbs.used_trials import table_model
+
+INSERTION = "insertion"
 
 
 def fitted_knee(knee: Knee, answer: Answer) -> Knee:
@@ -39,22 +42,49 @@ def fitted_knee(knee: Knee, answer: Answer) -> Knee:
     """
     values = fitted_values(answer)
     stated = as_stated(knee, answer)
+    data = getattr(answer, "data", None)
+    # The fit may have kept another pattern of the grouped bundles.
+    pattern = knee if data is None else table_model(knee, data)[0].knee
+    return _with_values(knee, values, stated, pattern)
+
+
+def as_fitted(knee: Knee) -> Knee:
+    """The knee of a folder that a fit left, with parameters and insertions found; else as it is."""
+    found = _with_values(knee, knee.fitted, knee, knee) if knee.fitted else knee
+    moved = next((x for x in found.effects if x.name == INSERTION), None)
+    if moved is None:
+        return found
+    shifts = [
+        [[moved.values.get(f"{x.name}_{bone}_{axis}_mm", 0.0) for axis in AXES] for bone in BONES]
+        for x in found.ligaments
+    ]
+    others = [x for x in found.effects if x is not moved]
+    return _with_moved_ends(found, np.array(shifts)).with_effects(others)
+
+
+def _with_values(knee: Knee, values: Mapping[str, float], stated: Knee, pattern: Knee) -> Knee:
+    """The knee at `values`, uncertain as `stated`, its bundles related as those of `pattern`."""
     shifts = _insertion_shifts(stated, values)
-    stiffness, strain = _by_ligament(knee, answer, values)
+    stiffness, strain = _by_ligament(pattern, values)
     ligaments = [
+        replace(x, stiffness_kN=own_stiffness, reference_strain_pct=own_strain)
+        for x, own_stiffness, own_strain in zip(knee.ligaments, stiffness, strain, strict=True)
+    ]
+    effects = [_fitted_effect(x, values) for x in knee.effects]
+    return _with_moved_ends(knee.with_ligaments(ligaments), shifts).with_effects(effects)
+
+
+def _with_moved_ends(knee: Knee, shifts: Array) -> Knee:
+    """The knee with both ends of every ligament moved along the axes of their bones [mm]."""
+    moved = [
         replace(
             x,
             femur=x.femur + shift[0] @ knee.femur_frame.axes,
             tibia=x.tibia + shift[1] @ knee.tibia_frame.axes,
-            stiffness_kN=own_stiffness,
-            reference_strain_pct=own_strain,
         )
-        for x, shift, own_stiffness, own_strain in zip(
-            knee.ligaments, shifts, stiffness, strain, strict=True
-        )
+        for x, shift in zip(knee.ligaments, shifts, strict=True)
     ]
-    effects = [_fitted_effect(x, values) for x in knee.effects]
-    return knee.with_ligaments(ligaments).with_effects(effects)
+    return knee.with_ligaments(moved)
 
 
 def fitted_values(answer: Answer) -> dict[str, float]:
@@ -75,13 +105,9 @@ def fitted_values(answer: Answer) -> dict[str, float]:
     )
 
 
-def _by_ligament(
-    knee: Knee, answer: Answer, values: Mapping[str, float]
-) -> tuple[list[float], list[float]]:
+def _by_ligament(knee: Knee, values: Mapping[str, float]) -> tuple[list[float], list[float]]:
     """Stiffness and reference strain of each ligament, those of a group from what it has."""
-    data = getattr(answer, "data", None)
-    # The fit may have kept another pattern of the grouped bundles.
-    units = tied(knee if data is None else table_model(knee, data)[0].knee)
+    units = tied(knee)
     own = zip(
         units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist(), strict=True
     )
@@ -114,7 +140,7 @@ def _insertion_shifts(knee: Knee, values: Mapping[str, float]) -> Array:
     """Of both ends of every ligament along the axes of their bones [mm], ``(n, 2, 3)``."""
     shape = (len(knee.ligaments), 2, 3)
     spread = knee.uncertainty.insertions_mm
-    is_own = any(x.name == "insertion" for x in knee.effects)
+    is_own = any(x.name == INSERTION for x in knee.effects)
     if is_own or (isinstance(spread, float) and spread == 0.0):
         return np.zeros(shape)
     nuisance = insertions(knee)
