@@ -85,28 +85,24 @@ class TrialSearch:
     def used(self, start: Array) -> UsedTrials:
         """The trials to be fitted, and where to begin, at or away from `start`.
 
-        Where the model begins at measured poses and loses trials at the start, it also begins with
-        reference strains from the lengths of the ligaments in those poses.
+        Where trials have no equilibrium at the start, searches go from there; where the model
+        begins at measured poses also from reference strains by the lengths of the ligaments there.
+        Where no trial bears even its compression anywhere, all trials stay.
         """
         said = about_paths(self.model)
         lost = self.measured & ~self.has_equilibrium(start)
-        if self.model.poses is None or not lost.any():
+        if not lost.any():
             return UsedTrials(laxity=self.laxity, start=start, sentences=said)
-        begun = [start, *(self._stretched(start, x) for x in STRETCHES)]
-        made = [self._regained(x) for x in begun]
-        best = max(range(len(made)), key=lambda i: self._worth(made[i].theta))
+        made = {x: self._regained(y) for x, y in self._beginnings(start).items()}
+        if not made:
+            return UsedTrials(laxity=self.laxity, start=start, sentences=said)
+        best = max(made, key=lambda x: self._worth(made[x].theta))
         theta = made[best].theta
-        where = (
-            f"{100 * STRETCHES[best - 1]:.0f} % of strain at the longest measured length of each "
-            "ligament"
-            if best
-            else "the start all the same"
-        )
         sentence = (
             f"At the start {lost.sum()} of {self.measured.sum()} measured trials had no "
-            f"equilibrium. The fit began from {where}, the best of {len(made)} such beginnings, "
+            f"equilibrium. The fit began from {best}{_of(len(made))} "
             "and compared trials that did not bear their load under the share they bore, until "
-            f"they did ({sum(x.n_simulations for x in made)} simulations)."
+            f"they did ({sum(x.n_simulations for x in made.values())} simulations)."
         )
         return UsedTrials(
             laxity=self.with_equilibrium(theta),
@@ -146,6 +142,14 @@ class TrialSearch:
         """The residuals of the model against `laxity`, with priors of the nuisances."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
         return with_nuisance_priors(with_bounds(residuals, self.bounds))
+
+    def _beginnings(self, start: Array) -> dict[str, Array]:
+        """Where to begin, in words, and theta there, which some trial bears a load at."""
+        begun = {"the start all the same": start}
+        if self.model.poses is not None:
+            of_each = "% of strain at the longest measured length of each ligament"
+            begun |= {f"{100 * x:.0f} {of_each}": self._stretched(start, x) for x in STRETCHES}
+        return {words: x for words, x in begun.items() if (self._borne(x) >= 0.0).any()}
 
     def _stretched(self, start: Array, stretch: float) -> Array:
         """Theta with reference strains as the measured poses have them, kept to the bounds."""
@@ -193,6 +197,10 @@ class TrialSearch:
         used = self.with_equilibrium(theta)
         residuals = self.problem(used).residuals(theta)
         return int(used.is_measured.any(axis=1).sum()), -float(residuals @ residuals)
+
+
+def _of(n: int) -> str:
+    return f", the best of {n} such beginnings," if n > 1 else ","
 
 
 def residuals_of(problem: Problem) -> LaxityResiduals:
@@ -275,7 +283,7 @@ def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
         return ()
     sentence = (
         f"The result rests on {len(kept)} of {len(measured)} measured trials: the model has no "
-        f"equilibrium near the measured pose of {', '.join(lost)}. Look them up, or state how "
+        f"equilibrium in {', '.join(lost)}. Look them up, or state how "
         "well geometry is known with --uncertain."
     )
     return (Finding(severity=Severity.WARNING, sentence=sentence, where="trials"),)
