@@ -269,10 +269,11 @@ class LaxityModel:
                 f"{', '.join(self.parameters.names)}; got shape {theta.shape}"
             )
         u = self.tied.n
-        strain = self.tied.strain(theta[u : 2 * u]) * PER_PCT
+        is_finite = np.isfinite(theta)
+        strain = self.tied.strain(np.where(is_finite, theta, 0.0)[u : 2 * u]) * PER_PCT
         others = np.ones(theta.size - 2 * u, bool)
         is_taut = ~(self.tied.member.T @ (strain <= -1.0)).astype(bool)
-        allowed = np.isfinite(theta) & np.r_[theta[:u] >= 0.0, is_taut, others]
+        allowed = is_finite & np.r_[theta[:u] >= 0.0, is_taut, others]
         if not allowed.all():
             worst = int(np.flatnonzero(~allowed)[0])
             raise ValueError(

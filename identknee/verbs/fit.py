@@ -236,7 +236,7 @@ def fit(
         assumptions=(run.knee.uncertainty.sentence, *pattern, *used.sentences, *tails),
         uncertainty=run.knee.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
-        findings=(*lost_findings(laxity, used.laxity), *_beside_the_table(model, laxity, said)),
+        findings=_beside_the_table(model, laxity, (*lost_findings(laxity, used.laxity), *said)),
     )
 
 
@@ -310,7 +310,10 @@ def _findings(
 def _beside_the_table(
     model: LaxityModel, laxity: Laxity, findings: tuple[Finding, ...]
 ) -> tuple[Finding, ...]:
-    """The findings, and trials that the table alone contradicts where fits begin at its poses."""
+    """The findings, behind what the table says by itself where fits begin at its poses.
+
+    A table with a sign turned loses trials too: the sign is said first.
+    """
     if model.poses is None:
         return findings
     named = {x.where for x in findings}

@@ -47,7 +47,7 @@ def outcome(task: BlindTask) -> dict[str, Any]:
         "verdict": verdict,
         "causes": named,
         "wrong": wrong,
-        "correct": not wrong,
+        "correct": not wrong and not alarm,
         "in_group": not wrong,
     }
 
