@@ -41,14 +41,15 @@ def study_knee(name: str) -> ik.Knee:
 def knee_digest(knee: ik.Knee) -> str:
     """SHA-256 of all numbers of a knee: surfaces, frames and ligaments.
 
-    Stiffnesses and strains count to nine digits: a strain may come from a norm, whose last bits
-    hang on the processor.
+    Stiffnesses, strains and the axes of frames count to nine digits: those that come from a norm
+    or a rotation have last bits that hang on the processor.
     """
     parts: list[bytes] = []
     for surface in (knee.femur, *knee.tibia):
         parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
     for frame in (knee.femur_frame, knee.tibia_frame):
-        parts += [frame.origin.tobytes(), frame.axes.tobytes()]
+        # A zero has no sign.
+        parts += [frame.origin.tobytes(), (np.round(frame.axes, 9) + 0.0).tobytes()]
     for ligament in knee.ligaments:
         numbers = f"{ligament.stiffness_kN:.9g} {ligament.reference_strain_pct:.9g}"
         parts += [f"{ligament.name} {numbers}".encode()]
