@@ -9,12 +9,11 @@ from identknee.calibrate.doubts import bound_findings
 from identknee.calibrate.starts import load_start
 from identknee.diagnosis.advice.advice import Advice, advise
 from identknee.diagnosis.explanations.attribution import Attribution, attribute
-from identknee.diagnosis.explanations.beyond_prior import insertions_beyond
 from identknee.diagnosis.explanations.candidates import Exclusion
 from identknee.diagnosis.explanations.causes import Cause, causes_of
 from identknee.diagnosis.explanations.fitting import BaseFit, fit_base, fit_from
 from identknee.diagnosis.explanations.refit import Refit, without_causes
-from identknee.diagnosis.explanations.remounted import remounted
+from identknee.diagnosis.explanations.stated_errors import insertions_beyond, remounted
 from identknee.diagnosis.explanations.verdict import LEVEL, Conclusion, Verdict, conclude
 from identknee.diagnosis.gain.gain import Gain, measure_gain
 from identknee.diagnosis.missing_line.line import LineFinding, find_line

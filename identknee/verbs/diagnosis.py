@@ -5,11 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from identknee.diagnosis.explanations.candidates import Exclusion
-from identknee.diagnosis.explanations.causes import Estimate, Interval
+from identknee.diagnosis.explanations.causes import Estimate
 from identknee.diagnosis.explanations.refit import RivalState
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.noise.data_noise import NoiseSource
 from identknee.diagnosis.score.localisation import CellScore
+from identknee.identify.laplace import Interval
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import FACTS
 from identknee.model.effects.moved_insertion import direction_words

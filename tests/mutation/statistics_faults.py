@@ -398,15 +398,15 @@ DIAGNOSIS = (
         "nuisances have the square of their spread",
         "noise_model::test_nuisances_in_the_covariance_are_nuisances_fitted_with_their_prior",
     ),
-    _diagnosis(
-        "explanations/causes.py",
+    _identify(
+        "laplace.py",
         "- np.log(np.diag(information[0])).sum()",
         "+ np.log(np.diag(information[0])).sum()",
         "evidence prefers flexible causes",
         "laplace::test_without_bounds_it_is_the_evidence_of_a_linear_model",
     ),
-    _diagnosis(
-        "explanations/causes.py",
+    _identify(
+        "laplace.py",
         "- prior_mass.sum()",
         "+ prior_mass.sum()",
         "half-normal priors count for half instead of double",

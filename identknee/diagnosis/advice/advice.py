@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.diagnosis.advice.better_known import measured_errors
 from identknee.diagnosis.advice.isolability import (
     AdvisedTrials,
     Pair,
@@ -14,7 +13,8 @@ from identknee.diagnosis.advice.isolability import (
 )
 from identknee.diagnosis.explanations.fitting import Fitted, plain_noise
 from identknee.diagnosis.explanations.refit import Refit, Rival
-from identknee.diagnosis.noise.nuisances import nuisance_changes
+from identknee.identify.design.better_known import SHARE
+from identknee.identify.nuisances import nuisance_places
 from identknee.laxity.candidates import candidate_trials, repeated
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import Laxity
@@ -22,6 +22,7 @@ from identknee.model.candidate_laxity import CandidateLaxity, typical_errors
 from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
+from identknee.model.shared_errors import nuisance_changes
 from identknee.runs.arrays import Array
 
 # Rivals beyond these follow from the nearest ones.
@@ -260,3 +261,38 @@ def _table(best: Refit, rivals: Sequence[Rival], offer: OfferedTrials) -> tuple[
         )
         place = end
     return Rows(made=np.hstack(made), offered=np.concatenate(offered, axis=2)), pairs
+
+
+def measured_errors(
+    best: Refit, rivals: Sequence[Rival], pairs: Sequence[Pair], n_columns: int
+) -> dict[str, Array]:
+    """Each stated error measured so well that its prior narrows to half, as rows of data.
+
+    Explanations that fit alike may hold such an error to be different; then its measurement speaks
+    for one of them, beside what the base parameters can no longer take on themselves.
+
+    Parameters
+    ----------
+    best, rivals
+        The explanations.
+    pairs
+        Where the difference between them is a column, one a rival.
+    n_columns
+        Columns of the table, those of the base parameters first.
+
+    Returns
+    -------
+    measured
+        By the name of the error, rows in units of their noise, shape ``(k, n_columns)``.
+    """
+    parameters = best.fitted.model.parameters
+    made = {}
+    for name, places in nuisance_places(parameters).items():
+        per_unit = np.sqrt(SHARE**-2 - 1.0) / parameters.prior_sd[places]
+        rows = np.zeros((len(places), n_columns))
+        rows[np.arange(len(places)), places] = per_unit
+        for rival, pair in zip(rivals, pairs, strict=True):
+            apart = best.fitted.theta[places] - rival.refit.fitted.theta[places]
+            rows[:, pair.effect[0]] = per_unit * apart
+        made[name] = rows
+    return made

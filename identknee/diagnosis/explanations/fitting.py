@@ -10,7 +10,6 @@ from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import WithPriors
 from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
 from identknee.diagnosis.noise.noise_model import NoiseModel, build_noise_model
-from identknee.diagnosis.noise.nuisances import nuisance_changes
 from identknee.diagnosis.score.misfit import Projector, base_projector
 from identknee.identify.nuisances import (
     NuisanceEstimate,
@@ -27,6 +26,7 @@ from identknee.model.effects.stored import values_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
+from identknee.model.shared_errors import nuisance_changes
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding
 from identknee.runs.outcome import Outcome

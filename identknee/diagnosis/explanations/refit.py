@@ -6,7 +6,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from identknee.diagnosis.explanations.extended import knee_with, values_by_owner
 from identknee.diagnosis.explanations.fitting import (
     MOST_STEPS,
     BaseFit,
@@ -22,6 +21,7 @@ from identknee.diagnosis.score.misfit import (
 )
 from identknee.diagnosis.score.score import CandidateScore, Scores
 from identknee.model.effects.effect import Effect
+from identknee.model.effects.extended import knee_with, values_by_owner
 from identknee.model.effects.facts import cause_label
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -156,7 +156,8 @@ class Refit:
     @property
     def fitted_values(self) -> dict[str, dict[str, float]]:
         """All parameters by owner and name, as in a file of starts for `extended_knee`."""
-        return values_by_owner(self.fitted.model, self.fitted.theta)
+        model = self.fitted.model
+        return values_by_owner(model.effects, model.parameters, self.fitted.theta)
 
     def covariance(self) -> Array:
         """Covariance of all parameters, priors included, shape ``(p, p)``."""

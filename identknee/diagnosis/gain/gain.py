@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identknee.calibrate.evaluation import Evaluation, evaluate
-from identknee.diagnosis.explanations.causes import Interval, Laplace, laplace
 from identknee.diagnosis.explanations.fitting import Fitted, weighed
 from identknee.diagnosis.gain.discrepancy import Discrepancy, fit_discrepancy
 from identknee.diagnosis.gain.folds import (
@@ -19,6 +18,7 @@ from identknee.diagnosis.gain.folds import (
 )
 from identknee.diagnosis.gain.held_out import FoldScore, HeldOut, held_out
 from identknee.diagnosis.score.misfit import Check, base_projector, omnibus_check
+from identknee.identify.laplace import Interval, Laplace, laplace
 from identknee.laxity.table import COORDINATES
 from identknee.model.tensions import tensions_of
 from identknee.runs.arrays import Array, frozen

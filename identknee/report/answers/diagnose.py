@@ -5,10 +5,10 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 from typing import TypeVar
 
 from identknee.diagnosis.explanations.candidates import Exclusion
-from identknee.diagnosis.explanations.causes import Interval
 from identknee.diagnosis.explanations.refit import RivalState
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.score.score import Cell
+from identknee.identify.laplace import Interval
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
 from identknee.report.answers.advised import trial_table, trials_words
 from identknee.report.answers.better_known import error_words, sizes_words

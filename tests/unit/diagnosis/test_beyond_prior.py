@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.explanations.beyond_prior import insertions_beyond
+from identknee.diagnosis.explanations.stated_errors import insertions_beyond
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.laxity.noise import add_noise

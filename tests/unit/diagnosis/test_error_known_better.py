@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.diagnosis.advice.better_known import measured_errors
+from identknee.diagnosis.advice.advice import measured_errors
 from identknee.diagnosis.advice.isolability import Pair, pair_distances
 from identknee.model.effects.effect import amplitudes
 

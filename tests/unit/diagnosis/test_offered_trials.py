@@ -6,11 +6,11 @@ from diagnoses import SD, short_trials
 
 from identknee.diagnosis.advice.advice import OfferedTrials
 from identknee.diagnosis.explanations.fitting import base_model, fit_from, plain_noise
-from identknee.diagnosis.noise.nuisances import nuisance_changes
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.table import Laxity
 from identknee.laxity.unloaded import relative_to_unloaded
 from identknee.model.effects.toe_strain import toe_strain
+from identknee.model.shared_errors import nuisance_changes
 from identknee.subject.knee import Knee
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.diagnosis.noise.nuisances import LENGTH
 from identknee.mechanics.contact_places import distances
 from identknee.mechanics.distance_field import build_field
 from identknee.model.effects.contact_law import Cartilage
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.shared_errors import ROUGHNESS_LENGTH
 from identknee.model.surface_errors import SurfaceBumps, surface_bumps, surface_changes
 from identknee.model.trial_contacts import trial_contacts
 from identknee.runs.arrays import Array
@@ -39,12 +39,12 @@ def soft_theta(model: LaxityModel) -> Array:
 def test_bumps_of_random_heights_are_a_surface_of_unit_roughness() -> None:
     x, z = np.meshgrid(np.arange(-12.0, 12.5, 1.0), np.arange(-12.0, 12.5, 1.0))
     places = np.stack([x.ravel(), 0.02 * x.ravel() ** 2, z.ravel()], axis=1)
-    bumps = SurfaceBumps(centres=places[::7], length=LENGTH)
+    bumps = SurfaceBumps(centres=places[::7], length=ROUGHNESS_LENGTH)
     heights = bumps.heights(places)
     np.testing.assert_allclose((heights**2).sum(axis=1), 1.0, rtol=1e-12)
     middle = np.argmin(np.linalg.norm(places, axis=1))
     away = np.linalg.norm(places - places[middle], axis=1)
-    expected = np.exp(-(away**2) / (4.0 * LENGTH**2))
+    expected = np.exp(-(away**2) / (4.0 * ROUGHNESS_LENGTH**2))
     near = np.abs(places).max(axis=1) < 6.0
     # The correlation of evenly spread bumps; those of the test are a grid's every seventh place.
     np.testing.assert_allclose((heights @ heights[middle])[near], expected[near], atol=0.05)
@@ -52,7 +52,7 @@ def test_bumps_of_random_heights_are_a_surface_of_unit_roughness() -> None:
 
 def test_slopes_are_the_gradients_of_heights() -> None:
     generator = np.random.default_rng(1)
-    bumps = SurfaceBumps(centres=generator.uniform(-6.0, 6.0, (9, 3)), length=LENGTH)
+    bumps = SurfaceBumps(centres=generator.uniform(-6.0, 6.0, (9, 3)), length=ROUGHNESS_LENGTH)
     places, step = generator.uniform(-5.0, 5.0, (4, 3)), 1e-5
     for axis, move in enumerate(step * np.eye(3)):
         difference = (bumps.heights(places + move) - bumps.heights(places - move)) / (2.0 * step)
@@ -75,8 +75,8 @@ def test_columns_are_what_a_changed_surface_does(
     theta = soft_theta(used) if is_soft else used.parameters.center
     prediction = used.predict(theta)
     contacts = trial_contacts(used, prediction)
-    on_tibia, on_femur = surface_bumps(contacts, used.joint.contact.points, LENGTH)
-    columns = surface_changes(used, prediction, LENGTH)
+    on_tibia, on_femur = surface_bumps(contacts, used.joint.contact.points, ROUGHNESS_LENGTH)
+    columns = surface_changes(used, prediction, ROUGHNESS_LENGTH)
     n = len(on_tibia.centres)
     assert columns.shape[2] == n + len(on_femur.centres)
     chosen = columns[:, :, :n] if bone == "tibia" else columns[:, :, n:]

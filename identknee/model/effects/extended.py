@@ -1,4 +1,4 @@
-"""The subject with what a fit found, and where its fit lies."""
+"""The subject with the effects that a fit found, and the values to begin its fit at."""
 
 from collections.abc import Iterable
 
@@ -6,7 +6,7 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.moved_insertion import MovedInsertion
 from identknee.model.effects.remounting import Remounting
 from identknee.model.effects.stored import choice_of
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 
@@ -28,12 +28,14 @@ def knee_with(knee: Knee, found: Iterable[tuple[Effect, Array]]) -> Knee:
     return extended.with_effects(choices)
 
 
-def values_by_owner(model: LaxityModel, theta: Array) -> dict[str, dict[str, float]]:
+def values_by_owner(
+    effects: Iterable[Effect], parameters: Parameters, theta: Array
+) -> dict[str, dict[str, float]]:
     """All parameters by owner and name, as in a file of starts for `knee_with`."""
-    applied = [x for x in model.effects if isinstance(x, OF_THE_KNEE)]
+    applied = [x for x in effects if isinstance(x, OF_THE_KNEE)]
     left_out = {name for x in applied for name in x.parameters.names}
     tree: dict[str, dict[str, float]] = {}
-    for name, value in zip(model.parameters.names, theta.tolist(), strict=True):
+    for name, value in zip(parameters.names, theta.tolist(), strict=True):
         if name not in left_out:
             owner, _, quantity = name.partition(".")
             tree.setdefault(owner, {})[quantity] = value

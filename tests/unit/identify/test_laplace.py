@@ -11,8 +11,8 @@ from tolerances import CLOSED_FORM
 from identknee.calibrate.constrained import minimise
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import WithPriors
-from identknee.diagnosis.explanations.causes import Laplace, laplace
-from identknee.diagnosis.normal_in_box import (
+from identknee.identify.laplace import Laplace, laplace
+from identknee.identify.normal_in_box import (
     box_intervals,
     log_box_probability,
     log_interval_mass,

@@ -1,20 +1,55 @@
-"""Whether errors of zero at each flexion angle explain a misfit better than any other cause."""
+"""Errors of what is stated, tried as causes by themselves: insertions, and zeros at each angle."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.diagnosis.explanations.fitting import Fitted
 from identknee.diagnosis.explanations.refit import FAR_EVIDENCE, Refit, refit
 from identknee.diagnosis.score.signature import Signature, project_signature
+from identknee.identify.nuisances import IMPROBABLE
+from identknee.model.effects.insertion import BONES
+from identknee.model.effects.moved_insertion import MovedInsertion, moved_insertion
 from identknee.model.effects.remounting import Remounting, remounting
 
-# Score of such errors from which on a fit with them is worth its time: data without a cause have 0
-# to 1, those of 0.3 mm and deg of such errors 8 and more.
+# Score of errors of zero from which on a fit with them is worth its time: data without a cause have
+# 0 to 1, those of 0.3 mm and deg of such errors 8 and more.
 LEAST_SCORE = 4.0
 # Trials of an angle that tell its zero from what their loads do, on average.
 LEAST_TRIALS = 5
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BeyondPrior:
+    """What of the insertions lies beyond its prior.
+
+    Attributes
+    ----------
+    causes
+        The insertions beyond it, each as a cause.
+    p_value
+        Probability that the farthest of all nuisances lies so far out by chance; 1 without any.
+    """
+
+    causes: tuple[MovedInsertion, ...]
+    p_value: float
+
+
+def insertions_beyond(fitted: Fitted) -> BeyondPrior:
+    """The insertions that a fit moves farther than 3 standard deviations of what is stated."""
+    knee = fitted.model.knee
+    places = {f"insertion.{x.name}_{y}": (x.name, y) for x in knee.ligaments for y in BONES}
+    groups = fitted.nuisance_groups
+    chance = {x.name: len(groups) * x.p_value for x in groups if x.name in places}
+    beyond = {name: p_value for name, p_value in chance.items() if p_value < IMPROBABLE}
+    return BeyondPrior(
+        causes=tuple(moved_insertion(knee, *places[name]) for name in beyond),
+        p_value=min(beyond.values(), default=1.0),
+    )
+
+
 def remounted(base: Refit, best: Refit) -> Remounting | None:
-    """Such errors, where they explain the misfit of `base` far better than `best` does; else None.
+    """Errors of zero at each angle where they explain a misfit far better than `best`; else None.
 
     Other causes leave much the same in all trials of an angle, so these errors are no candidate
     beside them: they count where their evidence is clearly the highest.
