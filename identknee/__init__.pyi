@@ -37,10 +37,10 @@ from .subject.folder import write_subject as write_subject
 from .subject.knee import Knee as Knee
 from .subject.opensim import import_opensim as import_opensim
 from .subject.reference import reference_knee as reference_knee
+from .verbs.data_or_protocol import diagnose as diagnose
 from .verbs.demo import demo as demo
 from .verbs.design import Design as Design
 from .verbs.design import design as design
-from .verbs.diagnose import diagnose as diagnose
 from .verbs.diagnosis import Diagnosis as Diagnosis
 from .verbs.equivalents import Equivalents as Equivalents
 from .verbs.equivalents import equivalents as equivalents

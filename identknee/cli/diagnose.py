@@ -48,18 +48,8 @@ def diagnose(
     DATA.csv it says which causes such trials could show and tell apart. It runs on one thread:
     more workers change nothing.
     """
-    if (data is None) == (protocol is None):
-        raise ValueError(
-            "diagnose needs either DATA.csv or --protocol; give one of both, for example "
-            "identknee diagnose reference --protocol seed63 --noise 0.3mm,0.3deg"
-        )
-    if data is None and noise is None:
-        raise ValueError("--protocol needs --noise; add for example --noise 0.3mm,0.3deg")
-    from identknee.report.diagnosis_files import write_diagnosis_figures, write_isolability_figure
+    answer = run_verb(context, ik.diagnose)
+    # This loads matplotlib.
+    from identknee.report.diagnosis_files import write_diagnosis_figures
 
-    if data is None:
-        planned = run_verb(context, ik.isolability, without=("data", "start"))
-        write_isolability_figure(planned, out)
-    else:
-        answer = run_verb(context, ik.diagnose, without=("protocol",))
-        write_diagnosis_figures(answer, ik.read_subject(subject), out)
+    write_diagnosis_figures(answer, ik.read_subject(subject), out)

@@ -11,16 +11,15 @@ from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.isolability import Isolability
 
 
-def write_diagnosis_figures(answer: Diagnosis, knee: Knee, out: Path) -> None:
+def write_diagnosis_figures(answer: Diagnosis | Isolability, knee: Knee, out: Path) -> None:
     """Write all figures; all are drawn before any is written, so that no half of them is left."""
-    pictures = {name: png(x) for name, x in diagnosis_figures(answer, knee).items()}
+    if isinstance(answer, Isolability):
+        figures = {"isolability": isolability_figure(distances_of(answer))}
+    else:
+        figures = diagnosis_figures(answer, knee)
+    pictures = {name: png(x) for name, x in figures.items()}
     for name, picture in pictures.items():
         write_atomically(out / f"{name}.png", picture)
-
-
-def write_isolability_figure(answer: Isolability, out: Path) -> None:
-    """Write the distances of all causes from one another as a figure."""
-    write_atomically(out / "isolability.png", png(isolability_figure(distances_of(answer))))
 
 
 def distances_of(answer: Isolability) -> Distances:

@@ -52,7 +52,7 @@ from identknee.verbs.identification import warm_up, with_noise
 from identknee.verbs.trials import advised, trials_of
 from identknee.verbs.used_trials import lost_findings, testable
 from identknee.verbs.values import NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
 
 EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
 # From N mm to N·m, for the components of a wrench and of a pull.
@@ -60,7 +60,8 @@ WRENCH_UNITS, PULL_UNITS = np.array([0.001, 0.001, 1.0, 1.0, 1.0]), np.array([1.
 
 
 @verb
-def diagnose(
+@recorded_as("diagnose")
+def diagnose_data(
     run: Run,
     subject: SubjectLike,
     data: LaxityLike,
@@ -73,41 +74,7 @@ def diagnose(
     seed: int = 0,
     workers: int = 1,
 ) -> Diagnosis:
-    """What the model of a subject gets wrong in the data, and which physical cause it has.
-
-    The verdict says whether one cause of the library, several or none explain the misfit, with what
-    else would and which trials would tell. In a folder it leaves ``extended``, the subject with the
-    causes found, for every other verb.
-
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    noise
-        Standard deviations of lengths and angles [mm, deg], in place of those of the data.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    start
-        Where one more fit of the model without causes begins: the name of a start or a file;
-        ``"subject"`` for none.
-    effects
-        Candidates; the whole library if None.
-    out
-        Folder for the results; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Taken as by other verbs; one thread does it.
-
-    Raises
-    ------
-    ValueError
-        If an argument or a file is wrong; the message says what to do.
-    """
+    """`identknee.diagnose` of data."""
     laxity = with_noise(run.laxity, noise)
     warm_up(run.knee, laxity.protocol)
     run.start_clock()

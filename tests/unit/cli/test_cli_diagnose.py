@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import xarray
-from cli_runs import refused, run, short_protocol
+from cli_runs import refused, run, said, short_protocol
 from diagnoses import FRAME, FRAME_DEG, short_data
 from posed_knees import posed_folder
 
@@ -132,9 +132,12 @@ def test_trials_say_what_they_could_tell_before_any_data(
     # The fewer effects, the fewer pairs for which trials are searched.
     effects = [x for x in library(ik.reference_knee()) if x.name in FEW]
     monkeypatch.setattr("identknee.diagnosis.advice.protocol.library", lambda _: effects)
-    words = ("--protocol", short_protocol(tmp_path), "--noise", "0.3mm,0.3deg", "--out", tmp_path)
+    protocol = short_protocol(tmp_path)
+    words = ("--protocol", protocol, "--noise", "0.3mm,0.3deg", "--out", tmp_path)
     result = run("diagnose", "reference", *words)
     assert result.exit_code == 0, result.output
+    made = ik.diagnose(ik.reference_knee(), protocol=protocol, noise="0.3mm,0.3deg")
+    assert said(ik.load(tmp_path)) == said(made)
     summary = _summary(tmp_path)
     assert summary["effects"][FRAME]["detectable"] > 0
     assert len(summary["groups"]) == 2

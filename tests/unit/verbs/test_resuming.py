@@ -12,6 +12,7 @@ import pytest
 
 import identknee as ik
 from identknee.runs.errors import InputError
+from identknee.verbs import diagnose
 from identknee.verbs import verb as scaffold
 from identknee.verbs.answer import Answer
 from identknee.verbs.files import ANSWERS
@@ -23,7 +24,7 @@ OTHER = replace(LAXITY, coordinates=LAXITY.coordinates + 1.0)
 
 def function_of(verb: str) -> Callable[..., Answer]:
     """The function of the library that leaves results of this verb."""
-    places = (ik, import_module(ANSWERS[verb].partition(":")[0]))
+    places = (ik, diagnose, import_module(ANSWERS[verb].partition(":")[0]))
     for x in (y for place in places for name in dir(place) if callable(y := getattr(place, name))):
         inner = getattr(x, "__wrapped__", None)
         if inner and getattr(inner, scaffold.RECORDED, (inner.__name__,))[0] == verb:

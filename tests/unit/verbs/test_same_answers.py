@@ -105,15 +105,6 @@ def test_an_imported_knee_is_the_same_from_both(tmp_path: Path) -> None:
     } == listed
 
 
-def test_isolability_is_the_same_from_both(tmp_path: Path) -> None:
-    """What `diagnose` says of a protocol before anything is measured."""
-    made = ik.isolability(ik.reference_knee(), "drawer", "0.3mm,0.3deg")
-    words = ["--protocol", "drawer", "--noise", "0.3mm,0.3deg"]
-    result = run("diagnose", "reference", *words, "--out", tmp_path)
-    assert result.exit_code == 0, result.output
-    assert said(load(tmp_path)) == said(made)
-
-
 def test_the_named_subjects_are_the_same_from_both() -> None:
     made = ik.verbs.list_subjects()
     assert json.loads(run("subject", "list", "--json").stdout) == plain(summary_of(made))
