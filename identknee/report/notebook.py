@@ -15,14 +15,11 @@ from identknee.report.page.results import Findings, Result
 from identknee.report.picture import png, show_figures
 from identknee.report.statement import Statement
 from identknee.report.tables import Table
-from identknee.report.terminal import terminal_lines
 from identknee.runs.findings import finding_lines
 from identknee.runs.plain_records import summary_of
 from identknee.runs.record import record
 from identknee.verbs.answer import Answer
 from identknee.verbs.files import ANSWERS
-
-__all__ = ["answer_figure", "answer_html", "answer_text", "result_of", "terminal_lines"]
 
 WIDTH, MOST_LINES, MOST_ROWS = 100, 25, 12
 # Bytes of a picture and of a whole answer in a notebook, which keeps every one of them.

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from identknee.identify.nuisances import NuisanceEstimate
 from identknee.runs.declare import declared, entry
@@ -12,8 +12,8 @@ from identknee.runs.record import Record
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# What draws stands above what computes, and is loaded when something is to be seen.
-SHOWN_BY = "identknee.report.notebook"
+# What draws and prints stands above what computes, and is loaded when something is to be seen.
+SHOWN_BY, PRINTED_BY = "identknee.report.notebook", "identknee.report.terminal"
 
 
 @declared
@@ -53,22 +53,18 @@ class Answer:
         ValueError
             If the result has no figure, or none of that name; the message lists those it has.
         """
-        figure: Figure = _shown_by().answer_figure(self, name)
+        figure: Figure = import_module(SHOWN_BY).answer_figure(self, name)
         return figure
 
     # typing.override came with Python 3.12.
     def __repr__(self) -> str:  # type: ignore[explicit-override]
         """What the result says, on at most 25 lines."""
-        return str(_shown_by().answer_text(self))
+        return str(import_module(SHOWN_BY).answer_text(self))
 
     def __str__(self) -> str:  # type: ignore[explicit-override]
         """All that the result says, as the command line prints it."""
-        return "\n".join(_shown_by().terminal_lines(self))
+        return "\n".join(import_module(PRINTED_BY).terminal_lines(self))
 
     def _repr_html_(self) -> str:
         """The result in a notebook: its sentences, its table and one figure."""
-        return str(_shown_by().answer_html(self))
-
-
-def _shown_by() -> Any:
-    return import_module(SHOWN_BY)
+        return str(import_module(SHOWN_BY).answer_html(self))

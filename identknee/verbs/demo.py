@@ -27,10 +27,10 @@ from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial, threads
 from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
-from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import LAXITY_FILE, SimulatedLaxity, simulated
 from identknee.verbs.values import by_ligament
 from identknee.verbs.verb import Run, verb
+from identknee.verbs.warming import warm_up
 
 STARTS = ("IG1", "IG2", "IG3", "IG4")
 SHORT_SETTINGS = "short settings"

@@ -48,11 +48,12 @@ from identknee.verbs.diagnosis import (
 )
 from identknee.verbs.diagnosis_gain import gain_found
 from identknee.verbs.diagnosis_rows import row_findings_of
-from identknee.verbs.identification import warm_up, with_noise
+from identknee.verbs.identification import with_noise
 from identknee.verbs.trials import advised, trials_of
 from identknee.verbs.used_trials import lost_findings, testable
 from identknee.verbs.values import NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
+from identknee.verbs.warming import warm_up
 
 EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
 # From N mm to N·m, for the components of a wrench and of a pull.
@@ -300,9 +301,8 @@ def _advice(found: Investigation) -> AdviceFound | None:
 
 def _compared(found: Investigation) -> list[Refit]:
     """The base model, the best explanations, their rivals, each once."""
-    attribution = found.attribution
-    best = {x.names: x for x in (found.explanation, attribution.best) if x.causes}
-    rivals = [x.refit for x in attribution.rivals if x.refit is not found.base]
+    best = {x.names: x for x in (found.explanation, found.attribution.best) if x.causes}
+    rivals = [x.refit for x in found.attribution.rivals if x.refit is not found.base]
     return [found.base, *best.values(), *rivals]
 
 

@@ -36,11 +36,11 @@ from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.heavy_tails import about_tails, robust
 from identknee.verbs.held_out import HeldOut, predicted, split
-from identknee.verbs.identification import warm_up
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model
 from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+from identknee.verbs.warming import warm_up
 
 # How many trials without equilibrium are listed by name for each reason.
 MOST_LISTED = 6

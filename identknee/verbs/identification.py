@@ -26,7 +26,6 @@ from identknee.identify.noise import EstimatedNoise, with_estimated_noise
 from identknee.identify.nuisances import nuisance_estimates, nuisance_findings
 from identknee.identify.optimum import best_fits as find_best_fits
 from identknee.identify.optimum import check_inside
-from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
@@ -38,10 +37,10 @@ from identknee.runs.errors import NotComputed
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
-from identknee.runs.progress import progress_bar
 from identknee.subject.knee import Knee
 from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
+from identknee.verbs.warming import warm_up
 
 # Of lengths and of angles [mm, deg].
 Sizes = tuple[float | None, float | None]
@@ -227,13 +226,6 @@ def identification(
         assumptions=tuple(assumptions),
         lost=lost,
     )
-
-
-def warm_up(knee: Knee, protocol: Protocol) -> None:
-    """Compile and build the distance field, or load them, so that times taken later exclude it."""
-    with progress_bar("preparing, longer the first time after an installation"):
-        model = LaxityModel(knee=knee, protocol=protocol.select([0]), effects=())
-        model.predict(model.parameters.center)
 
 
 def with_noise(laxity: Laxity, noise: NoiseLike) -> Laxity:

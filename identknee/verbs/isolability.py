@@ -12,10 +12,10 @@ from identknee.runs.errors import NotComputed
 from identknee.runs.files import PathLike
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import warm_up
 from identknee.verbs.trials import AdvisedTrial, advised
 from identknee.verbs.values import noise_of
 from identknee.verbs.verb import Run, SubjectLike, verb
+from identknee.verbs.warming import warm_up
 
 
 @declared

@@ -19,8 +19,8 @@ from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import Finding, Severity
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import warm_up
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
+from identknee.verbs.warming import warm_up
 
 NOTHING = Finding(
     severity=Severity.ERROR,

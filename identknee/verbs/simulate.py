@@ -20,7 +20,6 @@ from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared,
 from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import warm_up
 from identknee.verbs.used_trials import about_paths
 from identknee.verbs.values import (
     NoiseLike,
@@ -31,6 +30,7 @@ from identknee.verbs.values import (
     values_of,
 )
 from identknee.verbs.verb import Run, SubjectLike, verb
+from identknee.verbs.warming import warm_up
 
 LAXITY_FILE = "laxity.csv"
 

@@ -9,9 +9,9 @@ from identknee.runs.executors import threads
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Severity
 from identknee.subject.check import GeometryFinding, check_geometry
-from identknee.verbs.identification import warm_up
 from identknee.verbs.subject_facts import SubjectFacts, facts_of
 from identknee.verbs.verb import Run, SubjectLike, recorded_as, verb
+from identknee.verbs.warming import warm_up
 
 PROPOSAL = (
     "The subject does not state how well it is known, so it counts as exact. If you know nothing "

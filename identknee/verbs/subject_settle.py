@@ -11,9 +11,9 @@ from identknee.runs.files import PathLike
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import warm_up
 from identknee.verbs.subject_facts import LigamentFacts, facts_of
 from identknee.verbs.verb import Run, SubjectLike, recorded_as, verb
+from identknee.verbs.warming import warm_up
 
 
 @declared

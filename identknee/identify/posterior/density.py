@@ -1,7 +1,7 @@
 """The posterior density of the parameters, in their own units and in those it is sampled in."""
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from identknee.calibrate.evaluation import Evaluation, evaluate
 from identknee.calibrate.problem import Problem, without_priors
@@ -97,8 +97,8 @@ def prior_quantiles(parameters: Parameters, probabilities: Array) -> Array:
     """Theta at so much of each prior within its bounds, shape ``(..., n)`` as `probabilities`."""
     low, high = _working_bounds(parameters)
     center, sd = working_center(parameters), parameters.prior_sd
-    first, last = norm.cdf((low - center) / sd), norm.cdf((high - center) / sd)
-    working = center + sd * norm.ppf(first + probabilities * (last - first))
+    first, last = ndtr((low - center) / sd), ndtr((high - center) / sd)
+    working = center + sd * ndtri(first + probabilities * (last - first))
     theta = parameters.from_working(working)
     return np.asarray(np.clip(theta, parameters.lower, parameters.upper))
 
@@ -201,4 +201,4 @@ def _log_masses(parameters: Parameters) -> Array:
     low, high = _working_bounds(parameters)
     center, sd = working_center(parameters), parameters.prior_sd
     with np.errstate(divide="ignore"):
-        return np.asarray(np.log(norm.cdf((high - center) / sd) - norm.cdf((low - center) / sd)))
+        return np.asarray(np.log(ndtr((high - center) / sd) - ndtr((low - center) / sd)))
