@@ -1,6 +1,7 @@
 """The linear least-squares step within bounds and across one linear constraint."""
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve, qr, solve_triangular
 
 from identknee.calibrate.tolerances import STEP_RANK_TOLERANCE
 from identknee.runs.arrays import Array, BoolArray, IntArray
@@ -10,6 +11,9 @@ from identknee.runs.declare import declared
 SMALLEST = 1e-150
 ROUNDS_PER_PARAMETER = 10
 NEGLIGIBLE = 1e-14
+# Components from which on bounds met one by one and singular values take too long, how often whole
+# blocks of them change sides, and how clear of its tolerance a triangle has to be.
+MANY, MOST_BLOCKS, CLEAR = 64, 20, 1e3
 
 
 @declared
@@ -104,6 +108,8 @@ class _ActiveSet:
         self._held = np.zeros(n, dtype=np.bool_)
         if constraint is None:
             self._at = np.zeros(n)
+            if n >= MANY:
+                self._at, self._held = _near_the_lowest(matrix, data, bounds)
         else:
             normal, wanted = constraint
             self._at = point_on_plane(normal, bounds, attainable(normal, bounds, wanted))
@@ -140,8 +146,13 @@ class _ActiveSet:
         basis = _null_space(None if self._normal is None else self._normal[free], len(free))
         if basis.shape[1] == 0:
             return np.zeros(len(free))
+        least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
+        if len(free) >= MANY:
+            move = _full_rank_move(matrix @ basis, missing, least)
+            if move is not None:
+                return np.asarray(basis @ move)
         left, size, right = np.linalg.svd(matrix @ basis, full_matrices=False)
-        known = size > max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
+        known = size > least
         return np.asarray(basis @ (right[known].T @ (left[:, known].T @ -missing / size[known])))
 
     def _let_go(self) -> bool:
@@ -167,6 +178,51 @@ class _ActiveSet:
         size = float(normal @ normal)
         multiplier = float(normal @ slope) / size if size > 0 else 0.0
         return multiplier, slope - multiplier * self._normal
+
+
+def _near_the_lowest(
+    matrix: Array, data: Array, bounds: tuple[Array, Array]
+) -> tuple[Array, BoolArray]:
+    """A point within the bounds near the lowest one, and what is held there.
+
+    All components that a bound stops or lets go change sides at once, which seldom takes more than
+    a few rounds but need not end: a beginning for a search that does.
+
+    References
+    ----------
+    J. J. Judice and F. M. Pires, A block principal pivoting algorithm for large-scale strictly
+    monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596,
+    doi:10.1016/0305-0548(94)90106-6.
+    """
+    square, slope = matrix.T @ matrix, matrix.T @ data
+    side = np.zeros(len(slope))
+    at = np.zeros(len(slope))
+    for _ in range(MOST_BLOCKS):
+        free = side == 0.0
+        tried = np.where(free, 0.0, np.where(side < 0.0, *bounds))
+        try:
+            factor = cho_factor(square[np.ix_(free, free)])
+        except np.linalg.LinAlgError:
+            break
+        tried[free] = cho_solve(factor, -(slope + square @ tried)[free])
+        at, held = np.clip(tried, *bounds), ~free
+        pushed = side * (square @ tried + slope) > 0.0
+        met = np.sign(tried - at)
+        now = np.where(free, met, np.where(pushed, 0.0, side))
+        if np.array_equal(now, side):
+            return at, held
+        side = now
+    return at, (side != 0.0) & (at == np.where(side < 0.0, *bounds))
+
+
+def _full_rank_move(matrix: Array, missing: Array, least: float) -> Array | None:
+    """The move to where ``matrix d + missing`` is least; None where that may not be one point."""
+    orthogonal, triangle, order = qr(matrix, mode="economic", pivoting=True)
+    if len(triangle) < len(order) or abs(triangle[-1, -1]) <= CLEAR * least:
+        return None
+    move = np.empty(len(order))
+    move[order] = solve_triangular(triangle, orthogonal.T @ -missing)
+    return move
 
 
 def _null_space(normal: Array | None, n: int) -> Array:

@@ -20,6 +20,9 @@ LEAST_SEEN = 1e-6
 
 OF_NUISANCE = "mm, deg or a plain number, as its name says"
 
+# Where more is said of them, for those who do not stand there already.
+HINT = " See: identknee diagnose"
+
 
 @declared
 class NuisanceEstimate:
@@ -122,7 +125,7 @@ def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
             f"The fit moves {group.name} beyond its stated uncertainty "
             f"({farthest.name} {farthest.value:.3g}, stated to {farthest.prior_sd:.3g}; such "
             f"errors have a probability of {group.p_value:.2g}): what is stated is too narrow, or "
-            "another cause stands behind it. See: identknee diagnose"
+            f"another cause stands behind it.{HINT}"
         )
         found.append(Finding(severity=Severity.WARNING, sentence=sentence, where=group.name))
     return tuple(found)

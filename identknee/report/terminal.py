@@ -1,6 +1,7 @@
 """An answer as lines on a terminal: the statements that the page shows too, and what to know."""
 
 from identknee.report.answers.statements import statements_of
+from identknee.report.answers.taken import taken_for_granted
 from identknee.runs.findings import finding_lines
 from identknee.verbs.answer import Answer
 
@@ -10,4 +11,4 @@ def terminal_lines(answer: Answer) -> list[str]:
     lines: list[str] = []
     for statement in statements_of(answer):
         lines += [statement.sentence, *(f"\n{x}\n" for x in statement.tables)]
-    return [*lines, *answer.assumptions, *finding_lines(answer.findings)]
+    return [*lines, *taken_for_granted(answer), *finding_lines(answer.findings)]

@@ -1,3 +1,5 @@
+from .about_data import beside_the_table as beside_the_table
+from .about_data import data_findings as data_findings
 from .against_load import against_load_findings as against_load_findings
 from .broken_convention import BrokenConvention as BrokenConvention
 from .broken_convention import convention_findings as convention_findings

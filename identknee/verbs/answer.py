@@ -21,6 +21,9 @@ class Answer:
     """The result of a verb: printed as sentences and tables, drawn in a notebook."""
 
     seconds: float = entry("Time taken, without loading and compiling", unit="s", default=0.0)
+    trials_used: tuple[str, ...] = entry(
+        "Measured trials that the result rests on", only="measured data", default=()
+    )
     assumptions: tuple[str, ...] = entry("What was taken for granted, as sentences", default=())
     uncertainty: Mapping[str, str] = entry(
         "What of knee and tests was taken as uncertain, by how much, and what as exact",

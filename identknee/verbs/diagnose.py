@@ -47,10 +47,10 @@ from identknee.verbs.diagnosis import (
     TrialWrench,
 )
 from identknee.verbs.diagnosis_gain import gain_found
-from identknee.verbs.diagnosis_rows import row_findings_of
+from identknee.verbs.diagnosis_rows import Comparison, sound, unbelievable_findings
 from identknee.verbs.identification import with_noise
 from identknee.verbs.trials import advised, trials_of
-from identknee.verbs.used_trials import lost_findings, testable
+from identknee.verbs.used_trials import lost_findings, testable, trial_names
 from identknee.verbs.values import NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
 from identknee.verbs.warming import warm_up
@@ -84,14 +84,20 @@ def diagnose_data(
         return untestable(conventions[0].sentence, conventions)
     knee, used = testable(run.knee, laxity, start)
     lost = lost_findings(laxity, used.laxity)
-    starts = [] if start == "subject" else [used.start]
-    found = investigate(knee, used.laxity, starts=starts, effects=effects, seed=seed)
+    begin = [] if start == "subject" else [used.start]
+    kept = sound(used.laxity)
+    found = investigate(knee, kept, starts=begin, effects=effects, seed=seed)
     if found is None:
         return untestable(_why_untestable(knee, laxity), (*lost, *end_point_findings(laxity)))
     answer = diagnosis_of(found)
-    rows = row_findings_of(found, effects=effects, seed=seed)
-    said = (*answer.assumptions, *used.sentences)
-    answer = replace(answer, assumptions=said, findings=(*lost, *rows, *answer.findings))
+    compared = Comparison(knee=knee, effects=effects, seed=seed)
+    rows = (*compared.table_findings(found, used.laxity), *compared.row_findings(found))
+    answer = replace(
+        answer,
+        trials_used=trial_names(kept),
+        assumptions=(*answer.assumptions, *used.sentences),
+        findings=(*lost, *rows, *unbelievable_findings(found), *answer.findings),
+    )
     if run.out is not None:
         _write_extension(found, run.out)
     return answer

@@ -1,15 +1,20 @@
-"""Suspicious rows of data that are diagnosed, and the verdict without them."""
+"""What speaks against a diagnosis: suspicious rows, the other verdict, forces that no knee has."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect
+from identknee.model.soundness import rim_findings
 from identknee.runs.findings import Finding
-from identknee.scrutiny.contradictions import told, without_rows
+from identknee.scrutiny.contradictions import end_point_findings, told, without_rows
+from identknee.scrutiny.end_points import suspicious_end_points
 from identknee.scrutiny.suspicious_rows import SuspiciousRow, left_out, suspicious_rows
+from identknee.scrutiny.unmeasured import unmeasured_findings
+from identknee.subject.knee import Knee
 
 AGAINST = "what the fit to the other trials says"
 
@@ -24,32 +29,67 @@ def rows_of(found: Investigation) -> list[SuspiciousRow]:
     return suspicious_rows(left_out(rows, jacobian, columns), *np.nonzero(measured))
 
 
-def row_findings_of(
-    found: Investigation, *, effects: Sequence[Effect] | None, seed: int
-) -> tuple[Finding, ...]:
-    """The suspicious rows of a diagnosis, with the verdict that the other trials have.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """The verdict on other trials than those of a diagnosis.
 
-    Parameters
+    Attributes
     ----------
-    found
-        The fits behind the diagnosis.
+    knee
+        The subject.
     effects, seed
-        As in `identknee.diagnosis.investigation.investigate`, which is done again without them.
+        As in `identknee.diagnosis.investigation.investigate`, which is done again.
     """
-    rows = rows_of(found)
-    if not rows:
-        return ()
-    knee = found.base.fitted.model.knee
-    rest = investigate(knee, without_rows(found.laxity, rows), effects=effects, seed=seed)
-    it = "it" if len(rows) == 1 else "these trials"
-    if rest is None:
-        verdict = f"Without {it} the data cannot be tested."
-    else:
+
+    knee: Knee
+    effects: Sequence[Effect] | None
+    seed: int
+
+    def row_findings(self, found: Investigation) -> tuple[Finding, ...]:
+        """The rows that the fit contradicts, with the verdict that the other trials have."""
+        rows = rows_of(found)
+        if not rows:
+            return ()
+        it = "it" if len(rows) == 1 else "these trials"
+        verdict = self._verdict(without_rows(found.laxity, rows), found, f"Without {it}")
+        return _with(told(rows, found.laxity, AGAINST), verdict)
+
+    def table_findings(self, found: Investigation, whole: Laxity) -> tuple[Finding, ...]:
+        """The rows that the table contradicts, left out of `found`, with the verdict with them."""
+        findings = end_point_findings(whole)
+        if not findings:
+            return ()
+        it = "it" if len(findings) == 1 else "them"
+        verdict = self._verdict(whole, found, f"The diagnosis leaves {it} out; with {it}")
+        return _with(findings, verdict)
+
+    def _verdict(self, laxity: Laxity, found: Investigation, start: str) -> str:
+        rest = investigate(self.knee, laxity, effects=self.effects, seed=self.seed)
+        if rest is None:
+            return f"{start} the data cannot be tested."
         names = f" ({' and '.join(x.name for x in rest.causes)})" if rest.causes else ""
-        same = rest.conclusion.verdict is found.conclusion.verdict
-        verdict = (
-            f"Without {it} the verdict is {'still ' if same else ''}"
-            f"{rest.conclusion.verdict.value}{names}."
-        )
-    *others, last = told(rows, found.laxity, AGAINST)
-    return (*others, replace(last, sentence=f"{last.sentence} {verdict}"))
+        still = "still " if rest.conclusion.verdict is found.conclusion.verdict else ""
+        why = " ".join(rest.conclusion.reasons)
+        return f"{start} the verdict is {still}{rest.conclusion.verdict.value}{names}. {why}"
+
+
+def sound(laxity: Laxity) -> Laxity:
+    """The data, cells blank in trials that the table alone contradicts, no model asked."""
+    return without_rows(laxity, suspicious_end_points(laxity))
+
+
+def unbelievable_findings(found: Investigation) -> tuple[Finding, ...]:
+    """What the best explanation says of contact, forces and strains that no knee has."""
+    fitted = found.explanation.fitted
+    model = fitted.compared.model
+    prediction = model.predict_once(fitted.theta)
+    return (
+        *rim_findings(model.protocol.trials, prediction),
+        *unmeasured_findings(model, prediction),
+    )
+
+
+def _with(findings: Sequence[Finding], said: str) -> tuple[Finding, ...]:
+    """The findings, the last one with one more sentence."""
+    *others, last = findings
+    return (*others, replace(last, sentence=f"{last.sentence} {said}"))

@@ -27,6 +27,7 @@ from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
+from identknee.scrutiny.about_data import beside_the_table
 from identknee.scrutiny.against_load import against_load_findings
 from identknee.scrutiny.broken_convention import convention_findings
 from identknee.scrutiny.contradictions import end_point_findings, row_findings
@@ -58,7 +59,6 @@ class Calibration(SimulatedLaxity):
     search: Fit = entry("The search", group="optimization")
     data: Laxity = entry("The measured laxity", group="observed_data")
     rmse: LaxityError = entry("Root-mean-square error of the predicted laxity")
-    trials_used: tuple[str, ...] = entry("Measured trials that the fit rests on")
     held_out: HeldOut | None = entry(
         "Trials kept from the fit, and what it predicts of them", only="`--hold-out`", default=None
     )
@@ -236,7 +236,7 @@ def fit(
         assumptions=(run.knee.uncertainty.sentence, *pattern, *used.sentences, *tails),
         uncertainty=run.knee.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
-        findings=_beside_the_table(model, laxity, (*lost_findings(laxity, used.laxity), *said)),
+        findings=beside_the_table(model, laxity, (*lost_findings(laxity, used.laxity), *said)),
     )
 
 
@@ -305,22 +305,6 @@ def _findings(
     if conventions := convention_findings(model, laxity, found.start, found.theta):
         return (*conventions, *findings, *about_the_knee)
     return (*rows, *findings, second_search(problem, found).finding, *about_the_knee)
-
-
-def _beside_the_table(
-    model: LaxityModel, laxity: Laxity, findings: tuple[Finding, ...]
-) -> tuple[Finding, ...]:
-    """The findings, behind what the table says by itself where fits begin at its poses.
-
-    A table with a sign turned loses trials too: the sign is said first.
-    """
-    if model.poses is None:
-        return findings
-    named = {x.where for x in findings}
-    rows = tuple(x for x in end_point_findings(laxity) if x.where not in named)
-    # What is wrong with the whole table makes its trials contradict one another.
-    whole = against_load_findings(laxity)
-    return (*whole, *(x for x in (*rows, *findings) if x not in whole))
 
 
 def _states_noise(laxity: Laxity) -> bool:

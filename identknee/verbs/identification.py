@@ -37,8 +37,10 @@ from identknee.runs.errors import NotComputed
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
+from identknee.scrutiny.about_data import data_findings
+from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.knee import Knee
-from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model
+from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model, trial_names
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
 from identknee.verbs.warming import warm_up
 
@@ -86,10 +88,15 @@ class Identification:
     lost: tuple[Finding, ...] = ()
     nuisances_at: tuple[Problem, Array] | None = None
 
+    @property
+    def trials_used(self) -> tuple[str, ...]:
+        """Measured trials that answers rest on."""
+        return trial_names(self.laxity)
+
     def findings_at(
         self, theta: Array, deviance: float, fits: Sequence[Fit] = ()
     ) -> tuple[Finding, ...]:
-        """What speaks against the best fit: its misfit, its bounds, other fits, and the model.
+        """What speaks against the best fit: the table, its misfit, bounds, other fits, the model.
 
         Parameters
         ----------
@@ -100,14 +107,14 @@ class Identification:
         fits
             All fits that it is the best of.
         """
-        parameters = self.problem.parameters
+        parameters, whole = self.problem.parameters, self.free.expand(theta)
+        prediction = self.model.predict_once(whole)
         model = (
             *self.lost,
             *stability_findings(self.model),
             *feasibility_findings(self.problem, np.asarray(theta)),
-            *rim_findings(
-                self.model.protocol.trials, self.model.predict_once(self.free.expand(theta))
-            ),
+            *rim_findings(self.model.protocol.trials, prediction),
+            *unmeasured_findings(self.model, prediction),
             *nuisance_findings(*(self.nuisances_at or (self.problem, np.asarray(theta)))),
         )
         if self.degrees_of_freedom is None:
@@ -119,14 +126,17 @@ class Identification:
             left = unstated_misfit_findings(*self.estimated_noise)
             misfit = tuple(x for x in left if x.severity is not Severity.INFO)
         bounds = bound_findings(np.asarray(theta), parameters, parameters.nuisance_names)
+        begun = (self.free.expand(self.start), whole)
+        held = set(self.model.parameters.names) - set(parameters.names_of_interest)
+        data = data_findings(self.model, self.laxity, begun, tuple(held), (*misfit, *bounds))
         if not fits:
-            return (*misfit, *bounds, *model)
+            return (*data, *model)
         thetas = np.array([x.theta for x in fits])
         deviances = 2.0 * np.array([x.objective for x in fits])
-        return (*misfit, *bounds, *start_findings(thetas, deviances, parameters), *model)
+        return (*data, *start_findings(thetas, deviances, parameters), *model)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
-        """What an answer says of uncertain geometry and tests: `uncertainty` and `nuisances`.
+        """What an answer rests on: its trials, and what of geometry and tests is uncertain.
 
         Parameters
         ----------
@@ -135,7 +145,11 @@ class Identification:
         """
         problem, best = self.nuisances_at or (self.problem, np.asarray(theta))
         nuisances = nuisance_estimates(problem, best)
-        return {"uncertainty": self.knee.uncertainty.words, "nuisances": nuisances}
+        return {
+            "trials_used": self.trials_used,
+            "uncertainty": self.knee.uncertainty.words,
+            "nuisances": nuisances,
+        }
 
     def free_index(self, name: str, option: str) -> int:
         """Where the parameter called `name` stands among those that vary.

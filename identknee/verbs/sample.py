@@ -233,6 +233,7 @@ def sample(
         data=setup.laxity,
         nested=_nested(setup, posterior, seed) if nested and is_begun else None,
         assumptions=(*setup.assumptions, *_about_noise(setup)),
+        trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
         findings=_findings(setup, posterior),
     )

@@ -149,6 +149,7 @@ def sweep(
         survey=survey,
         cliffs=cliffs,
         assumptions=setup.assumptions,
+        trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
         findings=_findings(setup, survey),
     )

@@ -57,7 +57,7 @@ class UsedTrials:
     @property
     def names(self) -> tuple[str, ...]:
         """The trials used."""
-        return _names(self.laxity)
+        return trial_names(self.laxity)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,7 +120,7 @@ class TrialSearch:
         for _ in range(MOST_ROUNDS):
             found = search(self.problem(used.laxity), used.start, fixed=self.fixed)
             back = self.with_equilibrium(found.theta)
-            if len(_names(back)) <= len(used.names):
+            if len(trial_names(back)) <= len(used.names):
                 break
             used = replace(used, laxity=back, start=found.theta)
         return used, found
@@ -213,8 +213,8 @@ def residuals_of(problem: Problem) -> LaxityResiduals:
     return inner
 
 
-def _names(laxity: Laxity) -> tuple[str, ...]:
-    """The trials with data."""
+def trial_names(laxity: Laxity) -> tuple[str, ...]:
+    """The trials with measured values."""
     return tuple(laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.any(axis=1)))
 
 
@@ -277,7 +277,7 @@ def testable(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, UsedTrials]:
 
 def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
     """Which measured trials a result does not rest on."""
-    measured, kept = _names(laxity), _names(used)
+    measured, kept = trial_names(laxity), trial_names(used)
     lost = [x for x in measured if x not in kept]
     if not lost:
         return ()

@@ -1,7 +1,7 @@
 """The fit of a laxity model to data, with everything diagnosis needs to know about it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from identknee.diagnosis.noise.data_noise import DataNoise, noise_of
 from identknee.diagnosis.noise.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.score.misfit import Projector, base_projector
 from identknee.identify.nuisances import (
+    HINT,
     NuisanceEstimate,
     NuisanceGroup,
     nuisance_estimates,
@@ -132,7 +133,10 @@ class Fitted:
     def nuisance_findings(self) -> tuple[Finding, ...]:
         """Which of them the fit moves beyond what is stated: a cause by itself."""
         problem = weighed(self.model, self.laxity, self.noise)
-        return nuisance_findings(problem, self.theta)
+        return tuple(
+            replace(x, sentence=x.sentence.removesuffix(HINT))
+            for x in nuisance_findings(problem, self.theta)
+        )
 
     @property
     def differences(self) -> Array:

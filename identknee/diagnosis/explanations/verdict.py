@@ -19,6 +19,8 @@ FITS, HARDLY_FITS = 0.01, 0.001
 FAR_OFF = 0.1
 # Share of the prior variance of a shift: data that take off less know nothing of it.
 LEAST_MOVED = 1e-6
+# Multiples of a stated noise up to which it is asked how much noise would explain a misfit.
+MULTIPLES = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 # A verdict that holds for only some of these multiples of a stated noise is none.
 NOISE_FACTORS = (0.75, 1.33)
 HANGS_ON_NOISE = (
@@ -98,7 +100,7 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     if best.causes:
         faults = _faults(best, fits)
     if faults:
-        reasons += [*faults, *untested]
+        reasons = [f"{reasons[0]}{_noise_that_would(attribution)}", *faults, *untested]
         sentence = UNTESTED if untested else Verdict.UNEXPLAINED.sentence
         return _conclusion(Verdict.UNEXPLAINED, p_value, best, (), reasons, sentence)
     doubts = _doubts(attribution, fits)
@@ -131,6 +133,18 @@ def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
     score = attribution.steps[0].scores.p_value
     others = [base.alarm_p_value(score, factor) <= LEVEL for factor in NOISE_FACTORS]
     return any(x != (p_value <= LEVEL) for x in others)
+
+
+def _noise_that_would(attribution: Attribution) -> str:
+    """About how much larger than stated the noise would have to be, as one more sentence."""
+    base, score = attribution.base, attribution.steps[0].scores.p_value
+    if np.isfinite(base.noise_degrees):
+        return ""
+    enough = (x for x in MULTIPLES if base.alarm_p_value(score, x) > LEVEL)
+    factor = next(enough, None)
+    if factor is None:
+        return f" Nor would {MULTIPLES[-1]:g} times the noise stated: the misfit has a pattern."
+    return f" About {factor:g} times the noise stated would."
 
 
 def _conclusion(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.diagnosis.noise.noise_model import NoiseModel
+from identknee.laxity.dominant import DIRECTIONS, nominal_flexion, told_loads
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, Laxity
 from identknee.laxity.unloaded import SAME_ANGLE_DEG
@@ -15,14 +16,6 @@ FLEXION = "flexion"
 DIRECTION = "load direction"
 EXTREMES = "extreme loads"
 FAMILIES = (FLEXION, DIRECTION, EXTREMES)
-# In the order of a protocol's loads: what a positive and a negative load are called.
-DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction force", "compression force"),
-    ("lateral force", "medial force"),
-)
 # Share of the largest load of its kind beyond which a load is extreme.
 EXTREME_SHARE = 0.8
 ROUNDING = 1e-9
@@ -67,7 +60,8 @@ def held_out_folds(protocol: Protocol) -> tuple[Fold, ...]:
 
     A fold that would hold out every trial is none: a protocol of one flexion angle has no fold of
     that family. A load of one size only has no extremes, since nothing smaller of it is left to
-    learn from.
+    learn from. In a robot's table a flexion angle is the one that was meant, and loads are those
+    that a trial is about: stray ones have no direction.
 
     Examples
     --------
@@ -75,8 +69,8 @@ def held_out_folds(protocol: Protocol) -> tuple[Fold, ...]:
     >>> [fold.name for fold in held_out_folds(load_protocol("seed63"))][:5]
     ['0 deg', '30 deg', '60 deg', 'internal moment', 'external moment']
     """
-    found = [(FLEXION, *x) for x in _flexions(protocol.flexion_deg)]
-    for names, load in zip(DIRECTIONS, protocol.loads.T, strict=True):
+    found = [(FLEXION, *x) for x in _flexions(nominal_flexion(protocol))]
+    for names, load in zip(DIRECTIONS, _acting(protocol).T, strict=True):
         found += [
             (DIRECTION, name, np.asarray(sign * load > 0))
             for name, sign in zip(names, (1.0, -1.0), strict=True)
@@ -91,11 +85,17 @@ def held_out_folds(protocol: Protocol) -> tuple[Fold, ...]:
 
 def extreme_trials(protocol: Protocol) -> BoolArray:
     """Whether a trial bears a load of at least 80 % of the largest of its kind, shape ``(n,)``."""
-    sizes = np.abs(protocol.loads)
+    sizes = np.abs(_acting(protocol))
     largest = sizes.max(axis=0, initial=0.0)
     beyond = (sizes >= (EXTREME_SHARE - ROUNDING) * largest) & (sizes > 0)
     varies = ((sizes > 0) & ~beyond).any(axis=0)
     return np.asarray((beyond & varies).any(axis=1))
+
+
+def _acting(protocol: Protocol) -> Array:
+    """The loads, shape ``(n, 5)``; of a robot's trials, which read all of them, those told."""
+    is_nominal = np.array_equal(nominal_flexion(protocol), protocol.flexion_deg)
+    return protocol.loads if is_nominal else told_loads(protocol)
 
 
 def _flexions(flexion_deg: Array) -> list[tuple[str, BoolArray]]:

@@ -6,6 +6,7 @@ from html import escape
 
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.report.answers.statements import statements_of
+from identknee.report.answers.taken import taken_for_granted
 from identknee.report.overview.overview import KNOWN, Overview, Tone, overview
 from identknee.report.page.computed_part import computed_html, further_html, short_path
 from identknee.report.page.drawing import Drawing
@@ -100,7 +101,7 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
 
 
 def _statements(result: Result) -> Iterable[Statement]:
-    taken = result.answer.assumptions
+    taken = taken_for_granted(result.answer)
     assumed = [Statement(question=Question.KNOWN, sentence=" ".join(taken))] if taken else []
     return [*statements_of(result.answer), *assumed]
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from small_knee import small_protocol
 
+from identknee import example_laxity
 from identknee.diagnosis.gain.folds import DIRECTION, EXTREMES, FLEXION, Fold, held_out_folds
 from identknee.laxity.protocol import LOADS, Protocol, load_protocol
 
@@ -55,7 +56,21 @@ def test_angles_within_the_scatter_of_a_rig_are_one() -> None:
     trials = protocol([0.1, 29.8, 0.0, 30.0, 30.3], [[x, 0, 0, 0, 0] for x in (0, 1, 2, 0, 4)])
     held = [x.held.tolist() for x in held_out_folds(trials) if x.family == FLEXION]
     assert held == [[True, False, True, False, False], [False, True, False, True, True]]
-    assert names(held_out_folds(trials), FLEXION) == ["0.05 deg", "30 deg"]
+    assert names(held_out_folds(trials), FLEXION) == ["0 deg", "30 deg"]
+
+
+def test_a_robots_table_has_the_angles_that_were_meant_and_no_directions_of_stray_loads() -> None:
+    trials = example_laxity("s192803").protocol
+    folds = held_out_folds(trials)
+    assert names(folds, FLEXION) == ["5 deg", "36 deg", "57 deg", "87 deg"]
+    assert [int(x.held.sum()) for x in folds] == [7, 6, 6, 6, *6 * [4]]
+    varus = next(x for x in folds if x.name == "varus moment")
+    assert [x for x, held in zip(trials.trials, varus.held, strict=True) if held] == [
+        "Varus_0",
+        "Varus_30",
+        "Varus_60",
+        "Varus_90",
+    ]
 
 
 def test_one_angle_or_a_load_of_one_size_leave_nothing_to_learn_from() -> None:

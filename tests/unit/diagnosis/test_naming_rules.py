@@ -207,6 +207,19 @@ def test_a_verdict_that_hangs_on_a_stated_noise_is_none(
     assert (found.reasons == (HANGS_ON_NOISE,)) is hangs
 
 
+@pytest.mark.parametrize(("degrees", "alarms", "said"), [
+    (np.inf, {3.0: 0.06, 4.0: 0.3}, " About 3 times the noise stated would."),
+    (np.inf, {}, " Nor would 8 times the noise stated: the misfit has a pattern."),
+    (60.0, {3.0: 0.06}, ""),  # noise that the data show has its size
+])  # fmt: skip
+def test_what_nothing_explains_says_how_much_noise_would(
+    degrees: float, alarms: dict[float, float], said: str
+) -> None:
+    base = Explanation(misfit_p_value=0.0, noise_degrees=degrees, alarms=alarms)
+    (first, *_) = concluded(Explanation(), base=base).reasons
+    assert first == f"Noise alone does not explain the misfit (p < 0.001).{said}"
+
+
 # --- the search ---------------------------------------------------------------------------------
 
 

@@ -121,6 +121,9 @@ def test_the_table_alone_says_nothing_of_ramps() -> None:
     assert suspicious_end_points(clean_table("reference", 7)[1]) == []
 
 
+FRAMES = "registration=4deg,registration=4mm"
+
+
 def test_a_diagnosis_says_the_verdict_without_the_row() -> None:
     _, laxity = clean_table("reference", 3)
     spoilt = np.array(laxity.coordinates)
@@ -129,6 +132,22 @@ def test_a_diagnosis_says_the_verdict_without_the_row() -> None:
     answer = ik.diagnose("reference", replace(laxity, coordinates=spoilt), effects=few)
     first = answer.findings[0]
     assert first.where == laxity.protocol.trials[20]
-    assert first.sentence.endswith("Without it the verdict is still ADEQUATE.")
+    verdict = "Without it the verdict is still ADEQUATE. Noise alone explains the misfit (p = "
+    assert verdict in first.sentence
     # As one error of ten times the noise it widens the noise that the load curves show.
     assert answer.verdict is ik.Verdict.ADEQUATE
+
+
+def test_a_diagnosis_leaves_out_the_row_that_cannot_be_right_and_doubts_the_forces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # The second diagnosis, with the row, takes as long again.
+    monkeypatch.setattr("identknee.verbs.diagnosis_rows.investigate", lambda *_, **__: None)
+    few = [ik.effect_named(ik.example("s192803"), "moment_gain_VV")]
+    answer = ik.diagnose("s192803", "s192803", noise="5mm,10deg", uncertain=FRAMES, effects=few)
+    assert "Valgus_60" not in answer.trials_used
+    assert len(answer.trials_used) == 24
+    said = {x.where: x.sentence for x in answer.findings}
+    assert "leaves it out; with it the data cannot be tested." in said["Valgus_60"]
+    assert "which is one side alone" in said["contact"]
+    assert not any("See: identknee diagnose" in x for x in said.values())

@@ -131,7 +131,8 @@ def test_an_estimated_noise_that_no_instrument_has_is_said(
     wrong = replace(measured, coordinates=mirrored, sd=None)
     setup = identified(written(wrong, tmp_path))
     assert setup.estimated_noise[1] is not None
-    (found,) = setup.findings_at(setup.problem.parameters.center, 307.0)
+    flipped, found = setup.findings_at(setup.problem.parameters.center, 307.0)
+    assert "internal" in flipped.sentence, flipped.sentence
     assert (found.severity, found.where) == (Severity.ERROR, "data")
     assert "more than a laxity test should err by" in found.sentence
 
