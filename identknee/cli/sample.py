@@ -36,8 +36,9 @@ Nested = Annotated[
 Moves = Annotated[
     str | None,
     typer.Option(
-        help="How walkers move. newton and hamiltonian use the exact Jacobian; difference and "
-        "stretch do not need it.  [default: newton up to 12 parameters, hamiltonian beyond]"
+        help="How walkers move. newton, surrogate and hamiltonian use the exact Jacobian; "
+        "difference and stretch do not need it.  [default: newton up to 12 parameters, surrogate "
+        "beyond]"
     ),
 ]
 

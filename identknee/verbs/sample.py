@@ -182,8 +182,9 @@ def sample(
     n_ensembles
         Independent ensembles of walkers.
     moves
-        ``"newton"`` and ``"hamiltonian"`` use the exact Jacobian, ``"difference"`` and
-        ``"stretch"`` do without; Newton up to 12 parameters and Hamiltonian beyond if None.
+        ``"newton"``, ``"surrogate"`` and ``"hamiltonian"`` use the exact Jacobian,
+        ``"difference"`` and ``"stretch"`` do without; Newton up to 12 parameters and a surrogate
+        beyond if None.
     budget
         Simulations after which sampling ends anyway; with more the same work goes on.
     nested

@@ -1,10 +1,12 @@
 """One ensemble of walkers: where it starts, and how it goes on for a block of steps."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import emcee
 import numpy as np
+from emcee.moves import Move
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import fit
@@ -15,7 +17,9 @@ from identknee.identify.posterior.density import (
     newton_kernel,
     prior_draws,
 )
-from identknee.identify.posterior.moves import MOVES
+from identknee.identify.posterior.moves import MOVES, surrogate_moves
+from identknee.identify.posterior.surrogate import Surrogate
+from identknee.identify.posterior.surrogate_training import trained
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared
@@ -43,7 +47,7 @@ class Ensemble:
     steps
         Steps of a block.
     moves
-        A key of `identknee.identify.posterior.moves.MOVES`.
+        A key of `identknee.identify.posterior.moves.MOVES`, or ``"surrogate"``.
     seed
         Seed of the sample.
     """
@@ -112,7 +116,27 @@ def started(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     }
 
 
-def advanced(task: Ensemble, item: tuple[int, int, Block]) -> Block:
+def learned(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
+    """The surrogate that an ensemble's trajectories will follow; None where it is of no use.
+
+    Each ensemble learns its own, so that ensembles stay independent.
+
+    Parameters
+    ----------
+    task
+        What the ensemble is asked to do.
+    item
+        Number of the ensemble, and the optima, shape ``(n,)`` each.
+    """
+    number, optima = item
+    parameters = task.density.parameters
+    places = [_within(x, parameters) for x in optima]
+    surrogate, n_simulations = trained(task.density, places, _generator(task.seed, 4, number))
+    fields = None if surrogate is None else asdict(surrogate)
+    return {"surrogate": fields, "n_simulations": n_simulations}
+
+
+def advanced(task: Ensemble, item: tuple[int, int, Block, Block | None]) -> Block:
     """The next block of steps of an ensemble.
 
     Parameters
@@ -120,7 +144,8 @@ def advanced(task: Ensemble, item: tuple[int, int, Block]) -> Block:
     task
         What the ensemble is asked to do.
     item
-        Number of the ensemble, number of the block, and the block before.
+        Number of the ensemble, number of the block, the block before, and the fields of the
+        ensemble's surrogate, None without one.
 
     Returns
     -------
@@ -129,7 +154,7 @@ def advanced(task: Ensemble, item: tuple[int, int, Block]) -> Block:
         end; ``chain``, shape ``(walkers, steps, n)``, and ``chain_log_density`` of all its steps;
         ``n_simulations``.
     """
-    number, block, before = item
+    number, block, before, surrogate = item
     walk = _Walk(task.density)
     blobs = np.asarray(before["blobs"], dtype=np.float64)
     state = emcee.State(
@@ -141,7 +166,7 @@ def advanced(task: Ensemble, item: tuple[int, int, Block]) -> Block:
     )
     n_walkers, n = state.coords.shape
     sampler = emcee.EnsembleSampler(
-        n_walkers, n, walk, moves=MOVES[task.moves](), vectorize=True, blobs_dtype=np.float64
+        n_walkers, n, walk, moves=_moves(task, surrogate), vectorize=True, blobs_dtype=np.float64
     )
     # The sampler's own wrapper prints a traceback before it lets Ctrl-C through.
     sampler.log_prob_fn = walk
@@ -154,6 +179,12 @@ def advanced(task: Ensemble, item: tuple[int, int, Block]) -> Block:
         "chain_log_density": sampler.get_log_prob().T,
         "n_simulations": walk.n_simulations,
     }
+
+
+def _moves(task: Ensemble, surrogate: Block | None) -> list[tuple[Move, float]]:
+    if surrogate is not None:
+        return surrogate_moves(Surrogate(**surrogate))
+    return MOVES["hamiltonian" if task.moves == "surrogate" else task.moves]()
 
 
 class _Walk:

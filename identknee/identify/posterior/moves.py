@@ -10,6 +10,7 @@ from emcee.state import State
 from scipy.special import gammaln, logsumexp
 
 from identknee.identify.posterior.hamiltonian import HamiltonianMove
+from identknee.identify.posterior.surrogate import Surrogate, SurrogateMove
 from identknee.runs.arrays import Array
 
 SNOOKER_RANGE = (1.2, 2.2)
@@ -150,6 +151,11 @@ def newton_moves() -> list[tuple[Move, float]]:
 def hamiltonian_moves() -> list[tuple[Move, float]]:
     """For many parameters: mostly trajectories; Newton steps lead from one basin to another."""
     return [(HamiltonianMove(), 0.85), (NewtonMove(), 0.15)]
+
+
+def surrogate_moves(surrogate: Surrogate) -> list[tuple[Move, float]]:
+    """For many parameters: mostly trajectories on a surrogate, and the exact ones for far away."""
+    return [(SurrogateMove(surrogate), 0.85), (NewtonMove(), 0.05), (HamiltonianMove(), 0.1)]
 
 
 def difference_moves() -> list[tuple[Move, float]]:

@@ -29,6 +29,7 @@ from identknee.identify.posterior.ensembles import (
     Block,
     Ensemble,
     advanced,
+    learned,
     optimum_near_prior,
     started,
 )
@@ -49,7 +50,7 @@ PRIOR_CHUNK = 50
 # Of 32 parameters (insertions uncertain by 2 mm) a tenth of all Newton proposals are accepted.
 MOST_FOR_NEWTON = 12
 # Trajectories need others for their mass alone, each of which knows all directions.
-HAMILTONIAN_WALKERS = 12
+TRAJECTORIES = 12
 # What reading a finished block takes at most [s].
 KEPT_S = 0.05
 
@@ -67,9 +68,10 @@ class Ensembles:
     steps
         Steps between two checks.
     moves
-        ``"newton"`` and ``"hamiltonian"`` use the exact Jacobian, ``"difference"`` (differential
-        evolution and snooker) and ``"stretch"`` do without; Newton up to 12 parameters and
-        Hamiltonian beyond if None.
+        ``"newton"``, ``"hamiltonian"`` and ``"surrogate"`` use the exact Jacobian,
+        ``"difference"`` (differential evolution and snooker) and ``"stretch"`` do without; Newton
+        up to 12 parameters and a surrogate beyond if None. Where residuals are far from quadratic,
+        Hamiltonian trajectories take the surrogate's place.
     n_prior
         Draws of the prior that are simulated to see how much of it has no prediction, a multiple
         of 50.
@@ -90,13 +92,13 @@ class Ensembles:
             raise ValueError(f"a block needs at least 1 step, got {self.steps}")
         if self.n_prior < 0 or self.n_prior % PRIOR_CHUNK:
             raise ValueError(f"n_prior must be a multiple of {PRIOR_CHUNK}, got {self.n_prior}")
-        if self.moves is not None and self.moves not in MOVES:
-            known = ", ".join(sorted(MOVES))
+        if self.moves is not None and self.moves not in (*MOVES, "surrogate"):
+            known = ", ".join(sorted((*MOVES, "surrogate")))
             raise ValueError(f"there are no moves {self.moves!r}; known are {known}")
 
     def moves_for(self, n: int) -> str:
-        """The moves for so many parameters, a key of `MOVES`."""
-        return self.moves or ("newton" if n <= MOST_FOR_NEWTON else "hamiltonian")
+        """The moves for so many parameters."""
+        return self.moves or ("newton" if n <= MOST_FOR_NEWTON else "surrogate")
 
     def walkers_for(self, n: int) -> int:
         """Walkers of an ensemble for so many parameters.
@@ -107,10 +109,10 @@ class Ensembles:
             If an odd number was asked for, or fewer than 8 or, but for trajectories, than twice
             the parameters.
         """
-        has_trajectories = self.moves_for(n) == "hamiltonian"
+        has_trajectories = self.moves_for(n) in ("hamiltonian", "surrogate")
         fewest = 8 if has_trajectories else max(8, 2 * n)
         if self.n_walkers is None:
-            return HAMILTONIAN_WALKERS if has_trajectories else fewest
+            return TRAJECTORIES if has_trajectories else fewest
         if self.n_walkers < fewest or self.n_walkers % 2:
             raise ValueError(
                 f"{n} parameters need an even number of at least {fewest} walkers, "
@@ -201,6 +203,7 @@ class _Run:
         self._executor = executor
         self._store = store
         self._states: list[Block] = []
+        self._surrogates: list[Block | None] = [None] * n_ensembles
         shape = (n_ensembles, task.n_walkers, 0)
         self._chain = np.empty((*shape, task.density.parameters.n))
         self._log_density = np.empty(shape)
@@ -241,7 +244,12 @@ class _Run:
         items = [(number, list(optima)) for number in range(self._n_ensembles)]
         self._states = self._map(partial(started, self._task), items, "start")
         self.n_simulations += sum(x["n_simulations"] for x in self._states)
-        return all(x["positions"] is not None for x in self._states)
+        is_begun = all(x["positions"] is not None for x in self._states)
+        if is_begun and self._task.moves == "surrogate":
+            blocks = self._map(partial(learned, self._task), items, "surrogate")
+            self.n_simulations += sum(x["n_simulations"] for x in blocks)
+            self._surrogates = [x["surrogate"] for x in blocks]
+        return is_begun
 
     def walk(self, rule: StopRule) -> SampleOutcome:
         with progress_bar("sampling", is_counted=False) as bar:
@@ -274,7 +282,8 @@ class _Run:
         }
 
     def _advance(self, block: int) -> None:
-        items = [(number, block, state) for number, state in enumerate(self._states)]
+        ways = zip(self._states, self._surrogates, strict=True)
+        items = [(number, block, *way) for number, way in enumerate(ways)]
         states = self._map(partial(advanced, self._task), items, f"block {block:05d}")
         before = np.array([state["positions"] for state in self._states])
         chain = np.array([x["chain"] for x in states])

@@ -80,7 +80,7 @@ def test_a_linear_problem_gives_its_normal_posterior_and_passes_the_gate() -> No
     assert found.excluded.without_prediction == 0.0
 
 
-@pytest.mark.parametrize("moves", ["newton", "hamiltonian", "difference", "stretch"])
+@pytest.mark.parametrize("moves", ["newton", "hamiltonian", "surrogate", "difference", "stretch"])
 def test_every_kind_of_moves_samples_a_bent_posterior(moves: str) -> None:
     problem = bent(3)
 
@@ -191,15 +191,21 @@ class Killed:
         return self.problem.jacobian(theta)
 
 
-def test_killed_and_resumed_it_is_the_same_bit_for_bit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("moves", ["newton", "surrogate"])
+def test_killed_and_resumed_it_is_the_same_bit_for_bit(moves: str, tmp_path: Path) -> None:
     problem = line()
-    whole = sample(problem, rule=StopRule(budget=4000), seed=6)
+    settings: dict[str, Any] = {
+        "ensembles": Ensembles(moves=moves),
+        "rule": StopRule(budget=4000),
+        "seed": 6,
+    }
+    whole = sample(problem, **settings)
     path = tmp_path / "work.sqlite"
     for allowed in (300, 700, 900):
         with open_work(path, {"seed": 6}) as store, pytest.raises(KeyboardInterrupt):
-            sample(Killed(problem, [allowed]), rule=StopRule(budget=4000), seed=6, store=store)
+            sample(Killed(problem, [allowed]), store=store, **settings)
     with open_work(path, {"seed": 6}) as store:
-        resumed = sample(problem, rule=StopRule(budget=4000), seed=6, store=store)
+        resumed = sample(problem, store=store, **settings)
     assert same(resumed, whole)
 
 
