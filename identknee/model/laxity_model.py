@@ -18,12 +18,12 @@ from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, 
 from identknee.mechanics.memory import Equilibria
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
+from identknee.model import measured_start
 from identknee.model.effects.effect import Effect, Tests
 from identknee.model.effects.stored import effects_of
 from identknee.model.extension import Extension
 from identknee.model.joint import Joint, joint_of, sheets_of
 from identknee.model.knee_parameters import knee_parameters
-from identknee.model.measured_start import known_poses, measured_poses
 from identknee.model.nuisances.library import held_errors, nuisances_of
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
@@ -90,6 +90,9 @@ class LaxityModel:
         equilibrium under its whole load is then looked for from there. Those that the knee is known
         to take if not given; None where it states none, and paths begin unloaded in the scanned
         pose.
+    attitude
+        Measured varus and internal rotation of each trial [rad], shape ``(n, 2)``; that of `poses`,
+        or 0, if not given.
     contact
         ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
         ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
@@ -105,11 +108,13 @@ class LaxityModel:
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
     poses: Array | None = None
+    attitude: Array | None = None
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
     tied: Tied = field(init=False, repr=False)
     extension: Extension = field(init=False, repr=False)
+    _attitude: Array = field(init=False, repr=False)
 
     __repr__ = short_repr
 
@@ -118,12 +123,13 @@ class LaxityModel:
         flexion = np.radians(self.protocol.flexion_deg)
         loads = self.protocol.loads @ _GENERALISED
         if self.poses is None and self.continuation == "continuation":
-            poses = known_poses(self.knee, self.protocol)
+            poses = measured_start.known_poses(self.knee, self.protocol)
             object.__setattr__(self, "poses", poses)
         if self.poses is None:
             paths = load_paths(flexion, loads, joint.start_flexion, self.continuation)
         else:
             paths = loaded_at_once(flexion, loads)
+        attitude = measured_start.attitude_at_nodes(paths, self.attitude, self.poses)
         is_stored = isinstance(self.effects, _StoredWithKnee)
         effects = _own_effects(self.knee) if is_stored else tuple(self.effects)
         object.__setattr__(self, "effects", effects)
@@ -137,6 +143,7 @@ class LaxityModel:
         object.__setattr__(self, "paths", paths)
         object.__setattr__(self, "parameters", parameters)
         object.__setattr__(self, "extension", extension)
+        object.__setattr__(self, "_attitude", attitude)
 
     @property
     def n_ligament_parameters(self) -> int:
@@ -150,18 +157,22 @@ class LaxityModel:
         """
         if protocol is self.protocol:
             return self
-        return replace(self, protocol=protocol, order=None, phase=None, poses=None)
+        return replace(self, protocol=protocol, order=None, phase=None, poses=None, attitude=None)
 
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
         """The same model under the protocol of measured laxity, its trials run as measured."""
         model = self.with_protocol(laxity.protocol)
-        poses = None if self.continuation == "single-step" else measured_poses(laxity)
-        if poses is None and self.continuation == "continuation":
-            poses = known_poses(self.knee, laxity.protocol)
+        poses = None
+        if self.continuation == "continuation":
+            poses = measured_start.first_poses(self.knee, laxity)
+        attitude = measured_start.measured_attitude(laxity)
         is_known = model.order is laxity.order and model.phase is laxity.phase
+        is_known &= np.array_equal(model.attitude, attitude)  # type: ignore[arg-type]
         if (is_known or not self.effects) and np.array_equal(model.poses, poses):  # type: ignore[arg-type]
             return model
-        return replace(model, order=laxity.order, phase=laxity.phase, poses=poses)
+        return replace(
+            model, order=laxity.order, phase=laxity.phase, poses=poses, attitude=attitude
+        )
 
     def with_effects(self, effects: Sequence[Effect]) -> "LaxityModel":
         """The same model with these effects in place of its own."""
@@ -224,6 +235,7 @@ class LaxityModel:
             law=ContactLaw(),
             start_flexion=self.joint.start_flexion,
             start=self.joint.start,
+            attitude=self._attitude,
             measured=self.poses,
         )
         return self.extension.change(setting, self.amplitudes(theta)) if is_changed else setting
@@ -237,19 +249,14 @@ class LaxityModel:
             loads=x.loads,
             order=self.order,
             phase=self.phase,
-            poses=self.poses,
+            attitude=self._attitude[self.paths.trial_node],
         )
 
     def predict_once(self, theta: Array) -> Prediction:
         """The prediction at theta with its Jacobian, not made again where it was the last one.
 
         Residuals, their Jacobian and the quantities of one model thus share one simulation. Each
-        thread remembers one.
-
-        Raises
-        ------
-        ValueError
-            As `predict`; mesh contact has no derivatives.
+        thread remembers one. It raises as `predict` does; mesh contact has no derivatives.
         """
         last = _LAST.made
         if last is None or last[0] is not self or not np.array_equal(last[1].theta, theta):

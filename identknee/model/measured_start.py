@@ -3,9 +3,10 @@
 import numpy as np
 
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.grood_suntay import pose_from_coordinates
 from identknee.mechanics.ligament_tensions import line_lengths
+from identknee.mechanics.load_paths import LoadPaths
 from identknee.model.setting import PER_PCT, Setting
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
@@ -31,6 +32,25 @@ def measured_poses(laxity: Laxity) -> Array | None:
     return pose_from_coordinates(np.take_along_axis(laxity.coordinates, nearest, axis=0))
 
 
+def measured_attitude(laxity: Laxity) -> Array:
+    """Measured varus and internal rotation of each trial [rad], shape ``(n, 2)``.
+
+    A cell not measured counts as 0.
+    """
+    columns = [COORDINATES.index(name) for name in ("varus_deg", "internal_deg")]
+    return np.radians(np.nan_to_num(laxity.coordinates[:, columns]))
+
+
+def attitude_at_nodes(paths: LoadPaths, attitude: Array | None, poses: Array | None) -> Array:
+    """Varus and internal rotation [rad] at each node, ``(n_nodes, 2)``: of the trial, or 0."""
+    at_nodes = np.zeros((len(paths.flexion), 2))
+    if attitude is None and poses is not None:
+        attitude = poses[:, :2]
+    if attitude is not None:
+        at_nodes[paths.trial_node] = attitude
+    return at_nodes
+
+
 def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
     """Pose of each trial that the knee is known to take, shape ``(n, 5)``; None if it states none.
 
@@ -39,6 +59,12 @@ def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
     if not knee.poses:
         return None
     return pose_from_coordinates(pose_at(knee.poses, protocol.flexion_deg))
+
+
+def first_poses(knee: Knee, laxity: Laxity) -> Array | None:
+    """Measured pose of each trial, or the one that the knee is known to take; None without both."""
+    poses = measured_poses(laxity)
+    return known_poses(knee, laxity.protocol) if poses is None else poses
 
 
 def poses_of(protocol: Protocol, coordinates: Array) -> tuple[KnownPose, ...]:

@@ -45,6 +45,8 @@ class Setting:
         The scanned pose: flexion [rad] and (varus, internal [rad], x, y, z [mm]), ``(5,)``.
     measured
         The measured pose at each node, in the same form, ``(n, 5)``; None where none is known.
+    attitude
+        Measured varus and internal rotation at each node [rad], ``(n, 2)``; 0 where not measured.
     """
 
     flexion: Array
@@ -58,6 +60,7 @@ class Setting:
     law: ContactLaw
     start_flexion: float
     start: Array
+    attitude: Array
     measured: Array | None = None
 
     def owned(self, n_ligaments: int) -> Array:
@@ -100,6 +103,7 @@ def with_copies(
     if nodes:
         changes["flexion"] = np.concatenate([x.flexion for x in parts])
         changes["loads"] = np.concatenate([x.loads for x in parts])
+        changes["attitude"] = np.concatenate([x.attitude for x in parts])
         if setting.measured is not None:
             changes["measured"] = np.concatenate([x.measured for x in parts])
     if lines:

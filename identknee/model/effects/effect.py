@@ -105,24 +105,25 @@ class Tests:
         When each trial was run, counted from 1; None where it was not recorded.
     phase
         ``"loading"``, ``"unloading"`` or ``""`` of each trial; None where not recorded.
-    poses
-        Measured pose of each trial as in `LaxityModel`; None where paths do not begin there.
+    attitude
+        Measured varus and internal rotation of each trial [rad], shape ``(n, 2)``, 0 where not
+        measured.
     """
 
     flexion_deg: Array
     loads: Array
+    attitude: Array
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
-    poses: Array | None = None
 
     def repeated(self, n: int) -> "Tests":
         """The same trials `n` times, one after the other."""
         return Tests(
             flexion_deg=np.tile(self.flexion_deg, n),
             loads=np.tile(self.loads, (n, 1)),
+            attitude=np.tile(self.attitude, (n, 1)),
             order=None if self.order is None else np.tile(self.order, n),
             phase=None if self.phase is None else n * self.phase,
-            poses=None if self.poses is None else np.tile(self.poses, (n, 1)),
         )
 
 

@@ -25,8 +25,8 @@ class Registration:
 
     A rigid transform of each bone. It acts on the readings, on the axes and points of the loads and
     on flexion, which the rig prescribes between its own frames. Loads and flexion are turned as in
-    the measured pose of each trial, or in a knee without varus and internal rotation where paths do
-    not begin there.
+    the measured attitude of each trial, or in a knee without varus and internal rotation where none
+    was measured.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Registration:
     def change_copies(self, setting: Setting, values: Array) -> Setting:
         """The same at amplitudes ``values[i]`` in copy i."""
         femur, tibia = self._frames(values, len(setting.loads))
-        tilt = _tilt(setting.measured, len(setting.loads))
+        tilt = _tilt(setting.attitude)
         turned = _tibia_in_femur(femur, tibia, _product(_flexed(setting.flexion), tilt))
         flexion, varus, internal = angles_of(turned)
         forces = setting.loads[:, FORCES]
@@ -95,7 +95,7 @@ class Registration:
         """The same in k copies of the trials, copy i with amplitudes ``values[i]``."""
         femur, tibia = self._frames(values, len(coordinates))
         nominal = _flexed(np.radians(tests.flexion_deg))
-        tilt = _tilt(tests.poses, len(coordinates))
+        tilt = _tilt(tests.attitude)
         flexion = angles_of(_tibia_in_femur(femur, tibia, _product(nominal, tilt)))[0]
         pose = pose_from_coordinates(coordinates)
         actual = rotation_matrix(flexion, pose[:, 0], pose[:, 1])
@@ -146,10 +146,9 @@ def _tibia_in_femur(femur: _Frames, tibia: _Frames, measured: Array) -> Array:
     return _product(_product(femur.turn, measured), _inverse(tibia.turn))
 
 
-def _tilt(poses: Array | None, n: int) -> Array:
+def _tilt(attitude: Array) -> Array:
     """Rotations from the axes of the tibia into those that turn with flexion, ``(3, 3, n)``."""
-    varus, internal = np.zeros((2, n)) if poses is None else poses[:, :2].T
-    return rotation_matrix(np.zeros(n), varus, internal)
+    return rotation_matrix(np.zeros(len(attitude)), attitude[:, 0], attitude[:, 1])
 
 
 def _flexed(angles: Array) -> Array:

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_knee import small_knee, small_protocol
 
+from identknee.laxity.protocol import Protocol
 from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.nuisances.geometry import insertions
@@ -14,6 +15,7 @@ from identknee.model.nuisances.library import nuisances_of
 from identknee.runs.arrays import Array
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee
+from identknee.subject.reference import reference_knee
 from identknee.subject.uncertainty import Uncertainty
 
 EVERYTHING = Uncertainty(
@@ -78,6 +80,34 @@ def test_slopes_are_those_of_differences(is_measured: bool) -> None:
 def moved(frame: Frame, values: Array) -> Frame:
     turn = Rotation.from_rotvec(np.radians(values[:3])).as_matrix()
     return Frame(origin=frame.to_common(values[3:]), axes=turn.T @ frame.axes)
+
+
+def test_the_measured_attitude_turns_loads_and_flexion() -> None:
+    """A tibia turned by 35 deg flexes about another axis; what is left is the flexion moment's."""
+    protocol = Protocol(
+        name="two",
+        trials=("external", "internal"),
+        flexion_deg=np.array([60.0, 60.0]),
+        loads=np.array([[-10.0, 0.0, 0.0, 0.0, 0.0], [10.0, 0.0, 0.0, 0.0, 0.0]]),
+    )
+    stated = Uncertainty(registration_deg=2.0)
+    model = LaxityModel(knee=reference_knee().with_uncertainty(stated), protocol=protocol)
+    for seed in (1, 2):
+        values = 2.0 * np.random.default_rng(seed).standard_normal(6)
+        theta = np.r_[model.parameters.start[:-6], values]
+        knee: Knee = replace(
+            model.knee,
+            uncertainty=Uncertainty(),
+            femur_frame=moved(model.knee.femur_frame, np.r_[values[:3], np.zeros(3)]),
+            tibia_frame=moved(model.knee.tibia_frame, np.r_[values[3:], np.zeros(3)]),
+        )
+        other = LaxityModel(knee=knee, protocol=protocol)
+        laxity = other.simulate(other.parameters.start)
+        without, given = (
+            np.abs(x.predict(theta, derivatives=False).coordinates - laxity.coordinates).max()
+            for x in (model, model.with_tests(laxity))
+        )
+        assert given < 0.6 * without
 
 
 @pytest.mark.parametrize("seed", range(3))
