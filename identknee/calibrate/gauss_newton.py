@@ -5,6 +5,7 @@ import numpy as np
 from identknee.calibrate.bounded_step import bounded_step
 from identknee.calibrate.evaluation import Evaluation
 from identknee.calibrate.scales import typical_steps
+from identknee.calibrate.tolerances import KINK_DEVIANCE, KINK_SHARE
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared
@@ -25,6 +26,9 @@ class GaussNewton:
         Largest component of the step, in typical steps (3 kN, 2 %).
     reduction
         How much lower the linear model has the deviance there.
+    is_on_a_kink
+        Whether the reduction is so small that a search which cannot go on is at a minimum where the
+        derivatives of both sides point at each other.
     is_stationary
         Whether the step is below 1e-6 of the typical steps, or promises less than rounding.
     gradient_norm
@@ -35,6 +39,7 @@ class GaussNewton:
     step: Array
     length: float
     reduction: float
+    is_on_a_kink: bool
     is_stationary: bool
     gradient_norm: float
 
@@ -58,11 +63,13 @@ def gauss_newton(here: Evaluation, parameters: Parameters) -> GaussNewton:
     gradient = 2.0 * scaled.T @ here.residuals
     reduction = float(-2.0 * here.residuals @ change - change @ change)
     length = float(np.max(np.abs(step)))
+    least = 0.0 if parameters.is_of_interest.all() else KINK_DEVIANCE
     inward = np.where(gradient > 0, low < -STEP_TOLERANCE, high > STEP_TOLERANCE)
     return GaussNewton(
         step=scales * step,
         length=length,
         reduction=reduction,
+        is_on_a_kink=reduction <= max(KINK_SHARE * here.deviance, least),
         is_stationary=length < STEP_TOLERANCE or reduction <= ROUNDING * here.deviance,
         gradient_norm=float(np.max(np.abs(gradient) * inward)),
     )

@@ -7,7 +7,6 @@ from identknee.calibrate.cliff import way_around
 from identknee.calibrate.evaluation import Ended, Evaluator
 from identknee.calibrate.gauss_newton import gauss_newton
 from identknee.calibrate.scales import typical_steps
-from identknee.calibrate.tolerances import KINK_SHARE
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -30,8 +29,8 @@ def minimise_by_least_squares(
     ligament has no slope to leave them by: of 300 starts far from the minimum of eight sloppy
     springs 296 reach it, and 243 by the active set of `identknee.calibrate.constrained`, which is
     the method near a minimum and with a constraint. It ends where the Gauss-Newton step
-    within the bounds vanishes, or where no step goes down any more and none promises a millionth of
-    the deviance, as at a minimum on a kink (`minimum`). Where it cannot go on because every longer
+    within the bounds vanishes, or where no step goes down any more and the derivatives promise next
+    to nothing, as at a minimum on a kink (`minimum`). Where it cannot go on because every longer
     step has no prediction it tries to get around (`identknee.calibrate.cliff`) and goes on from
     there, or ends (`cliff`). A start outside the bounds is moved just inside.
     """
@@ -118,7 +117,7 @@ def _is_on_a_kink(evaluator: Evaluator) -> bool:
     other: the lowest place is there, and no derivative vanishes at it.
     """
     here = evaluator(_best(evaluator))
-    return gauss_newton(here, evaluator.parameters).reduction <= KINK_SHARE * here.deviance
+    return gauss_newton(here, evaluator.parameters).is_on_a_kink
 
 
 def _settle(evaluator: Evaluator) -> None:

@@ -10,5 +10,7 @@ STEP_RANK_TOLERANCE = 1e-12
 UNSEEN_TOLERANCE = 1e-9
 # The same share of the largest eigenvalue of the information, a singular value squared.
 EIGENVALUE_TOLERANCE = 1e-10
-# Share of the deviance that an impossible step may promise at a minimum on a kink.
-KINK_SHARE = 1e-6
+# Share of the deviance that an impossible step may promise at a minimum on a kink, and how much of
+# it where there are nuisances, whose priors make it one in units of the noise: a tenth of a
+# standard deviation. Insertions that may be elsewhere lead onto kinks as a rule.
+KINK_SHARE, KINK_DEVIANCE = 1e-6, 0.01

@@ -12,7 +12,6 @@ from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import BUDGET, METHODS, Fit, fit
 from identknee.calibrate.gauss_newton import gauss_newton
 from identknee.calibrate.problem import Problem
-from identknee.calibrate.tolerances import KINK_SHARE
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
@@ -256,7 +255,7 @@ def kind_of_end(problem: Problem, end: Fit) -> Outcome:
     if not here.is_finite:
         return Outcome.VALLEY
     ahead = gauss_newton(here, problem.parameters)
-    if ahead.length <= AT_MINIMUM or ahead.reduction <= KINK_SHARE * here.deviance:
+    if ahead.length <= AT_MINIMUM or ahead.is_on_a_kink:
         return Outcome.MINIMUM
     step = ahead.step * AT_MINIMUM / ahead.length
     expected = here.jacobian @ step

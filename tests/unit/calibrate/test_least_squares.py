@@ -1,3 +1,4 @@
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,29 @@ from problems import (
 )
 
 from identknee.calibrate.fit import fit
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
 # What the benchmark wants of noise-free data, in kN and %.
 RECOVERY = 1e-9
+
+
+ALONE = plain_parameters(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kinked:
+    """A parabola and a wedge with their lowest point at 0."""
+
+    slope: float = 0.01
+    parameters: Parameters = ALONE
+
+    def residuals(self, theta: Array) -> Array:
+        return np.array([1.0 + self.slope * abs(theta[0]), 30.0 * theta[0]])
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.array([[self.slope if theta[0] > 0 else -self.slope], [30.0]])
 
 
 def test_scipy_shrinks_its_step_fourfold_after_residuals_without_prediction() -> None:
@@ -153,18 +172,20 @@ def test_derivatives_that_are_not_finite_end_in_a_valley() -> None:
 
 def test_a_minimum_on_a_kink_is_a_minimum() -> None:
     """As where a contact point just touches: the slopes of both sides point at each other."""
-
-    class Kinked:
-        parameters = plain_parameters(1)
-
-        def residuals(self, theta: Array) -> Array:
-            return np.array([1.0 + 0.01 * abs(theta[0]), 30.0 * theta[0]])
-
-        def jacobian(self, theta: Array) -> Array:
-            return np.array([[0.01 if theta[0] > 0 else -0.01], [30.0]])
-
     end = fit(Kinked(), np.array([0.7]))
     assert end.outcome is Outcome.MINIMUM
     assert abs(end.theta[0]) < 2e-5
     assert end.gradient_norm is not None
     assert end.gradient_norm > 1e-3
+
+
+def test_nuisances_put_up_with_sharper_kinks() -> None:
+    """With priors the deviance is one of the noise, of which the slopes promise a hundredth here.
+
+    The promise is the slope squared over that of the other residual.
+    """
+    alone = Kinked(slope=2.0)
+    beside = Kinked(slope=2.0, parameters=ALONE.as_nuisances())
+    too_sharp = Kinked(slope=4.0, parameters=ALONE.as_nuisances())
+    outcomes = [fit(x, np.array([0.7])).outcome for x in (alone, beside, too_sharp)]
+    assert outcomes == [Outcome.VALLEY, Outcome.MINIMUM, Outcome.VALLEY]
