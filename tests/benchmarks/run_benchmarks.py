@@ -21,6 +21,7 @@ MODULES = {
     "sweep": "bench_sweep",
     "sampling": "bench_sampling",
     "posterior": "bench_posterior",
+    "uncertain_posterior": "bench_uncertain_posterior",
     "diagnosis": "bench_diagnosis",
 }
 
