@@ -47,5 +47,7 @@ ends = {"end": (number, np.sort(scaled_out.objectives))}
 figure = waterfall_figure({"Least squares from 16 starts": ends})
 
 # %%
-# On the command line ``--workers N`` starts N processes. A run that is stopped goes on where it
-# was when the same command is given again, with any number of workers.
+# On the command line ``--workers N`` starts N processes; ``--workers tcp://10.0.0.5:8786`` works on
+# the cluster of that scheduler. So does the argument ``workers`` of a verb in Python. If a worker
+# is lost, its tasks go to another. A run that is stopped goes on where it was when the same command
+# is given again, with any workers.

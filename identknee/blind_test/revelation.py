@@ -90,7 +90,7 @@ def reveal(blind_dir: BlindData | PathLike, diagnosis_dir: Diagnosis | PathLike)
 def _holding(folder: Path, file: str, verb: str) -> Path:
     """The folder, which must hold a file of a verb."""
     if not (folder / file).exists():
-        why = f"there is no {file} in it, so that it is no folder of identknee {verb}"
+        why = f"it holds no {file}, so identknee {verb} did not make it"
         raise InputError(folder, "", why, ORDER)
     return folder
 

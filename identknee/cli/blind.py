@@ -39,7 +39,7 @@ def blind(
     uncertain: Uncertain = None,
     out: Out = Path("identknee-blind"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Make laxity data with a hidden effect, to test a diagnosis.

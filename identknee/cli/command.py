@@ -54,6 +54,18 @@ def _said_which(word: str, *, is_name: bool) -> str:
     return word
 
 
+def _workers(word: str) -> int | str:
+    """A number of workers, or the address of a scheduler."""
+    if "://" in word:
+        return word
+    if not word.isdecimal() or int(word) < 1:
+        raise typer.BadParameter(
+            f"{word} is neither a number of processes nor the address of a scheduler; "
+            "write for example 4, or tcp://10.0.0.5:8786"
+        )
+    return int(word)
+
+
 Subject = Annotated[
     str,
     typer.Argument(
@@ -92,7 +104,13 @@ Seed = Annotated[
     int, typer.Option(min=0, help="Seed of all random numbers. It is stored with the result.")
 ]
 Workers = Annotated[
-    int, typer.Option(min=1, help="Number of parallel processes. The results do not depend on it.")
+    str,
+    typer.Option(
+        metavar="N",
+        help="Number of parallel processes, or the address of a dask scheduler such as "
+        "tcp://10.0.0.5:8786. The results do not depend on it.",
+        callback=_workers,
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print only result.json, to standard output.")]
 Continuation = Annotated[

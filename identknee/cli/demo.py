@@ -24,7 +24,7 @@ def demo(
     budget: Budget = 2500,
     out: Out = Path("identknee-demo"),
     seed: Seed = 0,
-    workers: Workers = 2,
+    workers: Workers = "2",
     as_json: Json = False,
 ) -> None:
     """Ask the paper's question, and answer it in about a minute.

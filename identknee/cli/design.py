@@ -56,7 +56,7 @@ def design(
     bounds: Bounds = None,
     out: Out = Path("identknee-design"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Choose the trials that would best close what is still open.

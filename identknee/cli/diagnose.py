@@ -37,7 +37,7 @@ def diagnose(
     start: Start = "subject",
     out: Out = Path("identknee-diagnose"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Find what the model of SUBJECT gets wrong, and why.

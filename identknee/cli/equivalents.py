@@ -60,7 +60,7 @@ def equivalents(
     bounds: Bounds = None,
     out: Out = Path("identknee-equivalents"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Find other parameter sets that the data cannot tell apart.

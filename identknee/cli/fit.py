@@ -83,7 +83,7 @@ def fit(
     continuation: Continuation = "continuation",
     out: Out = Path("identknee-fit"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Fit the parameters of SUBJECT to DATA.csv.

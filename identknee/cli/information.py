@@ -30,7 +30,7 @@ def information(
     bounds: Bounds = None,
     out: Out = Path("identknee-information"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Find which parameter combinations the data determine.

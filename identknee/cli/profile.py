@@ -83,7 +83,7 @@ def profile(
     bounds: Bounds = None,
     out: Out = Path("identknee-profile"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Find which values of each parameter the data allow.

@@ -59,7 +59,7 @@ def sample(
     bounds: Bounds = None,
     out: Out = Path("identknee-sample"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Sample the posterior of the parameters given the data.

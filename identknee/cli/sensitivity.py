@@ -50,7 +50,7 @@ def sensitivity(
     fixed: Fixed = None,
     out: Out = Path("identknee-sensitivity"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Find which parameters the laxity of a knee depends on.

@@ -63,7 +63,7 @@ def simulate(
     contact: Contact = "field",
     out: Out = Path("identknee-simulate"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Simulate laxity tests of SUBJECT.

@@ -110,7 +110,7 @@ def check(
     within: Within = 3.0,
     out: Out = Path("identknee-check"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Check SUBJECT, and whether its trials are stable.
@@ -134,7 +134,7 @@ def settle(
     within: Within = 3.0,
     out: Out = Path("identknee-settled"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Move the insertions of SUBJECT until all trials are stable.
@@ -153,7 +153,7 @@ def draw(
     subject: Subject,
     out: Out = Path("identknee-show"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Draw SUBJECT in its scanned pose."""
@@ -175,7 +175,7 @@ def export(
     protocol: PosedTrials = None,
     out: Out = Path("identknee-subject"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Write SUBJECT as a subject folder, and for other tools.
@@ -204,7 +204,7 @@ def import_osim(
     bundles: Bundles = "separate",
     out: Out = Path("identknee-subject"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Turn an OpenSim model into a subject folder."""

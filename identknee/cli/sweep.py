@@ -65,7 +65,7 @@ def sweep(
     bounds: Bounds = None,
     out: Out = Path("identknee-sweep"),
     seed: Seed = 0,
-    workers: Workers = 1,
+    workers: Workers = "1",
     as_json: Json = False,
 ) -> None:
     """Fit from many starts, and see what stopped each search.

@@ -74,9 +74,8 @@ class CellFile:
         known = tuple(known)
         for name in self.columns:
             if name not in known:
-                self.refuse(
-                    self.header_line, name, "this column is unknown", suggestion(name, known)
-                )
+                remedy = _column_remedy(name, known)
+                self.refuse(self.header_line, name, "this column is unknown", remedy)
         for name in required:
             if name not in self.columns:
                 self.refuse(
@@ -243,3 +242,11 @@ def written(cells: Iterable[str]) -> str:
         '"' + cell.replace('"', '""') + '"' if re.search(r'[,"#;]', cell) else cell
         for cell in cells
     )
+
+
+def _column_remedy(name: str, known: tuple[str, ...]) -> str:
+    """The closest known column; where only the unit differs, its values must change too."""
+    remedy, quantity = suggestion(name, known), name.rpartition("_")[0]
+    if not quantity or remedy.removeprefix("Did you mean ").rpartition("_")[0] != quantity:
+        return remedy
+    return f"{remedy} If so, convert its values to that unit."

@@ -163,7 +163,7 @@ def read_laxity(path: PathLike) -> Laxity:
     """
     with CellFile.open(laxity_file(path)) as file:
         file.take_opposites(OPPOSITE_LOADS)
-        file.check_columns(_COLUMNS, ("trial", FLEXION))
+        file.check_columns((*_COLUMNS, *OPPOSITE_LOADS), ("trial", FLEXION))
         _check_coordinates(file)
         names: dict[str, int] = {}
         numbers: list[tuple[float, ...]] = []
@@ -177,7 +177,9 @@ def read_laxity(path: PathLike) -> Laxity:
             if "phase" in file.columns:
                 phase.append(_phase(row))
         if not names:
-            raise InputError(file.path, "", "there is no trial below the header", "Add a row each.")
+            raise InputError(
+                file.path, "", "there is no trial below the header", "Add one row per trial."
+            )
     table = np.array(numbers)
     loads, coordinates = 1 + len(LOADS), 1 + len(LOADS) + len(COORDINATES)
     comments, correlation, zero = _statements(file)

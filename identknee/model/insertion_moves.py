@@ -1,7 +1,8 @@
 """Insertions moved within their uncertainty: what restores trials, and a knee that settles."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -110,7 +111,7 @@ def rank_moves(
     within_mm
         How far insertions may be from where they are given [mm].
     executor
-        Anything with an ordered ``map`` that shares this process's memory.
+        Anything with an ordered ``map``.
 
     Raises
     ------
@@ -176,7 +177,6 @@ class _Search:
         effect = insertion(model.knee)
         kept = [x for x in model.effects if x.name != effect.name]
         self._model = model.with_effects([*kept, effect])
-        self._start = np.array(self._model.parameters.start)
         self._ligaments = model.knee.ligaments
 
     def nowhere(self) -> Array:
@@ -221,11 +221,10 @@ class _Search:
 
     def scores(self, shifts: Sequence[Array]) -> list[Score]:
         """Trials that converge, the load that the others reach, the lowest margin."""
-        predict: Callable[[Array], Prediction] = self._predict
-        return [_score(x) for x in self._executor.map(predict, shifts)]
+        return [_score(x) for x in self._executor.map(partial(_predict, self._model), shifts)]
 
     def lowest_margin(self, shifts: Array) -> float:
-        found = self._predict(shifts)
+        found = _predict(self._model, shifts)
         margins = found.margins[found.is_converged]
         return float(margins.min()) if margins.size else float("nan")
 
@@ -241,10 +240,11 @@ class _Search:
                 shifts, score = without, found
         return shifts, score
 
-    def _predict(self, shifts: Array) -> Prediction:
-        theta = np.array(self._start)
-        theta[-shifts.size :] += shifts.ravel()
-        return self._model.predict(theta, derivatives=False)
+
+def _predict(model: LaxityModel, shifts: Array) -> Prediction:
+    theta = np.array(model.parameters.start)
+    theta[-shifts.size :] += shifts.ravel()
+    return model.predict(theta, derivatives=False)
 
 
 def _score(found: Prediction) -> Score:

@@ -159,7 +159,7 @@ def check_stability(
     seed
         Seed of the draws.
     executor
-        Anything with an ordered ``map`` that shares this process's memory.
+        Anything with an ordered ``map``.
 
     Raises
     ------

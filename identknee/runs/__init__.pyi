@@ -12,3 +12,4 @@ from .findings import Severity as Severity
 from .resume import open_work as open_work
 from .resume import resumable_map as resumable_map
 from .store import Store as Store
+from .workers import executor_of as executor_of

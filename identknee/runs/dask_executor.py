@@ -4,9 +4,11 @@ import logging
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from identknee.runs.executors import Executor, WorkerDied
+from identknee.runs.library_threads import use_one_library_thread
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -100,4 +102,11 @@ class _Dask:
 
 
 def _apply(function: Callable[[Any], Any], item: Any) -> Any:
+    _keep_to_one_thread()
     return function(item)
+
+
+@cache
+def _keep_to_one_thread() -> None:
+    """As processes of this machine are told when they start, so that sums have the same bits."""
+    use_one_library_thread()

@@ -6,6 +6,7 @@ from typing import overload
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.effect import Effect
 from identknee.runs.files import PathLike
+from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.diagnose import diagnose_data
 from identknee.verbs.diagnosis import Diagnosis
@@ -26,7 +27,7 @@ def diagnose(
     effects: Sequence[Effect] | None = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Diagnosis: ...
 @overload
 def diagnose(
@@ -38,7 +39,7 @@ def diagnose(
     uncertain: UncertainLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Isolability: ...
 def diagnose(
     subject: SubjectLike,
@@ -51,7 +52,7 @@ def diagnose(
     effects: Sequence[Effect] | None = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Diagnosis | Isolability:
     """What the model of a subject gets wrong in the data, and which physical cause it has.
 

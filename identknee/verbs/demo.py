@@ -27,6 +27,7 @@ from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial, threads
 from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
+from identknee.runs.workers import Workers, executor_of
 from identknee.verbs.simulate import LAXITY_FILE, SimulatedLaxity, simulated
 from identknee.verbs.values import by_ligament
 from identknee.verbs.verb import Run, verb
@@ -142,7 +143,7 @@ def demo(
     budget: int = 2500,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 2,
+    workers: Workers = 2,
 ) -> Demonstration:
     """Does a good fit mean right parameters? The paper's question on the reference knee.
 
@@ -157,7 +158,7 @@ def demo(
     seed
         Seed of all random numbers.
     workers
-        Threads to work with; results are the same.
+        Threads to work with, or the address of a dask scheduler; results are the same.
     """
     protocol = load_protocol("seed63")
     warm_up(run.knee, protocol)
@@ -166,7 +167,7 @@ def demo(
     prediction = model.predict(model.parameters.center, derivatives=False)
     laxity = Laxity(protocol=protocol, coordinates=prediction.coordinates)
     exact = LaxityResiduals(model=model, laxity=laxity)
-    with threads(workers) as executor:
+    with executor_of(workers, threads) as executor:
         starts = (
             *_fits(exact, "complex", runs, (seed, budget), executor),
             *_fits(exact, "least-squares", 1, (seed, budget), serial),

@@ -20,6 +20,7 @@ from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
 from identknee.runs.files import PathLike
+from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
@@ -123,7 +124,7 @@ def design(
     bounds: BoundsLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Design:
     """Which laxity trials to add to those measured, so that they tell what is left open.
 
@@ -162,7 +163,7 @@ def design(
     seed
         Seed of all random numbers.
     workers
-        Processes to work with; results are the same.
+        Processes to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------

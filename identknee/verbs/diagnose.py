@@ -21,6 +21,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import Finding
+from identknee.runs.workers import Workers
 from identknee.scrutiny.broken_convention import convention_findings
 from identknee.scrutiny.contradictions import end_point_findings
 from identknee.subject.effect_choice import EffectChoice
@@ -73,7 +74,7 @@ def diagnose_data(
     effects: Sequence[Effect] | None = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
     laxity = with_noise(run.laxity, noise)

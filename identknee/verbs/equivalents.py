@@ -21,6 +21,7 @@ from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared,
 from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import planned
+from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.averaged import averaged
@@ -89,7 +90,7 @@ def equivalents(
     bounds: BoundsLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Equivalents:
     """Other parameter sets that the data could not tell apart, as different as can be.
 
@@ -123,7 +124,7 @@ def equivalents(
     seed
         Seed of all random numbers.
     workers
-        Processes to work with; results are the same.
+        Processes to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------

@@ -27,6 +27,7 @@ from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
+from identknee.runs.workers import Workers
 from identknee.scrutiny.about_data import beside_the_table
 from identknee.scrutiny.against_load import against_load_findings
 from identknee.scrutiny.broken_convention import convention_findings
@@ -140,7 +141,7 @@ def fit(
     continuation: Continuation = "continuation",
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Calibration:
     """One parameter set fitted to measured laxity from one start.
 

@@ -8,6 +8,7 @@ from identknee.identify.information.information import information as fisher_inf
 from identknee.identify.information.structure import StructureCheck, check_structure
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.files import PathLike
+from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.averaged import averaged
@@ -57,7 +58,7 @@ def information(
     bounds: BoundsLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> LocalIdentifiability:
     """Which combinations of parameters the data determine around the best fit, and how well.
 
@@ -81,7 +82,7 @@ def information(
     seed
         Seed of all random numbers.
     workers
-        Processes to work with; results are the same.
+        Processes to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------

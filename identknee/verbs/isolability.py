@@ -10,6 +10,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputed
 from identknee.runs.files import PathLike
+from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.trials import AdvisedTrial, advised
@@ -66,7 +67,7 @@ def isolability(
     uncertain: UncertainLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Isolability:
     """Which causes the trials of a protocol could show and tell apart on a subject.
 

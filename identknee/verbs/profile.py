@@ -20,6 +20,7 @@ from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.files import PathLike
+from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
@@ -93,7 +94,7 @@ def profile(
     bounds: BoundsLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Profiles:
     """Which values of each parameter, or of any prediction, the data allow.
 
@@ -131,7 +132,7 @@ def profile(
     seed
         Seed of all random numbers.
     workers
-        Processes to work with; results are the same.
+        Processes to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------

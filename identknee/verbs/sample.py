@@ -21,6 +21,7 @@ from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
+from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
@@ -166,7 +167,7 @@ def sample(
     bounds: BoundsLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Sample:
     """The posterior of the parameters given the data, and whether it can be trusted.
 
@@ -201,7 +202,7 @@ def sample(
     seed
         Seed of all random numbers.
     workers
-        Processes to work with; results are the same.
+        Processes to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------

@@ -17,6 +17,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import Finding, Severity
+from identknee.runs.workers import Workers
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
@@ -56,7 +57,7 @@ def sensitivity(
     fixed: Sequence[str] | None = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> GlobalSensitivity:
     """Which parameters the laxity of a knee depends on.
 
@@ -91,7 +92,7 @@ def sensitivity(
     seed
         Seed of all random numbers.
     workers
-        Processes to work with; results are the same.
+        Processes to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------

@@ -19,6 +19,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
+from identknee.runs.workers import Workers
 from identknee.verbs.answer import Answer
 from identknee.verbs.used_trials import about_paths
 from identknee.verbs.values import (
@@ -142,7 +143,7 @@ def simulate(
     contact: Contact = "field",
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Simulation:
     """The simulated laxity of a knee; a trial without equilibrium is no error but has an outcome.
 

@@ -8,6 +8,7 @@ from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import threads
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Severity
+from identknee.runs.workers import Workers, executor_of
 from identknee.subject.check import GeometryFinding, check_geometry
 from identknee.verbs.subject_facts import SubjectFacts, facts_of
 from identknee.verbs.verb import Run, SubjectLike, recorded_as, verb
@@ -58,7 +59,7 @@ def check_subject(
     within: float = WITHIN,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> SubjectCheck:
     """Checks of surfaces, frames and ligaments, then of the stability of all trials.
 
@@ -81,7 +82,7 @@ def check_subject(
     seed
         Seed of the draws.
     workers
-        Threads to work with; results are the same.
+        Threads to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def check_subject(
         warm_up(knee, trials)
         run.start_clock()
         model = LaxityModel(knee=knee, protocol=trials)
-        with threads(workers) as executor:
+        with executor_of(workers, threads) as executor:
             stability = check_stability(
                 model, n_samples=samples, within_mm=within, seed=seed, executor=executor
             )

@@ -8,6 +8,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.runs.declare import declared, entry
 from identknee.runs.executors import threads
 from identknee.runs.files import PathLike
+from identknee.runs.workers import Workers, executor_of
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
@@ -62,7 +63,7 @@ def settle_subject(
     protocol: Protocol | PathLike = "seed63",
     within: float = WITHIN,
     out: PathLike | None = None,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> SettledSubject:
     """The subject with its insertions moved, within their uncertainty, until all trials converge.
 
@@ -79,7 +80,7 @@ def settle_subject(
     out
         The subject folder to write, which also gets the result; nothing is written if None.
     workers
-        Threads to work with; results are the same.
+        Threads to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------
@@ -90,7 +91,7 @@ def settle_subject(
     warm_up(run.knee, trials)
     run.start_clock()
     model = LaxityModel(knee=run.knee, protocol=trials)
-    with threads(workers) as executor:
+    with executor_of(workers, threads) as executor:
         found = settle(model, within_mm=within, executor=executor)
     settled = replace(found.knee, name=f"{run.knee.name}_settled")
     if run.out is not None:

@@ -19,6 +19,7 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding
 from identknee.runs.progress import planned
+from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
@@ -77,7 +78,7 @@ def sweep(
     bounds: BoundsLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Sweep:
     """Where searches from many starts end, and why there.
 
@@ -111,7 +112,7 @@ def sweep(
     seed
         Seed of all random numbers.
     workers
-        Processes to work with; results are the same.
+        Processes to work with, or the address of a dask scheduler; results are the same.
 
     Raises
     ------

@@ -13,12 +13,13 @@ from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
-from identknee.runs.executors import Executor, process_pool
+from identknee.runs.executors import Executor
 from identknee.runs.files import PathLike, digest, prepare_folder
 from identknee.runs.library_threads import one_library_thread
 from identknee.runs.record import record
 from identknee.runs.resume import finish_work, open_work
 from identknee.runs.store import Store
+from identknee.runs.workers import Workers, executor_of
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import with_stated
@@ -59,7 +60,7 @@ class Run:
 
     knee: Knee
     measured: Laxity | None
-    workers: int
+    workers: Workers
     out: Path | None
     deciding: Mapping[str, Any]
     _stack: ExitStack
@@ -84,7 +85,7 @@ class Run:
     def executor(self) -> Executor:
         """Anything with an ordered ``map``, its processes started when it is first asked for."""
         if self._executor is None:
-            self._executor = self._stack.enter_context(process_pool(self.workers))
+            self._executor = self._stack.enter_context(executor_of(self.workers))
         return self._executor
 
     @property

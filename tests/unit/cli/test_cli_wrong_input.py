@@ -14,6 +14,7 @@ from cli_runs import refused
         ("simulate reference --noise-student 5", "say how large with --noise"),
         ("simulate reference --contact filed", "'filed' is not one of 'field', 'mesh'. See: "),
         ("simulate reference --workers -2", "Invalid value for '--workers'"),
+        ("simulate reference --workers ten", "neither a number of processes nor the address"),
         ("simulate reference --seed 99999999999999999999", "--seed is too large; give at most"),
         ("sweep reference x.csv --n-starts 1000000000", "--n-starts is too large; give at most"),
         ("simulate reference --protocol seed36", "Did you mean seed63?"),

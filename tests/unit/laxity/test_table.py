@@ -187,7 +187,7 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
             ),
         ),
         ('"a,30,5,1,1', ', row 2: a quote is left open. Close it, or write "" for a quote mark.'),
-        ("", ": there is no trial below the header. Add a row each."),
+        ("", ": there is no trial below the header. Add one row per trial."),
         (
             "# zero: neutral\na,30,5,1,1",
             (
@@ -233,6 +233,20 @@ def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
             (
                 ", row 2, column Internal_Moment_Nm: this column is unknown. "
                 "Did you mean internal_moment_Nm?"
+            ),
+        ),
+        (
+            "trial,flexion_deg,internal_rad\na,30,0.2",
+            (
+                ", row 1, column internal_rad: this column is unknown. "
+                "Did you mean internal_deg? If so, convert its values to that unit."
+            ),
+        ),
+        (
+            "trial,flexion_deg,valgus_moment,varus_deg\na,30,1,1",
+            (
+                ", row 1, column valgus_moment: this column is unknown. "
+                "Did you mean valgus_moment_Nm?"
             ),
         ),
         (
