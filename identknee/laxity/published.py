@@ -11,7 +11,8 @@ import numpy as np
 
 from identknee.laxity.protocol import LOADS, trial_name
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.unloaded import SAME_ANGLE_DEG, relative_to_unloaded
+from identknee.laxity.unloaded import relative_to_unloaded
+from identknee.laxity.zeros import SAME_ANGLE_DEG
 from identknee.runs.arrays import Array
 
 PAPER = (

@@ -4,6 +4,7 @@ import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.laxity.unloaded import relative_to_unloaded
+from identknee.laxity.zeros import ABSOLUTE, UNLOADED, from_zero
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry
 
@@ -33,25 +34,28 @@ class LaxityError:
 def laxity_rmse(simulated: Laxity, measured: Laxity) -> LaxityError:
     """Root-mean-square difference over all that was measured.
 
-    Where only `measured` is relative to the unloaded pose, `simulated` is made so first.
+    Where only `measured` counts from poses of its own, `simulated` is made so first.
 
     Raises
     ------
     ValueError
-        If the trials differ, or only `simulated` is relative to the unloaded pose.
+        If the trials differ, or `simulated` counts from other poses than `measured`.
     """
     if simulated.protocol.trials != measured.protocol.trials:
         raise ValueError(
             "the two laxities have different trials. Simulate the protocol of the measured one."
         )
-    if measured.zero == "unloaded":
-        simulated = relative_to_unloaded(simulated)
-    elif simulated.zero == "unloaded":
+    if simulated.zero not in (ABSOLUTE, measured.zero):
         raise ValueError(
-            "the simulated laxity is relative to the unloaded pose and the measured one is not. "
-            "Give the simulated one in absolute coordinates."
+            f"the simulated laxity has the zero {simulated.zero} and the measured one "
+            f"{measured.zero}. Give the simulated one in absolute coordinates."
         )
-    squares = (simulated.coordinates - measured.coordinates) ** 2
+    shown = simulated.coordinates
+    if measured.zero == UNLOADED:
+        shown = relative_to_unloaded(simulated).coordinates
+    elif simulated.zero == ABSOLUTE:
+        shown = from_zero(shown, simulated.protocol, measured.zero)
+    squares = (shown - measured.coordinates) ** 2
     compared = ~np.isnan(squares)
     flexion = np.unique(measured.protocol.flexion_deg)
     rows = [measured.protocol.flexion_deg == angle for angle in flexion]
@@ -64,7 +68,7 @@ def laxity_rmse(simulated: Laxity, measured: Laxity) -> LaxityError:
             len(rows), len(COORDINATES)
         ),
         n_compared=int(compared.sum()),
-        n_missing=int((measured.is_measured & ~simulated.is_measured).sum()),
+        n_missing=int((measured.is_measured & np.isnan(shown)).sum()),
     )
 
 

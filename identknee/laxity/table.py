@@ -3,7 +3,6 @@
 import math
 import re
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 from identknee.laxity.cells import CellFile, Row, written
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, chosen_rows, name_fault, range_fault
+from identknee.laxity.zeros import ZEROS, zero_fault
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
 from identknee.runs.errors import InputError
@@ -42,8 +42,6 @@ OPPOSITE_LOADS = {
 NOISE_LIMITS = (1e-9, 1e6)
 # Beyond these a table is in other units or of other axes.
 ANGLE_LIMIT_DEG, LENGTH_LIMIT_MM = 180.0, 200.0
-
-Zero = Literal["absolute", "unloaded"]
 
 _SD = tuple(f"sd_{column}" for column in COORDINATES)
 _COLUMNS = ("trial", FLEXION, *LOADS, *COORDINATES, *_SD, "order", "phase")
@@ -88,9 +86,10 @@ class Laxity:
         "loading, unloading or neither (empty) for each trial; None where unknown", default=None
     )
     comments: tuple[str, ...] = entry("Free text that goes with the table", default=())
-    zero: Zero = entry(
+    zero: str = entry(
         "absolute for Grood-Suntay coordinates, unloaded where they are changes from the unloaded "
-        "pose of the same flexion angle",
+        "pose of the same flexion angle, opposite where they are changes from the trial with the "
+        "opposite load, and the name of a trial where they are changes from that one",
         default="absolute",
     )
 
@@ -109,8 +108,8 @@ class Laxity:
         for line in self.comments:
             if _STATEMENT.fullmatch(line) or "\n" in line or "\r" in line:
                 raise ValueError(f"a comment is one line and states no setting, got {line!r}")
-        if self.zero not in get_args(Zero):
-            raise ValueError(f"zero must be one of {get_args(Zero)}, got {self.zero!r}")
+        if fault := zero_fault(self.zero, self.protocol, self.coordinates):
+            raise ValueError(". ".join(fault))
 
     @property
     def n(self) -> int:
@@ -150,9 +149,10 @@ def read_laxity(path: PathLike) -> Laxity:
     ones in `OPPOSITE_LOADS`, such as ``valgus_moment_Nm``, any of `COORDINATES`, ``sd_`` and the
     name of a coordinate, ``order`` and ``phase``. A blank coordinate was not measured. Cells are
     separated by commas; where the header has semicolons or tabs instead, by those, and then numbers
-    may have decimal commas. Comment lines start with ``#``; two of them state something:
-    ``# within_trial_correlation: 0.3`` and ``# zero: unloaded``. The protocol is called after the
-    file. A name stands for the table that comes with identknee even where a file is called so:
+    may have decimal commas. Comment lines start with ``#``; some of them state something:
+    ``# within_trial_correlation: 0.3``, and ``# zero:`` with ``unloaded``, ``opposite`` or the name
+    of a trial. The protocol is called after the file. A name stands for the table that comes with
+    identknee even where a file is called so:
     write ``"./s192803"``, or give a `pathlib.Path`, for the file.
 
     Raises
@@ -182,15 +182,17 @@ def read_laxity(path: PathLike) -> Laxity:
             )
     table = np.array(numbers)
     loads, coordinates = 1 + len(LOADS), 1 + len(LOADS) + len(COORDINATES)
-    comments, correlation, zero = _statements(file)
+    protocol = Protocol(
+        name=file.path.stem,
+        trials=tuple(names),
+        flexion_deg=table[:, 0],
+        loads=table[:, 1:loads],
+    )
+    measured = table[:, loads:coordinates]
+    comments, correlation, zero = _statements(file, protocol, measured)
     return Laxity(
-        protocol=Protocol(
-            name=file.path.stem,
-            trials=tuple(names),
-            flexion_deg=table[:, 0],
-            loads=table[:, 1:loads],
-        ),
-        coordinates=table[:, loads:coordinates],
+        protocol=protocol,
+        coordinates=measured,
         sd=table[:, coordinates:],
         within_trial_correlation=correlation,
         order=np.array(order) if order else None,
@@ -365,7 +367,9 @@ def _phase(row: Row) -> str:
     return phase
 
 
-def _statements(file: CellFile) -> tuple[tuple[str, ...], float, Zero]:
+def _statements(
+    file: CellFile, protocol: Protocol, coordinates: Array
+) -> tuple[tuple[str, ...], float, str]:
     """Free comments, within-trial correlation and zero."""
     free: list[str] = []
     stated: dict[str, str] = {"within_trial_correlation": "0", "zero": "absolute"}
@@ -386,12 +390,8 @@ def _statements(file: CellFile) -> tuple[tuple[str, ...], float, Zero]:
         correlation = math.nan
     if fault := correlation_fault(correlation):
         file.refuse(lines["within_trial_correlation"], "", fault[0], f"{fault[1]}.")
-    for zero in get_args(Zero):
-        if stated["zero"].lower() == zero:
-            return tuple(free), correlation, zero
-    return file.refuse(
-        lines["zero"],
-        "",
-        f"the zero {stated['zero']!r} is unknown",
-        "Write '# zero: unloaded' for changes from the unloaded pose, or leave the line out.",
-    )
+    word = stated["zero"].lower()
+    zero = word if word in ZEROS else stated["zero"]
+    if fault := zero_fault(zero, protocol, coordinates):
+        file.refuse(lines["zero"], "", fault[0], f"{fault[1]}.")
+    return tuple(free), correlation, zero

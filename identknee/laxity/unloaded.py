@@ -4,53 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.runs.arrays import Array, IntArray
-
-SAME_ANGLE_DEG = 0.5
-"""Trials whose flexion angles differ by no more [deg] share their unloaded pose: a rig set to 30
-seldom reads 30.0."""
-
-
-def unloaded_trials(protocol: Protocol) -> tuple[IntArray, ...]:
-    """Indices of the unloaded trials at the flexion angle of each trial, one array a trial.
-
-    Raises
-    ------
-    ValueError
-        If a flexion angle has no unloaded trial.
-    """
-    unloaded = np.flatnonzero(protocol.is_unloaded)
-    found = []
-    for flexion in protocol.flexion_deg:
-        near = np.abs(protocol.flexion_deg[unloaded] - flexion) <= SAME_ANGLE_DEG
-        if not near.any():
-            raise ValueError(
-                f"no trial of {protocol.name!r} is unloaded at {flexion:g} deg flexion. "
-                "Add one with all loads zero at that angle."
-            )
-        found.append(unloaded[near].astype(np.int64))
-    return tuple(found)
-
-
-def from_unloaded(values: Array, protocol: Protocol) -> Array:
-    """`values` less their mean over the unloaded trials of the same flexion angle.
-
-    Parameters
-    ----------
-    values
-        Anything with a row a trial, shape ``(n, ...)``: coordinates, or their Jacobian.
-    protocol
-        The trials.
-
-    Raises
-    ------
-    ValueError
-        If a flexion angle has no unloaded trial.
-    """
-    zeros = [values[rows].mean(axis=0) for rows in unloaded_trials(protocol)]
-    return np.asarray(values - np.array(zeros).reshape(values.shape), dtype=np.float64)
+from identknee.laxity.zeros import unloaded_trials
 
 
 def relative_to_unloaded(laxity: Laxity) -> Laxity:

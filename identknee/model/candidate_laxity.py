@@ -7,7 +7,7 @@ import numpy as np
 
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.unloaded import SAME_ANGLE_DEG, from_unloaded
+from identknee.laxity.zeros import SAME_ANGLE_DEG, UNLOADED, from_zero, zero_of_more
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.runs.arrays import Array, frozen
@@ -86,12 +86,12 @@ class CandidateLaxity:
     @property
     def trials(self) -> Protocol:
         """The trials to choose from, and after them what else would be measured for their zero."""
-        return with_unloaded(self.protocol) if self.laxity.zero == "unloaded" else self.protocol
+        is_counted = zero_of_more(self.laxity.zero) == UNLOADED
+        return with_unloaded(self.protocol) if is_counted else self.protocol
 
     def rows(self, changes: Array) -> Array:
         """Changes of the coordinates of `trials` (n, 5, q) in units of the errors, (k, m, q)."""
-        if self.laxity.zero == "unloaded":
-            changes = from_unloaded(changes, self.trials)
+        changes = from_zero(changes, self.trials, zero_of_more(self.laxity.zero))
         measured = changes[: self.protocol.n, ~np.isnan(self.sd)]
         return np.asarray(self._whitening @ measured)
 

@@ -1,12 +1,11 @@
 """What a laxity model predicts as a flat list of outputs in named groups."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.unloaded import from_unloaded, unloaded_trials
+from identknee.laxity.zeros import ABSOLUTE, from_zero, zero_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
@@ -25,18 +24,18 @@ class LaxityOutputs:
     free
         The parameters of the model that vary, and the values of the others.
     zero
-        Whether coordinates are absolute, or changes from the unloaded pose of the flexion angle.
+        What coordinates are counted from, as in `identknee.Laxity`.
 
     Raises
     ------
     ValueError
-        If the number of groups differs, or an unloaded pose is needed that the protocol lacks.
+        If the number of groups differs, or a pose is needed that the protocol lacks.
     """
 
     model: LaxityModel
     groups: tuple[str, ...]
     free: FreeParameters
-    zero: Literal["absolute", "unloaded"] = "absolute"
+    zero: str = ABSOLUTE
 
     def __post_init__(self) -> None:
         wanted = len(COORDINATES) * self.model.protocol.n
@@ -44,8 +43,8 @@ class LaxityOutputs:
             raise ValueError(
                 f"{wanted} outputs need as many names of groups, got {len(self.groups)}"
             )
-        if self.zero == "unloaded":
-            unloaded_trials(self.model.protocol)
+        if self.zero != ABSOLUTE:
+            zero_trials(self.model.protocol, self.zero)
 
     @property
     def parameters(self) -> Parameters:
@@ -56,6 +55,4 @@ class LaxityOutputs:
         """Coordinates of all trials [mm, deg], shape ``(5 n,)``; NaN where one did not converge."""
         everything = self.free.expand(theta)
         coordinates = self.model.predict(everything, derivatives=False).coordinates
-        if self.zero == "unloaded":
-            coordinates = from_unloaded(coordinates, self.model.protocol)
-        return np.asarray(coordinates.ravel())
+        return np.asarray(from_zero(coordinates, self.model.protocol, self.zero).ravel())

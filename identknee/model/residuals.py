@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, Laxity, noise_fault
-from identknee.laxity.unloaded import from_unloaded
+from identknee.laxity.zeros import from_zero
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray
@@ -144,9 +144,7 @@ class LaxityResiduals:
         return np.asarray(self.laxity.coordinates - self._relative(shown))
 
     def _relative(self, values: Array) -> Array:
-        if self.laxity.zero == "absolute":
-            return values
-        return from_unloaded(values, self.laxity.protocol)
+        return from_zero(values, self.laxity.protocol, self.laxity.zero)
 
     def weighted(self, values: Array) -> Array:
         """Rows of errors of the measured coordinates, whitened as the residuals are.

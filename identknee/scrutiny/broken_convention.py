@@ -7,7 +7,7 @@ from identknee.calibrate.doubts import GROSS, IMPROBABLE, MOST_DEG, MOST_MM
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Scaled
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
-from identknee.laxity.unloaded import unloaded_trials
+from identknee.laxity.zeros import unloaded_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray

@@ -6,9 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from identknee.laxity.protocol import FLEXION, LOADS, Protocol
-from identknee.laxity.table import COORDINATES, Laxity, Zero
-from identknee.laxity.unloaded import unloaded_trials
+from identknee.laxity.protocol import FLEXION, LOADS
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.zeros import unloaded_trials
 from identknee.runs.arrays import Array
 
 # Names of both kinds of columns, coordinates first.
@@ -60,7 +60,7 @@ class Convention:
     order: tuple[int, ...] = tuple(range(len(COLUMNS)))
     factors: tuple[float, ...] = (1.0,) * len(COLUMNS)
     flexion: float = 1.0
-    zero: Zero | None = None
+    zero: str | None = None
 
     def applied(self, laxity: Laxity) -> Laxity | None:
         """The table put right; None where it would be the same or break a rule of tables.
@@ -85,18 +85,15 @@ class Convention:
         if (same and zero == laxity.zero) or moved.any():
             return None
         try:
-            changed = Protocol(
-                name=protocol.name, trials=protocol.trials, flexion_deg=flexion, loads=loads
+            return replace(
+                laxity,
+                protocol=replace(protocol, flexion_deg=flexion, loads=loads),
+                coordinates=coordinates,
+                sd=None if laxity.sd is None else self._sd(laxity.sd),
+                zero=zero,
             )
         except ValueError:
             return None
-        return replace(
-            laxity,
-            protocol=changed,
-            coordinates=coordinates,
-            sd=None if laxity.sd is None else self._sd(laxity.sd),
-            zero=zero,
-        )
 
     def _sd(self, sd: Array) -> Array:
         n = len(COORDINATES)
@@ -163,6 +160,8 @@ def _zeros(laxity: Laxity) -> Iterator[Convention]:
         yield Convention(
             what="taking coordinates for absolute ones (without zero: unloaded)", zero="absolute"
         )
+        return
+    if laxity.zero != "absolute":
         return
     unloaded = laxity.coordinates[laxity.protocol.is_unloaded]
     known = np.abs(unloaded[~np.isnan(unloaded)])

@@ -14,7 +14,8 @@ from identknee.identify.design.design import design as choose_trials
 from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
 from identknee.laxity.candidates import candidate_trials, repeated
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, load_protocol
-from identknee.laxity.table import COORDINATES, Laxity, Zero, write_laxity
+from identknee.laxity.table import COORDINATES, Laxity, write_laxity
+from identknee.laxity.zeros import zero_of_more
 from identknee.model.candidate_laxity import CandidateLaxity, typical_errors
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
@@ -55,7 +56,7 @@ class Design(Answer):
         group=GROUP,
         default=None,
     )
-    zero: Zero = entry("What coordinates of the data are counted from")
+    zero: str = entry("What coordinates of the data are counted from")
     degrees_of_freedom: int | None = entry(
         "Degrees of freedom of the noise estimated from the fit; null where the noise is stated"
     )
@@ -84,7 +85,7 @@ class Design(Answer):
             protocol=protocol,
             coordinates=np.full((n, len(COORDINATES)), np.nan),
             sd=None if self.coordinate_sd is None else np.tile(self.coordinate_sd, (n, 1)),
-            zero=self.zero,
+            zero=zero_of_more(self.zero),
             comments=("Trials advised by identknee design: measure, fill in, append to the data.",),
         )
 

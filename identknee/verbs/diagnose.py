@@ -16,6 +16,7 @@ from identknee.diagnosis.missing_line.wrench import MissingPull
 from identknee.diagnosis.noise.data_noise import noise_of
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
+from identknee.laxity.zeros import zero_of_more
 from identknee.model.effects.effect import Effect
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -189,7 +190,7 @@ def _blank(laxity: Laxity, trials: Protocol) -> Laxity:
     return Laxity(
         protocol=trials,
         coordinates=np.full((trials.n, laxity.coordinates.shape[1]), np.nan),
-        zero=laxity.zero,
+        zero=zero_of_more(laxity.zero),
         comments=("Trials advised by identknee diagnose: measure, fill in, append to the data.",),
     )
 

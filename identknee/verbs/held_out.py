@@ -10,6 +10,7 @@ from scipy.special import stdtrit
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.zeros import ABSOLUTE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.own_poses import at_own_poses
 from identknee.runs.arrays import Array, BoolArray
@@ -94,8 +95,13 @@ def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
     Raises
     ------
     ValueError
-        If no trial is called so, or none is left.
+        If no trial is called so, none is left, or coordinates are not absolute.
     """
+    if held_out and laxity.zero != ABSOLUTE:
+        raise ValueError(
+            "--hold-out predicts absolute coordinates, and those of the table count from the zero "
+            f"{laxity.zero}; leave cells blank instead"
+        )
     trials = laxity.protocol.trials
     held = np.zeros(laxity.n, bool)
     for name in held_out:

@@ -18,7 +18,9 @@ from identknee.calibrate.problem import (
     without_priors,
 )
 from identknee.calibrate.starts import load_start
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
+from identknee.laxity.zeros import from_zero
 from identknee.mechanics.load_paths import NEAR, Continuation
 from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
@@ -126,13 +128,19 @@ class TrialSearch:
         return used, found
 
     @property
+    def _zero(self) -> tuple[Protocol, str]:
+        return self.laxity.protocol, self.laxity.zero
+
+    @property
     def measured(self) -> BoolArray:
         """Which trials have data, shape ``(n,)``."""
         return np.asarray(self.laxity.is_measured.any(axis=1))
 
     def has_equilibrium(self, theta: Array) -> BoolArray:
         """Which trials have an equilibrium, shape ``(n,)``."""
-        return self.model.predict(theta, derivatives=False).is_converged
+        found = self.model.predict(theta, derivatives=False).is_converged
+        # A change needs both poses.
+        return ~np.isnan(from_zero(np.where(found, 0.0, np.nan), *self._zero))
 
     def with_equilibrium(self, theta: Array) -> Laxity:
         """The data, cells of trials without equilibrium blank."""

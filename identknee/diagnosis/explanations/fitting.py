@@ -299,9 +299,11 @@ def fitted_to_low_loads(
     size = np.abs(laxity.protocol.loads)
     largest = size.max(axis=0)
     low = np.all(size <= LOW_LOADS * np.where(largest > 0.0, largest, 1.0), axis=1)
+    if laxity.zero != "absolute":
+        return start
     part = laxity.select(low)
     rows = np.broadcast_to(low[:, None], laxity.is_measured.shape)[laxity.is_measured]
-    if laxity.zero != "absolute" or not part.is_measured.any():
+    if not part.is_measured.any():
         return start
     return np.array(fit_from(model.with_tests(part), part, noise.of(rows), [start]).theta)
 

@@ -8,7 +8,7 @@ from identknee.diagnosis.noise.noise_model import NoiseModel
 from identknee.laxity.dominant import DIRECTIONS, nominal_flexion, told_loads
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, Laxity
-from identknee.laxity.unloaded import SAME_ANGLE_DEG
+from identknee.laxity.zeros import SAME_ANGLE_DEG
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
 from identknee.runs.declare import declared, entry
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from identknee.laxity.unloaded import from_unloaded
+from identknee.laxity.zeros import ABSOLUTE, from_zero
 from identknee.model.effects.facts import cause_label
 from identknee.report.laxity_figures import (
     LaxityCurves,
@@ -89,10 +89,10 @@ def _of_answer(result: Result, answer: SimulatedLaxity, findings: Findings) -> L
     data = answer.data if isinstance(answer, Calibration) else None
     if data is None and isinstance(answer, Simulation):
         data = answer.noisy
-    is_relative = data is not None and data.zero == "unloaded"
+    zero = ABSOLUTE if data is None else data.zero
 
     def as_measured(values: Array) -> Array:
-        return from_unloaded(values, answer.protocol) if is_relative else values
+        return from_zero(values, answer.protocol, zero)
 
     simulated = {"simulated": as_measured(answer.coordinates)}
     if isinstance(answer, Calibration):

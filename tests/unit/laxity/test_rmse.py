@@ -42,7 +42,7 @@ def test_simulation_is_made_relative_where_the_measurement_is() -> None:
     rows = absolute.protocol.flexion_deg[:, None] / 30 * 15 + np.arange(5) + 5
     relative = replace(drawer(absolute.coordinates - rows), zero="unloaded")
     assert laxity_rmse(absolute, relative).mm == 0
-    with pytest.raises(ValueError, match=r"the measured one is not\. Give the simulated one"):
+    with pytest.raises(ValueError, match=r"the measured one absolute\. Give the simulated one"):
         laxity_rmse(relative, absolute)
 
 

@@ -191,8 +191,8 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
         (
             "# zero: neutral\na,30,5,1,1",
             (
-                ", row 2: the zero 'neutral' is unknown. Write '# zero: unloaded' for changes from "
-                "the unloaded pose, or leave the line out."
+                ", row 2: the zero 'neutral' is unknown and no trial. Write unloaded, opposite or "
+                "the name of a trial, or leave the line out."
             ),
         ),
         (
@@ -425,7 +425,7 @@ def test_what_is_written_is_short(tmp_path: Path) -> None:
         ({"phase": ("loading", "up")}, "phase must hold 2 of"),
         ({"comments": ("zero: unloaded",)}, "states no setting"),
         ({"comments": ("a\nb",)}, "a comment is one line"),
-        ({"zero": "neutral"}, "zero must be one of"),
+        ({"zero": "neutral"}, "the zero 'neutral' is unknown and no trial"),
     ],
 )
 def test_laxity_checks_its_values(changes: dict[str, object], words: str) -> None:

@@ -5,7 +5,8 @@ import pytest
 
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
-from identknee.laxity.unloaded import from_unloaded, relative_to_unloaded, unloaded_trials
+from identknee.laxity.unloaded import relative_to_unloaded
+from identknee.laxity.zeros import from_zero, unloaded_trials
 
 
 def example() -> Laxity:
@@ -33,8 +34,9 @@ def test_the_same_for_arrays_of_any_depth() -> None:
     laxity = example()
     deep = np.repeat(laxity.coordinates[:, :, None], 3, axis=2)
     expected = relative_to_unloaded(laxity).coordinates
-    np.testing.assert_array_equal(from_unloaded(laxity.coordinates, laxity.protocol), expected)
-    np.testing.assert_array_equal(from_unloaded(deep, laxity.protocol)[:, :, 1], expected)
+    plain = from_zero(laxity.coordinates, laxity.protocol, "unloaded")
+    np.testing.assert_array_equal(plain, expected)
+    np.testing.assert_array_equal(from_zero(deep, laxity.protocol, "unloaded")[:, :, 1], expected)
 
 
 def test_a_replicate_not_measured_is_left_out_of_the_mean() -> None:

@@ -8,7 +8,7 @@ from small_knee import small_knee, small_protocol
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.unloaded import from_unloaded
+from identknee.laxity.zeros import from_zero
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.laxity_outputs import LaxityOutputs
 from identknee.model.parameters import FreeParameters
@@ -44,7 +44,7 @@ def test_outputs_may_be_changes_from_the_unloaded_pose(model: LaxityModel) -> No
     near = model.with_protocol(protocol)
     theta = np.array(near.parameters.center)
     outputs = LaxityOutputs(model=near, groups=names(2), free=free(near, range(8)), zero="unloaded")
-    expected = from_unloaded(near.predict(theta).coordinates, protocol)
+    expected = from_zero(near.predict(theta).coordinates, protocol, "unloaded")
     assert np.array_equal(outputs.evaluate(theta), expected.ravel())
     assert np.all(outputs.evaluate(theta)[:5] == 0.0)
     with pytest.raises(ValueError, match="is unloaded at 8 deg"):
