@@ -49,7 +49,12 @@ from identknee.verbs.diagnosis import (
     TrialWrench,
 )
 from identknee.verbs.diagnosis_gain import gain_found
-from identknee.verbs.diagnosis_rows import Comparison, sound, unbelievable_findings
+from identknee.verbs.diagnosis_rows import (
+    Comparison,
+    advice_findings,
+    sound,
+    unbelievable_findings,
+)
 from identknee.verbs.identification import with_noise
 from identknee.verbs.trials import advised, trials_of
 from identknee.verbs.used_trials import lost_findings, testable, trial_names
@@ -98,7 +103,13 @@ def diagnose_data(
         answer,
         trials_used=trial_names(kept),
         assumptions=(*answer.assumptions, *used.sentences),
-        findings=(*lost, *rows, *unbelievable_findings(found), *answer.findings),
+        findings=(
+            *lost,
+            *rows,
+            *unbelievable_findings(found),
+            *answer.findings,
+            *advice_findings(found),
+        ),
     )
     if run.out is not None:
         _write_extension(found, run.out)

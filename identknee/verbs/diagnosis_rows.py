@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect
 from identknee.model.soundness import rim_findings
-from identknee.runs.findings import Finding
+from identknee.runs.findings import Finding, Severity
 from identknee.scrutiny.contradictions import end_point_findings, told, without_rows
 from identknee.scrutiny.end_points import suspicious_end_points
 from identknee.scrutiny.suspicious_rows import SuspiciousRow, left_out, suspicious_rows
@@ -87,6 +88,17 @@ def unbelievable_findings(found: Investigation) -> tuple[Finding, ...]:
         *rim_findings(model.protocol.trials, prediction),
         *unmeasured_findings(model, prediction),
     )
+
+
+def advice_findings(found: Investigation) -> tuple[Finding, ...]:
+    """That no trial can be advised, where some should be."""
+    if found.conclusion.verdict is not Verdict.AMBIGUOUS or found.advice is not None:
+        return ()
+    sentence = (
+        "No trial to add can be advised: the causes that are left differ in nothing that a load "
+        "could show, or the model has no equilibrium away from the measured poses."
+    )
+    return (Finding(severity=Severity.INFO, sentence=sentence, where="trials"),)
 
 
 def _with(findings: Sequence[Finding], said: str) -> tuple[Finding, ...]:

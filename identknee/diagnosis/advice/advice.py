@@ -192,7 +192,10 @@ class Advice:
 
 
 def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | None:
-    """The trials that separate the best explanation from its open rivals; None without any.
+    """The trials that separate the best explanation from its open rivals.
+
+    None without any, and where the model has no equilibrium in the trials made once their measured
+    poses are not given, as those of a robot whose paths from the scanned pose fold.
 
     Causes that depend on the order of the trials are left out: no choice of loads tells them apart.
 
@@ -216,6 +219,8 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | Non
     trials, found, others = offer.advise(
         rows, pairs, best.fitted, n_base=best.n_base, measured=list(measured.values())
     )
+    if not (found.chosen and np.isfinite(found.distances[0]).all()):
+        return None
     return Advice(
         trials=trials,
         rivals=tuple(x.refit.names for x in rivals),

@@ -7,6 +7,7 @@ from typing import TypeVar
 from identknee.diagnosis.explanations.candidates import Exclusion
 from identknee.diagnosis.explanations.refit import RivalState
 from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.gain.folds import FLEXION
 from identknee.diagnosis.score.score import Cell
 from identknee.identify.laplace import Interval
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
@@ -23,11 +24,13 @@ from identknee.report.words import (
     parameter_words,
 )
 from identknee.verbs.diagnosis import AdviceFound, CauseFound, Diagnosis, Misfit, RivalFound
-from identknee.verbs.diagnosis_gain import GainFound
+from identknee.verbs.diagnosis_gain import FamilyGain, GainFound
 
 Value = TypeVar("Value")
 HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested."
 MOST_PARAMETERS = 3
+# Standard errors from which on a gain on trials held out is one.
+LEAST_GAIN = 2.0
 FOUND = {
     Cell.MISSPECIFIED: "seen",
     Cell.INSPECT: "seen",
@@ -219,12 +222,35 @@ def _gain(gain: GainFound) -> Statement:
     )
     return Statement(
         question=Question.WRONG,
-        sentence="With the cause the model predicts trials it has not seen with an error of "
-        f"{held['after'].noise:.2f} instead of {held['before'].noise:.2f} times the noise; their "
-        f"log predictive density rises by {amount(gain.elpd_difference, '')} ± "
-        f"{amount(gain.elpd_se, '')}.",
+        sentence=_gain_sentence(gain),
         tables=(Table(title="Errors of trials held out", columns=columns, rows=rows),),
     )
+
+
+def _gain_sentence(gain: GainFound) -> str:
+    """What the cause gains where trials are held out, claimed beyond two standard errors only."""
+    held = gain.rmse_held_out
+    errors = f"{held['after'].noise:.2f} instead of {held['before'].noise:.2f} times the noise"
+    if gain.elpd_difference > LEAST_GAIN * gain.elpd_se:
+        return (
+            f"With the cause the model predicts trials it has not seen with an error of {errors}; "
+            f"their log predictive density rises by {_rise(gain)}."
+        )
+    flexion = gain.families.get(FLEXION)
+    alone = (
+        f" With one flexion angle left out at a time it changes by {_rise(flexion)}."
+        if flexion is not None and flexion.folds
+        else ""
+    )
+    return (
+        f"The cause has no gain that counts on trials held out: their error is {errors}, and "
+        f"their log predictive density changes by {_rise(gain)}, which is less than "
+        f"{LEAST_GAIN:g} standard errors up.{alone}"
+    )
+
+
+def _rise(gain: GainFound | FamilyGain) -> str:
+    return f"{amount(gain.elpd_difference, '')} ± {amount(gain.elpd_se, '')}"
 
 
 def _change(answer: Diagnosis) -> Statement:

@@ -1,12 +1,18 @@
 """Trials made and offered: one that is both is the same in both."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.advice.advice import OfferedTrials
+from identknee.diagnosis.advice import advice
+from identknee.diagnosis.advice.advice import OfferedTrials, Rows
+from identknee.diagnosis.advice.isolability import AdvisedTrials
 from identknee.diagnosis.explanations.fitting import base_model, fit_from, plain_noise
 from identknee.laxity.candidates import candidate_trials
+from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
 from identknee.laxity.unloaded import relative_to_unloaded
 from identknee.model.effects.toe_strain import toe_strain
@@ -49,3 +55,22 @@ def test_an_effect_of_the_model_is_not_a_nuisance_too(reference: Knee) -> None:
     other, fewer = nuisance_changes(extended, extended.parameters.center)
     assert len(fewer) == len(spreads) - 1
     np.testing.assert_allclose(other, one[:, :, :-1], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("chosen", [(), (0,)])
+def test_nothing_is_advised_where_no_offered_trial_has_an_equilibrium(
+    chosen: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    protocol = load_protocol("drawer")
+    laxity = Laxity(protocol=protocol, coordinates=np.zeros((protocol.n, 5)))
+    distances = np.ones((1 + len(chosen), 1)) if chosen else np.full((1, 1), np.nan)
+    found = AdvisedTrials(chosen=chosen, distances=distances, single=distances[:1])
+    rows = Rows(made=np.zeros((1, 1)), offered=np.zeros((1, 1, 1)))
+    monkeypatch.setattr(advice, "_table", lambda *_: (rows, []))
+    monkeypatch.setattr(advice, "measured_errors", lambda *_: {})
+    monkeypatch.setattr(
+        OfferedTrials, "advise", lambda *_, **__: (protocol, found, np.zeros((0, 1)))
+    )
+    best: Any = SimpleNamespace(names=("a",), fitted=None, n_base=1)
+    rival: Any = SimpleNamespace(refit=SimpleNamespace(names=("b",)))
+    assert (advice.advise(best, [rival], laxity) is None) == (not chosen)

@@ -46,6 +46,20 @@ def test_every_figure_can_be_drawn(effect: str | None) -> None:
         assert png(figure).startswith(b"\x89PNG")
 
 
+def test_a_gain_counts_from_two_standard_errors_on() -> None:
+    answer = answered(FRAME)
+    gain = answer.gain
+    assert gain is not None
+    for errors, said in (
+        (2.1, "With the cause the model predicts"),
+        (1.9, "The cause has no gain"),
+    ):
+        unsure = replace(answer, gain=replace(gain, elpd_se=gain.elpd_difference / errors))
+        sentences = " ".join(x.sentence for x in diagnosis_statements(unsure))
+        assert said in sentences
+        assert ("With one flexion angle left out at a time" in sentences) is (errors < 2.0)
+
+
 def test_the_map_frames_what_is_significant_and_nothing_else() -> None:
     for effect in EFFECTS:
         misfit = answered(effect).misfit
