@@ -191,6 +191,20 @@ IDENTIFICATION = (
         "moves::test_trajectories_follow_the_gradient_in_many_dimensions",
     ),
     _identify(
+        "posterior/surrogate.py",
+        "proposed.log_prob - state.log_prob - growth",
+        "proposed.log_prob - state.log_prob",
+        "trajectories on the surrogate are accepted without regard to their momentum",
+        "surrogate::test_the_sample_is_of_the_exact_posterior",
+    ),
+    _identify(
+        "posterior/surrogate_training.py",
+        "weights = np.exp(known.min() - known)",
+        "weights = np.ones_like(known)",
+        "a surrogate that follows nothing is taken for useful",
+        "surrogate::test_a_model_that_no_quadratic_follows_has_no_surrogate",
+    ),
+    _identify(
         "posterior/moves.py",
         "- 0.5 * (degrees + n) * np.log1p(squares / degrees)",
         "- 0.5 * degrees * np.log1p(squares / degrees)",
