@@ -82,7 +82,7 @@ def reveal(blind_dir: BlindData | PathLike, diagnosis_dir: Diagnosis | PathLike)
         folder = _holding(Path(diagnosis_dir), SUMMARY, "diagnose")
         diagnosis = load(folder)
         if not isinstance(diagnosis, Diagnosis):
-            why = "it holds no verdict, so that it is no result of identknee diagnose"
+            why = "it holds no verdict, so identknee diagnose did not make it"
             raise InputError(folder, "", why, ORDER)
     return Revelation(score=score(truth, summary_of(diagnosis)), truth=truth)
 

@@ -52,7 +52,8 @@ def _dots(axes: Axes, fits: Sequence[StartFits], quantity: str) -> None:
         )
     axes.set_yscale("log")
     axes.set_ylim(0.7 * FLOOR, None)
-    axes.set_xlim(-0.5, len(starts) - 0.1)
+    # The label of the floor stands to the right of the last start.
+    axes.set_xlim(-0.5, len(starts) + 0.15)
     axes.set_xticks(range(len(starts)), starts)
     axes.axhline(FLOOR, color="0.8", linewidth=0.8, zorder=0)
     axes.annotate(
@@ -63,6 +64,6 @@ def _dots(axes: Axes, fits: Sequence[StartFits], quantity: str) -> None:
         textcoords="offset points",
         ha="right",
         fontsize=7,
-        color="0.5",
+        color="0.4",
     )
     axes.spines[["top", "right"]].set_visible(False)

@@ -113,14 +113,14 @@ def reasons(agreements: Iterable[Agreement]) -> str:
     if len(sources) < 2:
         return ""
     differing = {x.source for own in seen for x, _ in own.differing}
-    said = [f"Compared are {listed(x.value for x in sources)}."]
+    said = [f"Methods compared: {listed(x.value for x in sources)}."]
     said += [_WHY[x] for x in sources if x in differing and x in _WHY]
     if any(x.status == NOT_CONVERGED for x in ranges):
         said.append("The posterior has not converged yet.")
     scales = sorted({x.reach for x in ranges if x.reach not in (None, 1.0)} - {None})
     said += [
-        f"Equivalent sets stand for {x:.2g} of the squared misfit of a 95 % set, and are scaled up "
-        "for the comparison."
+        f"Equivalent sets reach to {x:.2g} times the squared misfit that ends a 95 % set; for the "
+        "comparison they are scaled to the same misfit."
         for x in scales
     ]
     return " ".join(said)

@@ -10,7 +10,7 @@ from identknee.laxity.table import Laxity
 from identknee.model.effects.facts import cause_label
 from identknee.report.overview.agreement import Agreement, agreement, reasons
 from identknee.report.overview.next_tests import next_tests
-from identknee.report.overview.ranges import Range, Source, ranges_of
+from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source, ranges_of
 from identknee.report.overview.searches import disagreement, searches_sentences
 from identknee.report.words import (
     amount,
@@ -200,15 +200,18 @@ def _known(rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | N
     elif diagnosis.verdict is not Verdict.ADEQUATE:
         return "The sets below hold for the model as it is."
     if not unknown:
-        which = "The one parameter is" if n == 1 else f"All {n} parameters are"
+        which = {1: "The one parameter is", 2: "Both parameters are"}.get(
+            n, f"All {n} parameters are"
+        )
         return f"{which} known within limits{proviso}."
     words = {x.status for x in unknown}
+    names, n_known = _named([x.name for x in unknown]), n - len(unknown)
+    share = f"{n_known or 'None'} of {n} parameters {'is' if n_known < 2 else 'are'}"
+    said = f"{share} known within limits{proviso}"
+    if words == {NOT_CONVERGED}:
+        return f"{said}; the posterior of {names} has not converged yet."
     state = words.pop() if len(words) == 1 else "not"
-    verb = "is" if len(unknown) == 1 else "are"
-    return (
-        f"{n - len(unknown)} of {n} parameters are known within limits{proviso}; "
-        f"{_named([x.name for x in unknown])} {verb} {state}."
-    )
+    return f"{said}; {names} {'is' if len(unknown) == 1 else 'are'} {state}."
 
 
 def _named(names: Sequence[str]) -> str:

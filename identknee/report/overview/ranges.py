@@ -40,7 +40,7 @@ class Source(Enum):
     DIAGNOSIS = "diagnosis"
     CAUSE = "diagnosis with the cause"
     INFORMATION = "local approximation"
-    EQUIVALENTS = "equivalents"
+    EQUIVALENTS = "equivalent set"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

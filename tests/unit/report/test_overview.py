@@ -18,6 +18,7 @@ from identknee.report.page.results import by_subject, found_results
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnose import untestable
+from identknee.verbs.files import load
 from identknee.verbs.fit import Calibration, fit
 from identknee.verbs.profile import Profiles
 from identknee.verbs.simulate import simulate
@@ -66,7 +67,7 @@ def test_equivalent_sets_are_scaled_to_the_limit_of_the_profile() -> None:
     assert relation(MAIN, replace(narrow, reach=1.0)) is Relation.NARROWER
     found = agreement([MAIN, narrow])
     assert found.sentence("kN") == "both agree"
-    assert "0.25 of the squared misfit" in reasons([found])
+    assert "0.25 times the squared misfit" in reasons([found])
 
 
 def test_methods_that_differ_are_named_with_their_range_and_reason() -> None:
@@ -74,6 +75,12 @@ def test_methods_that_differ_are_named_with_their_range_and_reason() -> None:
     assert found.sentence("kN") == "2 of 3 agree; posterior is narrower (9.9 to 10.1 kN)"
     assert "The posterior adds the prior" in reasons([found])
     assert "The diagnosis takes" not in reasons([found])
+
+
+def test_what_has_not_converged_is_said_so() -> None:
+    answer = load(Path(__file__).parents[2] / "fuzz" / "results" / "sample")
+    assert overview([answer]).verdict.startswith("None of 2 parameters is known within limits")
+    assert overview([answer]).verdict.endswith("has not converged yet.")
 
 
 def with_profiles(verdicts: Mapping[str, tuple[float | None, float | None]]) -> Profiles:
@@ -103,12 +110,12 @@ def test_the_verdict_counts_what_is_known_and_names_what_is_open() -> None:
     known = with_profiles({"ACL.stiffness_kN": (8.0, 12.0), "PCL.stiffness_kN": (15.0, 22.0)})
     said = overview([known])
     assert said.verdict == (
-        "All 2 parameters are known within limits, if the model is right (not tested)."
+        "Both parameters are known within limits, if the model is right (not tested)."
     )
     assert said.tone is Tone.GOOD
     cut = with_profiles({"ACL.stiffness_kN": (8.0, 12.0), "PCL.stiffness_kN": (15.0, None)})
     said = overview([cut])
-    assert "1 of 2 parameters" in said.verdict
+    assert said.verdict.startswith("1 of 2 parameters is known within limits")
     assert "the PCL's stiffness is open above" in said.verdict
     assert said.tone is Tone.OPEN
     assert [x.limits for x in said.rows] == ["8 to 12 kN", "15 kN upwards"]
