@@ -38,7 +38,9 @@ class Level:
     @property
     def half_widths(self) -> ik.runs.Array:
         """Median half width of the 95 % intervals: stiffness, strain, force; shape ``(3, m)``."""
-        widths = HALF * np.median([x["sd"] for x in self.fitted], axis=0)
+        sds = np.array([x["sd"] for x in self.fitted], dtype=np.float64)
+        # A force in a trial without equilibrium is not known at all.
+        widths = HALF * np.median(np.where(np.isnan(sds), np.inf, sds), axis=0)
         is_strain = np.arange(3 * self.m) // self.m == 1
         return np.asarray(np.where(is_strain, widths, 100.0 * widths / self.size)).reshape(3, -1)
 
