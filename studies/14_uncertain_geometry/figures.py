@@ -18,6 +18,9 @@ import identknee as ik
 KNEE = "reference"
 # Half of a 95 % interval, in standard deviations.
 HALF = 1.96
+# What the literature says of a stiffness, the log-sd of its usual prior, as such a half width [%].
+PRIOR = 100.0 * HALF * 0.35
+TICKS = ((10, 20, 50), (0.3, 1, 3), (1, 3, 10))
 Row = Mapping[str, Any]
 
 
@@ -74,29 +77,30 @@ def figure_1(record: Row) -> Figure:
     """What is known about each ligament at each quality of the geometry."""
     part, levels = record["knees"][KNEE], levels_of(record)
     widths = np.array([x.half_widths for x in levels])
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    panels = figure.subplots(1, 3)
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    panels = figure.subplots(1, 3, sharey=True)
     titles = ("stiffness [% of it]", "reference strain [% strain]", "largest force [% of it]")
     names = [x.partition("@")[0] for x in part["forces"]]
-    for j, (axes, title) in enumerate(zip(panels, titles, strict=True)):
+    places = -np.arange(len(levels))
+    for j, (axes, title, ticks) in enumerate(zip(panels, titles, TICKS, strict=True)):
         for k, name in enumerate(names):
             axes.plot(
-                range(len(levels)),
                 widths[:, j, k],
-                f"{ik.report.MARKERS[k]}-",
+                places + 0.15 * (1.5 - k),
+                ik.report.MARKERS[k],
                 color=ik.report.COLOURS[k],
                 label=name,
             )
-        if j != 1:
-            axes.axhspan(100.0, 1e4, color="0.9", zorder=0)
-        axes.set_yscale("log")
-        axes.set_ylim(0.5 * np.nanmin(widths[:, j]), 2.0 * np.nanmax(widths[:, j]))
+        axes.set_xscale("log")
+        axes.set_xlim(0.7 * widths[:, j].min(), 1.4 * widths[:, j].max())
+        axes.set_xticks(ticks, [f"±{x:g}" for x in ticks])
+        axes.minorticks_off()
+        axes.grid(axis="x", color="0.9")
+        axes.set_axisbelow(True)
         axes.set_title(title, fontsize=10)
-        axes.set_xticks(
-            range(len(levels)), [x.label for x in levels], rotation=90, fontsize=ik.report.SMALL
-        )
+        axes.set_yticks(places, [x.label for x in levels])
         axes.spines[["top", "right"]].set_visible(False)
-    panels[0].set_ylabel("half width of the 95 % interval")
+    panels[0].axvspan(PRIOR, 1e3, color="0.88", zorder=0)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     return figure
