@@ -6,16 +6,13 @@ checkout, so that the same command resumes where it was stopped.
 
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 
 import numpy as np
-from common.problems import model_of, truth_of
 from common.records import (
     Row,
     begun,
@@ -26,7 +23,7 @@ from common.records import (
     working,
     write_record,
 )
-from scipy.spatial.transform import Rotation
+from common.wrong_geometry import constrained_deviances, true_setting, with_error
 
 import identknee as ik
 
@@ -47,7 +44,6 @@ LEVELS: tuple[tuple[str, float], ...] = (
     ("tibial frame", 3.0),
     ("tibial frame", 5.0),
 )
-MOMENTS = (ik.laxity.LOADS.index("varus_moment_Nm"), ik.laxity.LOADS.index("internal_moment_Nm"))
 # The best of so many fits, from the first of so many starts that have a prediction.
 FITS, STARTS = 4, 40
 DIGITS = 5
@@ -85,41 +81,6 @@ def main() -> None:
     record["seconds_last_run"] = rounded(time.perf_counter() - began, 3)
     write_record(options.record, record)
     say(f"written: {options.record.name}, {len(rows)} fits")
-
-
-class TrueSetting:
-    """The knee as it is, its parameters, and its largest ligament forces.
-
-    Attributes
-    ----------
-    model
-        The model under the 63 trials.
-    truth
-        True theta, shape ``(p,)``.
-    tensions
-        Tension of every ligament in every trial [N], shape ``(n, m)``.
-    peaks
-        Name of each ligament, and the trial that loads it most.
-    peak_forces
-        The forces there [N], shape ``(m,)``.
-    """
-
-    def __init__(self, knee: ik.Knee) -> None:
-        self.model = model_of(knee)
-        self.truth = truth_of(self.model.parameters)
-        self.tensions = ik.model.tensions_of(self.model, self.model.predict(self.truth))
-        most = self.tensions.argmax(axis=0)
-        self.peaks = [
-            (ligament.name, self.model.protocol.trials[trial])
-            for ligament, trial in zip(knee.ligaments, most, strict=True)
-        ]
-        self.peak_forces = self.tensions.max(axis=0)
-
-
-@cache
-def true_setting(knee: ik.Knee) -> TrueSetting:
-    """The setting of a knee, made once in each process."""
-    return TrueSetting(knee)
 
 
 def replicate_row(knee: ik.Knee, task: Row) -> Row:
@@ -168,32 +129,6 @@ def replicate_row(knee: ik.Knee, task: Row) -> Row:
     }
 
 
-def with_error(
-    knee: ik.Knee, protocol: ik.Protocol, task: Row, generator: np.random.Generator
-) -> tuple[ik.Knee, ik.Protocol]:
-    """The geometry assumed in the fit, and the loads really applied."""
-    size = float(task["size"])
-    if task["kind"] == "insertions":
-        moved = [
-            replace(
-                x,
-                femur=x.femur + generator.normal(0.0, size, 3),
-                tibia=x.tibia + generator.normal(0.0, size, 3),
-            )
-            for x in knee.ligaments
-        ]
-        return knee.with_ligaments(moved), protocol
-    axis = generator.normal(size=3)
-    turn = Rotation.from_rotvec(np.radians(size) * axis / np.linalg.norm(axis)).as_matrix()
-    if task["kind"] == "tibial frame":
-        frame = ik.subject.Frame(origin=knee.tibia_frame.origin, axes=turn @ knee.tibia_frame.axes)
-        return replace(knee, tibia_frame=frame), protocol
-    loads = np.array(protocol.loads)
-    # About floating axis and tibial axis; what falls on the flexion axis is held by the rig.
-    loads[:, MOMENTS] = loads[:, MOMENTS] @ turn[:2, :2].T
-    return knee, replace(protocol, loads=loads)
-
-
 def best_fit(
     evaluator: ik.calibrate.Evaluator, truth: ik.runs.Array, generator: np.random.Generator
 ) -> ik.calibrate.Constrained:
@@ -206,25 +141,6 @@ def best_fit(
         if sum(x.evaluation.is_finite for x in found) == FITS:
             break
     return min(found, key=lambda x: x.evaluation.deviance)
-
-
-def constrained_deviances(
-    evaluator: ik.calibrate.Evaluator,
-    best: ik.calibrate.Constrained,
-    wanted: Sequence[tuple[ik.calibrate.Quantity, float]],
-) -> tuple[list[float], ik.calibrate.Constrained]:
-    """Lowest deviance with each quantity at its true value, and the best fit seen on the way."""
-    deviances = []
-    for quantity, target in wanted:
-        start = best.evaluation.theta
-        found = ik.calibrate.solve_constrained(evaluator, start, quantity=quantity, target=target)
-        reached = found.is_on_target and found.evaluation.is_finite
-        deviances.append(found.evaluation.deviance if reached else np.inf)
-        if reached and found.evaluation.deviance < best.evaluation.deviance:
-            again = ik.calibrate.minimise(evaluator, found.evaluation.theta)
-            if again.evaluation.deviance < best.evaluation.deviance:
-                best = again
-    return deviances, best
 
 
 def standard_deviations(jacobian: ik.runs.Array) -> ik.runs.Array:
