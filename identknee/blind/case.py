@@ -26,6 +26,7 @@ from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import suggestion
 from identknee.subject.knee import Knee
 
@@ -42,23 +43,15 @@ MOST_DRAWS = 40
 DRAWS_A_KNEE = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class BlindCase:
-    """Data with a hidden effect.
+    """Data with a hidden effect."""
 
-    Attributes
-    ----------
-    laxity
-        The data as they are handed out: noisy, with the stated standard deviations.
-    truth
-        What is behind them.
-    noise_free
-        The same without errors.
-    """
-
-    laxity: Laxity
-    truth: Truth
-    noise_free: Laxity
+    laxity: Laxity = entry(
+        "The data as they are handed out: noisy, with the stated standard deviations"
+    )
+    truth: Truth = entry("What is behind them")
+    noise_free: Laxity = entry("The same without errors")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

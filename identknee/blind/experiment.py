@@ -1,6 +1,6 @@
 """A laxity test on a virtual knee: everything that acts in it, and where the tibia goes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from typing import Any
 
@@ -11,6 +11,7 @@ from identknee.blind.energy import FemurGrid, TibialSurface, VirtualKnee
 from identknee.blind.femur import DistanceGrid, distance_grid
 from identknee.laxity.protocol import Protocol
 from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface
 
@@ -42,66 +43,49 @@ _ENDS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Experiment:
     """A knee in a rig; an effect is a copy of it with something changed.
 
     Lengths in mm, forces in N, moments in N mm, angles in rad; femoral and tibial places each in
     the frame of their bone.
-
-    Attributes
-    ----------
-    points, areas
-        Places where contact is summed on the tibia, shape ``(p, 3)``, and their areas [mm2].
-    grid
-        Distance to the femur.
-    start
-        Rotation and position of the tibia in the femur in the scanned pose.
-    lines
-        One row a line: femoral end, tibial end, reference length, stiffness [N], reference strain,
-        toe strain, and how far it is pushed along the tibial z axis and at which share of its way
-        down; shape ``(l, 12)``. The knee's own come first.
-    protocol
-        Trials with their stated flexion and loads.
-    loads
-        Loads that act at the full stated load, shape ``(n, 5)``: varus and internal moment,
-        anterior, distraction and lateral force.
-    preload
-        The same where no load is stated, shape ``(5,)``.
-    flexion_offset
-        Added to the stated flexion angle.
-    modulus, exponent
-        Pressure at a depth of 0.3 mm over that depth [N/mm3], and power of the depth.
-    weights
-        Forces of fixed direction in the femur and the tibial place they act at, ``(w, 6)``.
-    springs
-        Femoral places held across the plateau, the tibial places where they rest, and how stiffly
-        [N/mm]; shape ``(s, 7)``.
-    torsion
-        Stiffness [N mm/rad] and rest angle of a spring about the tibial axis.
-    femur_turn, tibia_turn
-        Rotation vectors from the bones' frames to those the rig assumes, in the bones' frames.
-    added
-        What the rig reads too much [mm, deg], shape ``(n, 5)``.
     """
 
-    points: Array
-    areas: Array
-    grid: DistanceGrid
-    start: tuple[Array, Array]
-    lines: Array
-    protocol: Protocol
-    loads: Array
-    preload: Array
-    flexion_offset: float
-    modulus: float
-    exponent: float
-    weights: Array
-    springs: Array
-    torsion: tuple[float, float]
-    femur_turn: Array
-    tibia_turn: Array
-    added: Array
+    points: Array = entry("Places where contact is summed on the tibia, shape ``(p, 3)``")
+    areas: Array = entry("Their areas [mm2]")
+    grid: DistanceGrid = entry("Distance to the femur")
+    start: tuple[Array, Array] = entry(
+        "Rotation and position of the tibia in the femur in the scanned pose"
+    )
+    lines: Array = entry(
+        "One row a line: femoral end, tibial end, reference length, stiffness [N], reference "
+        "strain, toe strain, and how far it is pushed along the tibial z axis and at which share "
+        "of its way down; shape ``(l, 12)``. The knee's own come first"
+    )
+    protocol: Protocol = entry("Trials with their stated flexion and loads")
+    loads: Array = entry(
+        "Loads that act at the full stated load, shape ``(n, 5)``: varus and internal moment, "
+        "anterior, distraction and lateral force"
+    )
+    preload: Array = entry("The same where no load is stated, shape ``(5,)``")
+    flexion_offset: float = entry("Added to the stated flexion angle")
+    modulus: float = entry("Pressure at a depth of 0.3 mm over that depth [N/mm3]")
+    exponent: float = entry("Power of the depth")
+    weights: Array = entry(
+        "Forces of fixed direction in the femur and the tibial place they act at, ``(w, 6)``"
+    )
+    springs: Array = entry(
+        "Femoral places held across the plateau, the tibial places where they rest, and how "
+        "stiffly [N/mm]; shape ``(s, 7)``"
+    )
+    torsion: tuple[float, float] = entry(
+        "Stiffness [N mm/rad] and rest angle of a spring about the tibial axis"
+    )
+    femur_turn: Array = entry(
+        "Rotation vector from the femoral frame to the one the rig assumes, in the femoral frame"
+    )
+    tibia_turn: Array = entry("The same of the tibia")
+    added: Array = entry("What the rig reads too much [mm, deg], shape ``(n, 5)``")
 
     def with_theta(self, theta: Array) -> "Experiment":
         """A copy with other stiffnesses [kN] and reference strains [%] of the knee's own lines."""
@@ -124,27 +108,21 @@ class Experiment:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Run:
-    """What came out of an experiment.
+    """What came out of an experiment."""
 
-    Attributes
-    ----------
-    coordinates
-        As the rig reads them, in the order and units of a laxity table, shape ``(n, 5)``; NaN where
-        there is none.
-    ends
-        How each trial ended.
-    poses
-        Rotation and position of the tibia of each trial.
-    hessians
-        Second derivatives of the energy by the tangent step [N/mm], shape ``(n, 5, 5)``.
-    """
-
-    coordinates: Array
-    ends: tuple[TrialEnd, ...]
-    poses: tuple[tuple[Array, Array], ...]
-    hessians: Array
+    coordinates: Array = entry(
+        "As the rig reads them, in the order and units of a laxity table, shape ``(n, 5)``; NaN "
+        "where there is none"
+    )
+    ends: tuple[TrialEnd, ...] = entry("How each trial ended")
+    poses: tuple[tuple[Array, Array], ...] = entry(
+        "Rotation and position of the tibia of each trial"
+    )
+    hessians: Array = entry(
+        "Second derivatives of the energy by the tangent step [N/mm], shape ``(n, 5, 5)``"
+    )
 
     @property
     def is_complete(self) -> bool:

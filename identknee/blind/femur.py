@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from identknee.blind.compiling import cache_root
 from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder
 from identknee.subject.knee import Knee
@@ -25,23 +25,15 @@ BLOCK = 20000
 FORMAT = 2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class DistanceGrid:
-    """Signed distance to the femoral surface at the nodes of a grid in the femur's frame.
+    """Signed distance to the femoral surface at the nodes of a grid in the femur's frame."""
 
-    Attributes
-    ----------
-    values
-        Distance at the nodes [mm], negative inside, cut off at `BAND_MM`, shape ``(a, b, c)``.
-    origin
-        Position of the first node [mm], shape ``(3,)``.
-    spacing
-        Distance between nodes [mm].
-    """
-
-    values: Array
-    origin: Array
-    spacing: float
+    values: Array = entry(
+        "Distance at the nodes [mm], negative inside, cut off at `BAND_MM`, shape ``(a, b, c)``"
+    )
+    origin: Array = entry("Position of the first node [mm], shape ``(3,)``")
+    spacing: float = entry("Distance between nodes [mm]")
 
 
 def distance_grid(knee: Knee) -> DistanceGrid:

@@ -7,6 +7,7 @@ import numpy as np
 
 from identknee.blind.experiment import Experiment, Run, conduct, theta_slopes
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 
 # Of the chi-square between two steps, and of the wanted signal.
 FIT_TOLERANCE = 1e-3
@@ -37,42 +38,24 @@ class Noise:
         return white
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class BaseFit:
-    """The best fit of the ligament parameters alone.
+    """The best fit of the ligament parameters alone."""
 
-    Attributes
-    ----------
-    theta
-        Stiffnesses [kN], then reference strains [%].
-    run
-        The run there.
-    signal
-        Root of the chi-square left.
-    """
-
-    theta: Array
-    run: Run
-    signal: float
+    theta: Array = entry("Stiffnesses [kN], then reference strains [%]")
+    run: Run = entry("The run there")
+    signal: float = entry("Root of the chi-square left")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Scaled:
-    """An amplitude for a wanted signal.
+    """An amplitude for a wanted signal."""
 
-    Attributes
-    ----------
-    amplitude
-        In the effect's unit, > 0.
-    signal
-        What it gives.
-    is_largest
-        Whether the search ended at the largest plausible amplitude short of the wanted signal.
-    """
-
-    amplitude: float
-    signal: float
-    is_largest: bool
+    amplitude: float = entry("Amplitude in the effect's unit, > 0")
+    signal: float = entry("Signal that it gives")
+    is_largest: bool = entry(
+        "Whether the search ended at the largest plausible amplitude short of the wanted signal"
+    )
 
 
 def left_over(slopes: Array, change: Array, noise: Noise) -> float:

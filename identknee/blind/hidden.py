@@ -1,7 +1,6 @@
 """A hidden effect as drawn for one case: what it does to an experiment at any amplitude."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,74 +18,50 @@ from identknee.blind.experiment import (
 )
 from identknee.blind.sites import Places
 from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared, entry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Scene:
-    """What an effect is drawn for.
+    """What an effect is drawn for."""
 
-    Attributes
-    ----------
-    places
-        Anatomy of the knee.
-    n_lines
-        How many ligaments the knee has.
-    start
-        Rotation and position of the tibia in the femur in the scanned pose.
-    load_Nm
-        Stated internal and varus moment of each trial [N·m], shape ``(n, 2)``.
-    order
-        When each trial was made, 1 to n.
-    is_unloading
-        Whether the load was coming down, shape ``(n,)``.
-    conditions
-        What places and slack strains are drawn from.
-    """
-
-    places: Places
-    n_lines: int
-    start: tuple[Array, Array]
-    load_Nm: Array  # noqa: N815 - newton metres
-    order: IntArray
-    is_unloading: BoolArray
-    conditions: Conditions
+    places: Places = entry("Anatomy of the knee")
+    n_lines: int = entry("How many ligaments the knee has")
+    start: tuple[Array, Array] = entry(
+        "Rotation and position of the tibia in the femur in the scanned pose"
+    )
+    load_Nm: Array = entry("Stated internal and varus moment of each trial [N·m], shape ``(n, 2)``")  # noqa: N815 - newton metres
+    order: IntArray = entry("When each trial was made, 1 to n")
+    is_unloading: BoolArray = entry("Whether the load was coming down, shape ``(n,)``")
+    conditions: Conditions = entry("What places and slack strains are drawn from")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Hidden:
-    """An effect drawn for one case; its amplitude is still open.
+    """An effect drawn for one case; its amplitude is still open."""
 
-    Attributes
-    ----------
-    name, unit
-        Which effect, and the unit of its amplitude.
-    smallest, largest
-        Sizes found in the literature; the largest is also the end of a search for a signal.
-    sign
-        Sign of the amplitude.
-    apply
-        An experiment with the effect at a signed amplitude.
-    amplitudes
-        Every number of the effect at a signed amplitude: value and unit by the name that the
-        library has for it.
-    line
-        Femoral and tibial end of a line structure in the bones' frames [mm].
-    n_numbers
-        How many numbers of equal spread the amplitude is the length of.
-    over
-        What that length is divided by: a root mean square has the root of their number.
-    """
-
-    name: str
-    unit: str
-    smallest: float
-    largest: float
-    sign: float = 1.0
-    apply: Callable[[Experiment, float], Experiment]
-    amplitudes: Callable[[float], Mapping[str, tuple[float, str]]]
-    line: tuple[Array, Array] | None = None
-    n_numbers: int = 1
-    over: float = 1.0
+    name: str = entry("Name of the effect")
+    unit: str = entry("Unit of its amplitude")
+    smallest: float = entry("Smallest size found in the literature")
+    largest: float = entry("Largest size found there, also the end of a search for a signal")
+    sign: float = entry("Sign of the amplitude", default=1.0)
+    apply: Callable[[Experiment, float], Experiment] = entry(
+        "An experiment with the effect at a signed amplitude"
+    )
+    amplitudes: Callable[[float], Mapping[str, tuple[float, str]]] = entry(
+        "Every number of the effect at a signed amplitude: value and unit by the name that the "
+        "library has for it"
+    )
+    line: tuple[Array, Array] | None = entry(
+        "Femoral and tibial end of a line structure in the bones' frames [mm]", default=None
+    )
+    n_numbers: int = entry(
+        "How many numbers of equal spread the amplitude is the length of", default=1
+    )
+    over: float = entry(
+        "What that length is divided by: a root mean square has the root of their number",
+        default=1.0,
+    )
 
 
 Apply = Callable[[Experiment, float], Experiment]

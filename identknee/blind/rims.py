@@ -1,13 +1,12 @@
 """Whether contact stays away from the rims of the articular surfaces."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.blind import energy
 from identknee.blind.experiment import Experiment, Run
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface
 
@@ -16,20 +15,14 @@ MARGIN = 3.0
 REACH = 0.5  # mm, within which points of the tibia are looked at
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Rims:
-    """Rims of the surfaces.
+    """Rims of the surfaces."""
 
-    Attributes
-    ----------
-    femur
-        Points of the femoral rim in the femur's frame.
-    tibia
-        Points of the rim of each tibial surface in the tibia's frame, with all its vertices.
-    """
-
-    femur: cKDTree
-    tibia: tuple[tuple[cKDTree, cKDTree], ...]
+    femur: cKDTree = entry("Points of the femoral rim in the femur's frame")
+    tibia: tuple[tuple[cKDTree, cKDTree], ...] = entry(
+        "Points of the rim of each tibial surface in the tibia's frame, with all its vertices"
+    )
 
 
 def rims_of(knee: Knee) -> Rims:

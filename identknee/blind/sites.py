@@ -1,47 +1,33 @@
 """Where the generator puts structures, from a subject's surfaces and collateral insertions."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
 # Distance of the epicondyles in the knee the offsets below were written down for [mm].
 EPICONDYLES_MM = 83.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Places:
-    """Anatomy of a right knee in its scanned pose [mm], femoral and tibial places in their frames.
+    """Anatomy of a right knee in its scanned pose [mm], the places of a bone in its frame."""
 
-    Attributes
-    ----------
-    scale
-        Size of the knee over that of an average one.
-    medial, lateral, front, rear
-        Number of the medial and lateral collateral and of the anterior and posterior cruciate among
-        the ligaments.
-    epicondyles
-        Medial and lateral femoral end of the collaterals, shape ``(2, 3)``.
-    plateaus
-        Lowest corner, centroid and highest corner of the medial and lateral plateau,
-        shape ``(2, 3, 3)``.
-    fibula
-        Where the lateral collateral ends, shape ``(3,)``.
-    femur
-        Lowest and highest corner of the femoral surface, shape ``(2, 3)``.
-    """
-
-    scale: float
-    medial: int
-    lateral: int
-    front: int
-    rear: int
-    epicondyles: Array
-    plateaus: Array
-    fibula: Array
-    femur: Array
+    scale: float = entry("Size of the knee over that of an average one")
+    medial: int = entry("Number of the medial collateral ligament among the ligaments")
+    lateral: int = entry("Number of the lateral collateral ligament")
+    front: int = entry("Number of the anterior cruciate ligament")
+    rear: int = entry("Number of the posterior cruciate ligament")
+    epicondyles: Array = entry(
+        "Medial and lateral femoral end of the collaterals, shape ``(2, 3)``"
+    )
+    plateaus: Array = entry(
+        "Lowest corner, centroid and highest corner of the medial and lateral plateau, shape "
+        "``(2, 3, 3)``"
+    )
+    fibula: Array = entry("Where the lateral collateral ends, shape ``(3,)``")
+    femur: Array = entry("Lowest and highest corner of the femoral surface, shape ``(2, 3)``")
 
 
 def places_of(knee: Knee) -> Places:

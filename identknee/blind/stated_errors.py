@@ -1,6 +1,6 @@
 """What is given with a knee and its tests, drawn as wrong as it is stated to be."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from identknee.blind.conditions import Conditions
 from identknee.blind.experiment import Experiment
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee
 
@@ -41,20 +42,12 @@ def actual_knee(knee: Knee, conditions: Conditions, generator: np.random.Generat
     return replace(knee, ligaments=tuple(ligaments), femur_frame=femur, tibia_frame=tibia)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LoadErrors:
-    """What the loads that act differ by from those stated.
+    """What the loads that act differ by from those stated."""
 
-    Attributes
-    ----------
-    gains
-        Scale of each kind of load less 1, shape ``(5,)``.
-    turn_deg
-        Turn of their axes [deg], shape ``(3,)``.
-    """
-
-    gains: Array
-    turn_deg: Array
+    gains: Array = entry("Scale of each kind of load less 1, shape ``(5,)``")
+    turn_deg: Array = entry("Turn of their axes [deg], shape ``(3,)``")
 
 
 NO_ERRORS = LoadErrors(gains=np.zeros(5), turn_deg=np.zeros(3))

@@ -1,7 +1,5 @@
 """Where the surfaces of a pose touch: depth, force and stiffness of every contact point."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.mechanics.distance_field import DistanceField
@@ -9,36 +7,21 @@ from identknee.mechanics.elements import REFERENCE_DEPTH
 from identknee.mechanics.equilibria import ContactLaw, ContactPoints
 from identknee.mechanics.placement import place
 from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared, entry
 
 MAY_TOUCH = 255  # bits of a cell's `reach` that say that part of it may lie within the femur
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ContactPlaces:
-    """The k points of the tibia that touch the femur in one pose.
+    """The k points of the tibia that touch the femur in one pose."""
 
-    Attributes
-    ----------
-    index
-        Which contact points they are, shape ``(k,)``.
-    femoral
-        Where they are, in femoral axes [mm], shape ``(k, 3)``.
-    jacobian
-        Derivatives of those places by the pose, shape ``(k, 5, 3)``.
-    deepening
-        Derivatives of the depths by the pose [mm/rad, -], shape ``(k, 5)``.
-    force
-        [N], shape ``(k,)``.
-    stiffness
-        Derivative of the force by the depth [N/mm], shape ``(k,)``.
-    """
-
-    index: IntArray
-    femoral: Array
-    jacobian: Array
-    deepening: Array
-    force: Array
-    stiffness: Array
+    index: IntArray = entry("Which contact points they are, shape ``(k,)``")
+    femoral: Array = entry("Where they are, in femoral axes [mm], shape ``(k, 3)``")
+    jacobian: Array = entry("Derivatives of those places by the pose, shape ``(k, 5, 3)``")
+    deepening: Array = entry("Derivatives of the depths by the pose [mm/rad, -], shape ``(k, 5)``")
+    force: Array = entry("Force of each [N], shape ``(k,)``")
+    stiffness: Array = entry("Derivative of the force by the depth [N/mm], shape ``(k,)``")
 
 
 def contact_places(

@@ -1,7 +1,6 @@
 """A signed distance to the femur as a cubic spline on a grid, with what its cells can hold."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
@@ -9,34 +8,25 @@ from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 from identknee.mechanics.elements import IS_NEAR, NEAR_CELLS
 from identknee.mechanics.memory import FieldArrays
 from identknee.runs.arrays import Array, ReachArray
+from identknee.runs.declare import declared, entry
 
 SPACING = 0.75  # mm
 PADDING = 5  # cells around the surface: room for the candidate list and the spline's support
 STRAIGHT = 8  # nodes; what the filter does at an end decays by 0.27 a node
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class DistanceField:
-    """Signed distance to a surface, negative inside, as a uniform cubic B-spline (C2).
+    """Signed distance to a surface, negative inside, as a uniform cubic B-spline (C2)."""
 
-    Attributes
-    ----------
-    coefficients
-        Spline coefficients [mm], shape ``(nx, ny, nz)``.
-    reach
-        What each cell can hold, shape ``(nx, ny, nz)``: bits 0-7, the distance may be
-        negative in that eighth (the least of its Bezier coefficients is); bit 8, a cell close by
-        has one of those bits.
-    origin
-        Position of the first node [mm], shape ``(3,)``.
-    spacing
-        Distance between nodes [mm].
-    """
-
-    coefficients: Array
-    reach: ReachArray
-    origin: Array
-    spacing: float
+    coefficients: Array = entry("Spline coefficients [mm], shape ``(nx, ny, nz)``")
+    reach: ReachArray = entry(
+        "What each cell can hold, shape ``(nx, ny, nz)``: bits 0-7, the distance may be negative "
+        "in that eighth (the least of its Bezier coefficients is); bit 8, a cell close by has one "
+        "of those bits"
+    )
+    origin: Array = entry("Position of the first node [mm], shape ``(3,)``")
+    spacing: float = entry("Distance between nodes [mm]")
 
     def __post_init__(self) -> None:
         # The compiler makes another version of its code for arrays that can be written to.

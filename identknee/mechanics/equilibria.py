@@ -16,7 +16,8 @@ from identknee.mechanics.memory import (
     NodeArrays,
 )
 from identknee.mechanics.small_matrices import scale_of
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.declare import array, declared, entry
 
 PRESSURE_MODULUS = 10.0  # N/mm3, the paper's 10 GN/m3
 TRANSITION_STRAIN = 0.03
@@ -38,32 +39,17 @@ class ContactLaw:
     exponent: float = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ContactPoints:
-    """Points of the tibial surface that carry contact, in tibial axes.
+    """Points of the tibial surface that carry contact, in tibial axes."""
 
-    Attributes
-    ----------
-    points
-        [mm], shape ``(n, 3)``.
-    areas
-        Tributary areas [mm2], shape ``(n,)``.
-    compartment
-        Which tibial surface each belongs to, shape ``(n,)``.
-    law
-        The contact law, with sensitivities to it; the paper's, without them, where None.
-    """
-
-    points: Array
-    areas: Array
-    compartment: IntArray
-    law: ContactLaw | None = None
-
-    def __post_init__(self) -> None:
-        n = len(self.points)
-        object.__setattr__(self, "points", frozen(self.points, n, 3, name="points"))
-        object.__setattr__(self, "areas", frozen(self.areas, n, name="areas"))
-        object.__setattr__(self, "compartment", frozen_integers(self.compartment))
+    points: Array = array("Places", "point", "axis", unit="mm")
+    areas: Array = array("Tributary areas", "point", unit="mm2")
+    compartment: IntArray = array("Which tibial surface each belongs to", "point", dtype=int)
+    law: ContactLaw | None = entry(
+        "The contact law, with sensitivities to it; the paper's, without them, where None",
+        default=None,
+    )
 
     @property
     def n_compartments(self) -> int:
@@ -83,31 +69,26 @@ class ContactPoints:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Lines:
-    """Line ligaments: insertions in femoral and tibial axes, and what does not change in a fit.
+    """Line ligaments: insertions in femoral and tibial axes, and what does not change in a fit."""
 
-    Attributes
-    ----------
-    femoral, tibial
-        Insertions [mm], shape ``(m, 3)``.
-    reference_length
-        Length in the scanned pose [mm], shape ``(m,)``.
-    transition
-        Strain at which the force-strain curve has half its final slope, shape ``(m,)``; negative
-        for a spring, linear in tension and compression.
-    wrap_offset
-        How far something pushes each line aside, towards femoral z [mm], shape ``(m,)``.
-    wrap_place
-        Where it does, as a share of the way from the tibia to the femur, shape ``(m,)``.
-    """
-
-    femoral: Array
-    tibial: Array
-    reference_length: Array
-    transition: Array | float = TRANSITION_STRAIN
-    wrap_offset: Array | float = 0.0
-    wrap_place: Array | float = 0.5
+    femoral: Array = entry("Femoral insertions [mm], shape ``(m, 3)``")
+    tibial: Array = entry("Tibial insertions, likewise")
+    reference_length: Array = entry("Length in the scanned pose [mm], shape ``(m,)``")
+    transition: Array | float = entry(
+        "Strain at which the force-strain curve has half its final slope, shape ``(m,)``; negative "
+        "for a spring, linear in tension and compression",
+        default=TRANSITION_STRAIN,
+    )
+    wrap_offset: Array | float = entry(
+        "How far something pushes each line aside, towards femoral z [mm], shape ``(m,)``",
+        default=0.0,
+    )
+    wrap_place: Array | float = entry(
+        "Where it does, as a share of the way from the tibia to the femur, shape ``(m,)``",
+        default=0.5,
+    )
 
     def __post_init__(self) -> None:
         m = len(self.femoral)

@@ -5,13 +5,13 @@ scanned pose in steps of flexion, then along a straight line from no load to the
 share the nodes their paths have in common.
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.declare import declared, entry
 
 Continuation = Literal["continuation", "single-step"]
 FLEXION_STEP = np.radians(10.0)
@@ -20,29 +20,22 @@ NEAR = 30.0  # mm, or 43 deg of rotation: what is farther from a measured pose i
 _SCALE = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LoadPaths:
-    """Nodes (flexion, load), each with the node it is reached from.
+    """Nodes (flexion, load), each with the node it is reached from."""
 
-    Attributes
-    ----------
-    flexion
-        [rad], shape ``(n_nodes,)``.
-    loads
-        Generalised loads of (varus, internal [N mm], x, y, z [N]), shape ``(n_nodes, 5)``.
-    parent
-        Index of the node before, -1 where the path begins, shape ``(n_nodes,)``.
-    trial_node
-        The node of each trial, shape ``(n_trials,)``.
-    farthest
-        How far from its start the search may end where a path begins, rotations times 40 mm [mm].
-    """
-
-    flexion: Array
-    loads: Array
-    parent: IntArray
-    trial_node: IntArray
-    farthest: float = 1e9
+    flexion: Array = entry("Flexion of each node [rad], shape ``(n_nodes,)``")
+    loads: Array = entry(
+        "Generalised loads of (varus, internal [N mm], x, y, z [N]), shape ``(n_nodes, 5)``"
+    )
+    parent: IntArray = entry(
+        "Index of the node before, -1 where the path begins, shape ``(n_nodes,)``"
+    )
+    trial_node: IntArray = entry("The node of each trial, shape ``(n_trials,)``")
+    farthest: float = entry(
+        "How far from its start the search may end where a path begins, rotations times 40 mm [mm]",
+        default=1e9,
+    )
 
 
 def load_paths(

@@ -129,23 +129,13 @@ class Sheet:
         return np.concatenate(found)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Penetration:
-    """Points inside a sheet.
+    """Points inside a sheet."""
 
-    Attributes
-    ----------
-    point
-        Index of each point inside, shape ``(k,)``.
-    triangle
-        Index of its closest triangle, shape ``(k,)``.
-    depth
-        Its distance from that triangle's plane [mm], positive, shape ``(k,)``.
-    """
-
-    point: IntArray
-    triangle: IntArray
-    depth: Array
+    point: IntArray = entry("Index of each point inside, shape ``(k,)``")
+    triangle: IntArray = entry("Index of its closest triangle, shape ``(k,)``")
+    depth: Array = entry("Its distance from that triangle's plane [mm], positive, shape ``(k,)``")
 
 
 @declared
@@ -167,21 +157,9 @@ class ContactWrench:
     n_touching: int = entry("Number of vertices in contact", unit="1")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class MeshContact:
     """A femur and the tibial sheets that touch it, each on its own.
-
-    Attributes
-    ----------
-    femur
-        In femoral axes.
-    tibia
-        In tibial axes, one sheet a compartment.
-    convention
-        Whose vertices bear the forces: ``"tibia"`` (against the femoral triangles), ``"femur"``
-        (against the tibial triangles) or ``"both"`` (the sum of the two).
-    pressure_modulus
-        P of equation 1 [N/mm3], > 0.
 
     Raises
     ------
@@ -189,10 +167,14 @@ class MeshContact:
         If the convention is not one of the three or the modulus is not positive.
     """
 
-    femur: Sheet
-    tibia: tuple[Sheet, ...]
-    convention: Convention = "both"
-    pressure_modulus: float = PRESSURE_MODULUS
+    femur: Sheet = entry("The femur, in femoral axes")
+    tibia: tuple[Sheet, ...] = entry("The tibia in tibial axes, one sheet a compartment")
+    convention: Convention = entry(
+        'Whose vertices bear the forces: ``"tibia"`` (against the femoral triangles), '
+        '``"femur"`` (against the tibial triangles) or ``"both"`` (the sum of the two)',
+        default="both",
+    )
+    pressure_modulus: float = entry("P of equation 1 [N/mm3], > 0", default=PRESSURE_MODULUS)
 
     def __post_init__(self) -> None:
         if self.convention not in get_args(Convention):

@@ -5,7 +5,6 @@ not exist; the search then ends at the smallest residual it saw and says so.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -16,7 +15,8 @@ from identknee.mechanics.load_paths import LoadPaths
 from identknee.mechanics.mesh_contact import MeshContact
 from identknee.mechanics.placement import place
 from identknee.mechanics.small_matrices import ROTATION_SCALE
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared, entry
 from identknee.runs.outcome import Outcome
 
 RESIDUAL_TOLERANCE = 1e-3  # N, the paper's; moments divided by the rotation scale
@@ -30,33 +30,21 @@ _SCALE = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
 _Balance = Callable[[Array], tuple[Array, Array]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class MeshEquilibria:
-    """What the search found for each trial.
+    """What the search found for each trial."""
 
-    Attributes
-    ----------
-    poses
-        The pose of the smallest residual: varus, internal [rad], x, y, z [mm], ``(n, 5)``.
-    residuals
-        [N], moments divided by 40 mm, shape ``(n,)``.
-    outcomes
-        ``CONVERGED`` where the residual is at most 0.001 N, else ``NO_EQUILIBRIUM``: usually the
-        law jumps across zero there.
-    evaluations
-        Contact evaluations on the last step of the way to each trial, shape ``(n,)``.
-    """
-
-    poses: Array
-    residuals: Array
-    outcomes: tuple[Outcome, ...]
-    evaluations: IntArray
-
-    def __post_init__(self) -> None:
-        n = len(self.outcomes)
-        object.__setattr__(self, "poses", frozen(self.poses, n, 5, name="poses"))
-        object.__setattr__(self, "residuals", frozen(self.residuals, n, name="residuals"))
-        object.__setattr__(self, "evaluations", frozen_integers(self.evaluations))
+    poses: Array = array(
+        "The pose of the smallest residual: varus, internal [rad], x, y, z [mm]", "trial", "5"
+    )
+    residuals: Array = array("Residuals, moments divided by 40 mm", "trial", unit="N")
+    outcomes: tuple[Outcome, ...] = entry(
+        "``CONVERGED`` where the residual is at most 0.001 N, else ``NO_EQUILIBRIUM``: usually the "
+        "law jumps across zero there"
+    )
+    evaluations: IntArray = array(
+        "Contact evaluations on the last step of the way to each trial", "trial", dtype=int
+    )
 
 
 def mesh_equilibria(

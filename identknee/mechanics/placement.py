@@ -1,46 +1,28 @@
 """Where the tibia stands in the femur, with its derivatives by the five free coordinates."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.mechanics.pose import rotation_matrix
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared
 
 _ABOUT_X = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _ABOUT_Y = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Placement:
-    """A rigid displacement ``x_femur = rotation x_tibia + translation`` and how it varies.
+    """A rigid displacement ``x_femur = rotation x_tibia + translation`` and how it varies."""
 
-    Attributes
-    ----------
-    rotation
-        ``Rz(-flexion) Rx(varus) Ry(internal)``, shape ``(3, 3)``.
-    translation
-        Tibial origin in femoral axes [mm], shape ``(3,)``.
-    first
-        Derivatives of the rotation by varus and by internal rotation, shape ``(2, 3, 3)``.
-    second
-        Its second derivatives by varus, varus; varus, internal; internal, internal, shape
-        ``(3, 3, 3)``.
-    axes
-        Derivatives of the translation by x, y and z, one a row, shape ``(3, 3)``.
-    """
-
-    rotation: Array
-    translation: Array
-    first: Array
-    second: Array
-    axes: Array
-
-    def __post_init__(self) -> None:
-        shapes = {"rotation": (3, 3), "translation": (3,), "axes": (3, 3)}
-        shapes |= {"first": (2, 3, 3), "second": (3, 3, 3)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    rotation: Array = array("``Rz(-flexion) Rx(varus) Ry(internal)``", "3", "3")
+    translation: Array = array("Tibial origin in femoral axes", "3", unit="mm")
+    first: Array = array(
+        "Derivatives of the rotation by varus and by internal rotation", "2", "3", "3"
+    )
+    second: Array = array(
+        "Its second derivatives by varus, varus; varus, internal; internal, internal", "3", "3", "3"
+    )
+    axes: Array = array("Derivatives of the translation by x, y and z, one a row", "3", "3")
 
     def to_femur(self, points: Array) -> Array:
         """Tibial `points` (n, 3) [mm] in femoral axes."""

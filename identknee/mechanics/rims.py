@@ -1,36 +1,30 @@
 """How far a place on an open sheet is from the sheet's rim."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared
 
 RIM_MARGIN = 3.0  # mm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class RimDistance:
-    """Distance from the rim of a sheet, known at its vertices.
+    """Distance from the rim of a sheet, known at its vertices."""
 
-    Attributes
-    ----------
-    vertices
-        Vertices of the sheet [mm], shape ``(n, 3)``.
-    distances
-        Straight distance of each to the nearest vertex of the rim [mm], shape ``(n,)``; infinite
-        where the surface is closed.
-    """
-
-    vertices: Array
-    distances: Array
+    vertices: Array = array("Vertices of the sheet", "vertex", "axis", unit="mm")
+    distances: Array = array(
+        "Straight distance of each to the nearest vertex of the rim; infinite where the surface is "
+        "closed",
+        "vertex",
+        unit="mm",
+    )
     _tree: cKDTree = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", frozen(self.vertices, None, 3, name="vertices"))
-        n = len(self.vertices)
-        object.__setattr__(self, "distances", frozen(self.distances, n, name="distances"))
         object.__setattr__(self, "_tree", cKDTree(self.vertices))
 
     def at(self, places: Array) -> Array:

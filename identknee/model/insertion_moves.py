@@ -1,7 +1,7 @@
 """Insertions moved within their uncertainty: what restores trials, and a knee that settles."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -73,28 +73,16 @@ class MovedInsertion:
         return f"{moved} ({', '.join(parts)})"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class SettledKnee:
-    """A knee with insertions moved until its trials converge, or as far as moves helped.
+    """A knee with insertions moved until its trials converge, or as far as moves helped."""
 
-    Attributes
-    ----------
-    knee
-        The subject with the insertions moved.
-    moved
-        The insertions that moved.
-    n_trials, n_before, n_after
-        Trials of the protocol; how many converge before and after.
-    lowest_margin
-        Lowest margin of the trials that converge after [N/mm].
-    """
-
-    knee: Knee
-    moved: tuple[MovedInsertion, ...]
-    n_trials: int
-    n_before: int
-    n_after: int
-    lowest_margin: float
+    knee: Knee = entry("The subject with the insertions moved")
+    moved: tuple[MovedInsertion, ...] = entry("The insertions that moved")
+    n_trials: int = entry("Trials of the protocol")
+    n_before: int = entry("How many converge before")
+    n_after: int = entry("How many converge after")
+    lowest_margin: float = entry("Lowest margin of the trials that converge after [N/mm]")
 
 
 def rank_moves(

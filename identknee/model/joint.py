@@ -4,7 +4,6 @@ import hashlib
 import io
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from zipfile import BadZipFile
@@ -19,6 +18,7 @@ from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.pose import start_pose
 from identknee.mechanics.rims import RimDistance, rim_distance
 from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder, write_atomically
 from identknee.subject.knee import Knee
@@ -27,31 +27,17 @@ FIELD_FORMAT = b"field 3"
 Sheet = tuple[Array, IntArray]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Joint:
-    """A knee as the kernel takes it.
+    """A knee as the kernel takes it."""
 
-    Attributes
-    ----------
-    field
-        Signed distance to the femur, in femoral axes.
-    contact
-        Points of the tibia that carry contact, in tibial axes.
-    lines
-        The ligaments.
-    femoral_rim, tibial_rims
-        How far places on the surfaces are from their rims, one a tibial surface.
-    start_flexion, start
-        The scanned pose: flexion [rad] and (varus, internal [rad], x, y, z [mm]), ``(5,)``.
-    """
-
-    field: DistanceField
-    contact: ContactPoints
-    lines: Lines
-    femoral_rim: RimDistance
-    tibial_rims: tuple[RimDistance, ...]
-    start_flexion: float
-    start: Array
+    field: DistanceField = entry("Signed distance to the femur, in femoral axes")
+    contact: ContactPoints = entry("Points of the tibia that carry contact, in tibial axes")
+    lines: Lines = entry("The ligaments")
+    femoral_rim: RimDistance = entry("How far places on the femoral surface are from its rim")
+    tibial_rims: tuple[RimDistance, ...] = entry("The same of each tibial surface")
+    start_flexion: float = entry("Flexion of the scanned pose [rad]")
+    start: Array = entry("The scanned pose: varus, internal [rad], x, y, z [mm], shape ``(5,)``")
 
 
 @lru_cache(maxsize=16)

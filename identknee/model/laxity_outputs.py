@@ -1,7 +1,5 @@
 """What a laxity model predicts as a flat list of outputs in named groups."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.laxity.table import COORDINATES
@@ -9,22 +7,12 @@ from identknee.laxity.zeros import ABSOLUTE, from_zero, zero_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LaxityOutputs:
     """Coordinates of every trial of a model as functions of its free parameters.
-
-    Attributes
-    ----------
-    model
-        The model under its protocol of n trials.
-    groups
-        Name of the group of every coordinate of every trial, trial after trial, ``5 n`` in all.
-    free
-        The parameters of the model that vary, and the values of the others.
-    zero
-        What coordinates are counted from, as in `identknee.Laxity`.
 
     Raises
     ------
@@ -32,10 +20,16 @@ class LaxityOutputs:
         If the number of groups differs, or a pose is needed that the protocol lacks.
     """
 
-    model: LaxityModel
-    groups: tuple[str, ...]
-    free: FreeParameters
-    zero: str = ABSOLUTE
+    model: LaxityModel = entry("The model under its protocol of n trials")
+    groups: tuple[str, ...] = entry(
+        "Name of the group of every coordinate of every trial, trial after trial, ``5 n`` in all"
+    )
+    free: FreeParameters = entry(
+        "The parameters of the model that vary, and the values of the others"
+    )
+    zero: str = entry(
+        "What coordinates are counted from, as in `identknee.Laxity`", default=ABSOLUTE
+    )
 
     def __post_init__(self) -> None:
         wanted = len(COORDINATES) * self.model.protocol.n

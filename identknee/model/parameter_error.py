@@ -1,29 +1,18 @@
 """How far one parameter set is from another, by ligament."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ParameterError:
-    """Absolute differences of a parameter set from another, over the ligaments.
+    """Absolute differences of a parameter set from another, over the ligaments."""
 
-    Attributes
-    ----------
-    stiffness_kN, strain_pct
-        Of each ligament [kN, %], shape ``(n_ligaments,)``.
-    """
-
-    stiffness_kN: Array  # noqa: N815 - the unit
-    strain_pct: Array
-
-    def __post_init__(self) -> None:
-        for name in ("stiffness_kN", "strain_pct"):
-            object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
+    stiffness_kN: Array = array("Error of the stiffness of each ligament", "ligament", unit="kN")  # noqa: N815 - the unit
+    strain_pct: Array = array("Error of its reference strain", "ligament", unit="%")
 
     @property
     def mean_kN(self) -> float:  # noqa: N802 - the unit

@@ -1,13 +1,12 @@
 """What a laxity model predicts: poses, their Jacobian, and how each trial ended."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.mechanics.equilibria import stability_margins
 from identknee.mechanics.kernel import CONVERGED
 from identknee.mechanics.rims import RimDistance, share_near_rims
 from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
 from identknee.runs.short_repr import short_repr
 
@@ -22,53 +21,45 @@ OUTCOMES = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Prediction:
-    """The prediction of a laxity model at one parameter vector, for n trials and p parameters.
+    """The prediction of a laxity model at one parameter vector, for n trials and p parameters."""
 
-    Attributes
-    ----------
-    theta
-        The parameter vector, shape ``(p,)``.
-    coordinates
-        Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg], shape
-        ``(n, 5)``; NaN where a trial did not converge.
-    jacobian
-        d coordinates / d theta in their units, shape ``(n, 5, p)``; None if it was not asked for.
-    pose_jacobian
-        d pose / d theta, shape ``(n, 5, p)``; None with the Jacobian.
-    codes
-        How each trial ended, as places in `OUTCOMES`, shape ``(n,)``.
-    poses
-        The last stable pose on the way to each trial: varus, internal [rad], x, y, z [mm],
-        ``(n, 5)``.
-    hessians
-        Second derivatives of the energy there [N, N mm, N/mm], shape ``(n, 5, 5)``; None for mesh
-        contact, which has none.
-    reached
-        Share of the last load step that was reached, shape ``(n,)``; NaN where a search that begins
-        at full load failed.
-    centres
-        Of every trial and compartment: contact force [N], its centre in tibial and in femoral axes
-        [mm], shape ``(n, compartments, 7)``.
-    rims
-        How far places are from the rims of the femur and of each tibial surface; None for mesh
-        contact.
-    node_poses
-        Poses at all nodes of the load paths, where another prediction may start.
-    """
-
-    theta: Array
-    coordinates: Array
-    jacobian: Array | None
-    pose_jacobian: Array | None
-    codes: IntArray
-    poses: Array
-    hessians: Array | None
-    reached: Array
-    centres: Array
-    rims: tuple[RimDistance, tuple[RimDistance, ...]] | None
-    node_poses: Array
+    theta: Array = entry("The parameter vector, shape ``(p,)``")
+    coordinates: Array = entry(
+        "Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg], shape "
+        "``(n, 5)``; NaN where a trial did not converge"
+    )
+    jacobian: Array | None = entry(
+        "Derivatives of the coordinates by theta, shape ``(n, 5, p)``; None if not asked for"
+    )
+    pose_jacobian: Array | None = entry(
+        "Derivatives of the pose by theta, shape ``(n, 5, p)``; None with the Jacobian"
+    )
+    codes: IntArray = entry("How each trial ended, as places in `OUTCOMES`, shape ``(n,)``")
+    poses: Array = entry(
+        "The last stable pose on the way to each trial: varus, internal [rad], x, y, z [mm], shape "
+        "``(n, 5)``"
+    )
+    hessians: Array | None = entry(
+        "Second derivatives of the energy there [N, N mm, N/mm], shape ``(n, 5, 5)``; None for "
+        "mesh contact, which has none"
+    )
+    reached: Array = entry(
+        "Share of the last load step that was reached, shape ``(n,)``; NaN where a search that "
+        "begins at full load failed"
+    )
+    centres: Array = entry(
+        "Contact force of every trial and compartment [N], its centre in tibial and in femoral "
+        "axes [mm], shape ``(n, compartments, 7)``"
+    )
+    rims: tuple[RimDistance, tuple[RimDistance, ...]] | None = entry(
+        "How far places are from the rims of the femur and of each tibial surface; None for mesh "
+        "contact"
+    )
+    node_poses: Array = entry(
+        "Poses at all nodes of the load paths, where another prediction may start"
+    )
 
     __repr__ = short_repr
 

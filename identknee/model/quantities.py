@@ -1,6 +1,6 @@
 """Quantities a model predicts, each a number with its exact gradient: ligament forces, laxities."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import lru_cache
 
 import numpy as np
@@ -9,7 +9,8 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.tensions import tension_jacobian, tensions_of
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 
 TENSION = "tension_N"
 AT = "@"
@@ -17,57 +18,28 @@ AT = "@"
 _KEPT = 64
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class PredictedQuantities:
-    """All a model predicts at one theta, for n trials, m ligaments and p parameters.
+    """All a model predicts at one theta, for n trials, m ligaments and p parameters."""
 
-    Attributes
-    ----------
-    tensions
-        Tension of each ligament in each trial [N], shape ``(n, m)``; NaN, here and below, in trials
-        that did not converge.
-    tension_jacobian
-        Their derivatives by theta, shape ``(n, m, p)``.
-    coordinates
-        Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg] of each
-        trial, shape ``(n, 5)``.
-    coordinate_jacobian
-        Their derivatives by theta, shape ``(n, 5, p)``.
-    """
-
-    tensions: Array
-    tension_jacobian: Array
-    coordinates: Array
-    coordinate_jacobian: Array
-
-    def __post_init__(self) -> None:
-        n, m, p = np.shape(self.tension_jacobian)
-        shapes = {
-            "tensions": (n, m),
-            "tension_jacobian": (n, m, p),
-            "coordinates": (n, len(COORDINATES)),
-            "coordinate_jacobian": (n, len(COORDINATES), p),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    tensions: Array = array(
+        "Tension of each ligament; NaN, here and below, in trials that did not converge",
+        *("trial", "ligament"),
+        unit="N",
+    )
+    tension_jacobian: Array = array("Their derivatives by theta", "trial", "ligament", "parameter")
+    coordinates: Array = array(
+        "Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg]",
+        *("trial", "coordinate"),
+    )
+    coordinate_jacobian: Array = array(
+        "Their derivatives by theta", "trial", "coordinate", "parameter"
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LigamentForce:
     """The tension of one ligament in one trial.
-
-    Attributes
-    ----------
-    model
-        The model; its protocol has the trial, which need not be one of the data's.
-    ligament
-        Name of the ligament.
-    trial
-        Name of the trial.
-    name
-        For example ``"ACL.tension_N@flexion30_internal5Nm"``.
-    unit
-        ``"N"``.
 
     Raises
     ------
@@ -75,9 +47,11 @@ class LigamentForce:
         If the model has no such ligament or trial.
     """
 
-    model: LaxityModel
-    ligament: str
-    trial: str
+    model: LaxityModel = entry(
+        "The model; its protocol has the trial, which need not be one of the data's"
+    )
+    ligament: str = entry("Name of the ligament")
+    trial: str = entry("Name of the trial")
     name: str = field(init=False)
     unit: str = field(init=False, default="N")
     _place: tuple[int, int] = field(init=False, repr=False)
@@ -97,22 +71,9 @@ class LigamentForce:
         return float(found.tensions[self._place]), found.tension_jacobian[self._place]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class PredictedLaxity:
     """One coordinate of the pose in one trial.
-
-    Attributes
-    ----------
-    model
-        The model; its protocol has the trial, which need not be one of the data's.
-    coordinate
-        A column of the laxity table, for example ``"internal_deg"``.
-    trial
-        Name of the trial.
-    name
-        For example ``"internal_deg@flexion30_internal5Nm"``.
-    unit
-        ``"mm"`` or ``"deg"``.
 
     Raises
     ------
@@ -120,9 +81,11 @@ class PredictedLaxity:
         If there is no such coordinate, or the model has no such trial.
     """
 
-    model: LaxityModel
-    coordinate: str
-    trial: str
+    model: LaxityModel = entry(
+        "The model; its protocol has the trial, which need not be one of the data's"
+    )
+    coordinate: str = entry('A column of the laxity table, for example ``"internal_deg"``')
+    trial: str = entry("Name of the trial")
     name: str = field(init=False)
     unit: str = field(init=False)
     _place: tuple[int, int] = field(init=False, repr=False)

@@ -1,7 +1,7 @@
 """What the laxity model hands to the mechanics, before and after effects have changed it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -9,59 +9,43 @@ import numpy as np
 from identknee.mechanics.equilibria import ContactLaw, Lines
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import declared, entry
 
 # Units of the mechanics per unit of a parameter: N per kN, strain per %.
 PER_KN, PER_PCT = 1000.0, 0.01
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Setting:
-    """Loads, angles, lines and contact at the nodes of the load paths.
+    """Loads, angles, lines and contact at the nodes of the load paths."""
 
-    Attributes
-    ----------
-    flexion
-        Flexion of each node [rad], shape ``(n,)``.
-    loads
-        Generalised loads of (varus, internal [N mm], x, y, z [N]), shape ``(n, 5)``: x anterior,
-        y superior and z lateral, in the axes of the femur turned with flexion.
-    lines
-        All lines: the subject's ligaments first, in their order.
-    stiffness
-        Stiffness of each line [N per unit strain], shape ``(m,)``.
-    reference_strain
-        Reference strain of each line [-], shape ``(m,)``.
-    owner
-        Which ligament's calibrated stiffness and reference strain a line takes part in, -1 for
-        none, shape ``(m,)``.
-    share
-        Share of its owner's stiffness, shape ``(m,)``.
-    copy
-        Which of several settings in one, with the same ligaments, a line belongs to, shape
-        ``(m,)``; -1 for lines added to that as a whole.
-    law
-        The contact law.
-    start_flexion, start
-        The scanned pose: flexion [rad] and (varus, internal [rad], x, y, z [mm]), ``(5,)``.
-    measured
-        The measured pose at each node, in the same form, ``(n, 5)``; None where none is known.
-    attitude
-        Measured varus and internal rotation at each node [rad], ``(n, 2)``; 0 where not measured.
-    """
-
-    flexion: Array
-    loads: Array
-    lines: Lines
-    stiffness: Array
-    reference_strain: Array
-    owner: IntArray
-    share: Array
-    copy: IntArray
-    law: ContactLaw
-    start_flexion: float
-    start: Array
-    attitude: Array
-    measured: Array | None = None
+    flexion: Array = entry("Flexion of each node [rad], shape ``(n,)``")
+    loads: Array = entry(
+        "Generalised loads of (varus, internal [N mm], x, y, z [N]), shape ``(n, 5)``: x anterior, "
+        "y superior and z lateral, in the axes of the femur turned with flexion"
+    )
+    lines: Lines = entry("All lines: the subject's ligaments first, in their order")
+    stiffness: Array = entry("Stiffness of each line [N per unit strain], shape ``(m,)``")
+    reference_strain: Array = entry("Reference strain of each line [-], shape ``(m,)``")
+    owner: IntArray = entry(
+        "Which ligament's calibrated stiffness and reference strain a line takes part in, -1 for "
+        "none, shape ``(m,)``"
+    )
+    share: Array = entry("Share of its owner's stiffness, shape ``(m,)``")
+    copy: IntArray = entry(
+        "Which of several settings in one, with the same ligaments, a line belongs to, shape "
+        "``(m,)``; -1 for lines added to that as a whole"
+    )
+    law: ContactLaw = entry("The contact law")
+    start_flexion: float = entry("Flexion of the scanned pose [rad]")
+    start: Array = entry("The scanned pose: varus, internal [rad], x, y, z [mm], shape ``(5,)``")
+    attitude: Array = entry(
+        "Measured varus and internal rotation at each node [rad], ``(n, 2)``; 0 where not measured"
+    )
+    measured: Array | None = entry(
+        "The measured pose at each node, in the same form, ``(n, 5)``; None where none is known",
+        default=None,
+    )
 
     def owned(self, n_ligaments: int) -> Array:
         """Which line belongs to which ligament, 1 or 0, shape ``(m, n_ligaments)``."""

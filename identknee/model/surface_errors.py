@@ -1,7 +1,6 @@
 """Errors of the cartilage surfaces: smooth random offsets, and what they change in readings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,29 +10,22 @@ from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_fr
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.trial_contacts import trial_contacts
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class SurfaceBumps:
     """Gaussian bumps of one surface, whose random heights make it rough.
 
     Independent heights of variance 1 give every place of the surface a height of variance 1, and
     places that are a distance r apart a correlation of about ``exp(-r^2 / (4 length^2))``.
-
-    Attributes
-    ----------
-    centres
-        [mm], shape ``(k, 3)``, in the axes of the bone.
-    length
-        Of a bump [mm].
     """
 
-    centres: Array
-    length: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centres", frozen(self.centres, None, 3, name="centres"))
+    centres: Array = array(
+        "Centres of the bumps in the axes of the bone", "bump", "axis", unit="mm"
+    )
+    length: float = entry("Length of a bump [mm]")
 
     def heights(self, places: Array) -> Array:
         """How high each bump of height 1 is at places (n, 3) [mm] of its surface, ``(n, k)``."""

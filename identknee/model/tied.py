@@ -1,37 +1,29 @@
 """The calibrated parameters of a knee's ligaments, and how those of tied bundles hang together."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Tied:
-    """Units with one stiffness and one strain each: a group of ligaments, or one alone.
+    """Units with one stiffness and one strain each: a group of ligaments, or one alone."""
 
-    Attributes
-    ----------
-    names
-        Of the u units, in the order of their first ligaments.
-    member
-        Which of the m ligaments belongs to which unit, 1 or 0, shape ``(m, u)``.
-    share
-        Stiffness of each ligament over that of its unit, shape ``(m,)``.
-    offset
-        Reference strain of each less that of its unit [%], shape ``(m,)``.
-    stiffness_kN, reference_strain_pct
-        The knee's own of each unit: the sum, and the mean weighted by stiffness, shape ``(u,)``.
-    """
-
-    names: tuple[str, ...]
-    member: Array
-    share: Array
-    offset: Array
-    stiffness_kN: Array  # noqa: N815 - the unit
-    reference_strain_pct: Array
+    names: tuple[str, ...] = entry("Names of the u units, in the order of their first ligaments")
+    member: Array = entry(
+        "Which of the m ligaments belongs to which unit, 1 or 0, shape ``(m, u)``"
+    )
+    share: Array = entry("Stiffness of each ligament over that of its unit, shape ``(m,)``")
+    offset: Array = entry("Reference strain of each less that of its unit [%], shape ``(m,)``")
+    stiffness_kN: Array = entry("The knee's own stiffness of each unit: the sum, shape ``(u,)``")  # noqa: N815 - the unit
+    reference_strain_pct: Array = entry(
+        "The knee's own reference strain of each unit: the mean weighted by stiffness, shape "
+        "``(u,)``"
+    )
     by_stiffness: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

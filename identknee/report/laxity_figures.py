@@ -1,7 +1,6 @@
 """Figures of laxity along load curves: measured, simulated, and bands around it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -15,6 +14,7 @@ from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.figures import BLACK, COLOURS, MARKERS, SMALL, STYLES
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 
 # The coordinate that moves along each load.
 ALONG = {
@@ -26,29 +26,27 @@ ALONG = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LaxityCurves:
-    """Laxity of n trials by its sources, in `COORDINATES` [mm, deg].
+    """Laxity of n trials by its sources, in `COORDINATES` [mm, deg]."""
 
-    Attributes
-    ----------
-    protocol
-        The trials.
-    simulated
-        By name of the model, shape ``(n, 5)``; NaN where it has no equilibrium.
-    measured
-        Shape ``(n, 5)``; NaN where nothing was measured. None without data.
-    sd
-        Of the measurement, in the same shape; None where it is not stated.
-    band
-        Its name, and the lowest and highest prediction, shape ``(2, n, 5)``; None without one.
-    """
-
-    protocol: Protocol
-    simulated: Mapping[str, Array]
-    measured: Array | None = None
-    sd: Array | None = None
-    band: tuple[str, Array] | None = None
+    protocol: Protocol = entry("The trials")
+    simulated: Mapping[str, Array] = entry(
+        "Simulated laxity by name of the model, shape ``(n, 5)``; NaN where it has no equilibrium"
+    )
+    measured: Array | None = entry(
+        "Measured laxity, shape ``(n, 5)``; NaN where nothing was measured. None without data",
+        default=None,
+    )
+    sd: Array | None = entry(
+        "Standard deviation of the measurement, in the same shape; None where it is not stated",
+        default=None,
+    )
+    band: tuple[str, Array] | None = entry(
+        "Name of a band, and the lowest and highest prediction, shape ``(2, n, 5)``; None without "
+        "one",
+        default=None,
+    )
 
     def __post_init__(self) -> None:
         shape = (self.protocol.n, len(COORDINATES))

@@ -1,9 +1,9 @@
 """What an answer says, to a terminal, a notebook or the page: sentences, and the numbers behind."""
 
-from dataclasses import dataclass
 from enum import Enum, unique
 
 from identknee.report.tables import Table
+from identknee.runs.declare import declared, entry
 
 
 @unique
@@ -31,26 +31,14 @@ _HEADINGS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Statement:
-    """A sentence for a person, and what it stands on.
+    """A sentence for a person, and what it stands on."""
 
-    Attributes
-    ----------
-    question
-        What it answers.
-    sentence
-        One or a few whole sentences.
-    tables
-        The numbers behind it.
-    is_answer
-        Whether it leads its part of the page.
-    is_warning
-        Whether it speaks against the result, and so stands at the head of the page.
-    """
-
-    question: Question
-    sentence: str
-    tables: tuple[Table, ...] = ()
-    is_answer: bool = False
-    is_warning: bool = False
+    question: Question = entry("What it answers")
+    sentence: str = entry("One or a few whole sentences")
+    tables: tuple[Table, ...] = entry("The numbers behind it", default=())
+    is_answer: bool = entry("Whether it leads its part of the page", default=False)
+    is_warning: bool = entry(
+        "Whether it speaks against the result, and so stands at the head of the page", default=False
+    )

@@ -99,7 +99,8 @@ def array(
     """Field that holds a read-only array over named axes, stored in ``result.nc``.
 
     Arrays of one record that share an axis must agree on its length, also with a tuple of names
-    along it. Where the default is None the array may be missing.
+    along it; an axis named by a number has that length. Where the default is None the array may be
+    missing.
     """
     known = {"is_in_json": False, "is_in_arrays": True, **where}
     metadata = {ENTRY: Entry(meaning=meaning, unit=unit, dims=dims, dtype=dtype, **known)}
@@ -203,6 +204,8 @@ def _made(cls: Callable[..., Any], values: Mapping[str, Any]) -> Any:
 def _freeze(record: Any) -> None:
     lengths = {dim: len(names) for dim, names in AXIS_NAMES.items()}
     for name, values in record.__dataclass_fields__.items():
+        if not values.init:
+            continue
         value = getattr(record, name)
         about = values.metadata.get(ENTRY)
         if about is not None and about.dims and not about.is_in_arrays:
@@ -233,7 +236,8 @@ def names_within(about: Entry | None, value: Any) -> list[tuple[str, tuple[str, 
 
 
 def _array(name: str, value: Any, about: Entry, lengths: Mapping[str, int]) -> np.ndarray:
-    made = frozen(value, *(lengths.get(x) for x in about.dims), name=name)
+    wanted = (int(x) if x.isdigit() else lengths.get(x) for x in about.dims)
+    made = frozen(value, *wanted, name=name)
     if about.dtype is float:
         return made
     converted: np.ndarray = made.astype(about.dtype)

@@ -5,12 +5,12 @@ Lengths taken from the literature or estimated are those of a knee whose plateau
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee
 from identknee.subject.ligament import Ligament
@@ -41,42 +41,26 @@ SOFT_RADIUS = 0.015
 SOFT_ANGLE = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Compartment:
-    """The places of one side of a knee, in the common frame of the scanned pose [mm], ``(3,)``.
+    """The places of one side of a knee, in the common frame of the scanned pose [mm], ``(3,)``."""
 
-    Attributes
-    ----------
-    side
-        ``"medial"`` or ``"lateral"``.
-    outward
-        1 where the tibial z axis points out of the knee, -1 where it points into it.
-    condyle_centre, condyle_radius
-        Sphere that fits the posterior condyle.
-    epicondyle
-        On the line through both condyle centres, at the width of the bone.
-    collateral_femur
-        Femoral insertion of the collateral ligament, the subject's own or an estimate.
-    plateau_centre
-        Centre of area of the tibial surface.
-    anterior_margin, posterior_margin, outer_margin, inner_margin
-        Where the tibial surface reaches furthest.
-    tibia
-        The tibial surface itself.
-    """
-
-    side: CompartmentSide
-    outward: float
-    condyle_centre: Array
-    condyle_radius: float
-    epicondyle: Array
-    collateral_femur: Array
-    plateau_centre: Array
-    anterior_margin: Array
-    posterior_margin: Array
-    outer_margin: Array
-    inner_margin: Array
-    tibia: Surface
+    side: CompartmentSide = entry('``"medial"`` or ``"lateral"``')
+    outward: float = entry(
+        "1 where the tibial z axis points out of the knee, -1 where it points into it"
+    )
+    condyle_centre: Array = entry("Centre of the sphere that fits the posterior condyle")
+    condyle_radius: float = entry("Radius of that sphere")
+    epicondyle: Array = entry("On the line through both condyle centres, at the width of the bone")
+    collateral_femur: Array = entry(
+        "Femoral insertion of the collateral ligament, the subject's own or an estimate"
+    )
+    plateau_centre: Array = entry("Centre of area of the tibial surface")
+    anterior_margin: Array = entry("Where the tibial surface reaches furthest forward")
+    posterior_margin: Array = entry("Where it reaches furthest back")
+    outer_margin: Array = entry("Where it reaches furthest out")
+    inner_margin: Array = entry("Where it reaches furthest in")
+    tibia: Surface = entry("The tibial surface itself")
 
     def __post_init__(self) -> None:
         for name in _PLACES:
@@ -96,35 +80,28 @@ _PLACES = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Anatomy:
-    """What the geometry of a knee tells about its anatomy.
+    """What the geometry of a knee tells about its anatomy."""
 
-    Attributes
-    ----------
-    size
-        Width of the plateaus over the typical one; lengths from the literature are multiplied
-        by it.
-    medial, lateral
-        The places of either side.
-    joint_line
-        Mean height of both plateau centres in the tibial frame [mm].
-    fibular_head
-        Tibial insertion of the lateral collateral ligament, or an estimate from the plateau, in the
-        common frame [mm], shape ``(3,)``.
-    medial_collateral, lateral_collateral, anterior_cruciate, posterior_cruciate
-        Names of the subject's own lines that are like these ligaments, None where none is.
-    """
-
-    size: float
-    medial: Compartment
-    lateral: Compartment
-    joint_line: float
-    fibular_head: Array
-    medial_collateral: str | None
-    lateral_collateral: str | None
-    anterior_cruciate: str | None
-    posterior_cruciate: str | None
+    size: float = entry(
+        "Width of the plateaus over the typical one; lengths from the literature are multiplied by "
+        "it"
+    )
+    medial: Compartment = entry("Places of the medial side")
+    lateral: Compartment = entry("Places of the lateral side")
+    joint_line: float = entry("Mean height of both plateau centres in the tibial frame [mm]")
+    fibular_head: Array = entry(
+        "Tibial insertion of the lateral collateral ligament, or an estimate from the plateau, in "
+        "the common frame [mm], shape ``(3,)``"
+    )
+    medial_collateral: str | None = entry(
+        "Name of the subject's own line that is like the medial collateral ligament; None where "
+        "none is"
+    )
+    lateral_collateral: str | None = entry("The same for the lateral collateral ligament")
+    anterior_cruciate: str | None = entry("The same for the anterior cruciate ligament")
+    posterior_cruciate: str | None = entry("The same for the posterior cruciate ligament")
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -137,27 +114,15 @@ class Anatomy:
         return self.medial, self.lateral
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class MeniscusSpring:
-    """Where a meniscus ties a condyle to its plateau, in the common frame of the scanned pose.
+    """Where a meniscus ties a condyle to its plateau, in the common frame of the scanned pose."""
 
-    Attributes
-    ----------
-    side
-        ``"medial"`` or ``"lateral"``.
-    femur
-        Centre of the condyle [mm], shape ``(3,)``.
-    tibia
-        Centre of the plateau [mm], shape ``(3,)``.
-    anterior, lateral
-        Unit vectors of the tibia along which it is sheared, shape ``(3,)``.
-    """
-
-    side: CompartmentSide
-    femur: Array
-    tibia: Array
-    anterior: Array
-    lateral: Array
+    side: CompartmentSide = entry('``"medial"`` or ``"lateral"``')
+    femur: Array = entry("Centre of the condyle [mm], shape ``(3,)``")
+    tibia: Array = entry("Centre of the plateau [mm], shape ``(3,)``")
+    anterior: Array = entry("Unit vector of the tibia along which it is sheared, shape ``(3,)``")
+    lateral: Array = entry("The other such vector")
 
 
 def anatomy(knee: Knee) -> Anatomy:

@@ -6,11 +6,11 @@ estimate.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 from identknee.subject.anatomy import Anatomy, Compartment, anatomy, rim_point, shifted
 from identknee.subject.knee import Knee
 from identknee.subject.place_names import PlaceSide, sides_of
@@ -44,26 +44,17 @@ FIBULA_X, FIBULA_Y = (-9.0, -3.0, 3.0), (-7.0, -1.0, 5.0, 11.0)
 FIBULA_LEAN = -0.6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class InsertionPoints:
-    """Points of one bone to which a line may be attached.
+    """Points of one bone to which a line may be attached."""
 
-    Attributes
-    ----------
-    positions
-        In the common frame of the scanned pose [mm], shape ``(n, 3)``.
-    sides
-        ``"medial"``, ``"central"`` or ``"lateral"`` for each.
-    regions
-        The part of the bone each belongs to, such as ``"epicondyle"`` or ``"fibular head"``.
-    """
-
-    positions: Array
-    sides: tuple[PlaceSide, ...]
-    regions: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "positions", frozen(self.positions, None, 3, name="positions"))
+    positions: Array = array(
+        "Places in the common frame of the scanned pose", "point", "axis", unit="mm"
+    )
+    sides: tuple[PlaceSide, ...] = entry('``"medial"``, ``"central"`` or ``"lateral"`` for each')
+    regions: tuple[str, ...] = entry(
+        'The part of the bone each belongs to, such as ``"epicondyle"`` or ``"fibular head"``'
+    )
 
 
 def insertion_surfaces(knee: Knee) -> tuple[InsertionPoints, InsertionPoints]:

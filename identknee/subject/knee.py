@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 from identknee.runs.short_repr import short_repr
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.frames import Frame
@@ -20,20 +21,12 @@ from identknee.subject.uncertainty import EXACTLY, Uncertainty
 Side = Literal["right", "left"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Landmark:
-    """A named place on a bone.
+    """A named place on a bone."""
 
-    Attributes
-    ----------
-    name
-        For example ``"hip_centre"``.
-    position
-        In the common frame of the scanned pose [mm], shape ``(3,)``.
-    """
-
-    name: str
-    position: Array
+    name: str = entry('Name of the place, such as ``"hip_centre"``')
+    position: Array = entry("Place in the common frame of the scanned pose [mm], shape ``(3,)``")
 
     def __post_init__(self) -> None:
         place = frozen(self.position, 3, name=f"the landmark {self.name}")

@@ -1,27 +1,19 @@
 """A pose that the subject's knee is known to take, where searches for equilibria can begin."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 
 # Coordinates of a laxity table: lateral shift, anterior drawer, distraction, varus, internal.
 N_COORDINATES = 5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class KnownPose:
     """Coordinates of the tibia at a flexion angle, between the frames in which tests are read.
-
-    Attributes
-    ----------
-    flexion_deg
-        Flexion.
-    coordinates
-        Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg], shape
-        ``(5,)``.
 
     Raises
     ------
@@ -29,8 +21,11 @@ class KnownPose:
         If a number is not finite or there are not five coordinates.
     """
 
-    flexion_deg: float
-    coordinates: Array
+    flexion_deg: float = entry("Flexion")
+    coordinates: Array = entry(
+        "Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg], shape "
+        "``(5,)``"
+    )
 
     def __post_init__(self) -> None:
         place = frozen(self.coordinates, N_COORDINATES, name="the coordinates of a pose")

@@ -1,11 +1,11 @@
 """The ligaments of a knee in an OpenSim model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.subject.ligament import Ligament
 from identknee.subject.opensim_bones import Bones
@@ -18,39 +18,21 @@ TRANSITION_STRAIN = 0.06
 MERGED = {"ACL": ("ACL",), "PCL": ("PCL",), "LCL": ("LCL",), "MCL": ("MCLs", "sMCL", "MCL")}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class OsimEnd:
-    """Where a ligament holds on to a bone.
+    """Where a ligament holds on to a bone."""
 
-    Attributes
-    ----------
-    element
-        The XML of its point.
-    frame
-        Where the frame in which that is given is in the common frame [m].
-    """
-
-    element: Element
-    frame: Transform
+    element: Element = entry("The XML of its point")
+    frame: Transform = entry("Where the frame in which that is given is in the common frame [m]")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class OsimLine:
-    """A ligament between femur and tibia, with the XML it was read from.
+    """A ligament between femur and tibia, with the XML it was read from."""
 
-    Attributes
-    ----------
-    ligament
-        What it is here, on the side that the model is of.
-    element
-        Its XML.
-    ends
-        Its femoral and its tibial end, by bone.
-    """
-
-    ligament: Ligament
-    element: Element
-    ends: Mapping[str, OsimEnd]
+    ligament: Ligament = entry("What it is here, on the side that the model is of")
+    element: Element = entry("Its XML")
+    ends: Mapping[str, OsimEnd] = entry("Its femoral and its tibial end, by bone")
 
 
 def lines_of(bones: Bones) -> tuple[list[OsimLine], list[str]]:

@@ -1,12 +1,12 @@
 """An OpenSim model file as a tree of frames and joints, with every coordinate at zero."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.schema import shown
@@ -31,20 +31,12 @@ ZERO_JOINTS = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Transform:
-    """Where a frame is in another: ``rotation @ point + translation``, lengths in m.
+    """Where a frame is in another: ``rotation @ point + translation``, lengths in m."""
 
-    Attributes
-    ----------
-    rotation
-        Shape ``(3, 3)``.
-    translation
-        Shape ``(3,)`` [m].
-    """
-
-    rotation: Array
-    translation: Array
+    rotation: Array = entry("Rotation, shape ``(3, 3)``")
+    translation: Array = entry("Translation [m], shape ``(3,)``")
 
     def __matmul__(self, other: "Transform") -> "Transform":
         return Transform(
@@ -70,29 +62,17 @@ class Transform:
 IDENTITY = Transform(rotation=np.eye(3), translation=np.zeros(3))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Joint:
-    """A joint between two bodies.
+    """A joint between two bodies."""
 
-    Attributes
-    ----------
-    name, kind
-        Its name and class.
-    parent, child
-        Names of the bodies.
-    parent_frame, child_frame
-        Where the joint's two frames are in these bodies.
-    element
-        Its XML.
-    """
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    parent_frame: Transform
-    child_frame: Transform
-    element: Element
+    name: str = entry("Name of the joint")
+    kind: str = entry("Its class")
+    parent: str = entry("Name of the parent body")
+    child: str = entry("Name of the child body")
+    parent_frame: Transform = entry("Where the joint's frame is in the parent body")
+    child_frame: Transform = entry("Where it is in the child body")
+    element: Element = entry("Its XML")
 
 
 class OsimModel:

@@ -22,12 +22,13 @@ References
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 from identknee.subject.anatomy import (
     Anatomy,
     Compartment,
@@ -47,24 +48,16 @@ SAMPLES = 41
 MOVES = 20
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Site:
-    """Where a line ligament would be attached.
+    """Where a line ligament would be attached."""
 
-    Attributes
-    ----------
-    name
-        Name of the line, different for every line.
-    femur, tibia
-        Insertions in the common frame of the scanned pose [mm], shape ``(3,)``.
-    side
-        ``"medial"`` or ``"lateral"``.
-    """
-
-    name: str
-    femur: Array
-    tibia: Array
-    side: CompartmentSide
+    name: str = entry("Name of the line, different for every line")
+    femur: Array = entry(
+        "Femoral insertion in the common frame of the scanned pose [mm], shape ``(3,)``"
+    )
+    tibia: Array = entry("Tibial insertion, likewise")
+    side: CompartmentSide = entry('``"medial"`` or ``"lateral"``')
 
     def __post_init__(self) -> None:
         for bone in ("femur", "tibia"):

@@ -1,7 +1,6 @@
 """Which trials to add so that explanations that fit alike come apart."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import nuisance_changes
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 
 # Rivals beyond these follow from the nearest ones.
 MOST_RIVALS = 6
@@ -32,34 +32,22 @@ MOST_RIVALS = 6
 MOST_DIFFERENCE = 10.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Rows:
-    """Predictions in units of the noise of the m values made and the r values of n offered trials.
+    """Predictions, in units of noise, of the m values made and of n offered trials with r each."""
 
-    Attributes
-    ----------
-    made, offered
-        Shapes ``(m, ...)`` and ``(n, r, ...)``; NaN in offered trials without a prediction.
-    """
-
-    made: Array
-    offered: Array
+    made: Array = entry("Predictions of the values made, shape ``(m, ...)``")
+    offered: Array = entry(
+        "Those of the values of the offered trials, shape ``(n, r, ...)``; NaN without a prediction"
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class OfferedTrials:
-    """The trials of data, and others to choose from.
+    """The trials of data, and others to choose from."""
 
-    Attributes
-    ----------
-    laxity
-        The data with their errors.
-    candidates
-        The trials to choose from, each measured as those made were.
-    """
-
-    laxity: Laxity
-    candidates: Protocol
+    laxity: Laxity = entry("The data with their errors")
+    candidates: Protocol = entry("The trials to choose from, each measured as those made were")
 
     def predict(self, model: LaxityModel, theta: Array) -> tuple[Rows, Rows]:
         """What a model predicts less what was measured, and its derivatives by theta."""
@@ -154,31 +142,21 @@ class OfferedTrials:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Advice:
-    """Trials to add, and what they would do.
+    """Trials to add, and what they would do."""
 
-    Attributes
-    ----------
-    trials
-        The protocol to add, the most useful first.
-    rivals
-        Names of the causes of each rival.
-    before, after
-        Distance of each rival in units of noise without and with these trials, see
-        `identknee.diagnosis.explanations.refit.expected_distance`.
-    with_one_trial
-        The same with the first of these trials alone.
-    with_error_halved
-        The same, without any trial, with one stated error known twice as well, by its name.
-    """
-
-    trials: Protocol
-    rivals: tuple[tuple[str, ...], ...]
-    before: Array
-    after: Array
-    with_one_trial: Array
-    with_error_halved: Mapping[str, tuple[float, ...]]
+    trials: Protocol = entry("The protocol to add, the most useful first")
+    rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
+    before: Array = entry(
+        "Distance of each rival in units of noise without these trials, see "
+        "`identknee.diagnosis.explanations.refit.expected_distance`"
+    )
+    after: Array = entry("The same with these trials")
+    with_one_trial: Array = entry("The same with the first of these trials alone")
+    with_error_halved: Mapping[str, tuple[float, ...]] = entry(
+        "The same, without any trial, with one stated error known twice as well, by its name"
+    )
 
     @property
     def sentence(self) -> str:

@@ -1,14 +1,14 @@
 """Which causes a protocol can tell apart, and the trials that would separate those it cannot."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse.csgraph import connected_components
 
 from identknee.diagnosis.score.signature import ProjectedSignature, effect_names
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
+from identknee.runs.declare import array, declared, entry
 
 # Effects closer than this cannot be told apart: the winner's amplitude errs to the large side.
 LEAST_DISTANCE = 5.0
@@ -21,26 +21,18 @@ REACH = 3.0
 LEAST_EIGENVALUE = 1e-12
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Distances:
-    """How far the data expected under each effect are from what each rival could fit to them.
+    """How far the data expected under each effect are from what each rival could fit to them."""
 
-    Attributes
-    ----------
-    effects, rivals
-        Names of rows and columns.
-    values
-        Root of the expected rise of the objective when the rival is fitted in place of the effect,
-        base parameters free, shape ``(n_effects, n_rivals)``; 0 where both are one.
-    """
-
-    effects: tuple[str, ...]
-    rivals: tuple[str, ...]
-    values: Array
-
-    def __post_init__(self) -> None:
-        shape = (len(self.effects), len(self.rivals))
-        object.__setattr__(self, "values", frozen(self.values, *shape, name="values"))
+    effects: tuple[str, ...] = array("Names of the rows", "effect", is_in_arrays=False)
+    rivals: tuple[str, ...] = array("Names of the columns", "rival", is_in_arrays=False)
+    values: Array = array(
+        "Root of the expected rise of the objective when the rival is fitted in place of the "
+        "effect, base parameters free; 0 where both are one",
+        "effect",
+        "rival",
+    )
 
 
 def visible_root(signature: ProjectedSignature, amplitude: Array) -> float:
@@ -135,54 +127,32 @@ def groups(found: Distances, *, least: float = LEAST_DISTANCE) -> tuple[tuple[st
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Pair:
-    """An effect of known amplitude and the rival that trials are to tell it from.
+    """An effect of known amplitude and the rival that trials are to tell it from."""
 
-    Attributes
-    ----------
-    effect
-        Its columns, shape ``(k,)``.
-    amplitude
-        Its amplitudes, shape ``(k,)``.
-    rival
-        Columns of the rival, shape ``(l,)``.
-    rival_prior_sd
-        Prior standard deviation of each amplitude of the rival, shape ``(l,)``.
-    """
-
-    effect: IntArray
-    amplitude: Array
-    rival: IntArray
-    rival_prior_sd: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "effect", frozen_integers(self.effect))
-        amplitude = frozen(self.amplitude, len(self.effect), name="amplitude")
-        object.__setattr__(self, "amplitude", amplitude)
-        object.__setattr__(self, "rival", frozen_integers(self.rival))
-        prior_sd = frozen(self.rival_prior_sd, len(self.rival), name="rival_prior_sd")
-        object.__setattr__(self, "rival_prior_sd", prior_sd)
+    effect: IntArray = array("Its columns", "amplitude", dtype=int)
+    amplitude: Array = array("Its amplitudes", "amplitude")
+    rival: IntArray = array("Columns of the rival", "rival", dtype=int)
+    rival_prior_sd: Array = array(
+        "Prior standard deviation of each amplitude of the rival", "rival"
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class AdvisedTrials:
-    """Trials to add, and the distances they bring.
+    """Trials to add, and the distances they bring."""
 
-    Attributes
-    ----------
-    chosen
-        Which candidates, in the order of choice; one may come several times.
-    distances
-        Distance of each pair before and after each choice, shape ``(n_chosen + 1, n_pairs)``.
-    single
-        Distance of each pair after one candidate alone, shape ``(n_candidates, n_pairs)``; NaN
-        where the candidate has no prediction.
-    """
-
-    chosen: tuple[int, ...]
-    distances: Array
-    single: Array
+    chosen: tuple[int, ...] = entry(
+        "Which candidates, in the order of choice; one may come several times"
+    )
+    distances: Array = entry(
+        "Distance of each pair before and after each choice, shape ``(n_chosen + 1, n_pairs)``"
+    )
+    single: Array = entry(
+        "Distance of each pair after one candidate alone, shape ``(n_candidates, n_pairs)``; NaN "
+        "where the candidate has no prediction"
+    )
 
 
 def advise_trials(

@@ -37,6 +37,7 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import library
 from identknee.model.effects.stored import values_of
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
 # How far each effect is taken to stand out of the noise, as the root of its chi-square.
@@ -46,51 +47,36 @@ ROOT = 8.0
 IMITATOR = "insertion"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class GroupAdvice:
-    """Trials that would separate effects that the protocol cannot tell apart.
+    """Trials that would separate effects that the protocol cannot tell apart."""
 
-    Attributes
-    ----------
-    names
-        The effects.
-    trials
-        To add, the most useful first.
-    before, after
-        The least distance within the group without and with them, see
-        `identknee.diagnosis.advice.isolability`.
-    """
-
-    names: tuple[str, ...]
-    trials: Protocol
-    before: float
-    after: float
+    names: tuple[str, ...] = entry("The effects")
+    trials: Protocol = entry("To add, the most useful first")
+    before: float = entry(
+        "Least distance within the group without them, see `identknee.diagnosis.advice.isolability`"
+    )
+    after: float = entry("The same with them")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ProtocolIsolability:
-    """What a protocol can and cannot tell.
+    """What a protocol can and cannot tell."""
 
-    Attributes
-    ----------
-    protocol
-        The trials that have a prediction.
-    visibility
-        Size that would be seen, for every effect of the library.
-    distances
-        How far the effects are from one another, each as far out of the noise as `ROOT`.
-    advice
-        For each group of effects that cannot be told apart. Errors of the insertions are in no
-        group, since they imitate a little of everything.
-    look_alikes
-        The effects that each cannot be told from, the closest first.
-    """
-
-    protocol: Protocol
-    visibility: tuple[Visibility, ...]
-    distances: Distances
-    advice: tuple[GroupAdvice, ...]
-    look_alikes: dict[str, tuple[str, ...]]
+    protocol: Protocol = entry("The trials that have a prediction")
+    visibility: tuple[Visibility, ...] = entry(
+        "Size that would be seen, for every effect of the library"
+    )
+    distances: Distances = entry(
+        "How far the effects are from one another, each as far out of the noise as `ROOT`"
+    )
+    advice: tuple[GroupAdvice, ...] = entry(
+        "For each group of effects that cannot be told apart. Errors of the insertions are in no "
+        "group, since they imitate a little of everything"
+    )
+    look_alikes: dict[str, tuple[str, ...]] = entry(
+        "The effects that each cannot be told from, the closest first"
+    )
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:

@@ -1,7 +1,7 @@
 """Which causes a misfit speaks for: effects join the model one by one, each with its rivals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from identknee.diagnosis.explanations.refit import (
 from identknee.diagnosis.score.score import LEVEL, CandidateScore, Scores
 from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
 
 MOST_CAUSES = 3
@@ -44,23 +45,15 @@ LESS = (0.03, 0.01, 0.001)
 MOST_HELPERS = 2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Step(Candidates):
-    """The scores beside one fit, and the refits that they suggest.
+    """The scores beside one fit, and the refits that they suggest."""
 
-    Attributes
-    ----------
-    at
-        The fit.
-    scores
-        How strongly it speaks for each effect that is not in it.
-    refits
-        The fit extended by each promising effect, the highest evidence first.
-    """
-
-    at: Refit
-    scores: Scores
-    refits: tuple[Refit, ...]
+    at: Refit = entry("The fit")
+    scores: Scores = entry("How strongly it speaks for each effect that is not in it")
+    refits: tuple[Refit, ...] = entry(
+        "The fit extended by each promising effect, the highest evidence first"
+    )
 
     @property
     def is_significant(self) -> bool:
@@ -68,23 +61,17 @@ class Step(Candidates):
         return self.scores.p_value <= (FURTHER_LEVEL if self.at.causes else LEVEL)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Attribution:
-    """The best explanation of a misfit, and what could stand in its place.
+    """The best explanation of a misfit, and what could stand in its place."""
 
-    Attributes
-    ----------
-    steps
-        The looks taken, from the base model on; the last at the best explanation.
-    best
-        The model with all causes found; the base model where there is none.
-    rivals
-        Other explanations with as many causes, the most likely first.
-    """
-
-    steps: tuple[Step, ...]
-    best: Refit
-    rivals: tuple[Rival, ...]
+    steps: tuple[Step, ...] = entry(
+        "The looks taken, from the base model on; the last at the best explanation"
+    )
+    best: Refit = entry("The model with all causes found; the base model where there is none")
+    rivals: tuple[Rival, ...] = entry(
+        "Other explanations with as many causes, the most likely first"
+    )
 
     @property
     def base(self) -> Refit:
@@ -264,29 +251,15 @@ def _promising(step: Step) -> list[CandidateScore]:
     return found_high[:MOST_REFITS] + [x for x in found_high[MOST_REFITS:] if x.name in unseen]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class _Task:
-    """One effect to join the model.
+    """One effect to join the model."""
 
-    Attributes
-    ----------
-    causes
-        All effects of the model then, this one last.
-    starts
-        Where its refit begins, the most promising place first.
-    faint
-        Where it begins if none of those has a prediction.
-    values
-        Amplitudes that the score expects.
-    is_possible
-        Whether its score leaves it possible that it is the explanation.
-    """
-
-    causes: tuple[Effect, ...]
-    starts: tuple[Array, ...]
-    faint: tuple[Array, ...]
-    values: Array
-    is_possible: bool
+    causes: tuple[Effect, ...] = entry("All effects of the model then, this one last")
+    starts: tuple[Array, ...] = entry("Where its refit begins, the most promising place first")
+    faint: tuple[Array, ...] = entry("Where it begins if none of those has a prediction")
+    values: Array = entry("Amplitudes that the score expects")
+    is_possible: bool = entry("Whether its score leaves it possible that it is the explanation")
 
     @classmethod
     def of(cls, step: Step, candidate: CandidateScore, base: Refit) -> "_Task":

@@ -1,7 +1,6 @@
 """What every effect of a library would add to the residuals of a fit, and which they exclude."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -43,29 +42,20 @@ SHIFTED = (2, 3, 5)
 UNSEEN = 1e-6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Variant:
-    """One signature of an effect, and where a refit with it begins.
+    """One signature of an effect, and where a refit with it begins."""
 
-    Attributes
-    ----------
-    effect
-        Effect of the library.
-    signature
-        Signature of those amplitudes that change the residuals to first order.
-    values
-        All amplitudes where the signature was taken, shape ``(a,)``.
-    moved
-        Which of them the columns of the signature belong to.
-    is_secant
-        Whether the effect has no first derivative, so that its score holds for one size only.
-    """
-
-    effect: Effect
-    signature: Signature
-    values: Array
-    moved: IntArray
-    is_secant: bool = False
+    effect: Effect = entry("Effect of the library")
+    signature: Signature = entry(
+        "Signature of those amplitudes that change the residuals to first order"
+    )
+    values: Array = entry("All amplitudes where the signature was taken, shape ``(a,)``")
+    moved: IntArray = entry("Which of them the columns of the signature belong to")
+    is_secant: bool = entry(
+        "Whether the effect has no first derivative, so that its score holds for one size only",
+        default=False,
+    )
 
     def start(self, amplitude: Array) -> Array:
         """All amplitudes with those of the signature as given, within their bounds, ``(a,)``."""
@@ -271,20 +261,12 @@ class Exclusion(Visibility):
     p_value: float = entry("Probability of a largest score as high by chance", unit="1")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Candidates:
-    """The effects that may be the cause, and the test that finds them.
+    """The effects that may be the cause, and the test that finds them."""
 
-    Attributes
-    ----------
-    variants
-        Signatures of all effects.
-    test
-        The max-score test of them.
-    """
-
-    variants: tuple[Variant, ...]
-    test: ScoreTest
+    variants: tuple[Variant, ...] = entry("Signatures of all effects")
+    test: ScoreTest = entry("The max-score test of them")
 
     def projected(self, variant: Variant) -> ProjectedSignature:
         """Signature of a variant without what the fitted parameters explain of it."""

@@ -1,6 +1,5 @@
 """The causes of a fit in physical units: how large each is, and how well that is known."""
 
-from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
@@ -33,27 +32,17 @@ class Estimate:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Cause:
-    """A cause and its amplitudes.
+    """A cause and its amplitudes."""
 
-    Attributes
-    ----------
-    name
-        As in the library.
-    amplitude
-        The one number that says how large it is.
-    parameters
-        All of its amplitudes.
-    line
-        Femoral and tibial end in the common frame of the scanned pose [mm], shape ``(2, 3)``; None
-        for what is not one line.
-    """
-
-    name: str
-    amplitude: Estimate
-    parameters: tuple[Estimate, ...]
-    line: Array | None
+    name: str = entry("As in the library")
+    amplitude: Estimate = entry("The one number that says how large it is")
+    parameters: tuple[Estimate, ...] = entry("All of its amplitudes")
+    line: Array | None = entry(
+        "Femoral and tibial end in the common frame of the scanned pose [mm], shape ``(2, 3)``; "
+        "None for what is not one line"
+    )
 
 
 def posterior_of(refit: Refit) -> Laplace:

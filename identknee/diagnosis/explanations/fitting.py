@@ -1,7 +1,7 @@
 """The fit of a laxity model to data, with everything diagnosis needs to know about it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import nuisance_changes
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
@@ -43,20 +44,12 @@ MOST_STEPS = 40
 LOW_LOADS = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Weighed:
-    """Residuals of a model in units of a noise model that trials may share.
+    """Residuals of a model in units of a noise model that trials may share."""
 
-    Attributes
-    ----------
-    compared
-        Model and data, compared in mm and deg.
-    noise
-        The errors of the measured values.
-    """
-
-    compared: LaxityResiduals
-    noise: NoiseModel
+    compared: LaxityResiduals = entry("Model and data, compared in mm and deg")
+    noise: NoiseModel = entry("The errors of the measured values")
 
     @property
     def parameters(self) -> Parameters:
@@ -79,24 +72,14 @@ def weighed(model: LaxityModel, laxity: Laxity, noise: NoiseModel) -> WithPriors
     return WithPriors(problem=Weighed(compared=compared, noise=noise))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Fitted:
-    """A model fitted to data: where, and what it leaves.
+    """A model fitted to data: where, and what it leaves."""
 
-    Attributes
-    ----------
-    model, laxity
-        What was fitted to what.
-    noise
-        Covariance of the measured values, nuisances included.
-    constrained
-        The fit.
-    """
-
-    model: LaxityModel
-    laxity: Laxity
-    noise: NoiseModel
-    constrained: Constrained
+    model: LaxityModel = entry("Model that was fitted")
+    laxity: Laxity = entry("Data that it was fitted to")
+    noise: NoiseModel = entry("Covariance of the measured values, nuisances included")
+    constrained: Constrained = entry("The fit")
 
     @property
     def theta(self) -> Array:
@@ -273,20 +256,12 @@ def base_model(knee: Knee, protocol: Protocol) -> LaxityModel:
     return own.with_effects([contact_nuisance(), *own.effects])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class BaseFit:
-    """The fit of the base model, and the noise found.
+    """The fit of the base model, and the noise found."""
 
-    Attributes
-    ----------
-    fitted
-        The fit, nuisances among its errors.
-    noise
-        Errors of the data without nuisances.
-    """
-
-    fitted: Fitted
-    noise: DataNoise
+    fitted: Fitted = entry("The fit, nuisances among its errors")
+    noise: DataNoise = entry("Errors of the data without nuisances")
 
 
 def fitted_to_low_loads(

@@ -1,7 +1,6 @@
 """Fits of the model extended by effects, and which of them the data leave open."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -24,6 +23,7 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.extended import knee_with, values_by_owner
 from identknee.model.effects.facts import cause_label
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
@@ -39,26 +39,16 @@ LEAST_DISTANCE = 5.0
 CHANCE, LEAST_SHARE = 0.05, 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Refit:
-    """The model extended by causes, fitted again.
+    """The model extended by causes, fitted again."""
 
-    Attributes
-    ----------
-    causes
-        Effects beyond the base model, in the order in which they joined.
-    fitted
-        The fit.
-    smooth
-        Whitened patterns of smooth misfit, shape ``(m, k)``.
-    noise_degrees
-        Degrees of freedom of the noise.
-    """
-
-    causes: tuple[Effect, ...]
-    fitted: Fitted
-    smooth: Array
-    noise_degrees: float
+    causes: tuple[Effect, ...] = entry(
+        "Effects beyond the base model, in the order in which they joined"
+    )
+    fitted: Fitted = entry("The fit")
+    smooth: Array = entry("Whitened patterns of smooth misfit, shape ``(m, k)``")
+    noise_degrees: float = entry("Degrees of freedom of the noise")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -266,30 +256,20 @@ class RivalState(StrEnum):
     NOT_TESTED = "not tested"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Rival:
-    """Another explanation.
+    """Another explanation."""
 
-    Attributes
-    ----------
-    refit
-        The model with it.
-    log_evidence_deficit
-        By how much the logarithm of its evidence is lower than that of the best explanation.
-    distance
-        How well the data could tell both apart, see `expected_distance`.
-    score
-        Score of its cause that the best explanation lacks, before any refit; None where it lacks
-        several.
-    highest
-        The highest score of the same look.
-    """
-
-    refit: Refit
-    log_evidence_deficit: float
-    distance: float
-    score: CandidateScore | None
-    highest: float
+    refit: Refit = entry("The model with it")
+    log_evidence_deficit: float = entry(
+        "By how much the logarithm of its evidence is lower than that of the best explanation"
+    )
+    distance: float = entry("How well the data could tell both apart, see `expected_distance`")
+    score: CandidateScore | None = entry(
+        "Score of its cause that the best explanation lacks, before any refit; None where it lacks "
+        "several"
+    )
+    highest: float = entry("The highest score of the same look")
 
     @property
     def state(self) -> RivalState:

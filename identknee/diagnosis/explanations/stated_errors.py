@@ -1,7 +1,5 @@
 """Errors of what is stated, tried as causes by themselves: insertions, and zeros at each angle."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.diagnosis.explanations.fitting import Fitted
@@ -11,6 +9,7 @@ from identknee.identify.nuisances import IMPROBABLE
 from identknee.model.effects.insertion import BONES
 from identknee.model.effects.moved_insertion import MovedInsertion, moved_insertion
 from identknee.model.effects.remounting import Remounting, remounting
+from identknee.runs.declare import declared, entry
 
 # Score of errors of zero from which on a fit with them is worth its time: data without a cause have
 # 0 to 1, those of 0.3 mm and deg of such errors 8 and more.
@@ -19,20 +18,14 @@ LEAST_SCORE = 4.0
 LEAST_TRIALS = 5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class BeyondPrior:
-    """What of the insertions lies beyond its prior.
+    """What of the insertions lies beyond its prior."""
 
-    Attributes
-    ----------
-    causes
-        The insertions beyond it, each as a cause.
-    p_value
-        Probability that the farthest of all nuisances lies so far out by chance; 1 without any.
-    """
-
-    causes: tuple[MovedInsertion, ...]
-    p_value: float
+    causes: tuple[MovedInsertion, ...] = entry("The insertions beyond it, each as a cause")
+    p_value: float = entry(
+        "Probability that the farthest of all nuisances lies so far out by chance; 1 without any"
+    )
 
 
 def insertions_beyond(fitted: Fitted) -> BeyondPrior:

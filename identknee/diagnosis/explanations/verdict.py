@@ -11,6 +11,7 @@ from identknee.diagnosis.explanations.refit import Refit
 from identknee.diagnosis.score.misfit import log_weighted_tail
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.placed import Structure
+from identknee.runs.declare import declared, entry
 
 LEVEL = 0.05
 # A model whose misfit is less probable is not the explanation, or not all of it.
@@ -57,32 +58,20 @@ _SENTENCES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Conclusion:
-    """A verdict and what it stands on.
+    """A verdict and what it stands on."""
 
-    Attributes
-    ----------
-    verdict
-        One of five.
-    sentence
-        What it means here.
-    p_value
-        Probability of a misfit as clear as this one of the base model, under noise alone.
-    best
-        The model with the causes found; the base model where none was.
-    group
-        Names of all causes that would explain the data, the best first; empty without any.
-    reasons
-        Sentences for the user.
-    """
-
-    verdict: Verdict
-    sentence: str
-    p_value: float
-    best: Refit
-    group: tuple[str, ...]
-    reasons: tuple[str, ...]
+    verdict: Verdict = entry("One of five")
+    sentence: str = entry("What it means here")
+    p_value: float = entry(
+        "Probability of a misfit as clear as this one of the base model, under noise alone"
+    )
+    best: Refit = entry("The model with the causes found; the base model where none was")
+    group: tuple[str, ...] = entry(
+        "Names of all causes that would explain the data, the best first; empty without any"
+    )
+    reasons: tuple[str, ...] = entry("Sentences for the user")
 
 
 def conclude(attribution: Attribution, p_value: float) -> Conclusion:

@@ -1,6 +1,6 @@
 """A Gaussian process in place of a cause: it absorbs misfit without explaining it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -11,7 +11,8 @@ from identknee.calibrate.problem import Problem
 from identknee.diagnosis.gain.folds import Observations
 from identknee.diagnosis.score.misfit import Projector, base_projector
 from identknee.laxity.protocol import Protocol
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 
 # Bounds of a coordinate's standard deviation of discrepancy, in units of its noise.
 LEAST_SPREAD, MOST_SPREAD = 1e-2, 1e2
@@ -21,38 +22,26 @@ START_SPREAD, START_LENGTH = 1.0, 0.7
 MOST_ITERATIONS = 30
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Discrepancy:
-    """A Gaussian process in each coordinate that has taken up what the model leaves.
+    """A Gaussian process in each coordinate that has taken up what the model leaves."""
 
-    Attributes
-    ----------
-    spread
-        Its standard deviation in each measured coordinate, in units of the noise, shape ``(c,)``.
-    flexion_length, load_length
-        Correlation lengths: over the range of flexion, over the largest load of each kind.
-    errors
-        What it leaves in the data it was fitted to, measured less predicted [mm, deg], shape
-        ``(m,)``.
-    absorbed
-        Share of the misfit that it takes up, 0 to 1.
-    degrees_of_freedom
-        How many free parameters it is worth.
-    observations
-        The measured values with it among their errors, for a prediction of held trials.
-    """
-
-    spread: Array
-    flexion_length: float
-    load_length: float
-    errors: Array
-    absorbed: float
-    degrees_of_freedom: float
-    observations: Observations
-
-    def __post_init__(self) -> None:
-        for name in ("spread", "errors"):
-            object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
+    spread: Array = array(
+        "Its standard deviation in each measured coordinate, in units of the noise",
+        "measured_coordinate",
+    )
+    flexion_length: float = entry("Correlation length over the range of flexion")
+    load_length: float = entry("Correlation length over the largest load of each kind")
+    errors: Array = array(
+        "What it leaves in the data it was fitted to, measured less predicted",
+        "value",
+        unit="mm or deg",
+    )
+    absorbed: float = entry("Share of the misfit that it takes up, 0 to 1")
+    degrees_of_freedom: float = entry("How many free parameters it is worth")
+    observations: Observations = entry(
+        "The measured values with it among their errors, for a prediction of held trials"
+    )
 
 
 def fit_discrepancy(

@@ -1,7 +1,5 @@
 """The measured values row by row, and the trials to be held out together."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.diagnosis.noise.noise_model import NoiseModel
@@ -9,8 +7,8 @@ from identknee.laxity.dominant import DIRECTIONS, nominal_flexion, told_loads
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, Laxity
 from identknee.laxity.zeros import SAME_ANGLE_DEG
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
-from identknee.runs.declare import declared, entry
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import array, declared, entry
 
 FLEXION = "flexion"
 DIRECTION = "load direction"
@@ -21,18 +19,9 @@ EXTREME_SHARE = 0.8
 ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Fold:
     """Trials that are held out of a fit together.
-
-    Attributes
-    ----------
-    family
-        One of `FAMILIES`.
-    name
-        Which trials, such as ``"30 deg"`` or ``"varus moment"``.
-    held
-        Whether a trial is held out, shape ``(n,)``; some are and some are not.
 
     Raises
     ------
@@ -40,18 +29,17 @@ class Fold:
         If all trials are held out, or none.
     """
 
-    family: str
-    name: str
-    held: BoolArray
+    family: str = entry("One of `FAMILIES`")
+    name: str = entry('Which trials, such as ``"30 deg"`` or ``"varus moment"``')
+    held: BoolArray = array(
+        "Whether a trial is held out; some are and some are not", "trial", dtype=bool
+    )
 
     def __post_init__(self) -> None:
-        held = np.array(self.held, dtype=np.bool_)
-        held.flags.writeable = False
-        object.__setattr__(self, "held", held)
-        if held.all() or not held.any():
+        if self.held.all() or not self.held.any():
             raise ValueError(
                 f"the fold {self.name!r} must hold out some trials and keep some; "
-                f"it holds out {int(held.sum())} of {held.size}"
+                f"it holds out {int(self.held.sum())} of {self.held.size}"
             )
 
 
@@ -120,34 +108,17 @@ class Rmse:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Observations:
-    """What is known of the m measured values besides their size.
+    """What is known of the m measured values besides their size."""
 
-    Attributes
-    ----------
-    trial
-        The trial of each, shape ``(m,)``.
-    coordinate
-        Its place in `identknee.laxity.table.COORDINATES`, shape ``(m,)``.
-    sd
-        Standard deviation of its noise alone, in its unit, shape ``(m,)``, > 0.
-    noise
-        Covariance of all errors, nuisances included.
-    n_trials
-        Trials of the protocol, those that measured nothing included.
-    """
-
-    trial: IntArray
-    coordinate: IntArray
-    sd: Array
-    noise: NoiseModel
-    n_trials: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "trial", frozen_integers(self.trial))
-        object.__setattr__(self, "coordinate", frozen_integers(self.coordinate))
-        object.__setattr__(self, "sd", frozen(self.sd, len(self.trial), name="sd"))
+    trial: IntArray = array("The trial of each", "value", dtype=int)
+    coordinate: IntArray = array(
+        "Its place in `identknee.laxity.table.COORDINATES`", "value", dtype=int
+    )
+    sd: Array = array("Standard deviation of its noise alone, in its unit, > 0", "value")
+    noise: NoiseModel = entry("Covariance of all errors, nuisances included")
+    n_trials: int = entry("Trials of the protocol, those that measured nothing included")
 
     @property
     def is_angle(self) -> BoolArray:

@@ -1,7 +1,7 @@
 """What a named cause gains: misfit, prediction of held trials, evidence, parameters, forces."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,56 +21,42 @@ from identknee.diagnosis.score.misfit import Check, base_projector, omnibus_chec
 from identknee.identify.laplace import Interval, Laplace, laplace
 from identknee.laxity.table import COORDINATES
 from identknee.model.tensions import tensions_of
-from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import OF_PARAMETER, declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 
 # Squared distance of two predictions in units of the noise below which they are the same.
 LEAST_SIGNATURE = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class FamilyDifference:
-    """The difference in log predictive density over one family of folds.
+    """The difference in log predictive density over one family of folds."""
 
-    Attributes
-    ----------
-    family
-        Family of the folds.
-    difference, se
-        Sum over the held trials of the second model's log density less the first's, and its
-        standard error over trials; 0 and NaN where no fold counts.
-    folds
-        Folds that count.
-    without_signature
-        Folds in which both models predict the same, so that they say nothing of their difference.
-    not_scored
-        Folds that one of both models could not predict, with the reason.
-    """
-
-    family: str
-    difference: float
-    se: float
-    folds: tuple[Fold, ...]
-    without_signature: tuple[Fold, ...]
-    not_scored: tuple[tuple[Fold, str], ...]
+    family: str = entry("Family of the folds")
+    difference: float = entry(
+        "Sum over the held trials of the second model's log density less the first's; 0 where no "
+        "fold counts"
+    )
+    se: float = entry("Its standard error over trials; NaN where no fold counts")
+    folds: tuple[Fold, ...] = entry("Folds that count")
+    without_signature: tuple[Fold, ...] = entry(
+        "Folds in which both models predict the same, so that they say nothing of their difference"
+    )
+    not_scored: tuple[tuple[Fold, str], ...] = entry(
+        "Folds that one of both models could not predict, with the reason"
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ElpdDifference:
-    """The difference in log predictive density of held trials: after less before.
+    """The difference in log predictive density of held trials: after less before."""
 
-    Attributes
-    ----------
-    difference, se
-        Over all trials, each averaged over the folds that hold it out, and its standard error;
-        0 and NaN where no fold counts.
-    families
-        The same for each family of folds.
-    """
-
-    difference: float
-    se: float
-    families: tuple[FamilyDifference, ...]
+    difference: float = entry(
+        "Difference over all trials, each averaged over the folds that hold it out; 0 where no "
+        "fold counts"
+    )
+    se: float = entry("Its standard error; NaN where no fold counts")
+    families: tuple[FamilyDifference, ...] = entry("The same for each family of folds")
 
     @property
     def folds(self) -> tuple[Fold, ...]:
@@ -152,32 +138,17 @@ def _summed(pairs: list[tuple[FoldScore, FoldScore]], n_trials: int) -> tuple[fl
     return float(by_trial.sum()), se
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Assessment:
-    """How well one model does.
+    """How well one model does."""
 
-    Attributes
-    ----------
-    check
-        Chi-square of data and priors together, its degrees of freedom and its probability.
-    errors
-        Measured less predicted values [mm, deg], shape ``(m,)``.
-    in_sample
-        Their root mean squares.
-    held_out
-        Prediction of trials it was not fitted to.
-    posterior
-        Intervals of its parameters and its evidence.
-    """
-
-    check: Check
-    errors: Array
-    in_sample: Rmse
-    held_out: HeldOut
-    posterior: Laplace
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "errors", frozen(self.errors, None, name="errors"))
+    check: Check = entry(
+        "Chi-square of data and priors together, its degrees of freedom and its probability"
+    )
+    errors: Array = array("Measured less predicted values", "value", unit="mm or deg")
+    in_sample: Rmse = entry("Their root mean squares")
+    held_out: HeldOut = entry("Prediction of trials it was not fitted to")
+    posterior: Laplace = entry("Intervals of its parameters and its evidence")
 
 
 @declared
@@ -201,66 +172,42 @@ class ParameterChange:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ForceChange:
-    """Ligament forces under the largest loads, before and after.
+    """Ligament forces under the largest loads, before and after."""
 
-    Attributes
-    ----------
-    trials
-        Names of the trials.
-    ligaments
-        Names of the ligaments.
-    before, after
-        Their forces [N], shape ``(n_trials, n_ligaments)``; NaN where a trial has no equilibrium.
-    """
-
-    trials: tuple[str, ...]
-    ligaments: tuple[str, ...]
-    before: Array
-    after: Array
-
-    def __post_init__(self) -> None:
-        shape = len(self.trials), len(self.ligaments)
-        for name in ("before", "after"):
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    trials: tuple[str, ...] = array("Names of the trials", "trial", is_in_arrays=False)
+    ligaments: tuple[str, ...] = array("Names of the ligaments", "ligament", is_in_arrays=False)
+    before: Array = array(
+        "Forces without the cause; NaN where a trial has no equilibrium",
+        "trial",
+        "ligament",
+        unit="N",
+    )
+    after: Array = array("Forces with the cause, likewise", "trial", "ligament", unit="N")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Gain:
-    """What the cause gains over the base model, and what a Gaussian process does in its place.
+    """What the cause gains over the base model, and what a Gaussian process does in its place."""
 
-    Attributes
-    ----------
-    before, after
-        The base model, and the one with the cause.
-    absorbed
-        The base model with a Gaussian process for what it leaves: it names nothing. Its spreads and
-        lengths are those of all trials also where some are held out, to its favour.
-    discrepancy
-        That process.
-    elpd
-        Log predictive density of held trials, with the cause less without it.
-    elpd_absorbed
-        The same of the process less the base model.
-    explained
-        Share of the mean square of each measured coordinate that the cause removes; negative where
-        it adds.
-    parameters
-        Those of both models.
-    forces
-        Ligament forces under the largest loads.
-    """
-
-    before: Assessment
-    after: Assessment
-    absorbed: Assessment
-    discrepancy: Discrepancy
-    elpd: ElpdDifference
-    elpd_absorbed: ElpdDifference
-    explained: dict[str, float]
-    parameters: tuple[ParameterChange, ...]
-    forces: ForceChange
+    before: Assessment = entry("The base model")
+    after: Assessment = entry("The model with the cause")
+    absorbed: Assessment = entry(
+        "The base model with a Gaussian process for what it leaves: it names nothing. Its spreads "
+        "and lengths are those of all trials also where some are held out, to its favour"
+    )
+    discrepancy: Discrepancy = entry("That process")
+    elpd: ElpdDifference = entry(
+        "Log predictive density of held trials, with the cause less without it"
+    )
+    elpd_absorbed: ElpdDifference = entry("The same of the process less the base model")
+    explained: dict[str, float] = entry(
+        "Share of the mean square of each measured coordinate that the cause removes; negative "
+        "where it adds"
+    )
+    parameters: tuple[ParameterChange, ...] = entry("Those of both models")
+    forces: ForceChange = entry("Ligament forces under the largest loads")
 
     @property
     def log_evidence_difference(self) -> float:

@@ -12,7 +12,8 @@ from identknee.calibrate.evaluation import Evaluation, Evaluator, evaluate
 from identknee.calibrate.problem import Problem, WithPriors
 from identknee.diagnosis.gain.folds import Fold, Observations, Rmse
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared, entry
 
 # Tolerance on the deviance: a tenth of a standard deviation of a parameter at most.
 TOLERANCE = 1e-2
@@ -44,37 +45,22 @@ _SENTENCES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class FoldScore:
-    """How well one fold was predicted.
+    """How well one fold was predicted."""
 
-    Attributes
-    ----------
-    fold
-        The trials.
-    status
-        Whether they were scored, and why not.
-    theta
-        Fitted to the trials kept, shape ``(p,)``; NaN where the fold is not scored.
-    errors
-        Measured less predicted values [mm, deg], shape ``(m,)``; NaN where not held out.
-    predicted
-        Their predictions' standard deviations, noise included [mm, deg], shape ``(m,)``.
-    log_density
-        Log predictive density of each held trial's values together, shape ``(n,)``; NaN for trials
-        kept.
-    """
-
-    fold: Fold
-    status: FoldStatus
-    theta: Array
-    errors: Array
-    predicted: Array
-    log_density: Array
-
-    def __post_init__(self) -> None:
-        for name in ("theta", "errors", "predicted", "log_density"):
-            object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
+    fold: Fold = entry("The trials")
+    status: FoldStatus = entry("Whether they were scored, and why not")
+    theta: Array = array("Fitted to the trials kept; NaN where the fold is not scored", "parameter")
+    errors: Array = array(
+        "Measured less predicted values; NaN where not held out", "value", unit="mm or deg"
+    )
+    predicted: Array = array(
+        "Their predictions' standard deviations, noise included", "value", unit="mm or deg"
+    )
+    log_density: Array = array(
+        "Log predictive density of each held trial's values together; NaN for trials kept", "trial"
+    )
 
     @property
     def is_scored(self) -> bool:
@@ -82,23 +68,13 @@ class FoldScore:
         return self.status is FoldStatus.SCORED
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class HeldOut:
-    """How well a model predicts the held trials of all folds.
+    """How well a model predicts the held trials of all folds."""
 
-    Attributes
-    ----------
-    observations
-        The measured values.
-    scores
-        One for each fold.
-    n_simulations
-        Simulations made.
-    """
-
-    observations: Observations
-    scores: tuple[FoldScore, ...]
-    n_simulations: int
+    observations: Observations = entry("The measured values")
+    scores: tuple[FoldScore, ...] = entry("One for each fold")
+    n_simulations: int = entry("Simulations made")
 
     @property
     def families(self) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """The line along which a cause that is not in the library acts, if it acts along one."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import chi2
 
@@ -20,7 +18,8 @@ from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.setting import Setting
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 from identknee.subject.place_names import Place, PlaceSide, name_of_place
 
 SITE_SD = 10.0  # mm, around the bone
@@ -35,54 +34,31 @@ LEVEL = 0.95
 N_CLOUD = 200
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LineFinding:
-    """The best line of action, what lies there, and whether it explains the data.
+    """The best line of action, what lies there, and whether it explains the data."""
 
-    Attributes
-    ----------
-    refit
-        The model extended by the line, fitted.
-    femur, tibia
-        Ends of the line in the common frame of the scanned pose [mm], shape ``(3,)``. Where along
-        the line they are is hardly known.
-    covariance
-        Covariance of both ends [mm2], shape ``(6, 6)``.
-    place
-        What the line is near to, averaged over the lines that fit as well.
-    trial
-        The trial in which the line pulls most.
-    force, force_interval
-        Its force there [N] and the ends of the 95 % interval, shape ``(2,)``. Stiffness and slack
-        strain trade with each other; the force is what is known.
-    score, p_value
-        Highest score of the scan, and the probability that noise gives some line as high a one.
-    misfit_before
-        Chi-square of the data without the line.
-    n_simulations
-        Made in all refits.
-    seed
-        Seed of the lines and of the draws.
-    """
-
-    refit: Refit
-    femur: Array
-    tibia: Array
-    covariance: Array
-    place: Place
-    trial: str
-    force: float
-    force_interval: Array
-    score: float
-    p_value: float
-    misfit_before: float
-    n_simulations: int
-    seed: int
-
-    def __post_init__(self) -> None:
-        shapes = {"femur": (3,), "tibia": (3,), "covariance": (6, 6), "force_interval": (2,)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    refit: Refit = entry("The model extended by the line, fitted")
+    femur: Array = array(
+        "Femoral end of the line in the common frame of the scanned pose; where along the line it "
+        "lies is hardly known",
+        "axis",
+        unit="mm",
+    )
+    tibia: Array = array("Tibial end, likewise", "axis", unit="mm")
+    covariance: Array = array("Covariance of both ends", "6", "6", unit="mm2")
+    place: Place = entry("What the line is near to, averaged over the lines that fit as well")
+    trial: str = entry("The trial in which the line pulls most")
+    force: float = entry(
+        "Force of the line in that trial [N]. Stiffness and slack strain trade with each other; "
+        "the force is what is known"
+    )
+    force_interval: Array = array("Ends of the 95 % interval of the force", "2", unit="N")
+    score: float = entry("Highest score of the scan")
+    p_value: float = entry("Probability that noise gives some line as high a score")
+    misfit_before: float = entry("Chi-square of the data without the line")
+    n_simulations: int = entry("Made in all refits")
+    seed: int = entry("Seed of the lines and of the draws")
 
     @property
     def is_line(self) -> bool:

@@ -1,6 +1,6 @@
 """Lines of action that a cause outside the library may have, and how residuals speak for each."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.setting import PER_KN, PER_PCT
-from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import array, declared, entry
 from identknee.subject.insertion_surfaces import insertion_surfaces
 from identknee.subject.knee import Knee
 
@@ -27,22 +28,14 @@ N_DRAWS = 1000
 LEAST_LEFT = 1e-6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class CandidateLines:
-    """Lines between femur and tibia.
+    """Lines between femur and tibia."""
 
-    Attributes
-    ----------
-    femur, tibia
-        Their ends in the common frame of the scanned pose [mm], shape ``(m, 3)``.
-    """
-
-    femur: Array
-    tibia: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "femur", frozen(self.femur, None, 3, name="femur"))
-        object.__setattr__(self, "tibia", frozen(self.tibia, self.n, 3, name="tibia"))
+    femur: Array = array(
+        "Femoral ends in the common frame of the scanned pose", "line", "axis", unit="mm"
+    )
+    tibia: Array = array("Tibial ends, likewise", "line", "axis", unit="mm")
 
     @property
     def n(self) -> int:
@@ -129,54 +122,32 @@ def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLin
     return columns
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ScannedLine:
-    """A line worth a refit.
+    """A line worth a refit."""
 
-    Attributes
-    ----------
-    femur, tibia
-        Its ends in the common frame of the scanned pose [mm], shape ``(3,)``.
-    amplitude, strain_pct
-        Its expected stiffness [kN] and the slack strain [%] at which it explains most.
-    score
-        Root of the expected fall of the objective.
-    """
-
-    femur: Array
-    tibia: Array
-    amplitude: float
-    strain_pct: float
-    score: float
+    femur: Array = entry("Femoral end in the common frame of the scanned pose [mm], shape ``(3,)``")
+    tibia: Array = entry("Tibial end, likewise")
+    amplitude: float = entry("Expected stiffness [kN]")
+    strain_pct: float = entry("Slack strain at which it explains most [%]")
+    score: float = entry("Root of the expected fall of the objective")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LineScan:
-    """Scores of all lines in one linearisation of a model.
+    """Scores of all lines in one linearisation of a model."""
 
-    Attributes
-    ----------
-    lines
-        All m lines.
-    scores
-        Root of the expected fall of the objective for each slack strain and line, shape
-        ``(strains, m)``; 0 where a line would have to push.
-    amplitudes
-        Expected stiffness of each [kN], same shape.
-    signatures
-        What is left of each line's effect after all that the parameters explain, in units of the
-        noise and so long that its product with the residuals is the score, ``(rows, strains, m)``.
-    """
-
-    lines: CandidateLines
-    scores: Array
-    amplitudes: Array
-    signatures: Array
-
-    def __post_init__(self) -> None:
-        shape = (len(SLACK_STRAINS), self.lines.n)
-        for name in ("scores", "amplitudes"):
-            object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
+    lines: CandidateLines = entry("All m lines")
+    scores: Array = array(
+        "Root of the expected fall of the objective; 0 where a line would have to push",
+        *("slack_strain", "line"),
+    )
+    amplitudes: Array = array("Expected stiffness", "slack_strain", "line", unit="kN")
+    signatures: Array = entry(
+        "What is left of each line's effect after all that the parameters explain, in units of the "
+        "noise and so long that its product with the residuals is the score, shape "
+        "``(rows, strains, m)``"
+    )
 
     def best(self, number: int) -> tuple[ScannedLine, ...]:
         """The lines of the highest scores, no two of them close to each other."""

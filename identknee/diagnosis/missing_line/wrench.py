@@ -1,7 +1,5 @@
 """The forces a model lacks: what else would have to act to hold the knee where it was measured."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import stats
 
@@ -11,43 +9,34 @@ from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_fr
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.trial_contacts import trial_contacts
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared, entry
 
 LEVER = 20.0  # mm, what a moment is divided by to be compared with a force
 SCALE = np.array([LEVER, LEVER, 1.0, 1.0, 1.0])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class MissingWrench:
     """Generalised forces that are missing in n trials: of varus, internal [N mm], x, y, z [N].
 
     They hold no more than the residuals do, in newtons. Contact is so stiff that noise alone asks
     for hundreds of newtons along its normals: only what lies outside is fit to be shown. NaN in
     trials that lack a measured coordinate or did not converge.
-
-    Attributes
-    ----------
-    wrench, covariance
-        In each trial, shape ``(n, 5)``, and of its errors, ``(n, 5, 5)``.
-    outside, outside_covariance
-        The part outside the directions in which contact presses, moments compared with forces over
-        a lever of 20 mm, and the covariance of its errors.
-    poses
-        Where the model predicts each trial: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``.
     """
 
-    wrench: Array
-    covariance: Array
-    outside: Array
-    outside_covariance: Array
-    poses: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.wrench)
-        for name in ("wrench", "outside", "poses"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, 5, name=name))
-        for name in ("covariance", "outside_covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name), n, 5, 5, name=name))
+    wrench: Array = array("Missing forces of each trial", "trial", "5")
+    covariance: Array = array("Covariance of their errors", "trial", "5", "5")
+    outside: Array = array(
+        "Their part outside the directions in which contact presses, moments compared with forces "
+        "over a lever of 20 mm",
+        "trial",
+        "5",
+    )
+    outside_covariance: Array = array("Covariance of its errors", "trial", "5", "5")
+    poses: Array = array(
+        "Where the model predicts each trial: varus, internal [rad], x, y, z [mm]", "trial", "5"
+    )
 
 
 def missing_wrench(
@@ -119,32 +108,22 @@ def _outside_contact(contact: ContactPlaces, compartment: IntArray) -> Array:
     return kept
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class MissingPull:
     """What else would have to act on the tibia, on average over the trials of one kind.
 
     The part along the plateau: contact hides what presses on it.
-
-    Attributes
-    ----------
-    flexion_deg, direction
-        Flexion and direction of load of the trials, as on the map of misfit.
-    n_trials
-        How many of them have every coordinate.
-    mean, covariance
-        Anterior and lateral force at the tibial origin [N] and moment of internal rotation about
-        the tibial axis [N mm], shape ``(3,)``, and of its errors, ``(3, 3)``.
     """
 
-    flexion_deg: float
-    direction: str
-    n_trials: int
-    mean: Array
-    covariance: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "mean", frozen(self.mean, 3, name="mean"))
-        object.__setattr__(self, "covariance", frozen(self.covariance, 3, 3, name="covariance"))
+    flexion_deg: float = entry("Flexion of the trials, as on the map of misfit")
+    direction: str = entry("Direction of their load, as on the map of misfit")
+    n_trials: int = entry("How many of them have every coordinate")
+    mean: Array = array(
+        "Anterior and lateral force at the tibial origin [N] and moment of internal rotation about "
+        "the tibial axis [N mm]",
+        "3",
+    )
+    covariance: Array = array("Covariance of its errors", "3", "3")
 
     @property
     def sd(self) -> Array:

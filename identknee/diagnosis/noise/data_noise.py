@@ -18,7 +18,8 @@ from identknee.diagnosis.noise.noise_model import (
 )
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import array, declared, entry
 
 LEAST_POINTS = 3
 # Fewer degrees of freedom say less about the noise than a stated standard deviation does.
@@ -47,23 +48,14 @@ def load_curves(protocol: Protocol) -> tuple[Curve, ...]:
     return tuple(curves)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Replicates:
-    """Trials of one flexion angle, equal loads and one phase of loading.
+    """Trials of one flexion angle, equal loads and one phase of loading."""
 
-    Attributes
-    ----------
-    group
-        Number of the set of equal trials that each belongs to, shape ``(n,)``.
-    is_measured
-        Which values there are, shape ``(n, 5)``.
-    """
-
-    group: IntArray
-    is_measured: BoolArray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "group", frozen_integers(self.group))
+    group: IntArray = array(
+        "Number of the set of equal trials that each belongs to", "trial", dtype=int
+    )
+    is_measured: BoolArray = entry("Which values there are, shape ``(n, 5)``")
 
     def deviations(self, values: Array, used: BoolArray) -> Array:
         """`values` (n, k) of the trials `used` (n,) less the mean of their set; 0 for others.
@@ -156,34 +148,24 @@ class NoiseSource(StrEnum):
         }[self]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class DataNoise:
-    """Standard deviations and correlation of the errors.
+    """Standard deviations and correlation of the errors."""
 
-    Attributes
-    ----------
-    sd
-        Standard deviation of every value in its unit, shape ``(n, 5)``; NaN where nothing was
-        measured.
-    correlation
-        What the errors of a trial share.
-    factors
-        Found noise over stated noise, of lengths and of angles, NaN for what was not measured; None
-        where nothing was stated or found.
-    degrees_of_freedom
-        Degrees of freedom of the standard deviations; infinite where they are taken as stated.
-    source
-        Where they come from.
-    """
-
-    sd: Array
-    correlation: float
-    factors: tuple[float, float] | None
-    degrees_of_freedom: float
-    source: NoiseSource
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sd", frozen(self.sd, None, None, name="sd"))
+    sd: Array = array(
+        "Standard deviation of every value in its unit; NaN where nothing was measured",
+        "trial",
+        "coordinate",
+    )
+    correlation: float = entry("What the errors of a trial share")
+    factors: tuple[float, float] | None = entry(
+        "Found noise over stated noise, of lengths and of angles, NaN for what was not measured; "
+        "None where nothing was stated or found"
+    )
+    degrees_of_freedom: float = entry(
+        "Degrees of freedom of the standard deviations; infinite where they are taken as stated"
+    )
+    source: NoiseSource = entry("Where they come from")
 
     @property
     def sentence(self) -> str:

@@ -7,7 +7,8 @@ from itertools import combinations
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import array, declared
 
 # Removed along a load curve before what is left counts as noise: a curve of laxity needs it.
 CURVE_DEGREE = 4
@@ -25,16 +26,9 @@ SMALLEST, LARGEST = 1e-9, 1e6
 LEAST_CORRELATION, MOST_CORRELATION = -0.2, 0.95
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Curve:
     """Trials of one flexion angle that differ in one load, in the order of that load.
-
-    Attributes
-    ----------
-    trials
-        Rows of the table, shape ``(k,)``. A trial without load may be on several curves.
-    load
-        The load of each, increasing, in any unit, shape ``(k,)``.
 
     Raises
     ------
@@ -42,30 +36,24 @@ class Curve:
         If the loads do not increase or are not one for each trial.
     """
 
-    trials: IntArray
-    load: Array
+    trials: IntArray = array(
+        "Rows of the table. A trial without load may be on several curves", "trial", dtype=int
+    )
+    load: Array = array("The load of each, increasing, in any unit", "trial")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "trials", frozen_integers(self.trials))
-        object.__setattr__(self, "load", frozen(self.load, len(self.trials), name="load"))
         if np.any(np.diff(self.load) <= 0):
             raise ValueError("the loads of a curve must increase; sort its trials, one for a load")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class NoiseModel:
-    """Errors of the measured values: Gaussian with a known covariance.
+    """Errors of the measured values: Gaussian with a known covariance."""
 
-    Attributes
-    ----------
-    covariance
-        Covariance of the m measured values, in the units of the table, shape ``(m, m)``.
-    factor
-        Its lower Cholesky factor, shape ``(m, m)``.
-    """
-
-    covariance: Array
-    factor: Array
+    covariance: Array = array(
+        "Covariance of the measured values, in the units of the table", "value", "value"
+    )
+    factor: Array = array("Its lower Cholesky factor", "value", "value")
 
     def whiten(self, values: Array) -> Array:
         """`values` in units in which errors are independent with variance 1.
@@ -139,16 +127,12 @@ def build_noise_model(
         spread = nuisance * nuisance_sd
         covariance += spread @ spread.T
     try:
-        factor = np.linalg.cholesky(covariance)
+        return _noise_model(covariance)
     except np.linalg.LinAlgError:
         raise ValueError(
             f"the noise, {measured_sd.min():g} to {measured_sd.max():g}, cannot be told from zero "
             "beside what the model does not know; state the noise of the measurement"
         ) from None
-    return NoiseModel(
-        covariance=frozen(covariance, None, None, name="covariance"),
-        factor=frozen(factor, None, None, name="factor"),
-    )
 
 
 def _noise_model(covariance: Array) -> NoiseModel:

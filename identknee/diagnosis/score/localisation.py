@@ -7,8 +7,8 @@ import numpy as np
 
 from identknee.diagnosis.noise.noise_model import NoiseModel
 from identknee.diagnosis.score.misfit import Projector
-from identknee.runs.arrays import Array, BoolArray, frozen
-from identknee.runs.declare import declared, entry
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import array, declared, entry
 
 LEVEL = 0.05
 N_DRAWS = 4000
@@ -17,23 +17,9 @@ UNLOADED = "no load"
 LEAST_LEFT = 1e-6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class TrialLayout:
     """How the trials are told apart on the map of misfit.
-
-    Attributes
-    ----------
-    flexion_deg
-        Flexion of each trial, shape ``(n,)``.
-    loads
-        Loads of each trial, shape ``(n, a)``, in any units.
-    directions
-        Names of the positive and the negative direction of each load, such as
-        ``("internal moment", "external moment")``.
-    coordinates
-        Names of the columns of the table.
-    is_measured
-        Which values there are, shape ``(n, 5)``; the m measured ones are taken row by row.
 
     Raises
     ------
@@ -41,20 +27,23 @@ class TrialLayout:
         If shapes disagree.
     """
 
-    flexion_deg: Array
-    loads: Array
-    directions: tuple[tuple[str, str], ...]
-    coordinates: tuple[str, ...]
-    is_measured: BoolArray
-
-    def __post_init__(self) -> None:
-        n = len(self.flexion_deg)
-        object.__setattr__(self, "flexion_deg", frozen(self.flexion_deg, n, name="flexion_deg"))
-        loads = frozen(self.loads, n, len(self.directions), name="loads")
-        object.__setattr__(self, "loads", loads)
-        wanted = (n, len(self.coordinates))
-        if self.is_measured.shape != wanted:
-            raise ValueError(f"is_measured must have shape {wanted}, got {self.is_measured.shape}")
+    flexion_deg: Array = array("Flexion of each trial", "trial", unit="deg")
+    loads: Array = array("Loads of each trial, in any units", "trial", "direction")
+    directions: tuple[tuple[str, str], ...] = array(
+        'Names of the positive and the negative direction of each load, such as ``("internal '
+        'moment", "external moment")``',
+        "direction",
+        is_in_arrays=False,
+    )
+    coordinates: tuple[str, ...] = array(
+        "Names of the columns of the table", "column", is_in_arrays=False
+    )
+    is_measured: BoolArray = array(
+        "Which values there are; the m measured ones are taken row by row",
+        "trial",
+        "column",
+        dtype=bool,
+    )
 
     def sides(self) -> dict[str, BoolArray]:
         """Which trials have a load of each direction, shape ``(n,)``; ``"no load"`` comes last."""
@@ -83,24 +72,20 @@ class CellScore:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Localisation:
-    """The map of misfit.
+    """The map of misfit."""
 
-    Attributes
-    ----------
-    cells
-        All that have data and are not explained by the fitted parameters.
-    region
-        The significant cells that hang together with the highest score; empty if none is.
-    share
-        Share of the excess of the objective over its expectation that would go with the region's
-        data, 0 to 1.
-    """
-
-    cells: tuple[CellScore, ...]
-    region: tuple[CellScore, ...]
-    share: float
+    cells: tuple[CellScore, ...] = entry(
+        "All that have data and are not explained by the fitted parameters"
+    )
+    region: tuple[CellScore, ...] = entry(
+        "The significant cells that hang together with the highest score; empty if none is"
+    )
+    share: float = entry(
+        "Share of the excess of the objective over its expectation that would go with the region's "
+        "data, 0 to 1"
+    )
 
     @property
     def sentence(self) -> str:

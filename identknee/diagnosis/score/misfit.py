@@ -1,14 +1,13 @@
 """What of residuals the fitted parameters cannot explain, and whether that looks like noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 from scipy.special import gammaincc, gammaln, log_ndtr, ndtri_exp
 
-from identknee.runs.arrays import Array, BoolArray, frozen
-from identknee.runs.declare import declared, entry
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import array, declared, entry
 
 # Share of the largest singular value. Directions the data hardly see are kept on purpose: each
 # costs one degree of freedom and makes every statistic indifferent to which near-equivalent fit was
@@ -21,21 +20,16 @@ MOST_PROBABLE = 0.99
 LEAST_TAIL = 1e-280
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Projector:
-    """The projection onto what the fitted parameters cannot explain.
+    """The projection onto what the fitted parameters cannot explain."""
 
-    Attributes
-    ----------
-    basis
-        Orthonormal columns of what they can explain, shape ``(m, rank)``. The m rows are the
-        whitened data, followed by the rows of the prior where there is one.
-    """
-
-    basis: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "basis", frozen(self.basis, None, None, name="basis"))
+    basis: Array = array(
+        "Orthonormal columns of what they can explain. The m rows are the whitened data, followed "
+        "by the rows of the prior where there is one",
+        "row",
+        "direction",
+    )
 
     @property
     def n_rows(self) -> int:

@@ -1,7 +1,6 @@
 """Scores of every candidate cause on one scale, and which amplitudes they would show."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum, unique
 from typing import Literal
 
@@ -15,6 +14,7 @@ from identknee.diagnosis.score.signature import (
     project_signature,
 )
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 
 Scale = Literal["known", "unknown"]
 N_DRAWS = 4000
@@ -27,52 +27,32 @@ POWER_DRAWS, POWER_SEED = 1000, 0
 SMALLEST, LARGEST, PRECISION = 1e-4, 1e4, 1e-3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class CandidateScore:
-    """How strongly residuals speak for one candidate cause.
+    """How strongly residuals speak for one candidate cause."""
 
-    Attributes
-    ----------
-    name, variant
-        The effect, and its variant that scores highest.
-    score
-        Z-score as rare under no effect, all variants tried counted; 0 at least.
-    p_value
-        Probability that the largest score of all candidates is this large under no effect.
-    amplitude
-        Expected amplitudes of that variant, most probable under prior and signs, shape ``(k,)``.
-    covariance
-        Covariance of the amplitudes, shape ``(k, k)``.
-    gain
-        Expected fall of the objective when the effect joins the model.
-    share_left
-        Share of the signature that the fitted parameters do not explain, as a length.
-    """
-
-    name: str
-    variant: str
-    score: float
-    p_value: float
-    amplitude: Array
-    covariance: Array
-    gain: float
-    share_left: float
+    name: str = entry("Name of the effect")
+    variant: str = entry("Its variant that scores highest")
+    score: float = entry("Z-score as rare under no effect, all variants tried counted; 0 at least")
+    p_value: float = entry(
+        "Probability that the largest score of all candidates is this large under no effect"
+    )
+    amplitude: Array = entry(
+        "Expected amplitudes of that variant, most probable under prior and signs, shape ``(k,)``"
+    )
+    covariance: Array = entry("Covariance of the amplitudes, shape ``(k, k)``")
+    gain: float = entry("Expected fall of the objective when the effect joins the model")
+    share_left: float = entry(
+        "Share of the signature that the fitted parameters do not explain, as a length"
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Scores:
-    """Scores of all candidates, the highest first.
+    """Scores of all candidates, the highest first."""
 
-    Attributes
-    ----------
-    candidates
-        One for each effect.
-    quantile
-        What the highest score exceeds with 5 % probability under no effect.
-    """
-
-    candidates: tuple[CandidateScore, ...]
-    quantile: float
+    candidates: tuple[CandidateScore, ...] = entry("One for each effect")
+    quantile: float = entry("What the highest score exceeds with 5 % probability under no effect")
 
     @property
     def max_score(self) -> float:
@@ -89,33 +69,21 @@ class Scores:
         return next(x for x in self.candidates if x.name == name)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ScoreTest:
-    """The max-score test of a library of effects against one fit, made by `score_test`.
+    """The max-score test of a library of effects against one fit, made by `score_test`."""
 
-    Attributes
-    ----------
-    projector
-        Projector of the fit.
-    signatures
-        All variants of all effects, projected.
-    scale
-        ``"known"`` noise, or ``"unknown"``: residuals count in units of their own size, which is
-        exact for any common standard deviation of the data.
-    trials_factors
-        How many independent variants those of each effect are worth, in the order of `names`.
-    null
-        Largest scores under no effect, increasing, shape ``(n_draws,)``.
-    seed
-        Seed of the draws.
-    """
-
-    projector: Projector
-    signatures: tuple[ProjectedSignature, ...]
-    scale: Scale
-    trials_factors: Array
-    null: Array
-    seed: int
+    projector: Projector = entry("Projector of the fit")
+    signatures: tuple[ProjectedSignature, ...] = entry("All variants of all effects, projected")
+    scale: Scale = entry(
+        '``"known"`` noise, or ``"unknown"``: residuals count in units of their own size, '
+        "which is exact for any common standard deviation of the data"
+    )
+    trials_factors: Array = entry(
+        "How many independent variants those of each effect are worth, in the order of `names`"
+    )
+    null: Array = entry("Largest scores under no effect, increasing, shape ``(n_draws,)``")
+    seed: int = entry("Seed of the draws")
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -7,7 +7,8 @@ from itertools import product
 import numpy as np
 
 from identknee.diagnosis.score.misfit import Projector, log_weighted_tail, z_score_of_log_tail
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, IntArray, frozen_integers
+from identknee.runs.declare import array, declared, entry
 
 # Signs are dealt with by trying every set of amplitudes that are not zero.
 MOST_SIGNED = 6
@@ -19,22 +20,9 @@ SIGN_DRAWS, SIGN_SEED = 4000, 0
 ROOTS = np.concatenate([np.linspace(0.0, 10.0, 201), np.geomspace(10.2, 1e4, 150)])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Signature:
     """The change of the whitened predictions that an effect would cause.
-
-    Attributes
-    ----------
-    name
-        Name of the effect.
-    variant
-        What distinguishes signatures of one effect, such as a site or a slack strain; may be empty.
-    columns
-        For an amplitude of 1 of each of its k parameters, shape ``(m, k)``, m the data rows.
-    prior_sd
-        Prior standard deviation of each amplitude, shape ``(k,)``, > 0.
-    sign
-        1 or -1 for an amplitude that can have that sign only, 0 for either, shape ``(k,)``.
 
     Raises
     ------
@@ -42,19 +30,24 @@ class Signature:
         If shapes disagree, a prior is not positive, a sign is none or more than 6 are given.
     """
 
-    name: str
-    variant: str
-    columns: Array
-    prior_sd: Array
-    sign: IntArray
+    name: str = entry("Name of the effect")
+    variant: str = entry(
+        "What distinguishes signatures of one effect, such as a site or a slack strain; may be "
+        "empty"
+    )
+    columns: Array = array(
+        "Change of the data for an amplitude of 1 of each parameter", "row", "amplitude"
+    )
+    prior_sd: Array = array("Prior standard deviation of each amplitude, > 0", "amplitude")
+    sign: IntArray = array(
+        "1 or -1 for an amplitude that can have that sign only, 0 for either",
+        "amplitude",
+        dtype=int,
+    )
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "columns", frozen(self.columns, None, None, name="columns"))
-        k = self.columns.shape[1]
-        object.__setattr__(self, "prior_sd", frozen(self.prior_sd, k, name="prior_sd"))
-        object.__setattr__(self, "sign", frozen_integers(self.sign))
-        if self.sign.shape != (k,) or not np.isin(self.sign, (-1, 0, 1)).all():
-            raise ValueError(f"{self.name}: sign must be -1, 0 or 1 for each of {k} amplitudes")
+        if not np.isin(self.sign, (-1, 0, 1)).all():
+            raise ValueError(f"{self.name}: sign must be -1, 0 or 1 for each amplitude")
         if np.count_nonzero(self.sign) > MOST_SIGNED:
             raise ValueError(
                 f"{self.name}: at most {MOST_SIGNED} amplitudes can have a sign; split the effect"

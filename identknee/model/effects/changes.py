@@ -1,7 +1,7 @@
 """Effects made of a function: on the setting of the mechanics, or on what is read of a pose."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -11,28 +11,21 @@ from identknee.model.effects.effect import Effect, MechanicalEffect, Observation
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import declared, entry
 
 Changed = Callable[[Setting, Array], Setting]
 Read = Callable[[Array, Array, Tests], Array]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class SettingChange:
-    """An effect on lines or flexion.
+    """An effect on lines or flexion."""
 
-    Attributes
-    ----------
-    name
-        Name of the cause.
-    parameters
-        Its amplitudes.
-    changed
-        The setting with the effect, from the setting without it and the amplitudes.
-    """
-
-    name: str
-    parameters: Parameters
-    changed: Changed = field(repr=False)
+    name: str = entry("Name of the cause")
+    parameters: Parameters = entry("Its amplitudes")
+    changed: Changed = entry(
+        "The setting with the effect, from the setting without it and the amplitudes"
+    )
 
     def change(self, setting: Setting, values: Array) -> Setting:
         """The setting with the effect at amplitudes `values`."""
@@ -48,23 +41,15 @@ class CopiesChange(SettingChange):
         return self.changed(setting, values)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class ReadingError:
-    """An effect that turns actual coordinates into those that are read.
+    """An effect that turns actual coordinates into those that are read."""
 
-    Attributes
-    ----------
-    name
-        Name of the cause.
-    parameters
-        Its amplitudes.
-    read
-        The coordinates read, from those that are actual (n, 5), amplitudes and tests.
-    """
-
-    name: str
-    parameters: Parameters
-    read: Read = field(repr=False)
+    name: str = entry("Name of the cause")
+    parameters: Parameters = entry("Its amplitudes")
+    read: Read = entry(
+        "The coordinates read, from those that are actual (n, 5), amplitudes and tests"
+    )
 
     def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
         """The coordinates read, shape ``(n, 5)`` [mm, deg]."""

@@ -1,6 +1,6 @@
 """Contact: how stiff cartilage is, and how its pressure grows with depth."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from identknee.model.effects.effect import amplitudes
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 
 CONTACT_LAW = "contact_law"
 # Of the logarithm of the modulus: what cartilage may be, and what a computation may get wrong.
@@ -16,22 +17,14 @@ CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.15
 EXPONENT_SD = 0.3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Cartilage:
-    """Another contact law: logarithm of the modulus over the paper's and change of the exponent.
+    """Another contact law: logarithm of the modulus over the paper's and change of the exponent."""
 
-    Attributes
-    ----------
-    name
-        Name of the cause.
-    modulus_sd
-        Prior standard deviation of the logarithm of the modulus.
-    parameters
-        ``ln_modulus`` and ``exponent``.
-    """
-
-    name: str = "cartilage"
-    modulus_sd: float = CARTILAGE_SD
+    name: str = entry("Name of the cause", default="cartilage")
+    modulus_sd: float = entry(
+        "Prior standard deviation of the logarithm of the modulus", default=CARTILAGE_SD
+    )
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -1,7 +1,6 @@
 """What an effect is: a physical cause that changes what a knee does or what is measured of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import declared, entry
 
 
 class Effect(Protocol):
@@ -93,28 +93,25 @@ def is_read_in_copies(effect: Effect) -> TypeGuard[CopiesObservation]:
     return hasattr(effect, "observe_copies")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Tests:
-    """The trials as they were run.
+    """The trials as they were run."""
 
-    Attributes
-    ----------
-    flexion_deg, loads
-        As stated, with the columns of `identknee.laxity.protocol.Protocol`.
-    order
-        When each trial was run, counted from 1; None where it was not recorded.
-    phase
-        ``"loading"``, ``"unloading"`` or ``""`` of each trial; None where not recorded.
-    attitude
-        Measured varus and internal rotation of each trial [rad], shape ``(n, 2)``, 0 where not
-        measured.
-    """
-
-    flexion_deg: Array
-    loads: Array
-    attitude: Array
-    order: IntArray | None = None
-    phase: tuple[str, ...] | None = None
+    flexion_deg: Array = entry("Flexion as stated")
+    loads: Array = entry(
+        "Loads as stated, with the columns of `identknee.laxity.protocol.Protocol`"
+    )
+    attitude: Array = entry(
+        "Measured varus and internal rotation of each trial [rad], shape ``(n, 2)``, 0 where not "
+        "measured"
+    )
+    order: IntArray | None = entry(
+        "When each trial was run, counted from 1; None where it was not recorded", default=None
+    )
+    phase: tuple[str, ...] | None = entry(
+        '``"loading"``, ``"unloading"`` or ``""`` of each trial; None where not recorded',
+        default=None,
+    )
 
     def repeated(self, n: int) -> "Tests":
         """The same trials `n` times, one after the other."""

@@ -1,7 +1,7 @@
 """Errors of the loads: what acted on the knee was not what was meant or recorded."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,29 +10,22 @@ from identknee.model.effects.effect import amplitudes
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 
 VARUS, INTERNAL, X, Y, Z = range(5)
 PER_NM = 1000.0  # N mm
 Change = Callable[[Array, Array, Array], Array]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class LoadError:
-    """An effect that turns the stated loads into those that acted.
+    """An effect that turns the stated loads into those that acted."""
 
-    Attributes
-    ----------
-    name
-        Name of the cause.
-    parameters
-        Its amplitudes.
-    acted
-        The loads that acted, from loads (n, 5), flexion [rad] (n,) and amplitudes.
-    """
-
-    name: str
-    parameters: Parameters
-    acted: Change = field(repr=False)
+    name: str = entry("Name of the cause")
+    parameters: Parameters = entry("Its amplitudes")
+    acted: Change = entry(
+        "The loads that acted, from loads (n, 5), flexion [rad] (n,) and amplitudes"
+    )
 
     def change(self, setting: Setting, values: Array) -> Setting:
         """The setting with the loads that acted."""

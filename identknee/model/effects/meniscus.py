@@ -1,6 +1,6 @@
 """Menisci: springs against sliding of a condyle on its plateau."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -8,7 +8,8 @@ from identknee.mechanics.equilibria import Lines
 from identknee.model.effects.effect import amplitudes
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting, with_lines
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 from identknee.subject.anatomy import meniscus_springs
 from identknee.subject.knee import Knee
 
@@ -18,31 +19,24 @@ FAR = 500.0
 BILATERAL = -1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Meniscus:
     """Springs along and across each plateau, of one stiffness each side [N/mm].
 
     They are relaxed in the scanned pose.
-
-    Attributes
-    ----------
-    name
-        Name of the cause.
-    femoral, tibial
-        Ends of all springs in femoral and tibial axes [mm], shape ``(m, 3)``: two springs for each
-        amplitude.
-    parameters
-        Stiffness of the medial and the lateral meniscus.
     """
 
-    name: str = "meniscus"
-    femoral: Array
-    tibial: Array
+    name: str = entry("Name of the cause", default="meniscus")
+    femoral: Array = array(
+        "Ends of all springs in femoral axes, two springs for each amplitude",
+        "4",
+        "axis",
+        unit="mm",
+    )
+    tibial: Array = array("Their ends in tibial axes", "4", "axis", unit="mm")
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for bone in ("femoral", "tibial"):
-            object.__setattr__(self, bone, frozen(getattr(self, bone), 4, 3, name=bone))
         names = ["medial_N_per_mm", "lateral_N_per_mm"]
         made = amplitudes(self.name, names, [20.0, 20.0], lower=[0.0, 0.0], upper=[100.0, 100.0])
         object.__setattr__(self, "parameters", made)

@@ -1,7 +1,7 @@
 """One insertion that lies elsewhere by more than what is stated of it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from identknee.model.effects.insertion import BONES, insertion
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
 # Two sets of insertions of one specimen, from CT and from MRI, differ by 9 mm rms, 5 mm an axis.
@@ -20,27 +21,15 @@ WAYS = (("anterior", "posterior"), ("proximal", "distal"), ("lateral", "medial")
 LEAST_TOLD = 0.25
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class MovedInsertion:
-    """A shift of one insertion beside the small shifts that all of them may have [mm].
+    """A shift of one insertion beside the small shifts that all of them may have [mm]."""
 
-    Attributes
-    ----------
-    ligament, bone
-        Which insertion.
-    shifts
-        The effect of shifts of all insertions.
-    first
-        Place of the first of its three shifts among those.
-    parameters
-        Shifts to anterior, proximal and lateral.
-    """
-
-    ligament: str
-    bone: str
-    shifts: CopiesEffect
-    first: int
-    parameters: Parameters
+    ligament: str = entry("Ligament whose insertion it is")
+    bone: str = entry("Bone on which the insertion lies")
+    shifts: CopiesEffect = entry("The effect of shifts of all insertions")
+    first: int = entry("Place of the first of its three shifts among those")
+    parameters: Parameters = entry("Shifts to anterior, proximal and lateral")
 
     @property
     def name(self) -> str:

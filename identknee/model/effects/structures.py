@@ -1,7 +1,7 @@
 """Missing structures: lines that the model of the subject lacks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.effects.effect import amplitudes
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.setting import PER_KN, PER_PCT, Setting, with_lines
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 from identknee.subject.knee import Knee
 
 SITE_SD = 4.0  # mm, how far insertions are from where anatomy puts them
@@ -20,35 +21,21 @@ AXES = ("x", "y", "z")
 SHIFTS = tuple(f"{bone}_{axis}_mm" for bone in ("femur", "tibia") for axis in AXES)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class MissingStructure:
-    """Lines of one stiffness and one reference strain, at sites that may be shifted.
+    """Lines of one stiffness and one reference strain, at sites that may be shifted."""
 
-    Attributes
-    ----------
-    name
-        Name of the structure.
-    femoral, tibial
-        Insertions in femoral and tibial axes [mm], shape ``(m, 3)``.
-    stiffness_sd
-        Standard deviation of the half-normal prior of the stiffness [kN].
-    sites_vary
-        Whether both insertions may be shifted; all lines are shifted together.
-    site_sd
-        Prior standard deviation of each shift [mm].
-    """
-
-    name: str
-    femoral: Array
-    tibial: Array
-    stiffness_sd: float
-    sites_vary: bool = True
-    site_sd: float = SITE_SD
+    name: str = entry("Name of the structure")
+    femoral: Array = array("Insertions in femoral axes", "line", "axis", unit="mm")
+    tibial: Array = array("Insertions in tibial axes", "line", "axis", unit="mm")
+    stiffness_sd: float = entry("Standard deviation of the half-normal prior of the stiffness [kN]")
+    sites_vary: bool = entry(
+        "Whether both insertions may be shifted; all lines are shifted together", default=True
+    )
+    site_sd: float = entry("Prior standard deviation of each shift [mm]", default=SITE_SD)
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for bone in ("femoral", "tibial"):
-            object.__setattr__(self, bone, frozen(getattr(self, bone), None, 3, name=bone))
         names, sd = [STIFFNESS, STRAIN], [self.stiffness_sd, 4.0]
         lower, upper = [0.0, -10.0], [6.0 * self.stiffness_sd, 12.0]
         if self.sites_vary:

@@ -1,30 +1,19 @@
 """An effect on the setting whose amplitudes are combinations of other ones."""
 
-from dataclasses import dataclass
-
 from identknee.model.effects.effect import CopiesEffect
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Recombined:
-    """An effect on the setting at amplitudes ``matrix @ values``.
+    """An effect on the setting at amplitudes ``matrix @ values``."""
 
-    Attributes
-    ----------
-    effect
-        The effect, of n amplitudes.
-    matrix
-        Shape ``(n, k)``.
-    parameters
-        The k amplitudes that are combined.
-    """
-
-    effect: CopiesEffect
-    matrix: Array
-    parameters: Parameters
+    effect: CopiesEffect = entry("The effect, of n amplitudes")
+    matrix: Array = entry("Shape ``(n, k)``")
+    parameters: Parameters = entry("The k amplitudes that are combined")
 
     @property
     def name(self) -> str:

@@ -13,6 +13,7 @@ from identknee.model.nuisances.loading import REACH
 from identknee.model.parameters import Parameters
 from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.subject.uncertainty import BONES
 
 FORCES = [X, Y, Z]
@@ -115,20 +116,12 @@ class Registration:
         return _frames(femur, n), _frames(tibia, n)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class _Frames:
-    """Measured frames of n rows in that of the geometry.
+    """Measured frames of n rows in that of the geometry."""
 
-    Attributes
-    ----------
-    turn
-        Rotation matrices, shape ``(3, 3, n)``.
-    shift
-        Origins [mm], shape ``(n, 3)``.
-    """
-
-    turn: Array
-    shift: Array
+    turn: Array = entry("Rotation matrices, shape ``(3, 3, n)``")
+    shift: Array = entry("Origins [mm], shape ``(n, 3)``")
 
 
 def _frames(values: Array, n: int) -> _Frames:

@@ -1,27 +1,15 @@
 """A figure of the page, with its words."""
 
-from dataclasses import dataclass
-
 from matplotlib.figure import Figure
 
+from identknee.runs.declare import declared, entry
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+
+@declared
 class Drawing:
-    """A figure with what stands below it and what is said in its place.
+    """A figure with what stands below it and what is said in its place."""
 
-    Attributes
-    ----------
-    name
-        Of its file, without an ending.
-    figure
-        The figure.
-    caption
-        How to read it.
-    description
-        What it shows, for those who do not see it.
-    """
-
-    name: str
-    figure: Figure
-    caption: str
-    description: str
+    name: str = entry("Name of its file, without an ending")
+    figure: Figure = entry("The figure")
+    caption: str = entry("How to read it")
+    description: str = entry("What it shows, for those who do not see it")

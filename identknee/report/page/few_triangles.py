@@ -1,35 +1,22 @@
 """Surfaces of few triangles, for drawing where every kilobyte is sent along."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, IntArray, frozen_integers
+from identknee.runs.declare import array, declared
 from identknee.subject.surface import Surface
 
 ROUNDS = 12  # of clustering; the patches hardly change after
 DECIMALS = 2  # of a mm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Mesh:
-    """A triangle mesh.
+    """A triangle mesh."""
 
-    Attributes
-    ----------
-    vertices
-        [mm], shape ``(v, 3)``.
-    faces
-        Vertex numbers of the triangles, shape ``(f, 3)``.
-    """
-
-    vertices: Array
-    faces: IntArray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", frozen(self.vertices, None, 3, name="vertices"))
-        object.__setattr__(self, "faces", frozen_integers(self.faces))
+    vertices: Array = array("Vertices", "vertex", "axis", unit="mm")
+    faces: IntArray = array("Vertex numbers of the triangles", "triangle", "axis", dtype=int)
 
 
 def few_triangles(surface: Surface, number: int) -> Mesh:

@@ -1,7 +1,5 @@
 """What a drawing of the knee in three dimensions shows: surfaces, lines and the trials' poses."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from identknee.laxity.protocol import LOADS
@@ -15,7 +13,8 @@ from identknee.model.effects.effect import MechanicalEffect
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.report.page.few_triangles import Mesh, few_triangles
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.declare import array, declared, entry
 from identknee.runs.outcome import Outcome
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee
@@ -36,71 +35,42 @@ DIRECTIONS = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class SceneTrial:
-    """One trial as it is drawn.
+    """One trial as it is drawn."""
 
-    Attributes
-    ----------
-    name, loads
-        Of the trial; flexion and loads in words.
-    outcome
-        How it ended.
-    placement
-        Of the tibia in the femur.
-    coordinates
-        Lateral shift, anterior drawer, distraction [mm], varus, internal [deg], shape ``(5,)``.
-    tensions
-        Of each line [N], shape ``(m,)``; NaN without equilibrium.
-    near
-        Which vertices of the tibia touch the femur or are less than `APART` from it, ``(c,)``.
-    depths
-        How deep these lie in the femur [mm], shape ``(c,)``; negative where apart.
-    """
-
-    name: str
-    loads: str
-    outcome: Outcome
-    placement: Placement
-    coordinates: Array
-    tensions: Array
-    near: IntArray
-    depths: Array
-
-    def __post_init__(self) -> None:
-        c = len(self.near)
-        object.__setattr__(self, "near", frozen_integers(self.near))
-        object.__setattr__(self, "depths", frozen(self.depths, c, name="depths"))
-        object.__setattr__(self, "tensions", frozen(self.tensions, None, name="tensions"))
-        object.__setattr__(self, "coordinates", frozen(self.coordinates, 5, name="coordinates"))
+    name: str = entry("Name of the trial")
+    loads: str = entry("Its flexion and loads in words")
+    outcome: Outcome = entry("How it ended")
+    placement: Placement = entry("Placement of the tibia in the femur")
+    coordinates: Array = array(
+        "Lateral shift, anterior drawer, distraction [mm], varus, internal [deg]", "coordinate"
+    )
+    tensions: Array = array("Tension of each line; NaN without equilibrium", "line", unit="N")
+    near: IntArray = array(
+        "Which vertices of the tibia touch the femur or are less than `APART` from it",
+        "touching",
+        dtype=int,
+    )
+    depths: Array = array(
+        "How deep these lie in the femur; negative where apart", "touching", unit="mm"
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class KneeScene:
-    """A knee in every trial of a protocol, as a right knee whatever its side.
+    """A knee in every trial of a protocol, as a right knee whatever its side."""
 
-    Attributes
-    ----------
-    knee
-        The subject.
-    femur, tibia
-        Cartilage, in the axes of its bone; both plateaus are one mesh.
-    names, lines
-        Of the m lines that carry the tensions, and their courses.
-    missing_line
-        Femoral end in femoral axes and tibial end in tibial axes [mm], shape ``(2, 3)``, of a line
-        that the model lacks; None where none is shown.
-    trials
-        In the order of the protocol.
-    """
-
-    knee: Knee
-    femur: Mesh
-    tibia: Mesh
-    names: tuple[str, ...]
-    lines: Lines
-    missing_line: Array | None
-    trials: tuple[SceneTrial, ...]
+    knee: Knee = entry("The subject")
+    femur: Mesh = entry("Femoral cartilage, in the axes of its bone")
+    tibia: Mesh = entry("Tibial cartilage, both plateaus as one mesh")
+    names: tuple[str, ...] = entry("Names of the m lines that carry the tensions")
+    lines: Lines = entry("Their courses")
+    missing_line: Array | None = entry(
+        "Femoral end in femoral axes and tibial end in tibial axes [mm], shape ``(2, 3)``, of a "
+        "line that the model lacks; None where none is shown"
+    )
+    trials: tuple[SceneTrial, ...] = entry("Its trials in the order of the protocol")
 
 
 def model_scene(

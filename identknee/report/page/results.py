@@ -1,11 +1,12 @@
 """The results in a folder, as the verbs left them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from identknee.laxity.protocol import Protocol
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.schema import read_json
 from identknee.subject.knee import Knee
@@ -26,26 +27,16 @@ REMEDY = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Result:
-    """What one verb left in its folder.
+    """What one verb left in its folder."""
 
-    Attributes
-    ----------
-    folder
-        Where it is.
-    summary
-        `result.json`.
-    answer
-        What the verb gave back.
-    knee
-        The subject, for figures that need it; None where it is not known.
-    """
-
-    folder: Path
-    summary: Mapping[str, Any]
-    answer: Answer
-    knee: Knee | None = None
+    folder: Path = entry("Where it is")
+    summary: Mapping[str, Any] = entry("`result.json`")
+    answer: Answer = entry("What the verb gave back")
+    knee: Knee | None = entry(
+        "The subject, for figures that need it; None where it is not known", default=None
+    )
 
     @property
     def verb(self) -> str:
@@ -88,20 +79,14 @@ class Result:
         return None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Findings:
-    """All results of one subject.
+    """All results of one subject."""
 
-    Attributes
-    ----------
-    subject
-        As the first call named it.
-    results
-        In the order of the flow, older ones first within a verb.
-    """
-
-    subject: str
-    results: tuple[Result, ...]
+    subject: str = entry("Name of the subject in the first call")
+    results: tuple[Result, ...] = entry(
+        "Results in the order of the flow, older ones first within a verb"
+    )
 
     @property
     def title(self) -> str:
