@@ -15,7 +15,7 @@ from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.units import unit_of
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
+from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare
 from identknee.report.words import coordinate_words
 from identknee.report.wrench_figure import wrench_figure
 from identknee.runs.arrays import Array
@@ -187,7 +187,7 @@ def added_variable_figure(added: AddedVariable) -> Figure:
     variant = f"\n{added.variant}" if added.variant else ""
     axes.set_title(f"{added.name}, score {added.score:.1f}{variant}", fontsize=9)
     axes.legend(fontsize=SMALL, frameon=False)
-    _bare(axes)
+    bare(axes)
     return figure
 
 
@@ -212,7 +212,7 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
     axes.set_xlabel("score [normal deviate]; broken line: the largest of all by chance in 5 %")
     if len(steps) > 1:
         axes.legend(fontsize=SMALL, frameon=False, loc="lower right")
-    _bare(axes)
+    bare(axes)
     return figure
 
 
@@ -293,7 +293,7 @@ def estimates_figure(
             axes.set_xlim(-0.7, len(fits) - 0.3)
             axes.set_xticks([])
             axes.tick_params(labelsize=SMALL)
-            _bare(axes)
+            bare(axes)
         row[0].set_ylabel(label)
     for axes, ligament in zip(grid[0], ligaments, strict=True):
         axes.set_title(ligament, fontsize=9)
@@ -336,7 +336,7 @@ def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> No
     axes.axhline(0.0, color=GREY, linewidth=0.7)
     axes.plot(curve.load, residuals[curve.trials], "o", color=BLACK, markersize=2.8)
     axes.tick_params(labelsize=TINY)
-    _bare(axes)
+    bare(axes)
 
 
 def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
@@ -391,7 +391,3 @@ def _write_cell(axes: Axes, column: int, row: int, text: str, *, is_dark: bool) 
 def _frame_cell(axes: Axes, column: int, row: int) -> None:
     corners = np.array([[-0.46, 0.46, 0.46, -0.46, -0.46], [-0.46, -0.46, 0.46, 0.46, -0.46]])
     axes.plot(corners[0] + column, corners[1] + row, color=BLACK, linewidth=1.6)
-
-
-def _bare(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)

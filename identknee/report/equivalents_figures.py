@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from identknee.report.figures import BLACK, COLOURS, GREY, SMALL
+from identknee.report.figures import BLACK, COLOURS, GREY, SMALL, bare
 from identknee.runs.arrays import Array
 
 MAP = "cividis"
@@ -55,7 +55,7 @@ def sets_figure(
         axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         axes.set_xlabel("trial")
         axes.set_title(f"{name}\nless {origin}", fontsize=SMALL + 1)
-        _bare(axes)
+        bare(axes)
     handles = [
         Line2D([], [], color=COLOURS[0], linewidth=2, label="the two sets"),
         Line2D([], [], color=COLOURS[1], linewidth=2, label="farthest apart"),
@@ -107,7 +107,7 @@ def ranges_figure(
     handles, _ = axes.get_legend_handles_labels()
     handles.append(Line2D([], [], color=BLACK, linewidth=1.4, label="fit"))
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    _bare(axes)
+    bare(axes)
     return figure
 
 
@@ -140,7 +140,3 @@ def _on_lines(name: str) -> str:
     owner, _, quantity = name.rpartition(".")
     words, _, unit = quantity.rpartition("_")
     return f"{owner}\n{words.replace('_', ' ')}\n[{'%' if unit == 'pct' else unit}]"
-
-
-def _bare(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)

@@ -1,17 +1,13 @@
 """Figures of local geometry, one function a figure, in the style of `identknee.report.figures`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.identify.information.geodesic import Geodesic
 from identknee.identify.information.information import Information
-from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, STYLES
+from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare
 from identknee.report.words import label_without_unit
-
-N_MOVERS = 3
 
 
 def spectrum_figure(found: Mapping[str, Information]) -> Figure:
@@ -49,7 +45,7 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
     axes.set_ylabel(f"eigenvalue of the information [per squared {unit}]")
     axes.grid(axis="y", color="0.92")
     axes.set_axisbelow(True)
-    _bare(axes)
+    bare(axes)
     return figure
 
 
@@ -79,49 +75,5 @@ def eigenvectors_figure(found: Information) -> Figure:
     return figure
 
 
-def geodesics_figure(paths: Sequence[Geodesic]) -> Figure:
-    """The parameters that move most along each geodesic, and the speed of the predictions.
-
-    Parameters
-    ----------
-    paths
-        As `geodesics` gives them.
-    """
-    figure = Figure(figsize=(0.8 + 3.8 * len(paths), 5.4), layout="constrained")
-    grid = figure.subplots(2, len(paths), squeeze=False, sharex="col", sharey="row")
-    for column, path in enumerate(paths):
-        way = np.concatenate([[0.0], np.cumsum(_steps(path))])
-        moves = (path.thetas - path.thetas[0]) / path.scales
-        most = np.argsort(-np.abs(moves).max(axis=0))[:N_MOVERS]
-        upper, lower = grid[:, column]
-        for i in range(moves.shape[1]):
-            place = list(most).index(i) if i in most else None
-            colour = "0.8" if place is None else COLOURS[place]
-            style = "-" if place is None else STYLES[place]
-            label = None if place is None else path.parameter_names[i]
-            upper.plot(way, moves[:, i], style, color=colour, label=label)
-        upper.legend(frameon=False, fontsize=SMALL)
-        upper.set_title(
-            f"{path.boundary.value.replace('_', ' ')}: {', '.join(path.involved)}", fontsize=SMALL
-        )
-        lower.plot(way, path.speeds, "-", color=COLOURS[0])
-        lower.set_yscale("log")
-        lower.set_xlabel("way in the parameters [scaled units]")
-        for axes in (upper, lower):
-            axes.grid(color="0.92")
-            _bare(axes)
-    grid[0, 0].set_ylabel("change [scaled units]")
-    grid[1, 0].set_ylabel("change of predictions [noise per unit]")
-    return figure
-
-
 def _brief(value: float) -> str:
     return f"{value:.0f}" if 10.0 <= value < 1e5 else f"{value:.2g}"
-
-
-def _steps(path: Geodesic) -> np.ndarray:
-    return np.asarray(np.linalg.norm(np.diff(path.thetas / path.scales, axis=0), axis=1))
-
-
-def _bare(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)

@@ -8,20 +8,15 @@ import scipy.interpolate
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.calibrate.scales import typical_steps
 from identknee.identify.profile.hermite import cubic
-from identknee.identify.profile.pairs import PairProfile
 from identknee.identify.profile.result import Interval, Profile, SideStatus
-from identknee.model.parameters import Parameters
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES
-from identknee.report.words import label, label_without_unit
+from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS
+from identknee.report.words import label_without_unit
 from identknee.runs.arrays import Array, BoolArray
 
 # Nested sets beside the profile's own.
 LEVELS = (0.5, 0.8, 0.9)
-PAIR_LEVELS = (0.5, 0.8)
 COLUMNS = 4
-N_COMPENSATORS = 3
 PER_SEGMENT = 12
 HEADROOM = 1.35
 THICKNESSES = (9.0, 6.0, 3.5, 1.5)
@@ -43,47 +38,6 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
         _draw_profile(axes, profile)
     for axes in panels[::COLUMNS]:
         axes.set_ylabel("rise of deviance")
-    return figure
-
-
-def paths_figure(profiles: Sequence[Profile], parameters: Parameters) -> Figure:
-    """How the other parameters move along each profile, those that move most in colour.
-
-    Changes are in typical steps (3 kN, 2 %) from the optimum.
-
-    Parameters
-    ----------
-    profiles
-        Of quantities over the same parameters.
-    parameters
-        Those parameters.
-    """
-    figure, panels = _panels(len(profiles), 2.6)
-    scales = typical_steps(parameters)
-    for axes, profile in zip(panels, profiles, strict=False):
-        moves = (profile.thetas - profile.optimum) / scales
-        others = [i for i, name in enumerate(parameters.names) if name != profile.name]
-        spans = np.ptp(moves, axis=0)
-        ranked = [others[k] for k in np.argsort(-spans[others], kind="stable")]
-        for i in ranked[N_COMPENSATORS:]:
-            axes.plot(profile.values, moves[:, i], color="0.85", linewidth=0.8)
-        for k, i in enumerate(ranked[:N_COMPENSATORS]):
-            axes.plot(
-                profile.values,
-                moves[:, i],
-                STYLES[k],
-                marker=MARKERS[k],
-                markersize=3,
-                color=COLOURS[k],
-                linewidth=1.2,
-                label=label_without_unit(parameters.names[i]),
-            )
-        axes.axvline(profile.optimum_value, color="0.8", linewidth=0.8, zorder=0)
-        axes.legend(fontsize=7, frameon=False, handlelength=1.6)
-        axes.set_xlabel(_label(profile), fontsize=8)
-        _plain(axes)
-    for axes in panels[::COLUMNS]:
-        axes.set_ylabel("change [typical steps]")
     return figure
 
 
@@ -158,33 +112,6 @@ def _draw_sets(axes: Axes, profile: Profile, row: int) -> None:
         va="center",
         fontsize=8,
     )
-
-
-def pairs_figure(pairs: Sequence[PairProfile]) -> Figure:
-    """Likely pairs of two parameters at nested levels; where a bound cuts them the line stops.
-
-    Parameters
-    ----------
-    pairs
-        One panel each.
-    """
-    figure, panels = _panels(len(pairs), 2.9)
-    for axes, pair in zip(panels, pairs, strict=False):
-        levels = [*(x for x in PAIR_LEVELS if x < pair.level), pair.level]
-        for k, level in enumerate(levels):
-            closed = smooth_edge(pair.contour(level))
-            axes.plot(
-                *closed.T, STYLES[-1 - k], color=COLOURS[0], linewidth=1.2, label=f"{level:.0%}"
-            )
-        cut = np.array([x.end for x in pair.rays if x.status.value != "closed"]).reshape(-1, 2)
-        if len(cut):
-            axes.plot(*cut.T, "x", color=COLOURS[1], markersize=4, label="open")
-        axes.plot(*pair.optimum, "+", color=BLACK, markersize=8)
-        axes.set_xlabel(label(pair.names[0]), fontsize=8)
-        axes.set_ylabel(label(pair.names[1]), fontsize=8)
-        axes.legend(fontsize=7, frameon=False)
-        _plain(axes)
-    return figure
 
 
 def smooth_edge(edge: Array) -> Array:

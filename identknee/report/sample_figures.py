@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
-from scipy.stats import gaussian_kde, rankdata
+from scipy.stats import gaussian_kde
 
 from identknee.report.figures import BLACK, COLOURS, GREY, SMALL, STYLES
 from identknee.runs.arrays import Array
@@ -98,89 +97,6 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
                 axes.set_ylabel(_stacked(names[row]), fontsize=7)
             elif column < row:
                 axes.set_yticklabels([])
-    return figure
-
-
-def trace_figure(names: Sequence[str], samples: Array, burn_in: int) -> Figure:
-    """Course of every ensemble, and how its kept draws rank among all.
-
-    On the left the mean of the walkers at each step and the band of nine in ten of them; on the
-    right counts of ranks, flat and alike where ensembles agree.
-
-    Parameters
-    ----------
-    names
-        Parameters.
-    samples
-        Theta, shape ``(ensembles, walkers, steps, n)``.
-    burn_in
-        Steps left out at the beginning.
-    """
-    n = len(names)
-    figure = Figure(figsize=(8.6, 0.8 + 1.25 * n), layout="constrained")
-    grid = figure.subplots(n, 2, squeeze=False, sharex="col", width_ratios=(2, 1))
-    steps = np.arange(1, samples.shape[2] + 1)
-    for i, name in enumerate(names):
-        trace, rank = grid[i]
-        ranks = rankdata(samples[:, :, burn_in:, i]).reshape(samples[:, :, burn_in:, i].shape)
-        for k, ensemble in enumerate(samples[..., i]):
-            colour = COLOURS[k % len(COLOURS)]
-            low, high = np.quantile(ensemble, [0.05, 0.95], axis=0)
-            trace.fill_between(steps, low, high, color=colour, alpha=0.12, linewidth=0)
-            trace.plot(steps, ensemble.mean(axis=0), color=colour, linewidth=0.8)
-            counts, edges = np.histogram(ranks[k], BINS, range=(0.0, float(ranks.size)))
-            rank.stairs(counts / counts.mean(), edges / ranks.size, color=colour)
-        trace.axvline(burn_in + 0.5, color=GREY, linewidth=0.8, linestyle=":")
-        trace.set_ylabel(_stacked(name), fontsize=7)
-        rank.set_ylim(0.0, 2.0)
-        for axes in (trace, rank):
-            axes.tick_params(labelsize=7)
-            axes.spines[["top", "right"]].set_visible(False)
-    grid[-1, 0].set_xlabel("step (dotted: end of burn-in)", fontsize=SMALL)
-    grid[-1, 1].set_xlabel("rank among all kept draws", fontsize=SMALL)
-    handles = [
-        Line2D([], [], color=COLOURS[k % len(COLOURS)], label=f"ensemble {k + 1}")
-        for k in range(len(samples))
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
-    return figure
-
-
-def tau_figure(
-    names: Sequence[str], steps: ArrayLike, tau: Array, *, autocorrelation_times: float = 50.0
-) -> Figure:
-    """Autocorrelation time against the steps it comes from, and the line it must stay below.
-
-    Parameters
-    ----------
-    names
-        Parameters.
-    steps
-        Kept steps at each check, shape ``(checks,)``.
-    tau
-        By check and parameter, shape ``(checks, n)``.
-    autocorrelation_times
-        Steps must be so many times tau.
-    """
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axes = figure.add_subplot()
-    kept = np.asarray(steps, float)
-    for i, name in enumerate(names):
-        style = STYLES[(i // len(COLOURS)) % len(STYLES)]
-        axes.plot(kept, tau[:, i], style, color=COLOURS[i % len(COLOURS)], label=name)
-    axes.plot(kept, kept / autocorrelation_times, color=BLACK, linewidth=1.0)
-    axes.annotate(
-        f"steps / {autocorrelation_times:g}",
-        (kept[-1], kept[-1] / autocorrelation_times),
-        fontsize=SMALL,
-        ha="right",
-        va="bottom",
-    )
-    axes.set_xlabel("steps after burn-in")
-    axes.set_ylabel("autocorrelation time [steps]")
-    axes.set_ylim(bottom=0.0)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=SMALL)
     return figure
 
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identknee.report import words
-from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL
+from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare
 from identknee.runs.arrays import Array
 
 # From nothing to everything: dark means much, and grey prints tell the same.
@@ -50,56 +50,11 @@ def effects_figure(
         axes.set_title(name, fontsize=10)
         axes.set_xlabel("mean absolute effect, mu*")
         axes.set_ylabel("sd of effects, sigma")
-        _bare(axes)
+        bare(axes)
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=SMALL
     )
-    return figure
-
-
-def shares_figure(
-    panels: Mapping[str, tuple[Array, Array, Array, Array]],
-    parameters: Sequence[str],
-    convergence: tuple[Array, Array],
-) -> Figure:
-    """First-order and total Sobol indices with confidence intervals, and how these shrink.
-
-    Parameters
-    ----------
-    panels
-        By name of the group, first-order index, its half-width, total index, its half-width, shape
-        ``(p,)`` each.
-    parameters
-        Their names.
-    convergence
-        Numbers of simulations, shape ``(n_levels,)``, and the largest half-width of each group of
-        outputs at each, shape ``(n_levels, n_groups)``.
-    """
-    figure, grid = _grid(len(panels) + 1, height=2.9)
-    place = np.arange(len(parameters))
-    for axes, (name, (first, first_width, total, total_width)) in zip(
-        grid, panels.items(), strict=False
-    ):
-        for k, (label, values, widths) in enumerate(
-            (("first order, S1", first, first_width), ("total, ST", total, total_width))
-        ):
-            axes.bar(
-                place + 0.4 * (k - 0.5),
-                values,
-                0.38,
-                yerr=widths,
-                color=COLOURS[k],
-                error_kw={"elinewidth": 0.9, "capsize": 2},
-                label=label,
-            )
-        axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.set_xticks(place, [_short(x) for x in parameters], rotation=45, fontsize=SMALL)
-        axes.set_ylim(min(0.0, float(np.min(first - first_width))), 1.05)
-        axes.set_title(name, fontsize=10)
-        _bare(axes)
-    grid[0].legend(frameon=False, fontsize=SMALL)
-    _converging(grid[len(panels)], *convergence)
     return figure
 
 
@@ -135,70 +90,6 @@ def map_figure(
     return figure
 
 
-def methods_figure(
-    panels: Mapping[str, Mapping[str, tuple[Array, Array]]], parameters: Sequence[str]
-) -> Figure:
-    """Indices of several methods side by side, a panel a group of outputs.
-
-    Parameters
-    ----------
-    panels
-        By name of the group and then of the method, index and half-width, shape ``(p,)`` each.
-    parameters
-        Their names.
-    """
-    figure, grid = _grid(len(panels), height=2.9)
-    place = np.arange(len(parameters))
-    for axes, (name, methods) in zip(grid, panels.items(), strict=False):
-        offsets = np.linspace(-0.3, 0.3, len(methods))
-        for k, (method, (values, widths)) in enumerate(methods.items()):
-            axes.errorbar(
-                place + offsets[k],
-                values,
-                yerr=widths,
-                fmt=MARKERS[k],
-                color=COLOURS[k],
-                capsize=2,
-                markersize=4,
-                label=method,
-            )
-        axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.set_xticks(place, [_short(x) for x in parameters], rotation=45, fontsize=SMALL)
-        axes.set_title(name, fontsize=10)
-        _bare(axes)
-    handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=9
-    )
-    return figure
-
-
-def _converging(axes: Axes, simulations: Array, widths: Array) -> None:
-    """Half-widths against simulations, with the line they should follow."""
-    middle = np.nanmedian(widths, axis=1)
-    axes.fill_between(
-        simulations,
-        np.nanmin(widths, axis=1),
-        np.nanmax(widths, axis=1),
-        color=COLOURS[0],
-        alpha=0.2,
-        linewidth=0,
-        label="all groups",
-    )
-    axes.plot(simulations, middle, MARKERS[0] + "-", color=COLOURS[0], label="median group")
-    expected = middle[-1] * np.sqrt(simulations[-1] / simulations)
-    axes.plot(simulations, expected, ":", color=GREY, label="1 / root of N")
-    axes.axhline(0.02, color=COLOURS[1], linewidth=1.0, linestyle="--", label="0.02")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xticks(simulations, [f"{x:,.0f}" for x in simulations])
-    axes.set_xticks([], minor=True)
-    axes.set_xlabel("simulations")
-    axes.set_title("largest half-width of a group", fontsize=10)
-    axes.legend(frameon=False, fontsize=SMALL)
-    _bare(axes)
-
-
 def _grid(n: int, height: float) -> tuple[Figure, list[Axes]]:
     rows = -(-n // COLUMNS)
     figure = Figure(figsize=(9.0, 0.6 + height * rows), layout="constrained")
@@ -213,7 +104,3 @@ def _short(parameter: str) -> str:
     owner, _, kind = parameter.rpartition(".")
     letters = {"stiffness_kN": "stiffness", "reference_strain_pct": "strain"}
     return f"{owner} {letters.get(kind, kind)}"
-
-
-def _bare(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)

@@ -18,7 +18,7 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee as ik
 from identknee.identify.profile.profile import profile
 from identknee.identify.profile.profiles import profile_parameters
-from identknee.report.profile_figures import PAIR_LEVELS, nested
+from identknee.report.profile_figures import nested
 from identknee.runs.plain_records import to_plain
 
 KNEES = ("reference", "lenhart2015_stable")
@@ -30,6 +30,8 @@ SEED = 1
 N_DATA_SETS = {"reference": 20, "lenhart2015_stable": 4}
 LOADS = ("unloaded", "varus-10Nm", "varus10Nm", "internal-10Nm", "internal10Nm")
 FLEXIONS = (0, 30, 60)
+# Levels at which pairs are nested, beside their own.
+NESTED = (0.5, 0.8)
 UNTESTED = "anterior_drawer_mm"
 Item = tuple[str, float, int]
 
@@ -111,8 +113,8 @@ def pair_profile(item: tuple[Item, str]) -> Row:
     return {
         "names": names,
         "optimum": found.optimum,
-        "levels": [*PAIR_LEVELS, found.level],
-        "edges": [found.contour(level) for level in (*PAIR_LEVELS, found.level)],
+        "levels": [*NESTED, found.level],
+        "edges": [found.contour(level) for level in (*NESTED, found.level)],
         "statuses": [x.status for x in found.rays],
         "n_simulations": found.n_simulations,
     }

@@ -13,9 +13,13 @@ from matplotlib.figure import Figure
 from profile_tables import tables
 
 import identknee as ik
-from identknee.report.profile_figures import paths_figure
+from identknee.calibrate.scales import typical_steps
+from identknee.report.figures import COLOURS, MARKERS, STYLES, bare
+from identknee.report.words import label_without_unit
 from identknee.runs.plain_records import from_plain
 
+# Parameters drawn in colour on each panel of paths: those that move most.
+N_COMPENSATORS = 3
 Row = Mapping[str, Any]
 
 
@@ -37,7 +41,7 @@ def figure_1(record: Row) -> Figure:
 
 
 def figure_2(record: Row) -> Figure:
-    """What the other parameters do along them."""
+    """How the other parameters move along each profile, those that move most in colour."""
     part = next(iter(record["knees"].values()))
     n = len(part["parameters"])
     parameters = ik.Parameters(
@@ -48,7 +52,28 @@ def figure_2(record: Row) -> Figure:
         prior_sd=np.ones(n),
         is_log=np.zeros(n, bool),
     )
-    return paths_figure(profiles_of(record), parameters)
+    profiles, scales = profiles_of(record), typical_steps(parameters)
+    figure = Figure(figsize=(10.5, 2.6 * (len(profiles) // 4)), layout="constrained")
+    panels = figure.subplots(len(profiles) // 4, 4)
+    for axes, profile in zip(panels.flat, profiles, strict=True):
+        moves = (profile.thetas - profile.optimum) / scales
+        others = [i for i, name in enumerate(parameters.names) if name != profile.name]
+        spans = np.ptp(moves, axis=0)
+        ranked = [others[k] for k in np.argsort(-spans[others], kind="stable")]
+        for i in ranked[N_COMPENSATORS:]:
+            axes.plot(profile.values, moves[:, i], color="0.85", linewidth=0.8)
+        for k, i in enumerate(ranked[:N_COMPENSATORS]):
+            label = label_without_unit(parameters.names[i])
+            style = {"marker": MARKERS[k], "markersize": 3, "color": COLOURS[k], "linewidth": 1.2}
+            axes.plot(profile.values, moves[:, i], STYLES[k], label=label, **style)
+        axes.axvline(profile.optimum_value, color="0.8", linewidth=0.8, zorder=0)
+        axes.legend(fontsize=7, frameon=False, handlelength=1.6)
+        axes.set_xlabel(f"{label_without_unit(profile.name)} [{profile.unit}]", fontsize=8)
+        bare(axes)
+        axes.tick_params(labelsize=7)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("change [typical steps]")
+    return figure
 
 
 def figure_3(record: Row) -> Figure:

@@ -12,9 +12,11 @@ from common.page import Cell, draw_study, table
 from matplotlib.figure import Figure
 
 import identknee as ik
-from identknee.report.sample_figures import tau_figure
+from identknee.report.figures import BLACK, COLOURS, SMALL, STYLES, bare
 
 KNEE = "reference"
+# Steps after burn-in must be so many autocorrelation times.
+TIMES = 50.0
 CONDITIONS = {
     "steps_per_tau": "steps in the longest autocorrelation time, at least",
     "effective_draws": "effective draws of bulk or tail, at least",
@@ -67,9 +69,23 @@ def figure_3(knees: Row) -> Figure:
 
 
 def figure_4(knees: Row) -> Figure:
-    """How the autocorrelation times settled."""
+    """Autocorrelation time against the steps it comes from, and the line it must stay below."""
     part = knees[KNEE]
-    return tau_figure(part["parameters"], part["tau"]["kept"], np.array(part["tau"]["tau"]))
+    kept, tau = np.array(part["tau"]["kept"], float), np.array(part["tau"]["tau"])
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    for i, name in enumerate(part["parameters"]):
+        style = STYLES[(i // len(COLOURS)) % len(STYLES)]
+        axes.plot(kept, tau[:, i], style, color=COLOURS[i % len(COLOURS)], label=name)
+    axes.plot(kept, kept / TIMES, color=BLACK, linewidth=1.0)
+    end = kept[-1], kept[-1] / TIMES
+    axes.annotate(f"steps / {TIMES:g}", end, fontsize=SMALL, ha="right", va="bottom")
+    axes.set_xlabel("steps after burn-in")
+    axes.set_ylabel("autocorrelation time [steps]")
+    axes.set_ylim(bottom=0.0)
+    bare(axes)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=SMALL)
+    return figure
 
 
 FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {

@@ -1,7 +1,7 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +9,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from common.page import Cell, draw_study, table
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import identknee as ik
-from identknee.report.sensitivity_figures import methods_figure, shares_figure
+from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare, legend_below
 
 KNEE = "reference"
 # What a clinician turns the knee by, at its middle angle.
@@ -56,23 +57,57 @@ def figure_1(part: Row) -> Figure:
 
 
 def figure_2(part: Row) -> Figure:
-    """Sobol indices of the rotations along their moments, and of failure."""
-    row = part["sobol"]
-    first, total = row["indices"]["S1"], row["indices"]["ST"]
-    panels = {
-        name: tuple(
-            array(index[kind])[row["groups"].index(name)]
-            for index in (first, total)
-            for kind in ("value", "half_width")
-        )
-        for name in (*SHOWN, FAILURE)
-    }
-    per_block = row["n_simulations"] / row["n_samples"]
-    widths = np.maximum(
-        array(first["largest_half_width_by_level"]), array(total["largest_half_width_by_level"])
+    """First-order and total Sobol indices, and how their confidence intervals shrink."""
+    row, place = part["sobol"], np.arange(len(part["parameters"]))
+    kinds = {"first order, S1": row["indices"]["S1"], "total, ST": row["indices"]["ST"]}
+    figure, grid = panels_of(6)
+    for axes, name in zip(grid, (*SHOWN, FAILURE), strict=False):
+        at = row["groups"].index(name)
+        for k, (label, index) in enumerate(kinds.items()):
+            values, widths = array(index["value"])[at], array(index["half_width"])[at]
+            axes.bar(
+                place + 0.4 * (k - 0.5),
+                values,
+                0.38,
+                yerr=widths,
+                color=COLOURS[k],
+                error_kw={"elinewidth": 0.9, "capsize": 2},
+                label=label,
+            )
+        name_panel(axes, name, part["parameters"])
+        axes.set_ylim(min(0.0, lowest(row["indices"]["S1"], at)), 1.05)
+    grid[0].legend(frameon=False, fontsize=SMALL)
+    widths = np.maximum(*(array(x["largest_half_width_by_level"]) for x in kinds.values()))
+    levels = row["n_simulations"] / row["n_samples"] * np.array(row["levels"])
+    draw_convergence(grid[5], levels, widths[:, :-1])
+    return figure
+
+
+def lowest(index: Row, at: int) -> float:
+    """Lowest end of the confidence intervals of one group."""
+    return float(np.min(array(index["value"])[at] - array(index["half_width"])[at]))
+
+
+def draw_convergence(axes: Axes, simulations: ik.runs.Array, widths: ik.runs.Array) -> None:
+    """Half-widths against simulations, with the line they should follow."""
+    middle = np.nanmedian(widths, axis=1)
+    low, high = np.nanmin(widths, axis=1), np.nanmax(widths, axis=1)
+    blue = COLOURS[0]
+    axes.fill_between(
+        simulations, low, high, color=blue, alpha=0.2, linewidth=0, label="all groups"
     )
-    levels = per_block * np.array(row["levels"])
-    return shares_figure(panels, part["parameters"], (levels, widths[:, :-1]))
+    axes.plot(simulations, middle, MARKERS[0] + "-", color=blue, label="median group")
+    expected = middle[-1] * np.sqrt(simulations[-1] / simulations)
+    axes.plot(simulations, expected, ":", color=GREY, label="1 / root of N")
+    axes.axhline(0.02, color=COLOURS[1], linewidth=1.0, linestyle="--", label="0.02")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xticks(simulations, [f"{x:,.0f}" for x in simulations])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel("simulations")
+    axes.set_title("largest half-width of a group", fontsize=10)
+    axes.legend(frameon=False, fontsize=SMALL)
+    bare(axes)
 
 
 def figure_3(part: Row) -> Figure:
@@ -92,15 +127,42 @@ def figure_3(part: Row) -> Figure:
 
 def figure_4(part: Row) -> Figure:
     """Over the posterior: four methods for correlated parameters."""
-    panels = {}
-    for name in SHOWN:
-        panels[name] = {}
-        for method, index in OVER_POSTERIOR.items():
+    place, offsets = np.arange(len(part["parameters"])), np.linspace(-0.3, 0.3, len(OVER_POSTERIOR))
+    figure, grid = panels_of(len(SHOWN))
+    for axes, name in zip(grid, SHOWN, strict=True):
+        for k, (method, index) in enumerate(OVER_POSTERIOR.items()):
             row = part[method]
-            at = row["groups"].index(name)
-            found = row["indices"][index]
-            panels[name][method] = (array(found["value"])[at], array(found["half_width"])[at])
-    return methods_figure(panels, part["parameters"])
+            at, found = row["groups"].index(name), row["indices"][index]
+            axes.errorbar(
+                place + offsets[k],
+                array(found["value"])[at],
+                yerr=array(found["half_width"])[at],
+                fmt=MARKERS[k],
+                color=COLOURS[k],
+                capsize=2,
+                markersize=4,
+                label=method,
+            )
+        name_panel(axes, name, part["parameters"])
+    handles, labels = grid[0].get_legend_handles_labels()
+    legend_below(figure, handles, labels)
+    return figure
+
+
+def panels_of(n: int) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels in two columns."""
+    figure = Figure(figsize=(9.0, 0.6 + 2.9 * (n // 2)), layout="constrained")
+    return figure, list(figure.subplots(n // 2, 2).ravel())
+
+
+def name_panel(axes: Axes, name: str, parameters: Sequence[str]) -> None:
+    """Name a panel of indices and the parameters along it."""
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    owners = [(x.rpartition(".")[0], x.endswith("_kN")) for x in parameters]
+    words = [f"{owner} {'stiffness' if is_k else 'strain'}" for owner, is_k in owners]
+    axes.set_xticks(range(len(parameters)), words, rotation=45, fontsize=SMALL)
+    axes.set_title(name, fontsize=10)
+    bare(axes)
 
 
 FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {

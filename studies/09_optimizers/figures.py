@@ -12,7 +12,7 @@ from common.page import Cell, draw_study, table
 from matplotlib.figure import Figure
 
 import identknee as ik
-from identknee.report.sweep_figures import descent_figure, methods_figure
+from identknee.report.figures import BLACK, COLOURS, MARKERS, bare, legend_below, panel_row
 
 COUNTS = (1, 3, 5, 7, 10, 15, 20, 40, 70, 100, 150, 200, 300, 400, 600, 800, 1000, 1500, 2000, 2500)
 KINDS = ("minimum", "valley", "cliff", "start_failed")
@@ -20,6 +20,8 @@ KINDS = ("minimum", "valley", "cliff", "start_failed")
 PAPER = {"IG1": (0.15, 0.08), "IG2": (0.48, 0.35), "IG3": (1.05, 1.16), "IG4": (3.67, 1.25)}
 # Ends of polishing that are the truth differ from it by rounding, in kN and %.
 AT_TRUTH = 1e-3
+# Objectives below this are rounding; they are drawn at the foot of the axis.
+LOWEST = 1e-12
 Row = Mapping[str, Any]
 
 
@@ -29,32 +31,57 @@ def main() -> None:
 
 
 def figure_1(record: Row) -> Figure:
-    """Descent of all methods."""
-    return descent_figure(
-        {
-            knee: {
-                method: np.array([row["best_after"] for row in rows], dtype=np.float64)
-                for method, rows in part["methods"].items()
-            }
-            for knee, part in record["knees"].items()
-        },
-        COUNTS,
-    )
+    """Best objective so far against simulations, a panel a knee: median and the middle half."""
+    figure, grid = panel_row(len(record["knees"]), width=4.2, height=3.9, sharey=True)
+    for axes, (knee, part) in zip(grid, record["knees"].items(), strict=True):
+        for k, (method, rows) in enumerate(part["methods"].items()):
+            best = np.array([row["best_after"] for row in rows], dtype=np.float64)
+            # Sorted and not interpolated: half of them may be infinite.
+            ordered = np.sort(np.maximum(best, LOWEST), axis=0)
+            low, middle, high = (ordered[int(q * (len(best) - 1))] for q in (0.25, 0.5, 0.75))
+            known = np.isfinite(middle)
+            at, top = np.array(COUNTS, float)[known], np.minimum(high[known], 1e9)
+            colour = COLOURS[k]
+            axes.fill_between(at, low[known], top, color=colour, alpha=0.15, linewidth=0)
+            style = MARKERS[k] + "-"
+            axes.plot(at, middle[known], style, color=colour, markersize=3.5, label=method)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_ylim(0.3 * LOWEST, 1e5)
+        axes.set_title(knee, fontsize=10)
+        axes.set_xlabel("simulations")
+        bare(axes)
+    grid[0].set_ylabel("best objective so far (below 1e-12 at 1e-12)")
+    legend_below(figure, *grid[0].get_legend_handles_labels(), columns=6)
+    return figure
 
 
 def figure_2(record: Row) -> Figure:
     """Errors of all methods from the paper's guesses, on the first knee."""
-    part = next(iter(record["knees"].values()))
-    errors = {
-        method: {
-            guess: np.array(
-                [[x["error_kN"], x["error_pct"]] for x in rows if x["start"] == guess], float
-            )
-            for guess in PAPER
-        }
-        for method, rows in part["methods"].items()
-    }
-    return methods_figure(errors, PAPER)
+    methods = next(iter(record["knees"].values()))["methods"]
+    figure, grid = panel_row(2, width=4.6, height=3.9)
+    offsets = np.linspace(-0.36, 0.36, len(methods))
+    for column, (axes, error) in enumerate(zip(grid, ("error_kN", "error_pct"), strict=True)):
+        for k, (method, rows) in enumerate(methods.items()):
+            for place, guess in enumerate(PAPER):
+                values = [x[error] for x in rows if x["start"] == guess]
+                at = np.full(len(values), place + offsets[k])
+                (points,) = axes.plot(at, values, MARKERS[k], color=COLOURS[k], label=method)
+                points.set(markersize=4, alpha=0.8, clip_on=False)
+        for place, paper in enumerate(PAPER.values()):
+            ends = [place - 0.45, place + 0.45]
+            axes.plot(ends, [paper[column]] * 2, color=BLACK, label="the paper")
+            axes.axvline(place + 0.5, color="0.9", linewidth=0.8)
+        axes.set_xticks(range(len(PAPER)), list(PAPER))
+        axes.set_ylim(bottom=0.0)
+        bare(axes)
+    grid[0].set_ylabel("mean absolute error of stiffness [kN]")
+    grid[1].set_ylabel("mean absolute error of reference strain [%]")
+    handles, labels = grid[0].get_legend_handles_labels()
+    first = {label: handle for handle, label in reversed(list(zip(handles, labels, strict=True)))}
+    names = [*methods, "the paper"]
+    legend_below(figure, [first[x] for x in names], names, columns=4)
+    return figure
 
 
 FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {

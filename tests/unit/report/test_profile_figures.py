@@ -5,7 +5,6 @@ import pytest
 from problems import ClosedForm, linear, plain_parameters
 
 from identknee.calibrate.problem import with_bounds
-from identknee.identify.profile.pairs import PairProfile, profile_pair
 from identknee.identify.profile.profiles import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.report.picture import png
@@ -13,12 +12,8 @@ from identknee.report.profile_figures import (
     LEVELS,
     intervals_figure,
     nested,
-    pairs_figure,
-    paths_figure,
     profiles_figure,
 )
-
-NAMES = ("x0.value_pct", "x1.value_pct")
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +41,6 @@ def wells() -> Profile:
     return profile_parameters(problem, problem.minimum)[0]
 
 
-@pytest.fixture(scope="module")
-def pair() -> PairProfile:
-    problem = linear()
-    return profile_pair(problem, problem.minimum, NAMES)
-
-
 def test_nested_sets_lie_in_one_another(profiles: tuple[Profile, ...]) -> None:
     widths = []
     for ((low, high),) in nested(profiles[0]).values():
@@ -62,9 +51,7 @@ def test_nested_sets_lie_in_one_another(profiles: tuple[Profile, ...]) -> None:
     assert widths == sorted(widths)
 
 
-def test_every_figure_is_drawn(
-    profiles: tuple[Profile, ...], wells: Profile, pair: PairProfile
-) -> None:
+def test_every_figure_is_drawn(profiles: tuple[Profile, ...], wells: Profile) -> None:
     """One panel a profile; two wells and open ends have their marks."""
     everything = (*profiles, wells)
     figure = profiles_figure(everything)
@@ -72,9 +59,7 @@ def test_every_figure_is_drawn(
     assert any(text.get_text() == "open" for x in figure.axes for text in x.texts)
     drawn = [
         figure,
-        paths_figure(profiles[:3], linear().parameters),
         intervals_figure(everything),
-        pairs_figure([pair]),
     ]
     for one in drawn:
         assert png(one).startswith(b"\x89PNG")

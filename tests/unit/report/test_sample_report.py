@@ -12,8 +12,6 @@ from identknee.report.sample_figures import (
     corner_figure,
     forces_figure,
     prior_posterior_figure,
-    tau_figure,
-    trace_figure,
 )
 
 
@@ -30,15 +28,11 @@ def posterior() -> Posterior:
 def test_every_figure_is_drawn(posterior: Posterior) -> None:
     names = ["ACL.stiffness_kN", "x"]
     draws = posterior.kept[tuple(posterior.independent(200).T)]
-    tau = np.array([x.tau for x in posterior.checks])
-    steps = [x.kept for x in posterior.checks]
     truth = np.zeros(2)
     quantiles = np.sort(np.random.default_rng(0).normal(size=(3, 2, 5)), axis=2)
     figures = [
         prior_posterior_figure(names, posterior.prior, {"one": draws}, truth=truth),
         corner_figure(names, draws, truth=truth),
-        trace_figure(names, posterior.samples, posterior.last_check.burn_in),
-        tau_figure(names, steps, tau),
         forces_figure(["a", "b", "c"], ["ACL", "PCL"], quantiles, truth=np.zeros((3, 2))),
     ]
     for figure in figures:

@@ -8,8 +8,6 @@ from identknee.model.parameters import ligament_parameters
 from identknee.report.sensitivity_figures import (
     effects_figure,
     map_figure,
-    methods_figure,
-    shares_figure,
 )
 
 PARAMETERS = ligament_parameters(["A", "new"], [1.0, 2.0], [3.0, 4.0])
@@ -21,15 +19,9 @@ def test_figures_are_drawn() -> None:
     panels = {"one": (values, 0.1 * values, values), "two": (values, values, 2.0 * values)}
     figures = [
         effects_figure(panels, names),
-        shares_figure(
-            {"one": (values, values, values, values)},
-            names,
-            (np.array([10.0, 40.0]), np.array([[0.2, 0.4], [0.1, 0.2]])),
-        ),
         map_figure(
             {"varus_deg": (["a", "b"], np.array([values, np.full(4, np.nan)]))}, names, "ST"
         ),
-        methods_figure({"one": {"delta": (values, values), "pawn": (values, values)}}, names),
     ]
     assert all(isinstance(x, Figure) for x in figures)
     labels = [x.get_text() for x in figures[1].axes[0].get_xticklabels()]
