@@ -48,6 +48,18 @@ def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Fi
     return (Finding(severity=severity, sentence=sentence, where="data"),)
 
 
+def too_few_findings(n_values: int, n_parameters: int) -> tuple[Finding, ...]:
+    """Whether fewer values were measured than parameters are fitted to them."""
+    if n_values >= n_parameters:
+        return ()
+    values = "1 value was" if n_values == 1 else f"{n_values} values were"
+    sentence = (
+        f"Only {values} measured for {n_parameters} free parameters: many other parameter sets fit "
+        "just as well. Measure more trials, or hold parameters with --fix."
+    )
+    return (Finding(severity=Severity.WARNING, sentence=sentence, where="data"),)
+
+
 def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Finding, ...]:
     """The same where the data state no noise: against errors that no instrument should have.
 

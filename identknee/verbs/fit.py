@@ -7,7 +7,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from identknee.calibrate.doubts import bound_findings, misfit_findings, unstated_misfit_findings
+from identknee.calibrate.doubts import (
+    bound_findings,
+    misfit_findings,
+    too_few_findings,
+    unstated_misfit_findings,
+)
 from identknee.calibrate.fit import Fit
 from identknee.calibrate.fit import fit as search
 from identknee.calibrate.problem import Problem
@@ -296,6 +301,7 @@ def _findings(
     bounds = bound_findings(found.theta, found.parameters, held)
     rows = row_findings(model, laxity, found.theta, fixed=held)
     about_the_knee = (
+        *too_few_findings(int(laxity.is_measured.sum()), n_free),
         *stability_findings(model),
         *rim_findings(laxity.protocol.trials, prediction),
         *unmeasured_findings(model, prediction),

@@ -11,6 +11,7 @@ from identknee.calibrate.doubts import (
     bound_findings,
     misfit_findings,
     start_findings,
+    too_few_findings,
     unstated_misfit_findings,
 )
 from identknee.calibrate.fit import Fit, fit
@@ -65,6 +66,14 @@ def test_errors_that_no_instrument_has_are_errors(
     (found,) = unstated_misfit_findings(*sizes)
     assert found.severity is Severity.ERROR
     assert said in found.sentence
+
+
+def test_fewer_values_than_parameters_are_said() -> None:
+    assert too_few_findings(8, 8) == ()
+    (found,) = too_few_findings(1, 8)
+    assert found.severity is Severity.WARNING
+    assert found.sentence.startswith("Only 1 value was measured for 8 free parameters")
+    assert "7 values were" in too_few_findings(7, 8)[0].sentence
 
 
 def test_parameters_at_either_bound_are_named(parameters: Parameters) -> None:
