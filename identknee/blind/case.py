@@ -26,7 +26,6 @@ from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared, entry
 from identknee.runs.errors import suggestion
 from identknee.subject.knee import Knee
 
@@ -43,15 +42,23 @@ MOST_DRAWS = 40
 DRAWS_A_KNEE = 4
 
 
-@declared
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BlindCase:
-    """Data with a hidden effect."""
+    """Data with a hidden effect.
 
-    laxity: Laxity = entry(
-        "The data as they are handed out: noisy, with the stated standard deviations"
-    )
-    truth: Truth = entry("What is behind them")
-    noise_free: Laxity = entry("The same without errors")
+    Attributes
+    ----------
+    laxity
+        The data as they are handed out: noisy, with the stated standard deviations.
+    truth
+        What is behind them.
+    noise_free
+        The same without errors.
+    """
+
+    laxity: Laxity
+    truth: Truth
+    noise_free: Laxity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
