@@ -17,7 +17,7 @@ class ContactPlaces:
     """The k points of the tibia that touch the femur in one pose."""
 
     index: IntArray = entry("Which contact points they are, shape ``(k,)``")
-    femoral: Array = entry("Where they are, in femoral axes [mm], shape ``(k, 3)``")
+    femoral: Array = entry("Where they are, in the axes of the field [mm], shape ``(k, 3)``")
     jacobian: Array = entry("Derivatives of those places by the pose, shape ``(k, 5, 3)``")
     deepening: Array = entry("Derivatives of the depths by the pose [mm/rad, -], shape ``(k, 5)``")
     force: Array = entry("Force of each [N], shape ``(k,)``")
@@ -25,16 +25,18 @@ class ContactPlaces:
 
 
 def contact_places(
-    contact: ContactPoints, law: ContactLaw, field: DistanceField, flexion: float, pose: Array
+    contact: ContactPoints, field: DistanceField, flexion: float, pose: Array
 ) -> ContactPlaces:
     """The contact at `flexion` [rad] and a pose (5,), with the forces of the kernel's law."""
-    placement = place(flexion, pose)
-    places = placement.to_femur(contact.points)
+    placement, law = place(flexion, pose), contact.law or ContactLaw()
+    places = field.to_field(placement.to_femur(contact.points))
     index = np.flatnonzero(_may_touch(field, places))
     distance, outward = distances(field, places[index])
     inside = distance < 0.0
     index, depth = index[inside], -distance[inside]
     jacobian = placement.jacobian(contact.points[index])
+    if field.turn is not None:
+        jacobian = jacobian @ field.turn.T
     spring = law.modulus * contact.areas[index] * (depth / REFERENCE_DEPTH) ** (law.exponent - 1.0)
     return ContactPlaces(
         index=index,

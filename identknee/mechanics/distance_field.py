@@ -1,6 +1,7 @@
 """A signed distance to the femur as a cubic spline on a grid, with what its cells can hold."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
@@ -27,6 +28,12 @@ class DistanceField:
     )
     origin: Array = entry("Position of the first node [mm], shape ``(3,)``")
     spacing: float = entry("Distance between nodes [mm]")
+    turn: Array | None = entry(
+        "Axes of the femoral frame of poses in those of the field, one a column, shape ``(3, 3)``; "
+        "None where both are the same",
+        default=None,
+    )
+    shift: Array | None = entry("Origin of that frame [mm], shape ``(3,)``", default=None)
 
     def __post_init__(self) -> None:
         # The compiler makes another version of its code for arrays that can be written to.
@@ -43,7 +50,20 @@ class DistanceField:
             origin=self.origin,
             spacing=np.array([self.spacing]),
             shape=np.array(self.coefficients.shape, np.int64),
+            is_apart=np.array([self.turn is not None], np.int64),
+            turn=np.ravel(np.eye(3) if self.turn is None else self.turn),
+            shift=np.zeros(3) if self.shift is None else self.shift,
         )
+
+    def seen_from(self, turn: Array, shift: Array) -> "DistanceField":
+        """The same field under poses of another femoral frame, given by its axes and origin."""
+        return replace(self, turn=turn, shift=shift)
+
+    def to_field(self, places: Array) -> Array:
+        """Places (n, 3) of the femoral frame of poses in the field's [mm]."""
+        if self.turn is None or self.shift is None:
+            return places
+        return np.asarray(places @ self.turn.T + self.shift)
 
 
 def build_field(

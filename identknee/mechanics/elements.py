@@ -251,6 +251,31 @@ def ligament_elements(R, t, ligaments, n, elements, shape):
 
 
 @compiled
+def turn_elements(n, turn, elements):
+    """Turn the first n elements from the axes of the field into those of poses, by `turn` (9)."""
+    a, b, c = turn[0], turn[1], turn[2]
+    d, e, f = turn[3], turn[4], turn[5]
+    g, h, i = turn[6], turn[7], turn[8]
+    for k in range(n):
+        for first in range(0, 6, 3):
+            x, y, z = elements[first, k], elements[first + 1, k], elements[first + 2, k]
+            elements[first, k] = a * x + d * y + g * z
+            elements[first + 1, k] = b * x + e * y + h * z
+            elements[first + 2, k] = c * x + f * y + i * z
+        xx, yy, zz = elements[6, k], elements[7, k], elements[8, k]
+        xy, xz, yz = elements[9, k], elements[10, k], elements[11, k]
+        x0, y0, z0 = a * xx + d * xy + g * xz, a * xy + d * yy + g * yz, a * xz + d * yz + g * zz
+        x1, y1, z1 = b * xx + e * xy + h * xz, b * xy + e * yy + h * yz, b * xz + e * yz + h * zz
+        x2, y2, z2 = c * xx + f * xy + i * xz, c * xy + f * yy + i * yz, c * xz + f * yz + i * zz
+        elements[6, k] = x0 * a + y0 * d + z0 * g
+        elements[7, k] = x1 * b + y1 * e + z1 * h
+        elements[8, k] = x2 * c + y2 * f + z2 * i
+        elements[9, k] = x0 * b + y0 * e + z0 * h
+        elements[10, k] = x0 * c + y0 * f + z0 * i
+        elements[11, k] = x1 * c + y1 * f + z1 * i
+
+
+@compiled
 def sum_elements(n, elements, sums):
     """Write the sums over elements: f (3), f p^T (9), D (6), D [e_k x p] (9), their moment (6)."""
     f0, f1, f2 = 0.0, 0.0, 0.0

@@ -20,8 +20,12 @@ from identknee.mechanics.elements import (
     list_candidates,
     list_is_valid,
     sum_elements,
+    turn_elements,
 )
 from identknee.mechanics.memory import N_EVALUATIONS, N_TOUCHING
+from identknee.mechanics.small_matrices import scale_of
+
+SAME_CONTACT = 1e-5  # mm; as near as that a pose is evaluated once for contact forces
 
 
 @compiled
@@ -35,6 +39,23 @@ def place_tibia(flexion, q, R, t):
     R[3], R[4], R[5] = -sa * ci + ca * m10, ca * m11, -sa * si + ca * m12
     R[6], R[7], R[8] = -cv * si, sv, cv * ci
     t[0], t[1], t[2] = ca * q[2] + sa * q[3], -sa * q[2] + ca * q[3], q[4]
+
+
+@compiled
+def place_in_field(R, t, field, R_field, t_field):
+    """Write rotation and origin of the tibia in the frame of the distance field."""
+    if not field.is_apart[0]:
+        for i in range(9):
+            R_field[i] = R[i]
+        for i in range(3):
+            t_field[i] = t[i]
+        return
+    turn, shift = field.turn, field.shift
+    for i in range(3):
+        a, b, c = turn[3 * i], turn[3 * i + 1], turn[3 * i + 2]
+        for j in range(3):
+            R_field[3 * i + j] = a * R[j] + b * R[3 + j] + c * R[6 + j]
+        t_field[i] = a * t[0] + b * t[1] + c * t[2] + shift[i]
 
 
 @compiled
@@ -117,9 +138,13 @@ def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
     )
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
-    if not list_is_valid(R, t, contact.radius[0], field.spacing[0], work):
-        list_candidates(R, t, contact, field, work)
-    n_contact, energy = contact_elements(R, t, contact.exponent[0], field, work)
+    R_field, t_field = work.field_rotation, work.field_translation
+    place_in_field(R, t, field, R_field, t_field)
+    if not list_is_valid(R_field, t_field, contact.radius[0], field.spacing[0], work):
+        list_candidates(R_field, t_field, contact, field, work)
+    n_contact, energy = contact_elements(R_field, t_field, contact.exponent[0], field, work)
+    if field.is_apart[0]:
+        turn_elements(n_contact, field.turn, elements)
     work.counts[N_TOUCHING] = n_contact
     work.counts[N_EVALUATIONS] += 1
     n, pulled = ligament_elements(R, t, ligaments, n_contact, elements, work.line)
@@ -131,6 +156,17 @@ def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
         g[i] -= load[i]
         work.pose[i] = q[i]
     return energy
+
+
+@compiled
+def evaluate_there(flexion, q, load, contact, field, ligaments, work):
+    """Make the elements those of a pose, unless the pose evaluated last is about the same."""
+    solver, last, far = work.solver, work.evaluation.pose, 0.0
+    for i in range(5):
+        far = max(far, abs(q[i] - last[i]) * scale_of(i))
+    if far > SAME_CONTACT:
+        g, H, h = solver.trial_gradient, solver.trial_hessian, solver.trial_gradient_by_flexion
+        evaluate(flexion, q, load, contact, field, ligaments, work.evaluation, g, H, h)
 
 
 @compiled

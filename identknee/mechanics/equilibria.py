@@ -137,6 +137,7 @@ def solve(
         codes=np.full(n, kernel.NO_EQUILIBRIUM),
         residuals=np.zeros(n),
         reached=np.zeros(n),
+        contact_sums=np.zeros((n, 39)),
         centres=np.zeros((n, contact.n_compartments, 7)),
         solves=np.zeros(n, np.int64),
     )

@@ -5,10 +5,11 @@ import math
 import numpy as np
 
 from identknee.mechanics.compiled import compiled, compiled_apart
-from identknee.mechanics.elements import contact_centres
+from identknee.mechanics.elements import contact_centres, sum_elements
 from identknee.mechanics.energy import (
     contact_columns,
     evaluate,
+    evaluate_there,
     motion_axes,
     parameter_columns,
     place_tibia,
@@ -37,7 +38,6 @@ from identknee.mechanics.small_matrices import (
 # that of the pose before, off by as much as stiff contact changes within the step.
 RESIDUAL_TOLERANCE = 3e-6
 LAST_STEP = 3e-7
-SAME_CONTACT = 1e-5  # mm; as near as that a pose is evaluated once for contact forces
 MOST_HALVINGS = 10  # of the way from one node of the load path to the next
 SMALLEST_STEP = 0.5**MOST_HALVINGS
 LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has left the branch
@@ -230,22 +230,12 @@ def follow(segment, guess, guessed, contact, field, ligaments, work, g):
 
 
 @compiled
-def evaluate_there(flexion, q, load, contact, field, ligaments, work):
-    """Make the elements those of a pose, unless the pose evaluated last is about the same."""
-    solver, last, far = work.solver, work.evaluation.pose, 0.0
-    for i in range(5):
-        far = max(far, abs(q[i] - last[i]) * scale_of(i))
-    if far > SAME_CONTACT:
-        g, H, h = solver.trial_gradient, solver.trial_hessian, solver.trial_gradient_by_flexion
-        evaluate(flexion, q, load, contact, field, ligaments, work.evaluation, g, H, h)
-
-
-@compiled
-def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns, S):
+def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns, S, contact_sums):
     """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
 
     The parameters are stiffness and reference strain of m ligaments, then the logarithm of the
-    contact modulus and the exponent of the contact law.
+    contact modulus and the exponent of the contact law. With contact, the sums over its elements
+    are written to `contact_sums`.
     """
     evaluation, solver, m = work.evaluation, work.solver, ligaments.femoral.shape[0]
     R, t, axes = evaluation.rotation, evaluation.translation, evaluation.axes
@@ -254,6 +244,7 @@ def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns,
         evaluate_there(flexion, q, load, contact, field, ligaments, work)
         n_touching = evaluation.counts[N_TOUCHING]
         contact_columns(n_touching, evaluation.elements, axes, columns, 2 * m)
+        sum_elements(n_touching, evaluation.elements, contact_sums)
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
     parameter_columns(R, t, ligaments, axes, evaluation.line, columns)
@@ -307,6 +298,8 @@ def workspace(n_points, n_ligaments):
         pose=np.full(5, np.inf),
         rotation=np.zeros(9),
         translation=np.zeros(3),
+        field_rotation=np.zeros(9),
+        field_translation=np.zeros(3),
         sums=np.zeros(39),
         axes=np.zeros((9, 3)),
         touching=np.zeros(n, np.int64),
@@ -394,4 +387,5 @@ def simulate_path(
                 work,
                 columns,
                 results.sensitivities[n],
+                results.contact_sums[n],
             )

@@ -49,6 +49,10 @@ class FieldArrays(NamedTuple):
         [mm], shape ``(1,)``.
     shape
         Numbers of nodes, shape ``(3,)``.
+    is_apart
+        Whether the femoral frame of poses and ligaments is another than the field's, ``(1,)``.
+    turn, shift
+        Rotation from that frame into the field's (9) and its origin there [mm] (3).
     """
 
     coefficients: Array
@@ -56,6 +60,9 @@ class FieldArrays(NamedTuple):
     origin: Array
     spacing: Array
     shape: IntArray
+    is_apart: IntArray
+    turn: Array
+    shift: Array
 
 
 class LigamentArrays(NamedTuple):
@@ -210,6 +217,8 @@ class EvaluationMemory(NamedTuple):
         The pose evaluated last, shape ``(5,)``.
     rotation, translation
         Placement of the tibia, shapes ``(9,)`` and ``(3,)``.
+    field_rotation, field_translation
+        The same in the frame of the distance field.
     sums
         Sums over the elements, as `identknee.mechanics.elements.sum_elements` writes them, shape
         ``(39,)``.
@@ -238,6 +247,8 @@ class EvaluationMemory(NamedTuple):
     pose: Array
     rotation: Array
     translation: Array
+    field_rotation: Array
+    field_translation: Array
     sums: Array
     axes: Array
     touching: IntArray
@@ -276,6 +287,9 @@ class Equilibria(NamedTuple):
         Size of the gradient before the last, unmeasured step [N], ``(n,)``.
     reached
         Share of the step from the parent that was reached, ``(n,)``.
+    contact_sums
+        Sums over the contact elements, as `identknee.mechanics.elements.sum_elements` writes them,
+        ``(n, 39)``; zero without sensitivities to the contact law.
     centres
         Contact force [N], its centre in tibial and femoral axes [mm], ``(n, compartments, 7)``.
     solves
@@ -289,5 +303,6 @@ class Equilibria(NamedTuple):
     codes: IntArray
     residuals: Array
     reached: Array
+    contact_sums: Array
     centres: Array
     solves: IntArray

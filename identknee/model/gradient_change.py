@@ -9,10 +9,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from identknee.mechanics.contact_motion import contact_motion_columns
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.memory import Equilibria
-from identknee.model.effects.effect import MechanicalEffect, is_changed_in_copies, is_self_contained
+from identknee.model.effects.effect import (
+    MechanicalEffect,
+    is_changed_in_copies,
+    is_self_contained,
+    moves_frames,
+)
+from identknee.model.measured_frames import motions, to_measured
 from identknee.model.setting import Setting, repeated, with_copies
 from identknee.runs.arrays import Array, IntArray
 
@@ -50,9 +57,15 @@ def gradient_columns(
     copies = _Copies(unchanged, len(values))
     for (effect, part), before in zip(effects, settings, strict=False):
         if is_self_contained(effect):
-            columns[:, :, part] = effect.gradient_columns(before, values[part], flexion, poses)
+            framed = replace(before, frames=settings[-1].frames)
+            columns[:, :, part] = effect.gradient_columns(framed, values[part], flexion, poses)
+            continue
+        copies.change(effect, values[part])
+        if moves_frames(effect):
+            each = low_and_high(values[part], steps[part])
+            moved = _by_frames(*effect.placements(each), settings[-1], found, nodes)
+            columns[:, :, part] = moved / (2.0 * steps[part])
         else:
-            copies.change(effect, values[part])
             copies.add(effect, before, values[part], steps[part], first=part.start)
     changes = copies.by_lines(flexion, poses) + copies.by_nodes(found, nodes)
     return columns + changes / (2.0 * steps)
@@ -130,26 +143,51 @@ class _Copies:
         changed = np.any(low != high, axis=1)
         if not changed.any():
             return np.zeros((len(poses), 5, self._n_values))
-        table = np.concatenate([low[changed], high[changed]])
-        lines = Lines(
-            femoral=table[:, :3],
-            tibial=table[:, 3:6],
-            reference_length=table[:, 6],
-            transition=table[:, 7],
-            wrap_offset=table[:, 8],
-            wrap_place=table[:, 9],
-        )
-        found = ligament_tensions(lines, flexion, poses, table[:, 10], table[:, 11])
-        gradients = found.tensions[:, :, None] * found.lengthening
-        less, more = np.split(gradients, 2, axis=1)
         amplitude = copy[copy % 2 == 0][changed] // 2
         of = (amplitude[:, None] == np.arange(self._n_values)).astype(float)
-        return np.asarray(np.swapaxes(more - less, 1, 2) @ of)
+        changes: Array = _line_changes(low[changed], high[changed], flexion, poses) @ of
+        return changes
+
+
+def _by_frames(
+    turns: Array, shifts: Array, setting: Setting, found: Equilibria, nodes: IntArray
+) -> Array:
+    """What moves of the measured frames change in the gradient, shape ``(n, 5, k)``.
+
+    From the first frames of each of k pairs to the second, in turn, as `placements` gives them.
+    """
+    flexion, poses = setting.flexion[nodes], found.poses[nodes]
+    surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
+    unmoved = _table(replace(setting, frames=None))
+    table = np.tile(unmoved, (len(turns), 1, 1))
+    for bone in range(2):
+        place = slice(3 * bone, 3 * bone + 3)
+        table[:, :, place] = to_measured(unmoved[:, place], turns[:, bone], shifts[:, bone])
+    low, high = (x.reshape(-1, unmoved.shape[1]) for x in (table[::2], table[1::2]))
+    lines = _line_changes(low, high, flexion, poses)
+    changes = lines.reshape(len(nodes), 5, -1, len(unmoved)).sum(axis=3)
+    return np.asarray(changes + surfaces @ motions(turns, shifts).T)
+
+
+def _line_changes(low: Array, high: Array, flexion: Array, poses: Array) -> Array:
+    """Changes of the gradient between lines of two tables (k, 12), ``(n, 5, k)``."""
+    table = np.concatenate([low, high])
+    lines = Lines(
+        femoral=table[:, :3],
+        tibial=table[:, 3:6],
+        reference_length=table[:, 6],
+        transition=table[:, 7],
+        wrap_offset=table[:, 8],
+        wrap_place=table[:, 9],
+    )
+    found = ligament_tensions(lines, flexion, poses, table[:, 10], table[:, 11])
+    less, more = np.split(found.tensions[:, :, None] * found.lengthening, 2, axis=1)
+    return np.asarray(np.swapaxes(more - less, 1, 2))
 
 
 def _table(setting: Setting) -> Array:
     """All that the gradient of each line depends on, shape ``(m, 12)``."""
-    x = setting.lines
+    x = setting.measured_lines
     courses = (x.reference_length, x.transition, x.wrap_offset, x.wrap_place)
     laws = (setting.stiffness, setting.reference_strain)
     return np.column_stack([x.femoral, x.tibial, *courses, *laws])

@@ -11,7 +11,8 @@ import numpy as np
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_points import DEFAULT_NUMBER
-from identknee.mechanics.equilibria import ContactLaw, solve
+from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.equilibria import ContactLaw, ContactPoints, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
@@ -90,9 +91,6 @@ class LaxityModel:
         equilibrium under its whole load is then looked for from there. Those that the knee is known
         to take if not given; None where it states none, and paths begin unloaded in the scanned
         pose.
-    attitude
-        Measured varus and internal rotation of each trial [rad], shape ``(n, 2)``; that of `poses`,
-        or 0, if not given.
     contact
         ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
         ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
@@ -108,13 +106,11 @@ class LaxityModel:
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
     poses: Array | None = None
-    attitude: Array | None = None
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
     tied: Tied = field(init=False, repr=False)
     extension: Extension = field(init=False, repr=False)
-    _attitude: Array = field(init=False, repr=False)
 
     __repr__ = short_repr
 
@@ -129,7 +125,6 @@ class LaxityModel:
             paths = load_paths(flexion, loads, joint.start_flexion, self.continuation)
         else:
             paths = loaded_at_once(flexion, loads)
-        attitude = measured_start.attitude_at_nodes(paths, self.attitude, self.poses)
         is_stored = isinstance(self.effects, _StoredWithKnee)
         effects = _own_effects(self.knee) if is_stored else tuple(self.effects)
         object.__setattr__(self, "effects", effects)
@@ -143,7 +138,6 @@ class LaxityModel:
         object.__setattr__(self, "paths", paths)
         object.__setattr__(self, "parameters", parameters)
         object.__setattr__(self, "extension", extension)
-        object.__setattr__(self, "_attitude", attitude)
 
     @property
     def n_ligament_parameters(self) -> int:
@@ -157,7 +151,7 @@ class LaxityModel:
         """
         if protocol is self.protocol:
             return self
-        return replace(self, protocol=protocol, order=None, phase=None, poses=None, attitude=None)
+        return replace(self, protocol=protocol, order=None, phase=None, poses=None)
 
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
         """The same model under the protocol of measured laxity, its trials run as measured."""
@@ -165,14 +159,10 @@ class LaxityModel:
         poses = None
         if self.continuation == "continuation":
             poses = measured_start.first_poses(self.knee, laxity)
-        attitude = measured_start.measured_attitude(laxity)
         is_known = model.order is laxity.order and model.phase is laxity.phase
-        is_known &= np.array_equal(model.attitude, attitude)  # type: ignore[arg-type]
         if (is_known or not self.effects) and np.array_equal(model.poses, poses):  # type: ignore[arg-type]
             return model
-        return replace(
-            model, order=laxity.order, phase=laxity.phase, poses=poses, attitude=attitude
-        )
+        return replace(model, order=laxity.order, phase=laxity.phase, poses=poses)
 
     def with_effects(self, effects: Sequence[Effect]) -> "LaxityModel":
         """The same model with these effects in place of its own."""
@@ -204,10 +194,9 @@ class LaxityModel:
         setting = self.setting(theta)
         found = solve(
             replace(self.paths, flexion=setting.flexion, loads=setting.loads),
-            self.joint.start if setting.measured is None else setting.measured,
-            replace(self.joint.contact, law=setting.law) if self.effects else self.joint.contact,
-            self.joint.field,
-            setting.lines.arrays(setting.stiffness, setting.reference_strain),
+            setting.first_pose,
+            *self.surfaces(setting),
+            setting.measured_lines.arrays(setting.stiffness, setting.reference_strain),
             derivatives=derivatives,
             guesses=None if near is None else near.node_poses,
         )
@@ -235,10 +224,19 @@ class LaxityModel:
             law=ContactLaw(),
             start_flexion=self.joint.start_flexion,
             start=self.joint.start,
-            attitude=self._attitude,
             measured=self.poses,
         )
         return self.extension.change(setting, self.amplitudes(theta)) if is_changed else setting
+
+    def surfaces(self, setting: Setting) -> tuple[ContactPoints, DistanceField]:
+        """The surfaces of tibia and femur in a setting, for poses between its measured frames."""
+        contact, field = self.joint.contact, self.joint.field
+        if self.effects:
+            contact = replace(contact, law=setting.law)
+        frames = setting.frames
+        return (
+            (contact, field) if frames is None else (frames.contact(contact), frames.field(field))
+        )
 
     @property
     def tests(self) -> Tests:
@@ -249,7 +247,6 @@ class LaxityModel:
             loads=x.loads,
             order=self.order,
             phase=self.phase,
-            attitude=self._attitude[self.paths.trial_node],
         )
 
     def predict_once(self, theta: Array) -> Prediction:
@@ -294,6 +291,9 @@ class LaxityModel:
     ) -> Prediction:
         nodes = self.paths.trial_node
         codes = np.array(found.codes[nodes])
+        centres = found.centres[nodes]
+        if setting.frames is not None:
+            centres = setting.frames.centres(centres)
         poses, reached = found.poses[nodes], found.reached[nodes]
         converged = codes == CONVERGED
         actual = coordinates_from_pose(poses)
@@ -313,7 +313,7 @@ class LaxityModel:
             poses=poses,
             hessians=found.hessians[nodes],
             reached=reached if self.poses is None else np.where(converged, 1.0, np.nan),
-            centres=found.centres[nodes],
+            centres=centres,
             rims=(self.joint.femoral_rim, self.joint.tibial_rims),
             node_poses=found.poses,
         )

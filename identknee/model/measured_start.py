@@ -3,10 +3,9 @@
 import numpy as np
 
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.table import Laxity
 from identknee.mechanics.grood_suntay import pose_from_coordinates
 from identknee.mechanics.ligament_tensions import line_lengths
-from identknee.mechanics.load_paths import LoadPaths
 from identknee.model.setting import PER_PCT, Setting
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
@@ -30,25 +29,6 @@ def measured_poses(laxity: Laxity) -> Array | None:
     apart = np.abs(angles[:, None] - angles)
     nearest = np.argmin(np.where(measured.T[:, None], apart, np.inf), axis=2).T
     return pose_from_coordinates(np.take_along_axis(laxity.coordinates, nearest, axis=0))
-
-
-def measured_attitude(laxity: Laxity) -> Array:
-    """Measured varus and internal rotation of each trial [rad], shape ``(n, 2)``.
-
-    A cell not measured counts as 0.
-    """
-    columns = [COORDINATES.index(name) for name in ("varus_deg", "internal_deg")]
-    return np.radians(np.nan_to_num(laxity.coordinates[:, columns]))
-
-
-def attitude_at_nodes(paths: LoadPaths, attitude: Array | None, poses: Array | None) -> Array:
-    """Varus and internal rotation [rad] at each node, ``(n_nodes, 2)``: of the trial, or 0."""
-    at_nodes = np.zeros((len(paths.flexion), 2))
-    if attitude is None and poses is not None:
-        attitude = poses[:, :2]
-    if attitude is not None:
-        at_nodes[paths.trial_node] = attitude
-    return at_nodes
 
 
 def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
@@ -109,6 +89,7 @@ def strains_as_measured(setting: Setting, stretch: float) -> Array:
     if setting.measured is None:
         raise ValueError("strains from measured poses need a model that begins there")
     places = zip(setting.flexion.tolist(), setting.measured, strict=True)
-    longest = np.max([line_lengths(setting.lines, angle, pose) for angle, pose in places], axis=0)
+    lines = setting.measured_lines
+    longest = np.max([line_lengths(lines, angle, pose) for angle, pose in places], axis=0)
     reference = np.asarray(setting.lines.reference_length)
     return np.asarray(((1.0 + stretch) * reference / longest - 1.0) / PER_PCT)

@@ -9,16 +9,14 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
-# Of the loads, one after the other; the last is repeated, as the frames turn with the poses.
-SHARES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.0)
+SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
 
 
 def at_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
     """The model with the poses that it takes itself at theta while the loads grow.
 
-    Equilibria are followed from the poses of the model under a growing share of the loads, and
-    registration turns loads and flexion as in them. A trial that has no equilibrium under some
-    share goes on from where it was.
+    Equilibria are followed from the poses of the model under a growing share of the loads. A trial
+    that has no equilibrium under some share goes on from where it was.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ import numpy as np
 
 from identknee.mechanics.equilibria import ContactLaw, Lines
 from identknee.mechanics.ligament_tensions import line_lengths
+from identknee.model.measured_frames import MeasuredFrames
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
 
@@ -39,13 +40,35 @@ class Setting:
     law: ContactLaw = entry("The contact law")
     start_flexion: float = entry("Flexion of the scanned pose [rad]")
     start: Array = entry("The scanned pose: varus, internal [rad], x, y, z [mm], shape ``(5,)``")
-    attitude: Array = entry(
-        "Measured varus and internal rotation at each node [rad], ``(n, 2)``; 0 where not measured"
-    )
     measured: Array | None = entry(
         "The measured pose at each node, in the same form, ``(n, 5)``; None where none is known",
         default=None,
     )
+    frames: MeasuredFrames | None = entry(
+        "The frames between which poses are measured; None where they are those of the geometry, "
+        "in which the lines and the scanned pose stand",
+        default=None,
+    )
+
+    @property
+    def measured_lines(self) -> Lines:
+        """The lines in the frames between which poses are measured."""
+        return self.as_measured(self.lines)
+
+    def as_measured(self, lines: Lines) -> Lines:
+        """Any lines in the frames of the geometry, in those between which poses are measured."""
+        return lines if self.frames is None else self.frames.lines(lines)
+
+    def as_measured_points(self, points: Array, bone: int) -> Array:
+        """Points (n, 3) of a bone, femur 0 and tibia 1, in the frame its poses are measured in."""
+        return points if self.frames is None else self.frames.to_measured(points, bone)
+
+    @property
+    def first_pose(self) -> Array:
+        """Where searches begin: the measured pose of each node, ``(n, 5)``, or the scanned one."""
+        if self.measured is not None or self.frames is None:
+            return self.start if self.measured is None else self.measured
+        return self.frames.pose(self.start_flexion, self.start)
 
     def owned(self, n_ligaments: int) -> Array:
         """Which line belongs to which ligament, 1 or 0, shape ``(m, n_ligaments)``."""
@@ -87,7 +110,6 @@ def with_copies(
     if nodes:
         changes["flexion"] = np.concatenate([x.flexion for x in parts])
         changes["loads"] = np.concatenate([x.loads for x in parts])
-        changes["attitude"] = np.concatenate([x.attitude for x in parts])
         if setting.measured is not None:
             changes["measured"] = np.concatenate([x.measured for x in parts])
     if lines:

@@ -57,7 +57,7 @@ def tension_jacobian(model: LaxityModel, prediction: Prediction) -> Array:
 def _lines(model: LaxityModel, setting: Setting, prediction: Prediction) -> LigamentTensions:
     """Tensions of all lines at the poses of a prediction."""
     return ligament_tensions(
-        setting.lines,
+        setting.measured_lines,
         setting.flexion[model.paths.trial_node],
         prediction.poses,
         setting.stiffness,

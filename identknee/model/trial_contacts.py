@@ -1,7 +1,6 @@
 """Where bones touch in the predicted pose of every trial."""
 
 from identknee.mechanics.contact_places import ContactPlaces, contact_places
-from identknee.mechanics.equilibria import ContactLaw
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 
@@ -10,9 +9,8 @@ def trial_contacts(model: LaxityModel, prediction: Prediction) -> list[ContactPl
     """The contact of every trial in its predicted pose."""
     setting = model.setting(prediction.theta)
     flexion = setting.flexion[model.paths.trial_node]
-    # Without effects the kernel takes the law of the contact points.
-    law = setting.law if model.effects else model.joint.contact.law or ContactLaw()
+    contact, field = model.surfaces(setting)
     return [
-        contact_places(model.joint.contact, law, model.joint.field, float(angle), pose)
+        contact_places(contact, field, float(angle), pose)
         for angle, pose in zip(flexion, prediction.poses, strict=True)
     ]

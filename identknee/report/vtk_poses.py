@@ -59,13 +59,14 @@ class _Poses:
     def __init__(self, model: LaxityModel, theta: Array, poses: Array) -> None:
         self._model, self._poses = model, poses
         knee, setting = model.knee, model.setting(theta)
-        # Without effects the kernel takes the law of the contact points.
-        own = model.joint.contact.law or ContactLaw()
-        self._law = setting.law if model.effects else own
+        contact, self._field = model.surfaces(setting)
+        self._law = contact.law or ContactLaw()
         self._flexion = setting.flexion[model.paths.trial_node]
-        self._lines = setting.lines
-        self._femur = knee.femur_frame.to_local(knee.femur.vertices)
-        self._tibia = [knee.tibia_frame.to_local(x.vertices) for x in knee.tibia]
+        self._lines = setting.measured_lines
+        femur = knee.femur_frame.to_local(knee.femur.vertices)
+        self._femur = setting.as_measured_points(femur, 0)
+        tibia = [knee.tibia_frame.to_local(x.vertices) for x in knee.tibia]
+        self._tibia = [setting.as_measured_points(x, 1) for x in tibia]
         self._to_sheets = [
             mesh_distance(own, x.faces) for own, x in zip(self._tibia, knee.tibia, strict=True)
         ]
@@ -89,7 +90,7 @@ class _Poses:
         empty, none = np.full(n, np.nan), np.full(len(gaps), np.nan)
         tension, strain = self._pulled(trial)
         return polydata(
-            knee.as_scanned(knee.femur_frame.to_common(places)),
+            knee.as_scanned(knee.femur_frame.to_common(self._field.to_field(places))),
             np.column_stack([np.arange(n), n + np.arange(n)]),
             np.concatenate(triangles),
             {
@@ -115,7 +116,7 @@ class _Poses:
             placement.to_femur(own[x.faces].mean(axis=1))
             for own, x in zip(self._tibia, knee.tibia, strict=True)
         ]
-        return [to_tibia, *(_to_femur(self._model.joint.field, x) for x in tibial)]
+        return [to_tibia, *(_to_femur(self._field, x) for x in tibial)]
 
     def _pressure(self, gaps: Array) -> Array:
         depth = np.nan_to_num(np.maximum(-gaps, 0.0))
@@ -135,6 +136,7 @@ class _Poses:
 
 def _to_femur(field: DistanceField, places: Array) -> Array:
     """Distance of places from the femur [mm]; NaN beyond the grid of the field."""
+    places = field.to_field(places)
     cell = np.floor((places - field.origin) / field.spacing)
     # The outermost cells of the grid lack the support of the spline.
     inner = ((cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)).all(axis=1)

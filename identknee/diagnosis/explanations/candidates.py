@@ -1,6 +1,7 @@
 """What every effect of a library would add to the residuals of a fit, and which they exclude."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -155,11 +156,8 @@ def _at_sites(fitted: Fitted, structure: MissingStructure) -> list[Variant]:
     unmeasured = Lines(femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral)))
     model, prediction = fitted.model, fitted.model.predict_once(fitted.theta)
     setting = model.setting(fitted.theta)
-    lines = Lines(
-        femoral=femoral,
-        tibial=tibial,
-        reference_length=setting.lengths_at_start(unmeasured),
-    )
+    lengths = setting.lengths_at_start(unmeasured)
+    lines = setting.as_measured(replace(unmeasured, reference_length=lengths))
     flexion = setting.flexion[model.paths.trial_node]
     found = []
     for strain in strains:

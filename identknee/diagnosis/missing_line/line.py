@@ -240,5 +240,9 @@ def _tensions(model: LaxityModel, setting: Setting, prediction: Prediction) -> L
     """Tensions of all lines at the poses of a prediction, the missing one last."""
     flexion = setting.flexion[model.paths.trial_node]
     return ligament_tensions(
-        setting.lines, flexion, prediction.poses, setting.stiffness, setting.reference_strain
+        setting.measured_lines,
+        flexion,
+        prediction.poses,
+        setting.stiffness,
+        setting.reference_strain,
     )

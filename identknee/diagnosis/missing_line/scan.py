@@ -103,7 +103,9 @@ def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLin
         tibial=model.knee.tibia_frame.to_local(lines.tibia),
         reference_length=np.ones(lines.n),
     )
-    measured = replace(unmeasured, reference_length=setting.lengths_at_start(unmeasured))
+    measured = setting.as_measured(
+        replace(unmeasured, reference_length=setting.lengths_at_start(unmeasured))
+    )
     converged = prediction.is_converged
     hessians = np.where(converged[:, None, None], prediction.hessians, np.eye(5))
     seen, _ = model.extension.observed_slopes(

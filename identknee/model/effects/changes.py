@@ -78,8 +78,6 @@ def remeasured(setting: Setting, lines: Lines, changed: BoolArray) -> Setting:
 def held(effect: Effect, fixed: Mapping[str, float]) -> Effect:
     """The effect with some of its amplitudes, by their whole names, held at given values."""
     free = effect.parameters.with_fixed([*fixed], effect.parameters.vector(fixed))
-    if isinstance(effect, MechanicalEffect) and isinstance(effect, ObservationEffect):
-        return _HeldError(name=effect.name, parameters=free.parameters, effect=effect, free=free)
     if isinstance(effect, MechanicalEffect):
         changed = partial(_change_held, effect, free)
         return SettingChange(name=effect.name, parameters=free.parameters, changed=changed)
@@ -87,24 +85,6 @@ def held(effect: Effect, fixed: Mapping[str, float]) -> Effect:
         read = partial(_read_held, effect, free)
         return ReadingError(name=effect.name, parameters=free.parameters, read=read)
     raise TypeError(f"{effect.name} changes neither the setting nor what is read")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _HeldError:
-    """An effect on the setting and on what is read, some of its amplitudes held."""
-
-    name: str
-    parameters: Parameters
-    effect: Effect
-    free: FreeParameters
-
-    def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect at amplitudes `values`."""
-        return self.effect.change(setting, self.free.expand(values))  # type: ignore[attr-defined,no-any-return]
-
-    def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
-        """The coordinates read, shape ``(n, 5)`` [mm, deg]."""
-        return self.effect.observe(coordinates, self.free.expand(values), tests)  # type: ignore[attr-defined,no-any-return]
 
 
 def _change_held(

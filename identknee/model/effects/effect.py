@@ -78,6 +78,20 @@ class CopiesObservation(ObservationEffect, Protocol):
         ...
 
 
+@runtime_checkable
+class FramesEffect(MechanicalEffect, Protocol):
+    """A mechanical effect on the frames between which poses are measured, and on nothing else."""
+
+    def placements(self, values: Array) -> tuple[Array, Array]:
+        """Axes and origins of frames at k rows of amplitudes, ``(k, 2, 3, 3)``, ``(k, 2, 3)``."""
+        ...
+
+
+def moves_frames(effect: Effect) -> TypeGuard[FramesEffect]:
+    """Whether an effect moves the frames between which poses are measured."""
+    return hasattr(effect, "placements")
+
+
 def is_self_contained(effect: Effect) -> TypeGuard[SelfContainedEffect]:
     """Whether an effect knows the derivatives of its lines itself."""
     return hasattr(effect, "gradient_columns")
@@ -101,10 +115,6 @@ class Tests:
     loads: Array = entry(
         "Loads as stated, with the columns of `identknee.laxity.protocol.Protocol`"
     )
-    attitude: Array = entry(
-        "Measured varus and internal rotation of each trial [rad], shape ``(n, 2)``, 0 where not "
-        "measured"
-    )
     order: IntArray | None = entry(
         "When each trial was run, counted from 1; None where it was not recorded", default=None
     )
@@ -118,7 +128,6 @@ class Tests:
         return Tests(
             flexion_deg=np.tile(self.flexion_deg, n),
             loads=np.tile(self.loads, (n, 1)),
-            attitude=np.tile(self.attitude, (n, 1)),
             order=None if self.order is None else np.tile(self.order, n),
             phase=None if self.phase is None else n * self.phase,
         )

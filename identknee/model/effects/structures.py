@@ -69,7 +69,7 @@ class MissingStructure:
         femoral, tibial = self.insertions(values)
         m, strain = len(femoral), PER_PCT * values[1]
         own = ligament_tensions(
-            _measured(setting, femoral, tibial),
+            setting.as_measured(_measured(setting, femoral, tibial)),
             flexion,
             poses,
             np.full(m, PER_KN * values[0]),
@@ -88,7 +88,7 @@ class MissingStructure:
         )
         n_lines = len(moves) * m
         found = ligament_tensions(
-            shifted,
+            setting.as_measured(shifted),
             flexion,
             poses,
             np.full(n_lines, PER_KN * values[0]),

@@ -12,6 +12,7 @@ from identknee.mechanics.placement import Placement, place
 from identknee.model.effects.effect import MechanicalEffect
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
+from identknee.model.setting import Setting
 from identknee.report.page.few_triangles import Mesh, few_triangles
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
@@ -20,8 +21,8 @@ from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface, joined
 
-# Of the surfaces that are drawn; they have about twice as many triangles.
-FEMUR_VERTICES, TIBIA_VERTICES = 720, 760
+# Of femur and tibia as drawn; they have about twice as many triangles.
+N_VERTICES = (720, 760)
 # Places of the tibia that lie farther than this from the femur [mm] are not sent: the others shape
 # the edge of the patch that touches it.
 APART = 0.4
@@ -62,7 +63,7 @@ class KneeScene:
     """A knee in every trial of a protocol, as a right knee whatever its side."""
 
     knee: Knee = entry("The subject")
-    femur: Mesh = entry("Femoral cartilage, in the axes of its bone")
+    femur: Mesh = entry("Femoral cartilage, in the axes of poses")
     tibia: Mesh = entry("Tibial cartilage, both plateaus as one mesh")
     names: tuple[str, ...] = entry("Names of the m lines that carry the tensions")
     lines: Lines = entry("Their courses")
@@ -98,22 +99,24 @@ def model_scene(
     """
     prediction, setting = model.predict(theta, derivatives=False), model.setting(theta)
     flexion = setting.flexion[model.paths.trial_node]
+    lines = setting.measured_lines
     found = ligament_tensions(
-        setting.lines, flexion, prediction.poses, setting.stiffness, setting.reference_strain
+        lines, flexion, prediction.poses, setting.stiffness, setting.reference_strain
     )
     tensions = np.where(prediction.is_converged[:, None], found.tensions, np.nan)
-    drawn = np.flatnonzero(np.asarray(setting.lines.transition) > 0.0)
+    drawn = np.flatnonzero(np.asarray(lines.transition) > 0.0)
     names = _line_names(model, theta)
     knee = model.knee
-    tibia = _drawn(joined(*knee.tibia), knee.tibia_frame, TIBIA_VERTICES)
+    femur = _drawn(knee.femur, knee.femur_frame, setting, 0)
+    tibia = _drawn(joined(*knee.tibia), knee.tibia_frame, setting, 1)
     return KneeScene(
         knee=knee,
-        femur=_drawn(knee.femur, knee.femur_frame, FEMUR_VERTICES),
+        femur=femur,
         tibia=tibia,
         names=tuple(names[i] for i in drawn),
-        lines=_selected_lines(setting.lines, drawn),
-        missing_line=None if missing_line is None else _in_bones(knee, missing_line),
-        trials=_trials(model, prediction, flexion, tensions[:, drawn], tibia),
+        lines=_selected_lines(lines, drawn),
+        missing_line=None if missing_line is None else _in_bones(knee, setting, missing_line),
+        trials=_trials(model, prediction, setting, tensions[:, drawn], tibia),
     )
 
 
@@ -135,12 +138,13 @@ def load_words(flexion_deg: float, loads: Array) -> str:
 
 
 def _trials(
-    model: LaxityModel, prediction: Prediction, flexion: Array, tensions: Array, tibia: Mesh
+    model: LaxityModel, prediction: Prediction, setting: Setting, tensions: Array, tibia: Mesh
 ) -> tuple[SceneTrial, ...]:
     protocol, trials = model.protocol, []
+    flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
-        near, depths = _contact(model.joint.field, placement.to_femur(tibia.vertices))
+        near, depths = _contact(field, placement.to_femur(tibia.vertices))
         trials.append(
             SceneTrial(
                 name=protocol.trials[i],
@@ -156,14 +160,15 @@ def _trials(
     return tuple(trials)
 
 
-def _drawn(surface: Surface, frame: Frame, number: int) -> Mesh:
-    """The surface in the axes of its bone, with few triangles."""
-    local = Surface(vertices=frame.to_local(surface.vertices), faces=surface.faces)
-    return few_triangles(local, number)
+def _drawn(surface: Surface, frame: Frame, setting: Setting, bone: int) -> Mesh:
+    """The surface of femur (0) or tibia (1) in the axes of poses, with few triangles."""
+    vertices = setting.as_measured_points(frame.to_local(surface.vertices), bone)
+    return few_triangles(Surface(vertices=vertices, faces=surface.faces), N_VERTICES[bone])
 
 
 def _contact(field: DistanceField, places: Array) -> tuple[IntArray, Array]:
     """Which places touch the femur or nearly do, and how deep they lie in it [mm]."""
+    places = field.to_field(places)
     cell = np.floor((places - field.origin) / field.spacing)
     # The outermost cells of the grid lack the support of the spline.
     inner = (cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)
@@ -173,10 +178,11 @@ def _contact(field: DistanceField, places: Array) -> tuple[IntArray, Array]:
     return index[near], depths[near]
 
 
-def _in_bones(knee: Knee, ends: Array) -> Array:
-    """Femoral and tibial end of a line (2, 3) of the common frame, each in the axes of its bone."""
+def _in_bones(knee: Knee, setting: Setting, ends: Array) -> Array:
+    """Femoral and tibial end of a line (2, 3) of the common frame, each in its bone's axes."""
     femoral, tibial = frozen(ends, 2, 3, name="missing_line")
-    return np.stack([knee.femur_frame.to_local(femoral), knee.tibia_frame.to_local(tibial)])
+    local = knee.femur_frame.to_local(femoral), knee.tibia_frame.to_local(tibial)
+    return np.stack([setting.as_measured_points(x, bone) for bone, x in enumerate(local)])
 
 
 def _line_names(model: LaxityModel, theta: Array) -> list[str]:

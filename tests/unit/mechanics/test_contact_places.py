@@ -47,22 +47,20 @@ def test_forces_are_those_of_the_kernel(law: ContactLaw, joint: Joint, pose: Arr
     evaluator = Evaluator(replace(joint, contact=contact))
     slack = joint.lines.arrays(np.zeros(4), np.zeros(4))
     kernel = evaluator(0.0, pose, slack, NO_LOAD)
-    found = contact_places(contact, law, joint.field, 0.0, pose)
+    found = contact_places(contact, joint.field, 0.0, pose)
     assert set(found.index.tolist()) == kernel.touching
     gradient = found.force @ found.deepening
     np.testing.assert_allclose(gradient, kernel.gradient, atol=1e-9 * np.abs(gradient).max())
 
 
 def test_slopes_are_those_of_force_and_place(joint: Joint, pose: Array) -> None:
-    law = ContactLaw(exponent=1.3)
-    here = contact_places(joint.contact, law, joint.field, 0.1, pose)
+    contact = replace(joint.contact, law=ContactLaw(exponent=1.3))
+    here = contact_places(contact, joint.field, 0.1, pose)
     middle = int(np.argmax(here.force))
     point = here.index[middle]
     step = 1e-6
     for k, move in enumerate(step * np.eye(5)):
-        high, low = (
-            contact_places(joint.contact, law, joint.field, 0.1, pose + x) for x in (move, -move)
-        )
+        high, low = (contact_places(contact, joint.field, 0.1, pose + x) for x in (move, -move))
         at = [int(np.flatnonzero(x.index == point)[0]) for x in (high, low)]
         slope = (high.femoral[at[0]] - low.femoral[at[1]]) / (2.0 * step)
         np.testing.assert_allclose(here.jacobian[middle, k], slope, atol=1e-6)
@@ -73,4 +71,4 @@ def test_slopes_are_those_of_force_and_place(joint: Joint, pose: Array) -> None:
 
 def test_far_away_nothing_touches(joint: Joint, pose: Array) -> None:
     away = pose - np.array([0.0, 0.0, 0.0, 500.0, 0.0])
-    assert contact_places(joint.contact, ContactLaw(), joint.field, 0.0, away).index.size == 0
+    assert contact_places(joint.contact, joint.field, 0.0, away).index.size == 0

@@ -135,6 +135,7 @@ def test_sensitivities_are_the_oracles(
         search.work,
         columns,
         slopes,
+        np.zeros(39),
     )
     state = state_of(search.flexion, search.load, search.ligaments)
     expected = oracle.sensitivities(oracle_of(reference_model.joint), state, pose.tolist())

@@ -31,13 +31,10 @@ PROTOCOL = Protocol(
     flexion_deg=np.array([0.0, 30.0, 60.0, 90.0, 10.0]),
     loads=LOADS,
 )
-PLAIN = AsRun(
-    flexion_deg=PROTOCOL.flexion_deg, loads=PROTOCOL.loads, attitude=np.zeros((PROTOCOL.n, 2))
-)
+PLAIN = AsRun(flexion_deg=PROTOCOL.flexion_deg, loads=PROTOCOL.loads)
 RECORDED = AsRun(
     flexion_deg=PROTOCOL.flexion_deg,
     loads=PROTOCOL.loads,
-    attitude=np.zeros((PROTOCOL.n, 2)),
     order=np.array([3, 1, 2, 5, 4]),
     phase=("loading", "unloading", "unloading", "loading", "loading"),
 )
@@ -131,7 +128,6 @@ def test_one_trial_does_not_drift() -> None:
     one = AsRun(
         flexion_deg=np.zeros(1),
         loads=LOADS[:1],
-        attitude=np.zeros((1, 2)),
         order=np.array([7]),
     )
     found = drift().observe(READ[:1], np.ones(5), one) - READ[:1]
