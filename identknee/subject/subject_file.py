@@ -169,11 +169,13 @@ class UncertaintyTable(Part):
     flexion_deg: Number = 0.0
     trial_flexion_deg: Number = 0.0
     contact_modulus: Number = 0.0
+    contact_exponent: Number = 0.0
     surface_mm: Number = 0.0
     zero_mm: Number = 0.0
     zero_deg: Number = 0.0
     reference_pose_deg: Number = 0.0
     reference_pose_mm: Number = 0.0
+    toe_strain: Number = 0.0
 
 
 class PriorTable(Part):

@@ -49,8 +49,9 @@ class Uncertainty:
         Offset of flexion, one for all trials.
     trial_flexion_deg
         Error of flexion of each trial by itself.
-    contact_modulus
-        Logarithm of the modulus of the cartilage.
+    contact_modulus, contact_exponent
+        Logarithms of the modulus of the cartilage and of the exponent by which its pressure grows
+        with depth.
     surface_mm
         Smooth offset of the cartilage sheets.
     zero_mm, zero_deg
@@ -58,6 +59,8 @@ class Uncertainty:
         again.
     reference_pose_deg, reference_pose_mm
         Rotation and translation of the tibia in the pose in which reference lengths were measured.
+    toe_strain
+        Logarithm of the strain at which the ligaments' toe region ends.
 
     Raises
     ------
@@ -73,11 +76,13 @@ class Uncertainty:
     flexion_deg: float = _stated("flexion")
     trial_flexion_deg: float = _stated("flexion of single trials")
     contact_modulus: float = _stated("contact modulus")
+    contact_exponent: float = _stated("contact exponent")
     surface_mm: float = _stated("cartilage surfaces")
     zero_mm: float = _stated("zero of lengths")
     zero_deg: float = _stated("zero of angles")
     reference_pose_deg: float = _stated("turn of the scanned pose")
     reference_pose_mm: float = _stated("shift of the scanned pose")
+    toe_strain: float = _stated("toe region")
 
     def __post_init__(self) -> None:
         for name, value in self._values():

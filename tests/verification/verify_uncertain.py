@@ -7,18 +7,18 @@ if the profile deviance there is at most the threshold above its minimum.
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from rows import Measure, Row, commit
 from scipy.stats import binomtest, chi2
-from uncertain_replicates import CONTACT, SURFACE, Stated, UncertainTask, uncertain_replicate
+from uncertain_replicates import LAWS, Stated, UncertainTask, uncertain_replicate
 from work_store import work_store
 
 from identknee.blind.conditions import Conditions
 from identknee.runs.executors import process_pool
 from identknee.runs.resume import resumable_map
-from identknee.subject.uncertainty import Uncertainty
 
 LEVEL, CELLS = 0.95, 16
 N_REPLICATES, A_PART = 300, 10
@@ -30,7 +30,7 @@ def _insertions(actual: float, stated: float) -> Stated:
     return Stated(
         name=f"insertions {actual:g} mm, stated {stated:g} mm",
         conditions=Conditions(insertion_mm=actual),
-        uncertainty=Uncertainty(insertions_mm=stated, contact_modulus=CONTACT, surface_mm=SURFACE),
+        uncertainty=replace(LAWS, insertions_mm=stated),
         is_right=actual == stated,
     )
 
@@ -47,7 +47,7 @@ CASES = (
         Stated(
             name="load axes 3 deg",
             conditions=Conditions(load_axes_deg=3.0),
-            uncertainty=Uncertainty(load_axes_deg=3.0, contact_modulus=CONTACT, surface_mm=SURFACE),
+            uncertainty=replace(LAWS, load_axes_deg=3.0),
         ),
     ),
     (
@@ -55,12 +55,7 @@ CASES = (
         Stated(
             name="registration 2 deg and 2 mm",
             conditions=Conditions(registration_deg=2.0, registration_mm=2.0),
-            uncertainty=Uncertainty(
-                registration_deg=2.0,
-                registration_mm=2.0,
-                contact_modulus=CONTACT,
-                surface_mm=SURFACE,
-            ),
+            uncertainty=replace(LAWS, registration_deg=2.0, registration_mm=2.0),
         ),
     ),
 )

@@ -1,4 +1,4 @@
-"""Errors of the geometry: insertions, the pose of the scan, the modulus of the cartilage."""
+"""Errors of the geometry: insertions and the pose of the scan; and of the laws of the tissues."""
 
 from dataclasses import replace
 from functools import partial
@@ -59,6 +59,18 @@ def contact_modulus(sd: float) -> SettingChange:
     return SettingChange(name="contact_modulus", parameters=made.as_nuisances(), changed=_stiffened)
 
 
+def contact_exponent(sd: float) -> SettingChange:
+    """Logarithm of the exponent by which contact pressure grows with depth, over the knee's own."""
+    made = amplitudes("contact_exponent", ["ln_exponent"], [sd], upper=[REACH * sd])
+    return SettingChange(name="contact_exponent", parameters=made.as_nuisances(), changed=_curved)
+
+
+def toe_strain(sd: float) -> SettingChange:
+    """Logarithm of the strain at which all ligaments' toe region ends, over the knee's own."""
+    made = amplitudes("toe_strain", ["ln_strain"], [sd], upper=[REACH * sd])
+    return SettingChange(name="toe_strain", parameters=made.as_nuisances(), changed=_uncrimped)
+
+
 def reference_pose(sd_deg: float, sd_mm: float) -> SettingChange:
     """Turn [deg] and shift [mm] of the tibia in the pose in which lengths were measured."""
     names = ["flexion_deg", "varus_deg", "internal_deg", "x_mm", "y_mm", "z_mm"]
@@ -77,6 +89,17 @@ def reference_pose(sd_deg: float, sd_mm: float) -> SettingChange:
 def _stiffened(setting: Setting, values: Array) -> Setting:
     law = replace(setting.law, modulus=setting.law.modulus * float(np.exp(values[0])))
     return replace(setting, law=law)
+
+
+def _curved(setting: Setting, values: Array) -> Setting:
+    law = replace(setting.law, exponent=setting.law.exponent * float(np.exp(values[0])))
+    return replace(setting, law=law)
+
+
+def _uncrimped(setting: Setting, values: Array) -> Setting:
+    longer = np.where(setting.owner >= 0, float(np.exp(values[0])), 1.0)
+    lines = replace(setting.lines, transition=longer * setting.lines.transition)
+    return replace(setting, lines=lines)
 
 
 def _measured_elsewhere(used: tuple[int, ...], setting: Setting, values: Array) -> Setting:
