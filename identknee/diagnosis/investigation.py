@@ -8,7 +8,12 @@ from functools import cached_property
 from identknee.calibrate.doubts import bound_findings
 from identknee.calibrate.starts import load_start
 from identknee.diagnosis.advice.advice import Advice, advise
-from identknee.diagnosis.explanations.attribution import Attribution, attribute
+from identknee.diagnosis.explanations.attribution import (
+    FAR_FROM_DONE,
+    SIMPLE,
+    Attribution,
+    attribute,
+)
 from identknee.diagnosis.explanations.candidates import Exclusion
 from identknee.diagnosis.explanations.causes import Cause, causes_of
 from identknee.diagnosis.explanations.fitting import BaseFit, fit_base, fit_from
@@ -34,6 +39,7 @@ from identknee.model.soundness import stability_findings
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
+from identknee.runs.progress import stage
 from identknee.subject.knee import Knee
 
 DIRECTIONS = (
@@ -213,7 +219,8 @@ def investigate(
     if effects is None:
         present = {x.name for x in LaxityModel(knee=knee, protocol=laxity.protocol).effects}
         effects = [x for x in _library(knee, laxity) if x.name not in present]
-    base_fit = fit_base(knee, laxity, starts=begin, seed=seed)
+    with stage("fitting the knee"):
+        base_fit = fit_base(knee, laxity, starts=begin, seed=seed)
     if base_fit is None or not base_fit.fitted.evaluation.is_finite:
         return None
     attribution, p_value = _explained(base_fit, effects, seed)
@@ -225,7 +232,8 @@ def investigate(
     advice = line = None
     if conclusion.verdict is Verdict.AMBIGUOUS:
         known = replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
-        advice = advise(attribution.best, attribution.open_rivals, known)
+        with stage("choosing trials"):
+            advice = advise(attribution.best, attribution.open_rivals, known)
     if conclusion.verdict is Verdict.UNEXPLAINED:
         line = find_line(base, seed=seed)
     return Investigation(
@@ -239,6 +247,20 @@ def investigate(
         line=line,
         seed=seed,
     )
+
+
+def work_of(n: int) -> dict[str, list[float]]:
+    """What each piece of a diagnosis with so many parameters costs, beside the others."""
+    # A fit takes longer with more parameters; its derivatives by them and by effects the more so.
+    size = (24.0 + n) / 32.0
+    return {
+        "fitting the knee": [0.45],
+        "scoring causes": [0.6 / size] * 2,
+        "trying causes": [0.05] * 8,
+        "fitting causes": [SIMPLE] * 7 + [FAR_FROM_DONE],
+        "choosing trials": [1.6 * size],
+        "telling what follows": [1.3 * size],
+    }
 
 
 def _start(knee: Knee, laxity: Laxity, name: str | os.PathLike[str]) -> Array:

@@ -48,14 +48,32 @@ def progress(
     if total is None and isinstance(items, Sized):
         total = len(items)
     with progress_bar(description, total) as advance:
-        for item in items:
-            yield item
-            advance(1)
+        yield from counted(items, advance)
+
+
+def counted(items: Iterable[Item], advance: Advance) -> Iterator[Item]:
+    """The same items, each told to `advance` once it is dealt with."""
+    for item in items:
+        yield item
+        advance(1)
+
+
+@contextmanager
+def stage(description: str) -> Iterator[None]:
+    """One piece of `planned` work, done when the block ends."""
+    with progress_bar(description, 1) as advance:
+        yield
+        advance(1)
 
 
 @contextmanager
 def progress_bar(
-    description: str, total: int | None = None, *, before: int = 0, is_counted: bool = True
+    description: str,
+    total: int | None = None,
+    *,
+    before: int = 0,
+    is_counted: bool = True,
+    costs: Sequence[float] = (),
 ) -> Iterator[Advance]:
     """Function to be told how many more are done; the bar is drawn as in `progress`.
 
@@ -72,6 +90,8 @@ def progress_bar(
         How many of them an earlier run did, from which no time follows.
     is_counted
         Whether items are counted; otherwise a share is told.
+    costs
+        What each item costs, where that is better known now than it was to the plan.
 
     Examples
     --------
@@ -79,7 +99,7 @@ def progress_bar(
     ...     advance(63)
     """
     if _plans:
-        yield _plans[-1].part(description, total or 0, before)
+        yield _plans[-1].part(description, total or 0, before, costs)
         return
     with _bar(description, total, before, is_counted=is_counted) as advance:
         yield advance
@@ -138,13 +158,14 @@ def in_words(seconds: float | None) -> str:
 
     Examples
     --------
-    >>> [in_words(x) for x in (None, 4.0, 75.0, 4000.0)]
-    ['', 'about 4 s left', 'about 1 min left', 'about 1.1 h left']
+    >>> [in_words(x) for x in (None, 4.0, 87.0, 150.0, 4000.0)]
+    ['', 'about 4 s left', 'about 90 s left', 'about 2 min left', 'about 1.1 h left']
     """
     if seconds is None:
         return ""
-    if seconds < 60.0:
-        return f"about {max(seconds, 1.0):.0f} s left"
+    if seconds < 120.0:
+        rounded = round(seconds, -1) if seconds > 60.0 else round(max(seconds, 1.0))
+        return f"about {rounded:.0f} s left"
     if seconds < 3600.0:
         return f"about {seconds / 60.0:.0f} min left"
     return f"about {seconds / 3600.0:.1f} h left"
@@ -193,7 +214,7 @@ class _DelayedBar:
         self._total = total
         self._done = before
         self._share, self._before = 0.0, before / total if total else 0.0
-        self._note, self._left = "", ""
+        self._note, self._left = "", _Left(None)
         self._began = time.monotonic()
         self._lock = threading.Lock()
         self._shown: tuple[Progress, TaskID] | None = None
@@ -214,14 +235,14 @@ class _DelayedBar:
         with self._lock:
             self._done += count
             share = self._done / self._total if self._total else 0.0
-            self._left = in_words(time_left(time.monotonic() - self._began, share, self._before))
+            self._left = _Left(time_left(time.monotonic() - self._began, share, self._before))
             self._update()
 
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
         with self._lock:
             if left_s is None:
                 left_s = time_left(time.monotonic() - self._began, share, self._before)
-            self._share, self._note, self._left = share, note, in_words(left_s)
+            self._share, self._note, self._left = share, note, _Left(left_s)
             self._update()
 
     def _update(self) -> None:
@@ -239,6 +260,16 @@ class _DelayedBar:
             self._shown[0].stop()
 
 
+class _Left:
+    """The time left as it is when it is printed, also within an item that takes long."""
+
+    def __init__(self, seconds: float | None) -> None:
+        self._end = None if seconds is None else time.monotonic() + seconds
+
+    def __str__(self) -> str:  # type: ignore[explicit-override]
+        return in_words(None if self._end is None else self._end - time.monotonic())
+
+
 class _Plan:
     """Adds up what the maps of a plan have done."""
 
@@ -249,15 +280,17 @@ class _Plan:
         self._began = time.monotonic()
         self._advance = advance
 
-    def part(self, description: str, total: int, before: int) -> Advance:
+    def part(self, description: str, total: int, before: int, known: Sequence[float]) -> Advance:
         """What is told of one map, whose first items were there before."""
         costs = self._costs.get(description)
         if not costs:
             return _Silent()
         first = self._done[description]
+        if known:
+            costs[first:] = known
         costs += [costs[-1]] * (first + total - len(costs))
-        self._done[description] += before
         self._before += sum(costs[first : first + before])
+        self.add(description, before)
         return _Part(self, description)
 
     def add(self, description: str, count: int) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from identknee.diagnosis.explanations.causes import Cause, Estimate, causes_of, ligament_estimates
 from identknee.diagnosis.explanations.refit import Refit, Rival, RivalState
 from identknee.diagnosis.explanations.verdict import Verdict
-from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.investigation import Investigation, investigate, work_of
 from identknee.diagnosis.missing_line.line import LineFinding
 from identknee.diagnosis.missing_line.wrench import MissingPull
 from identknee.diagnosis.noise.data_noise import noise_of
@@ -22,6 +22,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import Finding
+from identknee.runs.progress import planned, stage
 from identknee.runs.workers import Workers
 from identknee.scrutiny.broken_convention import convention_findings
 from identknee.scrutiny.contradictions import end_point_findings
@@ -93,10 +94,12 @@ def diagnose_data(
     lost = lost_findings(laxity, used.laxity)
     begin = [] if start == "subject" else [used.start]
     kept = sound(used.laxity)
-    found = investigate(knee, kept, starts=begin, effects=effects, seed=seed)
-    if found is None:
-        return untestable(_why_untestable(knee, laxity), (*lost, *end_point_findings(laxity)))
-    answer = diagnosis_of(found)
+    with planned("diagnosing", work_of(model.parameters.n)):
+        found = investigate(knee, kept, starts=begin, effects=effects, seed=seed)
+        if found is None:
+            return untestable(_why_untestable(knee, laxity), (*lost, *end_point_findings(laxity)))
+        with stage("telling what follows"):
+            answer = diagnosis_of(found)
     compared = Comparison(knee=knee, effects=effects, seed=seed)
     rows = (*compared.table_findings(found, used.laxity), *compared.row_findings(found))
     answer = replace(

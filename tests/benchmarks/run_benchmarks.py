@@ -23,6 +23,7 @@ MODULES = {
     "posterior": "bench_posterior",
     "uncertain_posterior": "bench_uncertain_posterior",
     "diagnosis": "bench_diagnosis",
+    "time_left": "bench_time_left",
 }
 
 if __name__ == "__main__":

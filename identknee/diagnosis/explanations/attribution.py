@@ -21,6 +21,7 @@ from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
+from identknee.runs.progress import counted, progress, progress_bar, stage
 
 MOST_CAUSES = 3
 # Log evidence that a cause must gain to join, and to stay when another could do without it.
@@ -41,6 +42,9 @@ FEW_STEPS, FAR_BEHIND, ALWAYS = 6, 40.0, 2
 LITTLE = 0.1
 # The same where even that has no prediction, from more to nearly nothing.
 LESS = (0.03, 0.01, 0.001)
+# Seconds that it takes to finish the refit of a simple effect, and of one with many amplitudes
+# that a straight model promises to fit better by more than NEARLY_DONE.
+SIMPLE, FAR_FROM_DONE, NEARLY_DONE = 0.14, 4.0, 1.0
 # The best other refits from whose ligaments one begins that failed.
 MOST_HELPERS = 2
 
@@ -152,8 +156,9 @@ def score_candidates(at: Refit, effects: Sequence[Effect], seed: int) -> Step:
     seed
         Seed of the distribution of the largest score.
     """
-    found = library_candidates(at.fitted, effects, seed=seed)
-    scores = found.test.evaluate(at.fitted.residual_rows())
+    with stage("scoring causes"):
+        found = library_candidates(at.fitted, effects, seed=seed)
+        scores = found.test.evaluate(at.fitted.residual_rows())
     return Step(at=at, variants=found.variants, test=found.test, scores=scores, refits=())
 
 
@@ -224,12 +229,14 @@ def promising_refits(step: Step, base: Refit) -> tuple[Refit, ...]:
         The highest evidence first.
     """
     tasks = [_Task.of(step, x, base) for x in _promising(step)]
-    begun = [x.begun(base) for x in tasks]
+    begun = [x.begun(base) for x in progress(tasks, description="trying causes")]
     best = max((x.log_evidence for x in begun), default=0.0)
-    found = [
-        task.finished(base, x) if place < ALWAYS or x.log_evidence > best - FAR_BEHIND else x
-        for place, (task, x) in enumerate(zip(tasks, begun, strict=True))
-    ]
+    costs = [task.cost(x) for task, x in zip(tasks, begun, strict=True)]
+    with progress_bar("fitting causes", len(costs), costs=costs) as advance:
+        found = [
+            task.finished(base, x) if place < ALWAYS or x.log_evidence > best - FAR_BEHIND else x
+            for place, (task, x) in counted(enumerate(zip(tasks, begun, strict=True)), advance)
+        ]
     best = max((x.log_evidence for x in found), default=0.0)
     for place, task in enumerate(tasks):
         if task.is_possible and is_undecided(found[place], best - found[place].log_evidence):
@@ -277,6 +284,11 @@ class _Task:
             values=values,
             is_possible=could_matter(candidate, step.scores.max_score),
         )
+
+    def cost(self, begun: Refit) -> float:
+        """What it takes to finish a refit, beside those of other effects."""
+        is_far = is_flexible(self.causes[-1]) and begun.promised_fall > NEARLY_DONE
+        return FAR_FROM_DONE if is_far else SIMPLE
 
     def begun(self, base: Refit) -> Refit:
         """A few steps from the first start that has a prediction."""

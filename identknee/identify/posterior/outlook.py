@@ -3,14 +3,17 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from identknee.identify.posterior.convergence import ConvergenceCheck
 
 # Of checks to come, before one of them is said never to pass.
 MOST_CHECKS = 1000
-# Chance that no check has passed by then; sampling ends sooner than draws of one kind suggest.
-NONE_PASSED = 0.8
+# A drift times the steps: its typical size beside that of the largest of so many independent
+# normal errors, and the spread of its logarithm. From 7 samples of two knees with 8 parameters.
+DRIFT_SIZE, DRIFT_SPREAD = 1.27, 0.5
+# Checks that this counts for beside those made, the first of which are of too few steps to tell.
+PRIOR_CHECKS, FIRST_CHECKS = 10, 2
 
 
 def expected_steps(checks: Sequence[ConvergenceCheck]) -> float:
@@ -18,7 +21,8 @@ def expected_steps(checks: Sequence[ConvergenceCheck]) -> float:
 
     Effective draws grow with the steps, errors of means fall with their root, and R-hat comes down
     to 1 as their inverse. The drift of the autocorrelation time is its own noise: it falls as the
-    inverse of the steps on average, and sampling ends when it happens to be small enough.
+    inverse of the steps on average, and sampling ends when it happens to be small enough, as
+    likely earlier as later than said here.
     """
     latest = checks[-1]
     if latest.is_passed:
@@ -54,13 +58,29 @@ def outlook(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, st
 
 
 def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
-    """Steps by which a check is expected to have found a drift below its bar."""
-    scaled = [x.drift * x.steps for x in checks if np.isfinite(x.drift) and x.drift > 0.0]
-    if len(scaled) < 2:
+    """Steps by which every other sample has found a drift below its bar."""
+    if len(checks) < 2:
         return 0.0
-    logs = np.log(scaled)
-    latest, block = checks[-1], checks[-1].steps - checks[-2].steps
+    latest, seen = checks[-1], checks[FIRST_CHECKS:]
+    block = latest.steps - checks[-2].steps
+    scaled = [x.drift * x.steps for x in seen if np.isfinite(x.drift) and x.drift > 0.0]
+    weight = PRIOR_CHECKS / (PRIOR_CHECKS + len(scaled))
+    typical = weight * np.log(_drift_times_steps(latest, block))
+    typical += (1.0 - weight) * np.mean(np.log(scaled or [1.0]))
     steps = latest.steps + block * np.arange(1, MOST_CHECKS + 1)
-    small = ndtr((np.log(latest.rule.drift * steps) - logs.mean()) / max(logs.std(ddof=1), 0.1))
-    passed = np.cumprod(1.0 - small) < NONE_PASSED
+    small = ndtr((np.log(latest.rule.drift * steps) - typical) / DRIFT_SPREAD)
+    passed = np.cumprod(1.0 - small) < 0.5
     return float(steps[np.argmax(passed)]) if passed.any() else np.inf
+
+
+def _drift_times_steps(latest: ConvergenceCheck, block: float) -> float:
+    """What the noise of autocorrelation times lets one expect.
+
+    The error of one, estimated over a window of 5 of them, is that of Sokal; it changes with the
+    steps since the check that it is compared with.
+    """
+    tau = float(np.max(latest.tau))
+    since = block * np.ceil(tau / block)
+    error = np.sqrt(2.0 * (10.0 * tau + 1.0) / latest.acceptance.size * since)
+    largest = ndtri((1.0 + 0.5 ** (1.0 / len(latest.tau))) / 2.0)
+    return float(DRIFT_SIZE * largest * error)

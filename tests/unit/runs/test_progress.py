@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from identknee.runs import progress as module
-from identknee.runs.progress import planned, progress, progress_bar, time_left
+from identknee.runs.progress import counted, planned, progress, progress_bar, stage, time_left
 
 
 class Terminal(io.StringIO):
@@ -109,5 +109,28 @@ def test_a_plan_knows_the_maps_to_come(monkeypatch: pytest.MonkeyPatch) -> None:
             now[0] = 50.0
             advance(1)
     # Of 10 units 2 were there before; each takes 10 s.
-    assert [x[:2] for x in bar.told] == [(0.3, "first"), (0.4, "first"), (0.7, "second")]
-    assert [x[2] for x in bar.told] == pytest.approx([70.0, 60.0, 30.0])
+    done = [x[2] for x in bar.told if x[2] is not None]
+    assert [x[:2] for x in bar.told][:2] == [(0.2, "first"), (0.3, "first")]
+    assert bar.told[-1][:2] == (0.7, "second")
+    assert done == pytest.approx([70.0, 70.0, 60.0, 60.0, 30.0])
+
+
+def test_a_part_may_know_its_costs_better_than_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    bar, now = Recorded(), [0.0]
+    monkeypatch.setattr(module, "_bar", lambda *_, **__: contextlib.nullcontext(bar))
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with planned("all", {"first": [1.0], "second": [100.0]}):
+        with stage("first"):
+            now[0] = 10.0
+        with progress_bar("second", 2, costs=[1.0, 2.0]) as advance:
+            assert list(counted("ab", advance)) == ["a", "b"]
+    assert bar.told[2] == pytest.approx((0.25, "second", 30.0))
+    assert bar.told[-1][0] == 1.0
+
+
+def test_time_left_goes_down_within_an_item(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    left = module._Left(50.0)
+    now[0] = 20.0
+    assert str(left) == "about 30 s left"
