@@ -241,8 +241,8 @@ def _held(its: Row) -> tuple[float, ...]:
 
 def _amount(its: Row) -> str:
     unit = "" if its["unit"] == "1" else f" {its['unit']}"
-    low, high = its["ci95"]
-    return f"{its['value']:.2g}{unit} ({low:.2g} to {high:.2g})"
+    low, high = ("open" if x is None else f"{x:.2g}" for x in its["ci95"])
+    return f"{its['value']:.2g}{unit} ({low} to {high})"
 
 
 def _with_gap(value: float, size: float) -> str:

@@ -34,21 +34,15 @@ RELATIVE = 1e-5
 # Errors of a fit that found the truth are rounding [kN, %, mm, deg, N]; nothing smaller matters.
 ABSOLUTE = 1e-6
 NOT_COMPARED = {"seconds"}
-# Records older than a change of what they record: trials whose contact comes near a rim are kept
-# (04, 09, 12), causes that were not refitted to their end are refitted again (10, 11), and
-# predictions that agree to 1e-11 still lead chains of a posterior to other draws (07),
-# single searches to another end (03) or to theirs in a few simulations more or less (08).
-# Differences are shown and fail nothing until the study is computed again. Nothing else belongs
-# here.
+# Records older than a change of what they record: causes that were not refitted to their end are
+# refitted again (10), and predictions that agree to 1e-11 still lead chains of a posterior to other
+# draws (07) and single searches to another end (03, 09). Differences are shown and fail nothing
+# until the study is computed again. Nothing else belongs here.
 SUPERSEDED = {
     "03_basin_of_attraction",
-    "04_profiles",
     "07_global_sensitivity",
-    "08_protocol_design",
     "09_optimizers",
     "10_diagnosis",
-    "11_reality_gap",
-    "12_geometry_uncertainty",
 }
 
 
