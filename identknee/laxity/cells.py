@@ -1,6 +1,7 @@
 """The cells of a CSV table, read with the line number that every message about them needs."""
 
 import csv
+import io
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -11,6 +12,9 @@ from typing import NoReturn, Self, TextIO
 from identknee.runs.errors import InputError, suggestion
 from identknee.runs.files import PathLike, check_readable
 
+OPENSIM, OPENSIM_END = (".sto", ".mot"), "endheader"
+DEG = 57.29577951308232
+COLUMN = re.compile(r"column\s*:\s*(\w+)\s*=\s*(?:([^*]+?)\s*\*)?\s*(-?)\s*(\S.*)", re.IGNORECASE)
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
@@ -33,18 +37,19 @@ class CellFile:
     delimiter
         What stands between cells: a comma or, where the header says so, a semicolon or a tab. Only
         then may numbers have a decimal comma.
-    opposites
-        Column in the file by the name of the one that it is the negative of.
+    sources
+        Column in the file, and the factor of its values, by the name that it is read under.
     """
 
     def __init__(self, path: Path, file: TextIO) -> None:
         self.path = path
         self.comments: list[tuple[int, str]] = []
         self.delimiter = ","
-        self.opposites: dict[str, str] = {}
+        self.sources: dict[str, tuple[str, float]] = {}
         self._lines = self._data_lines(file)
         self.header_line, names = self._header()
         self.columns = {name: position for position, name in enumerate(names)}
+        self._n_columns = len(names)
         for name in names:
             if names.count(name) > 1:
                 self.refuse(self.header_line, name, "two columns have this name", "Remove one.")
@@ -54,6 +59,9 @@ class CellFile:
     def open(cls, path: PathLike) -> Iterator[Self]:
         """The file at `path`, its header read.
 
+        Of an OpenSim storage (``.sto``, ``.mot``) the lines above the column names are comments,
+        and cells that say nan are blank.
+
         Raises
         ------
         InputError
@@ -61,7 +69,8 @@ class CellFile:
         """
         checked = check_readable(path)
         with checked.open(encoding="utf-8-sig", newline="") as file:
-            yield cls(checked, file)
+            is_storage = checked.suffix.lower() in OPENSIM
+            yield cls(checked, io.StringIO(_as_csv(file)) if is_storage else file)
 
     def check_columns(self, known: Iterable[str], required: Iterable[str]) -> None:
         """Accept the header if all its columns are known and none is missing.
@@ -72,6 +81,8 @@ class CellFile:
             If not, with the closest known name.
         """
         known = tuple(known)
+        if self._is_storage:
+            self.columns = {x: place for x, place in self.columns.items() if x in known}
         for name in self.columns:
             if name not in known:
                 remedy = _column_remedy(name, known)
@@ -101,15 +112,55 @@ class CellFile:
             if other in self.columns:
                 why = f"{other} is there too, of which it is the negative"
                 self.refuse(self.header_line, name, why, "Remove one of both.")
-            self.columns[other] = self.columns.pop(name)
-            self.opposites[other] = name
+            self._read_as(other, name, -1.0)
+
+    def take_named(self) -> None:
+        """Read columns under the names that comment lines above the header give them.
+
+        ``# column: internal_deg = -57.3 * rotation`` reads the column ``rotation`` times -57.3.
+
+        Raises
+        ------
+        InputError
+            If a line has not this form, there is no such column, or its new name is taken.
+        """
+        for line, text in self.comments:
+            if not text.lower().startswith("column"):
+                continue
+            found = COLUMN.fullmatch(text.rstrip(",; "))
+            if found is None or not (found[2] is None or NUMBER.fullmatch(found[2])):
+                remedy = "Write for example: # column: internal_deg = -57.3 * rotation."
+                self.refuse(line, "", f"{text!r} does not say which column is which", remedy)
+            name, source = found[1], found[4]
+            if source not in self.columns:
+                self.refuse(
+                    line, "", f"there is no column {source}", suggestion(source, self.columns)
+                )
+            if name in self.columns and name != source:
+                self.refuse(line, "", f"{name} is there already", "Remove one of both.")
+            self._read_as(name, source, float(found[2] or 1.0) * (-1.0 if found[3] else 1.0))
+
+        if self._is_storage and "time" in self.columns:
+            self._read_as("time_s", "time", 1.0)
+        if any(re.fullmatch(r"indegrees\s*=\s*no", text.lower()) for _, text in self.comments):
+            for name in [x for x in self.columns if x.endswith("_deg")]:
+                self._read_as(name, name, DEG)
+
+    @property
+    def _is_storage(self) -> bool:
+        return self.path.suffix.lower() in OPENSIM
+
+    def _read_as(self, name: str, source: str, factor: float) -> None:
+        before, known = self.sources.pop(source, (source, 1.0))
+        self.columns[name] = self.columns.pop(source)
+        self.sources[name] = before, known * factor
 
     def rows(self) -> Iterator["Row"]:
         """The rows below the header, in their order."""
         for line, text in self._lines:
             cells = self._split(line, text)
             if any(cells):
-                n_columns = len(self.columns)
+                n_columns = self._n_columns
                 if len(cells) < n_columns or any(cells[n_columns:]):
                     self.refuse(
                         line,
@@ -199,8 +250,9 @@ class Row:
         if NUMBER.fullmatch(plain):
             value = float(plain)
             if abs(value) != float("inf"):
+                factor = self.file.sources.get(column, ("", 1.0))[1]
                 # Zero stays without a sign.
-                return 0.0 - value if column in self.file.opposites else value
+                return value if factor == 1.0 else 0.0 + factor * value
             self.refuse(column, f"{text} is too large to be a number here", "Check its exponent.")
         if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", text):
             remedy = "Write it with a decimal point."
@@ -227,7 +279,17 @@ class Row:
 
     def refuse(self, column: str, why: str, remedy: str) -> NoReturn:
         """Raise the error about a cell of this row."""
-        self.file.refuse(self.line, self.file.opposites.get(column, column), why, remedy)
+        self.file.refuse(self.line, self.file.sources.get(column, (column, 1.0))[0], why, remedy)
+
+
+def _as_csv(file: TextIO) -> str:
+    """An OpenSim storage with its head as comments, line by line."""
+    lines, is_head = [], True
+    for line in file:
+        words = ["" if x.lower() == "nan" else x for x in line.split()]
+        lines.append(f"# {line.strip().lstrip('# ')}" if is_head else "\t".join(words))
+        is_head = is_head and line.strip().lower() != OPENSIM_END
+    return "\n".join(lines)
 
 
 def written(cells: Iterable[str]) -> str:

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, correlation_fault
+from identknee.laxity.statements import correlation_fault
+from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.runs.arrays import Array
 
 

@@ -1,16 +1,18 @@
 """Laxity, measured or simulated: where the tibia went in each trial; its CSV file."""
 
 import math
-import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.laxity.cells import CellFile, Row, written
+from identknee.laxity.curves import TIME, mean_curves
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, chosen_rows, name_fault, range_fault
-from identknee.laxity.zeros import ZEROS, zero_fault
+from identknee.laxity.statements import STATEMENT, correlation_fault, levels, statements
+from identknee.laxity.zeros import zero_fault
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
 from identknee.runs.errors import InputError
@@ -27,8 +29,6 @@ name_axis("coordinate", COORDINATES)
 TRANSLATIONS = slice(0, 3)
 ROTATIONS = slice(3, 5)
 PHASES = ("loading", "unloading")
-# Five errors can share a correlation above -1/4 only: their covariance must stay positive.
-CORRELATION_LIMITS = (-0.25, 1.0)
 LARGEST_ORDER = 10**9
 OPPOSITE_LOADS = {
     "external_moment_Nm": "internal_moment_Nm",
@@ -45,7 +45,6 @@ ANGLE_LIMIT_DEG, LENGTH_LIMIT_MM = 180.0, 200.0
 
 _SD = tuple(f"sd_{column}" for column in COORDINATES)
 _COLUMNS = ("trial", FLEXION, *LOADS, *COORDINATES, *_SD, "order", "phase")
-_STATEMENT = re.compile(r"(within_trial_correlation|zero)\s*:\s*(.*)", re.IGNORECASE)
 
 
 @declared
@@ -106,7 +105,7 @@ class Laxity:
                 raise ValueError(f"phase must hold {self.n} of {PHASES} or '', got {self.phase}")
         object.__setattr__(self, "comments", tuple(line.strip() for line in self.comments))
         for line in self.comments:
-            if _STATEMENT.fullmatch(line) or "\n" in line or "\r" in line:
+            if STATEMENT.fullmatch(line) or "\n" in line or "\r" in line:
                 raise ValueError(f"a comment is one line and states no setting, got {line!r}")
         if fault := zero_fault(self.zero, self.protocol, self.coordinates):
             raise ValueError(". ".join(fault))
@@ -162,43 +161,26 @@ def read_laxity(path: PathLike) -> Laxity:
         column and what to do.
     """
     with CellFile.open(laxity_file(path)) as file:
+        file.take_named()
         file.take_opposites(OPPOSITE_LOADS)
-        file.check_columns((*_COLUMNS, *OPPOSITE_LOADS), ("trial", FLEXION))
-        _check_coordinates(file)
-        names: dict[str, int] = {}
-        numbers: list[tuple[float, ...]] = []
-        order: list[int] = []
-        phase: list[str] = []
-        for row in file.rows():
-            _add_name(row, names)
-            numbers.append((*_setting(row), *_measured(row)))
-            if "order" in file.columns:
-                order.append(_order(row))
-            if "phase" in file.columns:
-                phase.append(_phase(row))
-        if not names:
-            raise InputError(
-                file.path, "", "there is no trial below the header", "Add one row per trial."
-            )
-    table = np.array(numbers)
+        names, table, extra = _curves(file) if TIME in file.columns else _trials(file)
     loads, coordinates = 1 + len(LOADS), 1 + len(LOADS) + len(COORDINATES)
     protocol = Protocol(
         name=file.path.stem,
-        trials=tuple(names),
+        trials=names,
         flexion_deg=table[:, 0],
         loads=table[:, 1:loads],
     )
     measured = table[:, loads:coordinates]
-    comments, correlation, zero = _statements(file, protocol, measured)
+    comments, correlation, zero = statements(file, protocol, measured)
     return Laxity(
         protocol=protocol,
         coordinates=measured,
         sd=table[:, coordinates:],
         within_trial_correlation=correlation,
-        order=np.array(order) if order else None,
-        phase=tuple(phase) if phase else None,
         comments=comments,
         zero=zero,
+        **extra,
     )
 
 
@@ -237,15 +219,6 @@ def write_laxity(laxity: Laxity, path: PathLike) -> Path:
     return write_atomically(path, "\n".join(lines) + "\n")
 
 
-def correlation_fault(value: float) -> tuple[str, str] | None:
-    """What is wrong with a within-trial correlation, and its remedy; None if all is well."""
-    low, high = CORRELATION_LIMITS
-    if low < value < high:
-        return None
-    why = f"the within-trial correlation is {value:g}"
-    return why, f"It must lie above {low:g} and below {high:g}"
-
-
 def noise_fault(sd: float) -> tuple[str, str] | None:
     """Why no measurement has this standard deviation > 0, and the remedy; None if one may."""
     low, high = NOISE_LIMITS
@@ -253,6 +226,44 @@ def noise_fault(sd: float) -> tuple[str, str] | None:
         return None
     why = f"a standard deviation of {sd:g} is beyond {low:g} to {high:g}"
     return why, "Give that of the measurement, in mm or deg"
+
+
+def _trials(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
+    """Names of trials, their numbers, order and phase, from a file with one row a trial."""
+    file.check_columns((*_COLUMNS, *OPPOSITE_LOADS), ("trial", FLEXION))
+    _check_coordinates(file)
+    names: dict[str, int] = {}
+    numbers: list[tuple[float, ...]] = []
+    order: list[int] = []
+    phase: list[str] = []
+    for row in file.rows():
+        _add_name(row, names)
+        numbers.append((*_setting(row), *_measured(row)))
+        if "order" in file.columns:
+            order.append(_order(row))
+        if "phase" in file.columns:
+            phase.append(_phase(row))
+    if not names:
+        raise InputError(
+            file.path, "", "there is no trial below the header", "Add one row per trial."
+        )
+    extra = {"order": np.array(order) if order else None, "phase": tuple(phase) or None}
+    return tuple(names), np.array(numbers), extra
+
+
+def _curves(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
+    """The same from a time series: points of the mean loading curve of each ramp."""
+    file.check_columns((TIME, "trial", FLEXION, *LOADS, *COORDINATES, *OPPOSITE_LOADS), (FLEXION,))
+    _check_coordinates(file)
+    ramps: list[str] = []
+    samples: list[tuple[float, ...]] = []
+    for row in file.rows():
+        ramps.append(row.text("trial") or file.path.stem)
+        samples.append((row.required(TIME), *_setting(row), *_measured(row)[: len(COORDINATES)]))
+    if not samples:
+        raise InputError(file.path, "", "there is no sample below the header", "Add some.")
+    names, rows = mean_curves(file.path, ramps, np.array(samples), levels(file))
+    return names, rows, {}
 
 
 def _checked_sd(sd: Array | None, coordinates: Array) -> Array | None:
@@ -365,33 +376,3 @@ def _phase(row: Row) -> str:
             "Write loading or unloading, or leave it blank.",
         )
     return phase
-
-
-def _statements(
-    file: CellFile, protocol: Protocol, coordinates: Array
-) -> tuple[tuple[str, ...], float, str]:
-    """Free comments, within-trial correlation and zero."""
-    free: list[str] = []
-    stated: dict[str, str] = {"within_trial_correlation": "0", "zero": "absolute"}
-    lines: dict[str, int] = {}
-    for line, text in file.comments:
-        found = _STATEMENT.fullmatch(text)
-        if found is None:
-            free.append(text)
-            continue
-        # A spreadsheet pads every line with separators.
-        name, value = found[1].lower(), found[2].rstrip(",; ")
-        if name in lines:
-            file.refuse(line, "", f"{name} is stated in row {lines[name]} too", "Remove one.")
-        lines[name], stated[name] = line, value
-    try:
-        correlation = float(stated["within_trial_correlation"])
-    except ValueError:
-        correlation = math.nan
-    if fault := correlation_fault(correlation):
-        file.refuse(lines["within_trial_correlation"], "", fault[0], f"{fault[1]}.")
-    word = stated["zero"].lower()
-    zero = word if word in ZEROS else stated["zero"]
-    if fault := zero_fault(zero, protocol, coordinates):
-        file.refuse(lines["zero"], "", fault[0], f"{fault[1]}.")
-    return tuple(free), correlation, zero

@@ -5,10 +5,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from identknee.laxity.candidates import FLEXION_DEG, candidate_trials
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.zeros import SAME_ANGLE_DEG, UNLOADED, from_zero, zero_of_more
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.measured_start import POSE_EVERY_DEG
+from identknee.model.own_poses import at_own_poses
 from identknee.model.parameters import FreeParameters
 from identknee.runs.arrays import Array, frozen
 
@@ -89,11 +92,39 @@ class CandidateLaxity:
         is_counted = zero_of_more(self.laxity.zero) == UNLOADED
         return with_unloaded(self.protocol) if is_counted else self.protocol
 
+    def begun_at(self, theta: Array) -> "CandidateLaxity":
+        """The same trials; where the model begins at poses, those not made from its own at `theta`.
+
+        These are followed under growing loads from between the poses of the data. `theta` is that
+        of `predict`.
+        """
+        model = self.model.with_protocol(self.trials)
+        if model.poses is None:
+            return self
+        own = at_own_poses(model, self.free.expand(theta))
+        if own.poses is None:  # pragma: no cover - only its numbers are others
+            raise AssertionError
+        is_made = np.isin(self.trials.trials, self.laxity.protocol.trials)[:, None]
+        poses = np.where(is_made, model.poses, own.poses)
+        return replace(self, model=replace(own, poses=poses))
+
     def rows(self, changes: Array) -> Array:
         """Changes of the coordinates of `trials` (n, 5, q) in units of the errors, (k, m, q)."""
         changes = from_zero(changes, self.trials, zero_of_more(self.laxity.zero))
         measured = changes[: self.protocol.n, ~np.isnan(self.sd)]
         return np.asarray(self._whitening @ measured)
+
+
+def offered_trials(model: LaxityModel, made: Protocol) -> Protocol:
+    """Trials that might be added to those made: `candidate_trials` at angles that the model knows.
+
+    Where it begins at poses, these are the angles among or close to those of the trials made.
+    """
+    if model.poses is None:
+        return candidate_trials(made)
+    angles = np.array(FLEXION_DEG)
+    apart = np.maximum(made.flexion_deg.min() - angles, angles - made.flexion_deg.max())
+    return candidate_trials(made, angles[apart <= 0.5 * POSE_EVERY_DEG].tolist())
 
 
 def typical_errors(laxity: Laxity) -> Array:

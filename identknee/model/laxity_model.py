@@ -145,13 +145,11 @@ class LaxityModel:
         return 2 * self.tied.n
 
     def with_protocol(self, protocol: Protocol) -> "LaxityModel":
-        """The same model under another protocol; itself where it is its own.
-
-        When trials of another protocol were run is not known.
-        """
+        """The same model under another protocol, run nobody knows when; itself under its own."""
         if protocol is self.protocol:
             return self
-        return replace(self, protocol=protocol, order=None, phase=None, poses=None)
+        poses = measured_start.poses_between(self.protocol, self.poses, protocol)
+        return replace(self, protocol=protocol, order=None, phase=None, poses=poses)
 
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
         """The same model under the protocol of measured laxity, its trials run as measured."""

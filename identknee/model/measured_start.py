@@ -4,7 +4,7 @@ import numpy as np
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.mechanics.grood_suntay import pose_from_coordinates
+from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.setting import PER_PCT, Setting
 from identknee.runs.arrays import Array
@@ -64,6 +64,27 @@ def poses_of(protocol: Protocol, coordinates: Array) -> tuple[KnownPose, ...]:
             )
         )
     return tuple(made)
+
+
+def poses_between(made: Protocol, poses: Array | None, asked: Protocol) -> Array | None:
+    """Where the trials asked for begin, from the poses ``(n, 5)`` of those made, ``(k, 5)``.
+
+    None where those begin at none. A trial that was made begins where it did, another in the
+    middle of what the loads do at its flexion angle, on straight lines between the angles of those
+    made.
+    """
+    if poses is None:
+        return None
+    known = dict(zip(_keys(made), poses, strict=True))
+    middle = poses_of(made, coordinates_from_pose(poses))
+    between = pose_from_coordinates(pose_at(middle, asked.flexion_deg))
+    return np.array([known.get(x, y) for x, y in zip(_keys(asked), between, strict=True)])
+
+
+def _keys(protocol: Protocol) -> list[tuple[str, float, bytes]]:
+    """What makes each trial the same as another one: name, flexion and loads."""
+    rows = zip(protocol.trials, protocol.flexion_deg.tolist(), protocol.loads, strict=True)
+    return [(name, angle, loads.tobytes()) for name, angle, loads in rows]
 
 
 def strains_as_measured(setting: Setting, stretch: float) -> Array:

@@ -12,11 +12,11 @@ from identknee.identify.design.criteria import Criterion
 from identknee.identify.design.design import ChosenTrials
 from identknee.identify.design.design import design as choose_trials
 from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
-from identknee.laxity.candidates import candidate_trials, repeated
+from identknee.laxity.candidates import repeated
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, load_protocol
 from identknee.laxity.table import COORDINATES, Laxity, write_laxity
 from identknee.laxity.zeros import zero_of_more
-from identknee.model.candidate_laxity import CandidateLaxity, typical_errors
+from identknee.model.candidate_laxity import CandidateLaxity, offered_trials, typical_errors
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
@@ -25,6 +25,7 @@ from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
+from identknee.verbs.used_trials import about_offered
 from identknee.verbs.values import BoundsLike, NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 
@@ -184,7 +185,7 @@ def design(
     choice = choose_trials(
         setup.problem,
         fits[0].theta,
-        offered,
+        offered.begun_at(fits[0].theta),
         n_trials=n_trials,
         targets=wanted,
         criterion=criterion,
@@ -201,7 +202,7 @@ def design(
         coordinate_sd=None if setup.laxity.sd is None else offered.sd,
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
-        assumptions=setup.assumptions,
+        assumptions=(*setup.assumptions, *about_offered(setup.model)),
         **setup.uncertain_at(best.optimum),
         findings=setup.findings_at(best.optimum, best.deviance, fits),
     )
@@ -211,7 +212,8 @@ def design(
 
 
 def _offered(setup: Identification, name: str | None) -> CandidateLaxity:
-    protocol = candidate_trials(setup.laxity.protocol) if name is None else load_protocol(name)
+    made = setup.laxity.protocol
+    protocol = offered_trials(setup.model, made) if name is None else load_protocol(name)
     return CandidateLaxity(
         model=setup.model,
         laxity=setup.laxity,

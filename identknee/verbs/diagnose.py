@@ -58,7 +58,7 @@ from identknee.verbs.diagnosis_rows import (
 )
 from identknee.verbs.identification import with_noise
 from identknee.verbs.trials import advised, trials_of
-from identknee.verbs.used_trials import lost_findings, testable, trial_names
+from identknee.verbs.used_trials import about_offered, lost_findings, testable, trial_names
 from identknee.verbs.values import NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
 from identknee.verbs.warming import warm_up
@@ -105,7 +105,7 @@ def diagnose_data(
     answer = replace(
         answer,
         trials_used=trial_names(kept),
-        assumptions=(*answer.assumptions, *used.sentences),
+        assumptions=(*answer.assumptions, *used.sentences, *_about_advice(found)),
         findings=(
             *lost,
             *rows,
@@ -117,6 +117,10 @@ def diagnose_data(
     if run.out is not None:
         _write_extension(found, run.out)
     return answer
+
+
+def _about_advice(found: Investigation) -> tuple[str, ...]:
+    return () if found.advice is None else about_offered(found.explanation.fitted.model)
 
 
 def untestable(reason: str, findings: tuple[Finding, ...] = ()) -> Diagnosis:

@@ -96,7 +96,7 @@ def advice_findings(found: Investigation) -> tuple[Finding, ...]:
         return ()
     sentence = (
         "No trial to add can be advised: the causes that are left differ in nothing that a load "
-        "could show, or the model has no equilibrium away from the measured poses."
+        "could show, or the model has no equilibrium in the trials that could be added."
     )
     return (Finding(severity=Severity.INFO, sentence=sentence, where="trials"),)
 

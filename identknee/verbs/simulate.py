@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from identknee.calibrate.starts import load_start
+from identknee.laxity.cells import OPENSIM
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.rmse import LaxityError, laxity_rmse
@@ -228,7 +229,7 @@ def simulate(
 def _tests(protocol: str | Protocol) -> Protocol | Laxity:
     if isinstance(protocol, Protocol):
         return protocol
-    is_table = Path(protocol).suffix.lower() == ".csv"
+    is_table = Path(protocol).suffix.lower() in (".csv", *OPENSIM)
     return read_laxity(protocol) if is_table else load_protocol(protocol)
 
 

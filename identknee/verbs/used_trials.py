@@ -316,6 +316,17 @@ def about_paths(model: LaxityModel) -> tuple[str, ...]:
     return (sentence,)
 
 
+def about_offered(model: LaxityModel) -> tuple[str, ...]:
+    """Where equilibria of trials that were not made are looked for, if not on paths from a scan."""
+    if model.poses is None:
+        return ()
+    sentence = (
+        "A trial that was not made has no measured pose: its equilibrium was followed under a "
+        "growing load from the mean pose of the trials made, interpolated over flexion."
+    )
+    return (sentence,)
+
+
 def _blanked(laxity: Laxity, lost: BoolArray) -> Laxity:
     if not lost.any():
         return laxity

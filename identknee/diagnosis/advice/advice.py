@@ -14,10 +14,10 @@ from identknee.diagnosis.explanations.fitting import Fitted, plain_noise
 from identknee.diagnosis.explanations.refit import Refit, Rival
 from identknee.identify.design.better_known import SHARE
 from identknee.identify.nuisances import nuisance_places
-from identknee.laxity.candidates import candidate_trials, repeated
+from identknee.laxity.candidates import repeated
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import Laxity
-from identknee.model.candidate_laxity import CandidateLaxity, typical_errors
+from identknee.model.candidate_laxity import CandidateLaxity, offered_trials, typical_errors
 from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
@@ -64,7 +64,7 @@ class OfferedTrials:
         choice = self._choice(fitted.model, fitted.theta)
         # One that is made and offered is there once.
         whole = concatenate([self.laxity.protocol, choice.trials], name="made and offered")
-        changes, spreads = nuisance_changes(fitted.model.with_protocol(whole), fitted.theta)
+        changes, spreads = nuisance_changes(choice.model.with_protocol(whole), fitted.theta)
         offered = [whole.trials.index(x) for x in choice.trials.trials]
         return Rows(
             made=plain_noise(self.laxity).whiten(
@@ -133,13 +133,14 @@ class OfferedTrials:
         return advised, found, np.array(others).reshape(-1, len(pairs))
 
     def _choice(self, model: LaxityModel, theta: Array) -> CandidateLaxity:
-        return CandidateLaxity(
+        choice = CandidateLaxity(
             model=model,
             laxity=self.laxity,
             protocol=self.candidates,
             sd=typical_errors(self.laxity),
             free=model.parameters.with_fixed((), theta),
         )
+        return choice.begun_at(theta)
 
 
 @declared
@@ -172,8 +173,7 @@ class Advice:
 def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | None:
     """The trials that separate the best explanation from its open rivals.
 
-    None without any, and where the model has no equilibrium in the trials made once their measured
-    poses are not given, as those of a robot whose paths from the scanned pose fold.
+    None without any, and where the model has no equilibrium in the trials that could be added.
 
     Causes that depend on the order of the trials are left out: no choice of loads tells them apart.
 
@@ -191,7 +191,9 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | Non
     rivals = [x for x in rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
     if not rivals or _depends_on_order(best):
         return None
-    offer = OfferedTrials(laxity=laxity, candidates=candidate_trials(laxity.protocol))
+    offer = OfferedTrials(
+        laxity=laxity, candidates=offered_trials(best.fitted.model, laxity.protocol)
+    )
     rows, pairs = _table(best, rivals, offer)
     measured = measured_errors(best, rivals, pairs, rows.made.shape[1])
     trials, found, others = offer.advise(

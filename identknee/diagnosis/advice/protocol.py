@@ -30,9 +30,9 @@ from identknee.diagnosis.explanations.fitting import (
     fitted_with_nuisances,
     plain_noise,
 )
-from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
+from identknee.model.candidate_laxity import offered_trials
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import library
 from identknee.model.effects.stored import values_of
@@ -197,7 +197,7 @@ def _advise(fitted: Fitted, candidates: Candidates, members: Sequence[Variant]) 
     ]
     variants = list({id(x): x for x in [*members, *(rival for _, rival in confused)]}.values())
     laxity = fitted.laxity
-    offer = OfferedTrials(laxity=laxity, candidates=candidate_trials(laxity.protocol))
+    offer = OfferedTrials(laxity=laxity, candidates=offered_trials(fitted.model, laxity.protocol))
     trials, found, _ = offer.advise(
         _rows(fitted, variants, offer),
         _pairs(fitted, candidates, variants, confused),

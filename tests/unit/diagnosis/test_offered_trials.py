@@ -71,6 +71,7 @@ def test_nothing_is_advised_where_no_offered_trial_has_an_equilibrium(
     monkeypatch.setattr(
         OfferedTrials, "advise", lambda *_, **__: (protocol, found, np.zeros((0, 1)))
     )
-    best: Any = SimpleNamespace(names=("a",), fitted=None, n_base=1)
+    fitted = SimpleNamespace(model=SimpleNamespace(poses=None))
+    best: Any = SimpleNamespace(names=("a",), fitted=fitted, n_base=1)
     rival: Any = SimpleNamespace(refit=SimpleNamespace(names=("b",)))
     assert (advice.advise(best, [rival], laxity) is None) == (not chosen)

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import Laxity, read_laxity
 from identknee.mechanics.grood_suntay import coordinates_from_pose
+from identknee.model.candidate_laxity import CandidateLaxity, offered_trials
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import measured_poses, strains_as_measured
+from identknee.model.measured_start import measured_poses, poses_of, strains_as_measured
 from identknee.runs.outcome import Outcome
+from identknee.subject.known_pose import pose_at
 
 
 def as_read() -> Protocol:
@@ -73,7 +75,51 @@ def test_angles_as_set_begin_at_the_scanned_pose() -> None:
         knee=small_knee(), protocol=laxity.protocol, continuation="single-step"
     )
     assert single_step.with_tests(laxity).poses is None
-    assert begun(laxity).with_protocol(small_protocol()).poses is None
+    assert begun(laxity).with_tests(replace(laxity, protocol=whole)).poses is None
+
+
+def test_another_trial_begins_between_the_poses_of_those_made() -> None:
+    laxity = as_measured()
+    model = begun(laxity)
+    assert model.poses is not None
+    own = laxity.protocol.select([2, 0])
+    np.testing.assert_array_equal(model.with_protocol(own).poses, model.poses[[2, 0]])
+    stronger = replace(own, loads=own.loads * 1.1)
+    poses = model.with_protocol(stronger).poses
+    assert poses is not None
+    angles = laxity.protocol.flexion_deg
+    middle = poses_of(laxity.protocol, laxity.coordinates)
+    expected = pose_at(middle, stronger.flexion_deg)
+    np.testing.assert_allclose(coordinates_from_pose(poses), expected, atol=1e-9)
+    assert len(middle) < len(angles)
+
+
+def test_offered_trials_have_the_equilibria_of_paths_from_the_scanned_pose() -> None:
+    model = begun(as_measured(off=2.0))
+    theta, made, new = model.parameters.start, model.protocol, small_protocol()
+    new = replace(new, trials=tuple(f"new {x}" for x in new.trials))
+    offered = CandidateLaxity(
+        model=model,
+        laxity=as_measured(),
+        protocol=concatenate([made, new]),
+        sd=np.ones(5),
+        free=model.parameters.with_fixed((), theta),
+    ).begun_at(theta)
+    scanned = LaxityModel(knee=small_knee(), protocol=small_protocol())
+    assert offered.model.poses is not None
+    np.testing.assert_array_equal(offered.model.poses[: made.n], model.poses)
+    found, _ = offered.predict(theta, range(made.n, offered.protocol.n))
+    np.testing.assert_allclose(found, scanned.predict(theta).coordinates, atol=1e-8)
+
+
+def test_angles_away_from_those_measured_are_not_offered() -> None:
+    laxity = as_measured()
+    model = begun(laxity)
+    new = offered_trials(model, laxity.protocol).flexion_deg[laxity.n :]
+    assert laxity.protocol.flexion_deg.max() < 15.0
+    assert set(new.tolist()) == {0.0, 15.0}
+    scanned = replace(model, poses=None)
+    assert offered_trials(scanned, laxity.protocol).flexion_deg.max() == 120.0
 
 
 def test_a_cell_not_measured_is_that_of_the_trial_nearest_in_flexion() -> None:
