@@ -35,12 +35,11 @@ RELATIVE = 1e-5
 ABSOLUTE = 1e-6
 NOT_COMPARED = {"seconds"}
 # Records older than a change of what they record: causes that were not refitted to their end are
-# refitted again (10), and predictions that agree to 1e-11 still lead chains of a posterior to other
-# draws (07) and single searches to another end (03, 09). Differences are shown and fail nothing
-# until the study is computed again. Nothing else belongs here.
+# refitted again (10), and predictions that agree to 1e-11 still lead single searches to another end
+# (03, 09). Differences are shown and fail nothing until the study is computed again. Nothing else
+# belongs here.
 SUPERSEDED = {
     "03_basin_of_attraction",
-    "07_global_sensitivity",
     "09_optimizers",
     "10_diagnosis",
 }
