@@ -1,7 +1,6 @@
 """Bounded least squares with the exact Jacobian, which sees a cliff and steps around it."""
 
 import numpy as np
-import scipy.optimize
 
 from identknee.calibrate.cliff import way_around
 from identknee.calibrate.evaluation import Ended, Evaluator
@@ -49,6 +48,9 @@ def minimise_by_least_squares(
 
 
 def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
+    # Verbs that do not fit, but know what a fit is, start without it.
+    import scipy.optimize
+
     parameters = evaluator.parameters
     theta = _strictly_inside(theta, parameters)
     if not np.isfinite(evaluator.deviance(theta)):

@@ -8,7 +8,6 @@ import importlib
 from typing import Any
 
 import numpy as np
-import scipy.optimize
 
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.scales import half_widths
@@ -56,6 +55,8 @@ def minimise_by_annealing(
 
     Local searches are off, because they would take differences of the deviance, blind to cliffs.
     """
+    import scipy.optimize
+
     parameters = evaluator.parameters
     scipy.optimize.dual_annealing(
         # Half the deviance, the objective of the paper: temperatures are in its unit.

