@@ -141,7 +141,7 @@ class Laxity:
         )
 
 
-def read_laxity(path: PathLike) -> Laxity:
+def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
     """Laxity of a CSV file with one row a trial, or of a named subject such as ``"s192803"``.
 
     Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing) or of the opposite
@@ -152,7 +152,8 @@ def read_laxity(path: PathLike) -> Laxity:
     ``# within_trial_correlation: 0.3``, and ``# zero:`` with ``unloaded``, ``opposite`` or the name
     of a trial. The protocol is called after the file. A name stands for the table that comes with
     identknee even where a file is called so:
-    write ``"./s192803"``, or give a `pathlib.Path`, for the file.
+    write ``"./s192803"``, or give a `pathlib.Path`, for the file. A table of trials that are to be
+    predicted need not have coordinates: say so with `is_measured`.
 
     Raises
     ------
@@ -163,7 +164,8 @@ def read_laxity(path: PathLike) -> Laxity:
     with CellFile.open(laxity_file(path)) as file:
         file.take_named()
         file.take_opposites(OPPOSITE_LOADS)
-        names, table, extra = _curves(file) if TIME in file.columns else _trials(file)
+        is_series = TIME in file.columns
+        names, table, extra = _curves(file) if is_series else _trials(file, is_measured=is_measured)
     loads, coordinates = 1 + len(LOADS), 1 + len(LOADS) + len(COORDINATES)
     protocol = Protocol(
         name=file.path.stem,
@@ -228,10 +230,11 @@ def noise_fault(sd: float) -> tuple[str, str] | None:
     return why, "Give that of the measurement, in mm or deg"
 
 
-def _trials(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
+def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
     """Names of trials, their numbers, order and phase, from a file with one row a trial."""
     file.check_columns((*_COLUMNS, *OPPOSITE_LOADS), ("trial", FLEXION))
-    _check_coordinates(file)
+    if is_measured:
+        _check_coordinates(file)
     names: dict[str, int] = {}
     numbers: list[tuple[float, ...]] = []
     order: list[int] = []

@@ -230,7 +230,7 @@ def _tests(protocol: str | Protocol) -> Protocol | Laxity:
     if isinstance(protocol, Protocol):
         return protocol
     is_table = Path(protocol).suffix.lower() in (".csv", *OPENSIM)
-    return read_laxity(protocol) if is_table else load_protocol(protocol)
+    return read_laxity(protocol, is_measured=False) if is_table else load_protocol(protocol)
 
 
 def _error(prediction: Prediction, tests: Laxity) -> LaxityError | None:

@@ -24,7 +24,7 @@ from identknee.laxity.zeros import from_zero
 from identknee.mechanics.load_paths import NEAR, Continuation
 from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import known_poses, strains_as_measured
+from identknee.model.measured_start import POSE_EVERY_DEG, known_poses, strains_as_measured
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.findings import Finding, Severity
@@ -307,11 +307,25 @@ def about_paths(model: LaxityModel) -> tuple[str, ...]:
             "Equilibria were followed under growing loads from the poses that the fitted "
             "subject states for each flexion angle, not from measured ones."
         )
-        return (sentence,)
+        return (sentence, *_about_extrapolation(model))
     sentence = (
         "Each trial has a flexion angle of its own, as a rig reads it: its equilibrium was looked "
         "for from its measured pose under its whole load, not along a path from the scanned pose, "
         f"and counts within {NEAR:.0f} mm and {np.degrees(NEAR / ROTATION_SCALE):.0f} deg of it."
+    )
+    return (sentence,)
+
+
+def _about_extrapolation(model: LaxityModel) -> tuple[str, ...]:
+    """Which trials lie beyond the flexion angles at which the knee states poses."""
+    angles, known = model.protocol.flexion_deg, [x.flexion_deg for x in model.knee.poses]
+    is_beyond = (angles < min(known) - POSE_EVERY_DEG) | (angles > max(known) + POSE_EVERY_DEG)
+    if not is_beyond.any():
+        return ()
+    names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
+    sentence = (
+        f"These poses lie at {min(known):.0f} to {max(known):.0f} deg of flexion: what is said of "
+        f"trials far beyond ({names}) is extrapolated."
     )
     return (sentence,)
 

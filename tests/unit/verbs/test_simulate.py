@@ -1,12 +1,18 @@
 """`simulate`: parameters by name, outcomes in sentences."""
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from small_knee import small_knee
 
 from identknee.laxity.protocol import load_protocol
+from identknee.laxity.table import read_laxity
 from identknee.model.laxity_model import LaxityModel
+from identknee.runs.errors import InputError
+from identknee.subject.known_pose import KnownPose
 from identknee.subject.reference import reference_knee
 from identknee.verbs.simulate import simulate
 from identknee.verbs.values import by_ligament
@@ -29,6 +35,31 @@ def test_every_trial_has_its_reason() -> None:
     assert len(simulation.trials) == protocol.n
     assert all(x.reason.endswith("% of the last load step was reached.") for x in simulation.trials)
     assert all(x.reason for x in simulate(reference_knee(), protocol).trials)
+
+
+def test_another_labs_trials_without_values_are_predicted_from_the_poses_of_the_knee(
+    tmp_path: Path,
+) -> None:
+    table = tmp_path / "its.csv"
+    table.write_text(
+        "trial;flexion_deg;external_moment_Nm;compression_force_N\n"
+        "P1;6,5;-0,3;5\nP2;9;0,2;5\nfar;31;0;5\n",
+        encoding="utf-8",
+    )
+    plain, trials = small_knee(), read_laxity(table, is_measured=False).protocol
+    model = LaxityModel(knee=plain, protocol=trials)
+    at = model.simulate(model.parameters.start).coordinates[0]
+    poses = [KnownPose(flexion_deg=x, coordinates=at) for x in (5.0, 10.0)]
+    found = simulate(replace(plain, poses=tuple(poses)), str(table))
+    assert trials.loads[:, 0].tolist() == [0.3, -0.2, 0.0]
+    np.testing.assert_allclose(found.coordinates[:2], model.simulate(found.theta).coordinates[:2])
+    assert found.rmse is None
+    assert found.assumptions[-1] == (
+        "These poses lie at 5 to 10 deg of flexion: what is said of trials far beyond (far) is "
+        "extrapolated."
+    )
+    with pytest.raises(InputError, match="no column holds a coordinate"):
+        read_laxity(table)
 
 
 def test_an_unknown_name_is_refused() -> None:
