@@ -62,6 +62,19 @@ def label(name: str) -> str:
     return f"{plain} in {trial}" if at else plain
 
 
+def amplitude_label(name: str) -> str:
+    """An amplitude of a cause with its unit in brackets, for a table.
+
+    Examples
+    --------
+    >>> amplitude_label("medial_N_per_mm"), amplitude_label("offset_deg"), amplitude_label("gain")
+    ('medial [N/mm]', 'offset [deg]', 'gain')
+    """
+    words, per, below = name.partition("_per_")
+    plain = label(words)
+    return f"{plain.removesuffix(']')}/{UNITS.get(below, below)}]" if per else plain
+
+
 def unit_of(name: str) -> str:
     """The unit that a name ends in, as people write it; empty where it ends in none.
 

@@ -128,14 +128,14 @@ def _sentence(row: SuspiciousRow, laxity: Laxity, against: str) -> str:
     said = []
     for k, off, times in clear:
         words, _, unit = COORDINATES[k].replace("internal", "internal_rotation").rpartition("_")
-        size = f"{abs(off):.2g} {unit} {'more' if off > 0.0 else 'less'}"
+        size = f"{abs(off):.2g} {unit} {'larger' if off > 0.0 else 'smaller'}"
         said.append(f"{words.replace('_', ' ')} is {size} ({times:.2g} times its error)")
     trial, load = laxity.protocol.trials[row.trial], load_words(laxity.protocol, row.trial)
     chance = f"{row.p_value:.1g}" if row.p_value >= 1e-6 else "less than 1e-06"
     return (
-        f"{trial} does not go with the other trials: under {load} "
-        f"its {_listed(said)} than {against}. By chance one trial of as many would be as far off "
-        f"with probability {chance}. Look the trial up, and leave its cells blank if it is wrong."
+        f"{trial} does not agree with the other trials: under {load} "
+        f"its {_listed(said)} than {against}. In as many trials, chance alone puts one as far "
+        f"off with probability {chance}. Check the trial, and leave its cells blank if it is wrong."
     )
 
 

@@ -162,11 +162,11 @@ class Advice:
     @property
     def sentence(self) -> str:
         """What they would do, for a person."""
-        trials = ", ".join(self.trials.trials)
-        least = float(self.after.min())
+        n = self.trials.n
+        which = "this trial" if n == 1 else f"these {n} trials"
         return (
-            f"Adding {trials} would set the nearest rival {least:.1f} units of noise apart "
-            f"instead of {float(self.before.min()):.1f}; 5 are enough."
+            f"With {which} the nearest rival would be {float(self.after.min()):.1f} units of noise "
+            f"away instead of {float(self.before.min()):.1f}; 5 are enough to tell it apart."
         )
 
 

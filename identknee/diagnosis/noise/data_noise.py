@@ -142,7 +142,7 @@ class NoiseSource(StrEnum):
         """How it shows it, for a person, the sizes to follow."""
         return {
             NoiseSource.REPLICATES: "Trials under equal loads show a noise of",
-            NoiseSource.CURVES: "The roughness of the load curves shows a noise of",
+            NoiseSource.CURVES: "The scatter along the load curves shows a noise of",
             NoiseSource.STATED: "The noise is taken as stated: the load curves are too short to "
             "show it.",
         }[self]

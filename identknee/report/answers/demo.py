@@ -7,6 +7,14 @@ from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.verbs.demo import Demonstration, StartFits
 
+ENDS = {
+    "minimum": "at a minimum",
+    "valley": "in a valley",
+    "cliff": "at a cliff",
+    "budget": "out of budget",
+    "spread": "by the stopping rule",
+    "start_failed": "no prediction at the start",
+}
 # Below this a parameter error is rounding [kN].
 EXACT_KN = 1e-6
 
@@ -33,7 +41,7 @@ def misleading_fit(fits: StartFits) -> str:
     return (
         f"Complex from {fits.start} ends {error['kN']:.2f} kN and {error['pct']:.2f} % from the "
         f"true parameters on average, and still reproduces the laxity to {rmse['mm']:.2f} mm and "
-        f"{rmse['deg']:.2f} deg: that a model fits does not show that its parameters are right."
+        f"{rmse['deg']:.2f} deg: a good fit does not show that its parameters are right."
     )
 
 
@@ -51,13 +59,13 @@ def exact_fit(fits: Sequence[StartFits]) -> str:
 def _table(starts: Sequence[StartFits]) -> Table:
     rows = tuple(
         (
-            f"{x.method} from {x.start}",
+            f"{x.method.capitalize()} from {x.start}",
             x.error["kN"],
             x.error["pct"],
             x.rmse["mm"],
             x.rmse["deg"],
             int(x.n_simulations),
-            ", ".join(f"{end} {n}" for end, n in x.outcomes.items()),
+            ", ".join(f"{n} {ENDS[end]}" for end, n in x.outcomes.items()),
         )
         for x in starts
     )
@@ -70,7 +78,7 @@ def _table(starts: Sequence[StartFits]) -> Table:
             Column(name="laxity RMSE", unit="mm"),
             Column(name="laxity RMSE", unit="deg"),
             Column(name="simulations"),
-            Column(name="ended"),
+            Column(name="runs ended"),
         ),
         rows=rows,
     )

@@ -9,20 +9,27 @@ from identknee.report.tables import Column, Table
 from identknee.report.words import capital, label, listed, parameter_words, trial_words
 from identknee.verbs.design import ADVICE, Design
 
+# Beyond so many, targets are counted and not named.
+MOST_NAMED = 3
+
 
 def design_statements(answer: Design) -> Iterator[Statement]:
     """The trials that shrink open intervals most and by how much, then what was not offered."""
     choice = answer.choice
     name = choice.targets[0]
     before, after = choice.before[name], choice.after[name]
+    targets = listed(map(parameter_words, choice.targets[:MOST_NAMED]))
+    if len(choice.targets) > MOST_NAMED:
+        targets = f"all {len(choice.targets)} targets"
     counts = Counter(trial_words(x) for x in answer.trials)
     trials = listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
     yield Statement(
         question=Question.NEXT,
-        sentence=f"Next test for {listed(map(parameter_words, choice.targets))}: {trials}. "
-        f"{capital(parameter_words(name))} would then lie in "
-        f"{_ends(after.lower, after.upper)} instead of {_ends(before.lower, before.upper)} "
-        f"{before.unit}. {ADVICE} lists the trials, to be filled in and appended to the data.",
+        sentence=f"Next test for {targets}: {trials}. "
+        f"{capital(parameter_words(name))} would then lie within "
+        f"{_ends(after.lower, after.upper)} {before.unit} instead of "
+        f"{_ends(before.lower, before.upper)} {before.unit}. {ADVICE} lists the "
+        "trials, to be filled in and appended to the data.",
         tables=(_targets(answer), _trials(answer)),
         is_answer=True,
     )
@@ -31,7 +38,7 @@ def design_statements(answer: Design) -> Iterator[Statement]:
         yield Statement(
             question=Question.NEXT,
             sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were not "
-            f"offered: {choice.excluded[0].sentence}",
+            f"offered; for example, {choice.excluded[0].sentence}",
         )
 
 

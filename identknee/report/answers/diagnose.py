@@ -18,6 +18,7 @@ from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import (
     amount,
+    amplitude_label,
     coordinate_words,
     label,
     listed,
@@ -34,8 +35,8 @@ LEAST_GAIN = 2.0
 FOUND = {
     Cell.MISSPECIFIED: "seen",
     Cell.INSPECT: "seen",
-    Cell.EXCLUDED: "not seen, excluded",
-    Cell.INCONCLUSIVE: "not seen, cannot be excluded",
+    Cell.EXCLUDED: "excluded",
+    Cell.INCONCLUSIVE: "not seen, but not excluded",
 }
 
 
@@ -116,7 +117,7 @@ def _verdict_tables(answer: Diagnosis) -> tuple[Table, ...]:
 def _reasons(answer: Diagnosis) -> Table:
     return Table(
         title=f"Verdict: {answer.verdict.value}",
-        columns=(Column(name="why"),),
+        columns=(Column(name="reason"),),
         # Its sentence holds them where nothing could be tested.
         rows=tuple((x,) for x in answer.reasons if answer.verdict is not Verdict.NOT_TESTABLE),
     )
@@ -126,7 +127,7 @@ def _sizes(causes: Sequence[CauseFound]) -> Table:
     # What is plausible is known of a cause's size, which is its first amplitude.
     rows = tuple(
         (
-            f"{cause_label(cause.name)}, {label(name)}",
+            f"{cause_label(cause.name)}, {amplitude_label(name)}",
             x.value,
             *map(_end, x.ci95),
             cause.source if k == 0 else "",
@@ -156,7 +157,7 @@ def _compared(rivals: Sequence[RivalFound]) -> Table:
     )
     columns = (
         Column(name="other explanation"),
-        Column(name="log evidence below", decimals=1),
+        Column(name="log evidence behind", decimals=1),
         Column(name="distance", unit="sd of the noise", decimals=1),
         Column(name="state"),
     )
@@ -166,12 +167,12 @@ def _compared(rivals: Sequence[RivalFound]) -> Table:
 def _clarity(answer: Diagnosis, misfit: Misfit) -> Table:
     rows = (
         ("p-value of such a misfit from noise alone", answer.p_value),
-        ("chi-square without the cause", misfit.chi_square_before),
+        (f"chi-square{' without the cause' if answer.causes else ''}", misfit.chi_square_before),
         *([("chi-square with the cause", misfit.chi_square_after)] if answer.causes else []),
         ("measured values", misfit.n_measured),
     )
     columns = (Column(name="test"), Column(name="value", decimals=None))
-    return Table(title="How clear it is", columns=columns, rows=rows)
+    return Table(title="Strength of evidence", columns=columns, rows=rows)
 
 
 def _where(misfit: Misfit) -> Statement:
@@ -196,7 +197,7 @@ def _where(misfit: Misfit) -> Statement:
     return Statement(
         question=Question.WRONG,
         sentence=f"The misfit is largest in {places}. "
-        f"There lies {100 * misfit.share:.0f} % of what exceeds the noise.",
+        f"{100 * misfit.share:.0f} % of what exceeds the noise is there.",
         tables=(Table(title="Cells that stand out", columns=columns, rows=rows),),
         is_answer=True,
     )
@@ -207,7 +208,7 @@ def _gain(gain: GainFound) -> Statement:
     names = {
         "before": "without the cause",
         "after": "with the cause",
-        "absorbed": "with a Gaussian process that explains nothing",
+        "absorbed": "with a Gaussian process in place of a cause",
     }
     rows = tuple(
         (words, held[key].mm, held[key].deg, held[key].noise, expected[key].noise)
@@ -218,7 +219,7 @@ def _gain(gain: GainFound) -> Statement:
         Column(name="error", unit="mm"),
         Column(name="error", unit="deg"),
         Column(name="error", unit="sd of the noise"),
-        Column(name="expected of a right model", unit="sd of the noise"),
+        Column(name="expected if the model is right", unit="sd of the noise"),
     )
     return Statement(
         question=Question.WRONG,
@@ -230,11 +231,11 @@ def _gain(gain: GainFound) -> Statement:
 def _gain_sentence(gain: GainFound) -> str:
     """What the cause gains where trials are held out, claimed beyond two standard errors only."""
     held = gain.rmse_held_out
-    errors = f"{held['after'].noise:.2f} instead of {held['before'].noise:.2f} times the noise"
+    errors = f"{held['after'].noise:.2f} times the noise, {held['before'].noise:.2f} without it"
     if gain.elpd_difference > LEAST_GAIN * gain.elpd_se:
         return (
-            f"With the cause the model predicts trials it has not seen with an error of {errors}; "
-            f"their log predictive density rises by {_rise(gain)}."
+            f"With the cause, the error on held-out trials is {errors}; their log predictive "
+            f"density rises by {_rise(gain)}."
         )
     flexion = gain.families.get(FLEXION)
     alone = (
@@ -243,9 +244,9 @@ def _gain_sentence(gain: GainFound) -> str:
         else ""
     )
     return (
-        f"The cause has no gain that counts on trials held out: their error is {errors}, and "
-        f"their log predictive density changes by {_rise(gain)}, which is less than "
-        f"{LEAST_GAIN:g} standard errors up.{alone}"
+        f"The cause does not clearly improve the prediction of held-out trials: their error is "
+        f"{errors}, and their log predictive density changes by {_rise(gain)}; a gain counts from "
+        f"{LEAST_GAIN:g} standard errors on.{alone}"
     )
 
 
@@ -263,13 +264,13 @@ def _change(answer: Diagnosis) -> Statement:
     moves = {x: abs(after[x] - value) / _width(old[x]) for x, value in before.items()}
     heads: tuple[str, ...] = ("parameter", "without", "95 % from", "to", "with", "95 % from", "to")
     title = "Parameters without and with the cause"
-    sentence = "The table gives the ligament parameters of the model as it is."
+    sentence = "The table has the fitted ligament parameters of the model as it is."
     if not answer.causes:
         rows, heads, title = [x[:4] for x in rows], ("parameter", "value", *heads[2:4]), "Fit"
     else:
         most = sorted(moves, key=lambda x: -moves[x])[:MOST_PARAMETERS]
         words = listed(map(parameter_words, most))
-        sentence = f"With the cause the fit changes. What moves most is {words}."
+        sentence = f"The cause changes the fitted parameters, most of all {words}."
     columns = tuple(Column(name=x, decimals=2) for x in heads)
     return Statement(
         question=Question.WRONG,
@@ -289,8 +290,8 @@ def _better_known(answer: Diagnosis, advice: AdviceFound) -> Statement:
     return Statement(
         question=Question.NEXT,
         sentence=f"Knowing the {error_words(best)} twice as well"
-        f"{sizes_words(answer.nuisances, best)} would set the nearest rival {least[best]:.1f} "
-        f"units of noise apart instead of {now:.1f}, the first trial to add {trial:.1f}.",
+        f"{sizes_words(answer.nuisances, best)} would put the nearest rival {least[best]:.1f} "
+        f"units of noise away instead of {now:.1f}; the first trial to add, {trial:.1f}.",
         tables=(
             Table(
                 title="What would tell the nearest rival",
@@ -318,12 +319,14 @@ def _whichever(answer: Diagnosis) -> Statement | None:
         rows.append((label(name), min(values), max(values), "no" if is_free else "yes"))
         held += [] if is_free else [parameter_words(name)]
     names = ("parameter", "from", "to", "depends on the cause")
+    who = "Whichever of the possible causes it is, the ligament parameters"
     said = "stay within their intervals"
     if held:
-        said = f"depend on which cause it is: {listed(held)}"
+        who = "More than one cause remains possible, and these parameters"
+        said = f"depend on which of them it is: {listed(held)}"
     return Statement(
         question=Question.WRONG,
-        sentence=f"Under the causes that remain possible, the ligament parameters {said}.",
+        sentence=f"{who} {said}.",
         tables=(
             Table(
                 title="Parameters under all open explanations",
@@ -344,14 +347,14 @@ def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
         Column(name="finding"),
         Column(name="score", decimals=1),
         *(Column(name=x) for x in SIZES),
-        Column(name="chance to see that one", unit="%", decimals=0),
+        Column(name="chance of detecting it", unit="%", decimals=0),
     )
     counts = Counter(FOUND[x.cell] for x in effects.values())
     known = [x for x, y in FACTS.items() if x not in NOT_OFFERED and not y.is_numerical]
     missing = [cause_label(x) for x in known if x not in effects and x not in uncertain]
     stated = [cause_label(x) for x in known if x in uncertain]
     said = f"Of {len({*known, *effects})} known causes, {len(effects)} were tested: "
-    said += "; ".join(f"{n} {words}" for words, n in counts.items()) + "."
+    said += f"{listed(f'{n} {words}' for words, n in counts.items())}."
     if missing:
         said += f" Not testable with these data or this knee: {listed(missing)}."
     if stated:

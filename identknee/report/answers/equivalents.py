@@ -70,7 +70,7 @@ def _table(ranges: Iterable[Extrema], title: str) -> Table:
             Column(name="lowest", decimals=None),
             Column(name="fit", decimals=None),
             Column(name="highest", decimals=None),
-            Column(name="what to know"),
+            Column(name="remark"),
         ),
         rows=tuple((label(x.name), x.smallest, x.at_fit, x.largest, _note(x)) for x in ranges),
     )

@@ -25,7 +25,7 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
         f"{alike}"
     )
     yield _known(
-        f"{found.n_above_noise} of {n} combinations of parameters stand above the noise of the "
+        f"{found.n_above_noise} of {n} combinations of parameters rise above the noise of the "
         f"solver. Their condition number is {found.condition:.3g}.",
         Table(
             title="Combinations of parameters, from well to badly known",
@@ -47,7 +47,7 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
     for path in answer.geodesics:
         involved = listed(map(parameter_words, path.involved))
         yield _known(
-            f"Path along the least known combination, which is about {involved}: "
+            f"The path along the least known combination ends with {involved}. "
             f"{path.boundary.sentence}"
         )
 

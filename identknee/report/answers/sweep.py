@@ -97,8 +97,8 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
     radius = recovery.radius
     if radius.value == 0.0:
         return (
-            f"No distance was found within which nine of ten starts lead {searches} back to "
-            f"{within:g} kN and % of the best end: either there is none or more starts are needed."
+            f"At no distance do nine of ten starts lead {searches} back to the best end (to "
+            f"{within:g} kN and {within:g} %), unless more starts would show one."
         )
     return (
         f"Nine of ten starts within {_kN_and_pct(radius.value)} of the best end (95 %: "

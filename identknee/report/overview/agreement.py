@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum, unique
-from math import sqrt
+from math import inf, isinf, sqrt
 
 from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source
 from identknee.report.words import between, listed
@@ -86,23 +86,25 @@ def agreement(ranges: Sequence[Range]) -> Agreement:
 
 def relation(main: Range, other: Range) -> Relation:
     """How `other` lies to `main`, scaled to the same limit of misfit where that is known."""
-    low, high = _scaled(other)
-    if main.low is None or main.high is None:
-        is_same = (main.low is None) == (low is None) and (main.high is None) == (high is None)
-        return Relation.SAME if is_same else Relation.CLOSED
-    if low is None or high is None:
-        return Relation.OPEN
-    if high < main.low or low > main.high:
+    (low, high), (own_low, own_high) = (
+        _with_infinities(x) for x in (_scaled(other), (main.low, main.high))
+    )
+    if high < own_low or low > own_high:
         return Relation.APART
-    slack = NEAR * (main.high - main.low)
-    below, above = main.low - low, high - main.high
+    if (isinf(low) and not isinf(own_low)) or (isinf(high) and not isinf(own_high)):
+        return Relation.OPEN
+    if isinf(own_low) or isinf(own_high):
+        is_same = isinf(own_low) == isinf(low) and isinf(own_high) == isinf(high)
+        return Relation.SAME if is_same else Relation.CLOSED
+    slack = NEAR * (own_high - own_low)
+    below, above = own_low - low, high - own_high
     if abs(below) <= slack and abs(above) <= slack:
         return Relation.SAME
-    if below > -slack and above > -slack:
+    if min(below, above) > -slack and below + above > slack:
         return Relation.WIDER
-    if below <= slack and above <= slack:
+    if max(below, above) <= slack and below + above < -slack:
         return Relation.NARROWER
-    return Relation.HIGHER if above > 0 else Relation.LOWER
+    return Relation.HIGHER if above > below else Relation.LOWER
 
 
 def reasons(agreements: Iterable[Agreement]) -> str:
@@ -134,6 +136,11 @@ _WHY = {
     Source.INFORMATION: "The local approximation takes the model as linear near the fit.",
     Source.EQUIVALENTS: "Equivalent sets ask how far the fit can move, not what the data exclude.",
 }
+
+
+def _with_infinities(ends: tuple[float | None, float | None]) -> tuple[float, float]:
+    low, high = ends
+    return -inf if low is None else low, inf if high is None else high
 
 
 def _scaled(x: Range) -> tuple[float | None, float | None]:

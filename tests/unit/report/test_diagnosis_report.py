@@ -51,8 +51,8 @@ def test_a_gain_counts_from_two_standard_errors_on() -> None:
     gain = answer.gain
     assert gain is not None
     for errors, said in (
-        (2.1, "With the cause the model predicts"),
-        (1.9, "The cause has no gain"),
+        (2.1, "With the cause, the error on held-out trials"),
+        (1.9, "The cause does not clearly improve"),
     ):
         unsure = replace(answer, gain=replace(gain, elpd_se=gain.elpd_difference / errors))
         sentences = " ".join(x.sentence for x in diagnosis_statements(unsure))

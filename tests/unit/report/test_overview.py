@@ -60,6 +60,19 @@ def test_an_open_end_agrees_with_an_open_end_only() -> None:
     assert relation(main, a_range(7.0, 20.0)) is Relation.CLOSED
 
 
+def test_ends_that_are_open_on_other_sides_do_not_close_a_set() -> None:
+    main = a_range(8.0, None, Source.PROFILE)
+    assert relation(main, a_range(None, 9.0)) is Relation.OPEN
+    assert relation(main, a_range(None, 7.0)) is Relation.APART
+
+
+def test_a_set_as_wide_is_not_called_narrower_or_wider() -> None:
+    main = a_range(0.0, 10.0, Source.PROFILE)
+    assert relation(main, a_range(-1.4, 8.4)) is Relation.LOWER
+    assert relation(main, a_range(1.4, 11.8)) is Relation.HIGHER
+    assert relation(main, a_range(-1.0, 4.0)) is Relation.NARROWER
+
+
 def test_equivalent_sets_are_scaled_to_the_limit_of_the_profile() -> None:
     # A quarter of the squared misfit is half the width.
     narrow = a_range(9.0, 11.0, Source.EQUIVALENTS, reach=0.25)

@@ -99,7 +99,7 @@ def test_a_fit_names_a_gross_row_and_says_what_it_is_without(states_noise: bool)
     assert row.off[0] == pytest.approx(10 * NOISE, abs=4 * NOISE)
     (found,) = row_findings(model, wrong, theta)
     assert found.where == wrong.protocol.trials[20]
-    assert "deg more" in found.sentence
+    assert "deg larger" in found.sentence
     assert "Without it the error of the fit goes from" in found.sentence
     right = replace(laxity, sd=sd)
     theta = fit(ik.LaxityResiduals(model=model, laxity=right), own).theta
