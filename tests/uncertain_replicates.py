@@ -19,7 +19,7 @@ from identknee.verbs.identification import identification
 # exact, the seeds 400 to 415 of `reference` and 0.3 mm and deg of noise, 95 % intervals cover 80 %
 # without uncertain surfaces, 87 % with 0.03 mm and 94 % with 0.1 mm. The generator's exponent is
 # 1.25, and the ends of its toe region are rounded.
-LAWS = Uncertainty(contact_modulus=0.3, surface_mm=0.1, contact_exponent=0.2, toe_strain=0.2)
+LAWS = Uncertainty(contact_modulus=0.3, surface_mm=0.1, contact_exponent=0.2, toe_region=0.2)
 
 
 @dataclass(frozen=True, kw_only=True)

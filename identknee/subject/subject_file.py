@@ -175,7 +175,7 @@ class UncertaintyTable(Part):
     zero_deg: Number = 0.0
     reference_pose_deg: Number = 0.0
     reference_pose_mm: Number = 0.0
-    toe_strain: Number = 0.0
+    toe_region: Number = 0.0
 
 
 class PriorTable(Part):

@@ -59,7 +59,7 @@ class Uncertainty:
         again.
     reference_pose_deg, reference_pose_mm
         Rotation and translation of the tibia in the pose in which reference lengths were measured.
-    toe_strain
+    toe_region
         Logarithm of the strain at which the ligaments' toe region ends.
 
     Raises
@@ -82,7 +82,7 @@ class Uncertainty:
     zero_deg: float = _stated("zero of angles")
     reference_pose_deg: float = _stated("turn of the scanned pose")
     reference_pose_mm: float = _stated("shift of the scanned pose")
-    toe_strain: float = _stated("toe region")
+    toe_region: float = _stated("toe region")
 
     def __post_init__(self) -> None:
         for name, value in self._values():

@@ -17,7 +17,7 @@ from identknee.verbs.warming import warm_up
 PROPOSAL = (
     "The subject does not state how well it is known, so it counts as exact. If you know nothing "
     "better, add to subject.toml: [uncertainty] insertions_mm = 2.0 (segmentation repeats to 1 to "
-    "4 mm), contact_modulus = 0.3, contact_exponent = 0.2 and toe_strain = 0.2 (estimates: no law "
+    "4 mm), contact_modulus = 0.3, contact_exponent = 0.2 and toe_region = 0.2 (estimates: no law "
     "of contact or of a toe region is exact)."
 )
 

@@ -65,10 +65,10 @@ def contact_exponent(sd: float) -> SettingChange:
     return SettingChange(name="contact_exponent", parameters=made.as_nuisances(), changed=_curved)
 
 
-def toe_strain(sd: float) -> SettingChange:
+def toe_region(sd: float) -> SettingChange:
     """Logarithm of the strain at which all ligaments' toe region ends, over the knee's own."""
-    made = amplitudes("toe_strain", ["ln_strain"], [sd], upper=[REACH * sd])
-    return SettingChange(name="toe_strain", parameters=made.as_nuisances(), changed=_uncrimped)
+    made = amplitudes("toe_region", ["ln_strain"], [sd], upper=[REACH * sd])
+    return SettingChange(name="toe_region", parameters=made.as_nuisances(), changed=_uncrimped)
 
 
 def reference_pose(sd_deg: float, sd_mm: float) -> SettingChange:

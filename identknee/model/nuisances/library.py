@@ -10,7 +10,7 @@ from identknee.model.nuisances.geometry import (
     contact_modulus,
     insertions,
     reference_pose,
-    toe_strain,
+    toe_region,
 )
 from identknee.model.nuisances.loading import flexion, load_axes, load_gain
 from identknee.model.nuisances.registration import Registration
@@ -22,7 +22,7 @@ _HELD = MappingProxyType[str, Callable[[], Effect]](
         "reference_pose": lambda: reference_pose(1.0, 1.0),
         "contact_modulus": lambda: contact_modulus(1.0),
         "contact_exponent": lambda: contact_exponent(1.0),
-        "toe_strain": lambda: toe_strain(1.0),
+        "toe_region": lambda: toe_region(1.0),
         "load_gain": lambda: load_gain(1.0),
         "load_axes": lambda: load_axes(1.0),
         "flexion": lambda: flexion(1.0),
@@ -55,8 +55,8 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
         made.append(contact_modulus(stated.contact_modulus))
     if stated.contact_exponent > 0.0:
         made.append(contact_exponent(stated.contact_exponent))
-    if stated.toe_strain > 0.0:
-        made.append(toe_strain(stated.toe_strain))
+    if stated.toe_region > 0.0:
+        made.append(toe_region(stated.toe_region))
     if stated.load_gain > 0.0:
         made.append(load_gain(stated.load_gain))
     if stated.load_axes_deg > 0.0:

@@ -28,7 +28,7 @@ EVERYTHING = Uncertainty(
     flexion_deg=1.0,
     contact_modulus=0.3,
     contact_exponent=0.2,
-    toe_strain=0.3,
+    toe_region=0.3,
     reference_pose_deg=1.0,
     reference_pose_mm=1.0,
 )
