@@ -16,7 +16,7 @@ from identknee.runs.progress import progress
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.fitted_knee import as_stated
 
 FIGURES = "figures"
 
@@ -89,10 +89,11 @@ def _knee(findings: Findings, remarks: list[str], knee: Knee | None) -> Knee | N
     except ValueError as error:
         remarks.append(f"The knee itself is not shown: {error}")
         return None
-    if knee_digest(knee) != findings.results[0].subject_digest:
+    try:
+        return as_stated(knee, findings.results[0].answer)
+    except ValueError:
         remarks.append(f"The knee itself is not shown: {name} has changed since.")
         return None
-    return knee
 
 
 def _write_figures(results: Sequence[Result], folder: Path, form: str) -> list[str]:

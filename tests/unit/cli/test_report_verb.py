@@ -57,6 +57,15 @@ def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_p
         assert "Plotly" not in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_subject_called_uncertain_is_the_same_subject(folder: Path, tmp_path: Path) -> None:
+    table = folder / "simulate" / "laxity.csv"
+    stated = ("--uncertain", "contact_modulus=0.3", "--out", tmp_path)
+    assert run("information", "reference", table, "--noise", "1mm,1deg", *stated).exit_code == 0
+    result = run("report", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "not shown" not in result.stdout
+
+
 def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
     assert "there are no results in it. Give the folder" in refused("report", tmp_path)
     assert "there is no such folder" in refused("report", tmp_path / "nowhere")
