@@ -55,6 +55,7 @@ from identknee.verbs.diagnosis_rows import (
     advice_findings,
     sound,
     unbelievable_findings,
+    with_unsound,
 )
 from identknee.verbs.identification import with_noise
 from identknee.verbs.trials import advised, trials_of
@@ -90,18 +91,24 @@ def diagnose_data(
     model = LaxityModel(knee=run.knee, protocol=laxity.protocol)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)
-    knee, used = testable(run.knee, laxity, start)
-    lost = lost_findings(laxity, used.laxity)
-    begin = [] if start == "subject" else [used.start]
-    kept = sound(used.laxity)
+    checked = sound(laxity)
+    knee, used = testable(run.knee, checked, start)
+    kept = used.laxity
+    lost = lost_findings(checked, kept)
+    # Stiffness there as well: the knee has its strains already, and trials may hang on both.
+    is_own = np.array_equal(used.start, model.parameters.start)
+    begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
     with planned("diagnosing", work_of(model.parameters.n)):
         found = investigate(knee, kept, starts=begin, effects=effects, seed=seed)
         if found is None:
             return untestable(_why_untestable(knee, laxity), (*lost, *end_point_findings(laxity)))
         with stage("telling what follows"):
             answer = diagnosis_of(found)
-    compared = Comparison(knee=knee, effects=effects, seed=seed)
-    rows = (*compared.table_findings(found, used.laxity), *compared.row_findings(found))
+    compared = Comparison(knee=knee, starts=begin, effects=effects, seed=seed)
+    rows = (
+        *compared.table_findings(found, with_unsound(kept, laxity)),
+        *compared.row_findings(found),
+    )
     answer = replace(
         answer,
         trials_used=trial_names(kept),

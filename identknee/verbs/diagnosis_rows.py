@@ -10,6 +10,7 @@ from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect
 from identknee.model.soundness import rim_findings
+from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity
 from identknee.scrutiny.contradictions import end_point_findings, told, without_rows
 from identknee.scrutiny.end_points import suspicious_end_points
@@ -38,11 +39,12 @@ class Comparison:
     ----------
     knee
         The subject.
-    effects, seed
+    starts, effects, seed
         As in `identknee.diagnosis.investigation.investigate`, which is done again.
     """
 
     knee: Knee
+    starts: Sequence[Array]
     effects: Sequence[Effect] | None
     seed: int
 
@@ -65,7 +67,9 @@ class Comparison:
         return _with(findings, verdict)
 
     def _verdict(self, laxity: Laxity, found: Investigation, start: str) -> str:
-        rest = investigate(self.knee, laxity, effects=self.effects, seed=self.seed)
+        rest = investigate(
+            self.knee, laxity, starts=self.starts, effects=self.effects, seed=self.seed
+        )
         if rest is None:
             return f"{start} the data cannot be tested."
         names = f" ({' and '.join(x.name for x in rest.causes)})" if rest.causes else ""
@@ -77,6 +81,14 @@ class Comparison:
 def sound(laxity: Laxity) -> Laxity:
     """The data, cells blank in trials that the table alone contradicts, no model asked."""
     return without_rows(laxity, suspicious_end_points(laxity))
+
+
+def with_unsound(part: Laxity, laxity: Laxity) -> Laxity:
+    """Some trials of the data, and those that the table contradicts."""
+    coordinates = np.array(part.coordinates)
+    rows = [x.trial for x in suspicious_end_points(laxity)]
+    coordinates[rows] = laxity.coordinates[rows]
+    return replace(part, coordinates=coordinates)
 
 
 def unbelievable_findings(found: Investigation) -> tuple[Finding, ...]:

@@ -144,10 +144,11 @@ def test_a_diagnosis_leaves_out_the_row_that_cannot_be_right_and_doubts_the_forc
     # The second diagnosis, with the row, takes as long again.
     monkeypatch.setattr("identknee.verbs.diagnosis_rows.investigate", lambda *_, **__: None)
     few = [ik.effect_named(ik.example("s192803"), "moment_gain_VV")]
-    answer = ik.diagnose("s192803", "s192803", noise="5mm,10deg", uncertain=FRAMES, effects=few)
-    assert "Valgus_60" not in answer.trials_used
-    assert len(answer.trials_used) == 24
+    laxity = ik.example_laxity("s192803")
+    answer = ik.diagnose("s192803", laxity, noise="5mm,10deg", uncertain=FRAMES, effects=few)
+    assert answer.trials_used == tuple(x for x in laxity.protocol.trials if x != "Valgus_60")
     said = {x.where: x.sentence for x in answer.findings}
     assert "leaves it out; with it the data cannot be tested." in said["Valgus_60"]
-    assert "which is one side alone" in said["contact"]
+    # Four lines have several such fits, and processors differ in the one that is found.
+    assert any("The fit is not believable here" in x for x in said.values())
     assert not any("See: identknee diagnose" in x for x in said.values())
