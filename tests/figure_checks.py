@@ -20,6 +20,7 @@ from identknee.report.picture import names_as_they_are
 ROOM = 1.5
 # What a page leaves beside a figure, and at most for it [px].
 PAGE_MARGINS, WIDEST = 40.0, 992.0
+_CODE_NAME = re.compile(r"[a-z]_(?:kN|pct|mm|deg|Nm|N)\b")
 
 
 def drawn(figure: Figure) -> RendererAgg:
@@ -54,8 +55,9 @@ def clipped(figure: Figure, renderer: RendererAgg) -> list[str]:
 
 
 def overlapping(figure: Figure, renderer: RendererAgg) -> list[tuple[str, str]]:
-    """Pairs of texts that lie upon one another."""
-    boxes = [(x.get_text(), x.get_window_extent(renderer)) for x in texts(figure)]
+    """Pairs of texts that lie upon one another; those at a slant are not in their boxes."""
+    straight = [x for x in texts(figure) if x.get_rotation() % 90.0 == 0.0]
+    boxes = [(x.get_text(), x.get_window_extent(renderer)) for x in straight]
     return [
         (a, b) for (a, one), (b, other) in combinations(boxes, 2) if _overlap(one, other) > ROOM
     ]
@@ -68,6 +70,11 @@ def empty_axes(figure: Figure, renderer: RendererAgg) -> list[str]:
         for x in figure.axes
         if x.get_visible() and x.axison and not any(_contents(x, renderer))
     ]
+
+
+def code_names(figure: Figure) -> list[str]:
+    """Texts that name a parameter or a coordinate as files do."""
+    return [x.get_text() for x in texts(figure) if _CODE_NAME.search(x.get_text())]
 
 
 def smallest_text(svg: str, width: float) -> float:
@@ -145,7 +152,7 @@ def _unseen_ticks(axes: Axes) -> Iterator[Text]:
     """Labels of ticks that lie outside the limits and are not drawn."""
     for axis in (axes.xaxis, axes.yaxis):
         low, high = sorted(axis.get_view_interval())
-        slack = 1e-9 * (high - low)
+        slack = 1e-9 * (high - low) if axis.get_scale() == "linear" else 0.0
         for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
             if not low - slack <= tick.get_loc() <= high + slack or not axes.axison:
                 yield from (tick.label1, tick.label2)

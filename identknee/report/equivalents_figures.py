@@ -21,7 +21,7 @@ def sets_figure(
     fit: Array,
     laxity: Mapping[str, Array],
     *,
-    origin: str = "the fit's",
+    origin: str = "the fit",
 ) -> Figure:
     """Parameter sets as lines over their axes, and below how little their laxity differs.
 
@@ -54,11 +54,11 @@ def sets_figure(
         axes.axhline(0.0, color=BLACK, linewidth=0.8)
         axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         axes.set_xlabel("trial")
-        axes.set_title(f"{name}\nless {origin}", fontsize=SMALL + 1)
+        axes.set_title(f"{name}\nminus {origin}", fontsize=SMALL + 1)
         bare(axes)
     handles = [
-        Line2D([], [], color=COLOURS[0], linewidth=2, label="the two sets"),
-        Line2D([], [], color=COLOURS[1], linewidth=2, label="farthest apart"),
+        Line2D([], [], color=COLOURS[0], linewidth=2, label="one of the two sets farthest apart"),
+        Line2D([], [], color=COLOURS[1], linewidth=2, label="the other"),
         Line2D([], [], color=BLACK, marker="o", label="fit"),
         Line2D([], [], color=COLOURS[5], alpha=0.5, linewidth=6, label="all sets"),
     ]

@@ -144,7 +144,7 @@ def forces_figure(
                 color=GREY,
             )
         axes.set_title(ligaments[j], fontsize=10)
-        axes.set_xlabel("tension less its median [N]", fontsize=SMALL)
+        axes.set_xlabel("tension minus median [N]", fontsize=SMALL)
         axes.tick_params(labelsize=SMALL)
         axes.grid(axis="y", color="0.93")
         axes.set_axisbelow(True)

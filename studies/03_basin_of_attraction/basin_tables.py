@@ -62,7 +62,7 @@ def guess_table(record: Row) -> ik.report.Table:
             )
     return table(
         "Ends of Complex from the paper's guesses, and where exact derivatives lead",
-        "guess; knee; k error [kN]; eps_r error [%]; minima; stopped; cliffs; "
+        "guess; knee; stiffness error [kN]; reference strain error [%]; minima; stopped; cliffs; "
         "polished to a minimum; to the truth",
         body,
     )
@@ -153,8 +153,8 @@ def cliff_table(record: Row) -> ik.report.Table:
             )
         )
     return table(
-        "Cliffs on straight ways from the truth to Sobol points of the bounds",
-        "knee; ways; with a cliff; length without prediction; nearest [kN and %]; "
+        "Cliffs on straight paths from the truth to Sobol points of the bounds",
+        "knee; paths; with a cliff; length without prediction; nearest [kN and %]; "
         "median [kN and %]; trials lost; most often",
         body,
     )

@@ -122,17 +122,17 @@ def figure_4(record: Row) -> Figure:
             STYLES[k % len(STYLES)],
             color=COLOURS[k],
             drawstyle="steps-post",
-            label=f"{knee}, {n} ways",
+            label=f"{knee}, {n} paths",
         )
         lost = dict(list(cliffs["trials_lost"].items())[:8])
         axes.barh(range(len(lost)), list(lost.values()), color=COLOURS[k])
         axes.set_yticks(range(len(lost)), [trial_words(x) for x in lost], fontsize=SMALL)
         axes.invert_yaxis()
         axes.set_title(knee, fontsize=9)
-        axes.set_xlabel("ways", fontsize=9)
+        axes.set_xlabel("paths", fontsize=9)
         bare(axes)
     first.set_xlabel("distance from the truth [kN and %]")
-    first.set_ylabel("share of straight ways that met a cliff")
+    first.set_ylabel("share of straight paths that met a cliff")
     first.set_ylim(0.0, 1.0)
     first.set_xlim(left=0.0)
     first.legend(frameon=False, fontsize=SMALL)

@@ -8,14 +8,14 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from common.page import draw_study
+from common.page import draw_study, turn_ticks
 from matplotlib.figure import Figure
 from profile_tables import tables
 
 import identknee as ik
 from identknee.calibrate.scales import typical_steps
 from identknee.report.figures import COLOURS, MARKERS, STYLES, bare
-from identknee.report.words import label_without_unit
+from identknee.report.words import label, label_without_unit
 from identknee.runs.plain_records import from_plain
 
 # Parameters drawn in colour on each panel of paths: those that move most.
@@ -92,13 +92,15 @@ def figure_4(record: Row) -> Figure:
         for axes, pair in zip(axes_row, part["pairs"], strict=False):
             for k, (level, edge) in enumerate(zip(pair["levels"], pair["edges"], strict=True)):
                 line = ik.report.smooth_edge(np.array(edge, dtype=float))
-                axes.plot(*line.T, color=ik.report.COLOURS[k], linewidth=1.2, label=f"{level:.0%}")
+                axes.plot(
+                    *line.T, color=ik.report.COLOURS[k], linewidth=1.2, label=f"{100 * level:g} %"
+                )
             axes.plot(*pair["optimum"], "+", color=ik.report.BLACK, label="best")
             axes.plot(
                 *(truth[x] for x in pair["names"]), "*", color=ik.report.COLOURS[4], label="truth"
             )
-            axes.set_xlabel(pair["names"][0], fontsize=8)
-            axes.set_ylabel(pair["names"][1], fontsize=8)
+            axes.set_xlabel(label(pair["names"][0]), fontsize=8)
+            axes.set_ylabel(label(pair["names"][1]), fontsize=8)
             axes.tick_params(labelsize=7)
             axes.spines[["top", "right"]].set_visible(False)
         axes_row[0].set_title(knee, fontsize=9, loc="left")
@@ -133,7 +135,7 @@ def figure_5(record: Row) -> Figure:
                     "marker": ik.report.MARKERS[k],
                     "ls": ik.report.STYLES[i // len(ik.report.COLOURS)],
                 }
-                axes.plot(noises, shares, label=name, **style)
+                axes.plot(noises, shares, label=label_without_unit(name), **style)
         axes.set_xscale("log")
         axes.set_xticks(noises, [f"{x:g}" for x in noises])
         axes.minorticks_off()
@@ -173,13 +175,20 @@ def figure_6(record: Row) -> Figure:
                 label=ligament,
             )
             axes.plot(across, [x["truth"] for x in rows], "_", color=ik.report.BLACK, markersize=7)
-        axes.set_xticks(range(len(trials)), [x.replace("flexion", "") for x in trials], fontsize=7)
-        axes.tick_params(axis="x", rotation=35)
+        axes.set_xticks(range(len(trials)), [*map(in_words, trials)], fontsize=7)
+        turn_ticks(axes, 35)
         axes.set_ylabel("tension [N]")
         axes.set_title(knee, fontsize=10)
         axes.legend(fontsize=8, frameon=False, ncols=len(ligaments))
         axes.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def in_words(trial: str) -> str:
+    """A trial by its angle and its load, short enough for an axis."""
+    flexion, _, load = trial.removeprefix("flexion").partition("_")
+    opposites = {"internal-10Nm": "external", "varus-10Nm": "valgus"}
+    return f"{flexion} deg, {opposites.get(load, load.removesuffix('10Nm'))}"
 
 
 FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {

@@ -7,6 +7,7 @@ import numpy as np
 from common.page import Cell, table
 
 import identknee as ik
+from identknee.report.words import label
 
 Row = Mapping[str, Any]
 STIFFNESS = "stiffness_kN"
@@ -31,7 +32,7 @@ def parameter_table(record: Row) -> ik.report.Table:
             body.append(
                 (
                     knee,
-                    row["name"],
+                    label(row["name"]),
                     truth,
                     row["optimum_value"],
                     _end(row["intervals"][0][0]),
@@ -56,9 +57,9 @@ def noise_table(record: Row) -> ik.report.Table:
                 _open_or_wide([x for x in part["noises"] if x["noise"] == noise], i)
                 for noise in record["head"]["settings"]["noises_mm_deg"]
             ]
-            body.append((knee, name, *cells))
+            body.append((knee, label(name), *cells))
     return table(
-        "Half-width of the 95 % set, median over data sets; and in how many it is open",
+        "Half-width of the 95 % set (median over data sets), and the data sets in which it is open",
         [
             "knee",
             "parameter",
@@ -92,8 +93,8 @@ def force_table(record: Row) -> ik.report.Table:
             )
     return table(
         "95 % sets of ligament forces in the tested trials",
-        "knee; ligament; trials; slack; open; median half-width [N] | 1; of the force [%] | 1; "
-        "half-width of its stiffness [%] | 0",
+        "knee; ligament; trials; slack; open; median half-width [N] | 1; "
+        "share of the force [%] | 1; half-width of the stiffness [%] | 0",
         body,
     )
 
@@ -106,7 +107,7 @@ def untested_table(record: Row) -> ik.report.Table:
         for row in part["untested"]
     ]
     return table(
-        "95 % sets of the anterior drawer under forces that the data lack [mm]",
+        "95 % sets of the anterior drawer under forces that were not tested [mm]",
         "knee; trial; truth; best; lower; upper",
         body,
     )
@@ -132,7 +133,7 @@ def cost_table(record: Row) -> ik.report.Table:
             )
     return table(
         "Simulations of a full profile, each with its exact Jacobian",
-        "knee; noise [mm, deg]; profiles; mean; range; median points",
+        "knee; noise [mm, deg]; profiles; mean; range; points (median)",
         body,
     )
 

@@ -13,17 +13,18 @@ from matplotlib.figure import Figure
 
 import identknee as ik
 from identknee.report.figures import BLACK, COLOURS, SMALL, STYLES, bare
+from identknee.report.words import label
 
 KNEE = "reference"
 # Steps after burn-in must be so many autocorrelation times.
 TIMES = 50.0
 CONDITIONS = {
-    "steps_per_tau": "steps in the longest autocorrelation time, at least",
-    "effective_draws": "effective draws of bulk or tail, at least",
-    "effective_draws_each": "the same of one ensemble, at least",
-    "tau_drift": "change of an autocorrelation time between checks, at most",
+    "steps_per_tau": "number of longest autocorrelation times sampled, at least",
+    "effective_draws": "effective draws (bulk or tail), at least",
+    "effective_draws_each": "effective draws of any one ensemble, at least",
+    "tau_drift": "relative change of an autocorrelation time between checks, at most",
     "rhat": "R-hat between half ensembles, at most",
-    "mean_error": "Monte Carlo error of a mean in standard deviations, at most",
+    "mean_error": "Monte Carlo error of a mean [standard deviations], at most",
 }
 Row = Mapping[str, Any]
 
@@ -76,7 +77,7 @@ def figure_4(knees: Row) -> Figure:
     axes = figure.add_subplot()
     for i, name in enumerate(part["parameters"]):
         style = STYLES[(i // len(COLOURS)) % len(STYLES)]
-        axes.plot(kept, tau[:, i], style, color=COLOURS[i % len(COLOURS)], label=name)
+        axes.plot(kept, tau[:, i], style, color=COLOURS[i % len(COLOURS)], label=label(name))
     axes.plot(kept, kept / TIMES, color=BLACK, linewidth=1.0)
     end = kept[-1], kept[-1] / TIMES
     axes.annotate(f"steps / {TIMES:g}", end, fontsize=SMALL, ha="right", va="bottom")
@@ -114,7 +115,7 @@ def parameters_table(knees: Row) -> ik.report.Table:
             one, profile = part["sample"]["parameters"][name], part["profiles"][name]
             rows.append(
                 [
-                    *(knee, name, part["truth"][i], one["mean"], one["sd"]),
+                    *(knee, label(name), part["truth"][i], one["mean"], one["sd"]),
                     between(one["q025"], one["q975"]),
                     between(profile["lower"], profile["upper"]),
                     part["leaning"]["prior"][i],
@@ -124,7 +125,7 @@ def parameters_table(knees: Row) -> ik.report.Table:
     return table(
         "Posterior beside profile likelihood, 95 % intervals",
         "knee; parameter; true; mean; sd; posterior; profile, no prior; prior sensitivity | 3; "
-        "leans on",
+        "determined by",
         (tuple(row) for row in rows),
     )
 
@@ -156,7 +157,7 @@ def predictions_table(knees: Row) -> ik.report.Table:
             rows.append([knee, "laxity", width, unit, None])
     return table(
         "Largest half-width of a 95 % interval over the 63 trials",
-        "knee; prediction; half-width; unit; trials whose true value is inside [%] | 0",
+        "knee; prediction; half-width; unit; trials with the true value inside [%] | 0",
         (tuple(row) for row in rows),
     )
 
@@ -174,9 +175,9 @@ def nested_table(knees: Row) -> ik.report.Table:
             numbers = (nested["n_simulations"], nested["effective_draws"], nested["seconds"], worst)
             rows.append([knee, "nested", *numbers])
     return table(
-        "Two ways to the same posterior",
-        "knee; way; simulations | 0; effective draws | 0; time [s] | 0; "
-        "largest difference of a quantile [standard errors] | 1",
+        "Two methods for the same posterior",
+        "knee; method; simulations | 0; effective draws | 0; time [s] | 0; "
+        "largest quantile difference [standard errors] | 1",
         (tuple(row) for row in rows),
     )
 

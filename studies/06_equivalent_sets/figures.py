@@ -170,7 +170,7 @@ def _newton(value: float | None) -> str:
 
 def _short(name: str) -> str:
     owner, _, quantity = name.rpartition(".")
-    return f"{owner} {'k' if quantity.startswith('stiffness') else 'eps_r'}"
+    return f"{owner} {'stiffness' if quantity.startswith('stiffness') else 'strain'}"
 
 
 def _unit(name: str) -> str:

@@ -8,12 +8,13 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from common.page import Cell, draw_study, table
+from common.page import Cell, draw_study, table, turn_ticks
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import identknee as ik
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare, legend_below
+from identknee.report.words import coordinate_words, label
 
 KNEE = "reference"
 # What a clinician turns the knee by, at its middle angle.
@@ -25,6 +26,14 @@ SHOWN = (
 )
 FAILURE = "failure"
 # Of each method over the posterior, the index drawn.
+METHODS = {
+    "morris": "Morris",
+    "sobol": "Sobol",
+    "delta": "delta",
+    "pawn": "PAWN",
+    "hdmr": "HDMR",
+    "shapley": "Shapley",
+}
 OVER_POSTERIOR = {"delta": "delta", "pawn": "pawn", "hdmr": "ST", "shapley": "shapley"}
 Row = Mapping[str, Any]
 
@@ -52,7 +61,7 @@ def figure_1(part: Row) -> Figure:
     for coordinate, lines in rows.items():
         # By load, then by angle, which is how one looks for a pattern.
         lines.sort(key=lambda x: x[0].partition(", ")[::-1])
-        ordered[coordinate] = ([name for name, _ in lines], np.array([x for _, x in lines]))
+        ordered[label(coordinate)] = ([name for name, _ in lines], np.array([x for _, x in lines]))
     return ik.report.map_figure(ordered, part["parameters"], "total Sobol index, ST")
 
 
@@ -63,7 +72,7 @@ def figure_2(part: Row) -> Figure:
     figure, grid = panels_of(6)
     for axes, name in zip(grid, (*SHOWN, FAILURE), strict=False):
         at = row["groups"].index(name)
-        for k, (label, index) in enumerate(kinds.items()):
+        for k, (kind, index) in enumerate(kinds.items()):
             values, widths = array(index["value"])[at], array(index["half_width"])[at]
             axes.bar(
                 place + 0.4 * (k - 0.5),
@@ -72,7 +81,7 @@ def figure_2(part: Row) -> Figure:
                 yerr=widths,
                 color=COLOURS[k],
                 error_kw={"elinewidth": 0.9, "capsize": 2},
-                label=label,
+                label=kind,
             )
         name_panel(axes, name, part["parameters"])
         axes.set_ylim(min(0.0, lowest(row["indices"]["S1"], at)), 1.05)
@@ -98,7 +107,7 @@ def draw_convergence(axes: Axes, simulations: ik.runs.Array, widths: ik.runs.Arr
     )
     axes.plot(simulations, middle, MARKERS[0] + "-", color=blue, label="median group")
     expected = middle[-1] * np.sqrt(simulations[-1] / simulations)
-    axes.plot(simulations, expected, ":", color=GREY, label="1 / root of N")
+    axes.plot(simulations, expected, ":", color=GREY, label="1 / square root of N")
     axes.axhline(0.02, color=COLOURS[1], linewidth=1.0, linestyle="--", label="0.02")
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -117,7 +126,7 @@ def figure_3(part: Row) -> Figure:
     panels = {}
     for name in SHOWN:
         at = row["groups"].index(name)
-        panels[f"{name} [deg]"] = (
+        panels[f"{in_words(name)} [deg]"] = (
             array(star["value"])[at],
             array(star["half_width"])[at],
             array(sigma["value"])[at],
@@ -141,7 +150,7 @@ def figure_4(part: Row) -> Figure:
                 color=COLOURS[k],
                 capsize=2,
                 markersize=4,
-                label=method,
+                label=METHODS[method],
             )
         name_panel(axes, name, part["parameters"])
     handles, labels = grid[0].get_legend_handles_labels()
@@ -160,9 +169,16 @@ def name_panel(axes: Axes, name: str, parameters: Sequence[str]) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     owners = [(x.rpartition(".")[0], x.endswith("_kN")) for x in parameters]
     words = [f"{owner} {'stiffness' if is_k else 'strain'}" for owner, is_k in owners]
-    axes.set_xticks(range(len(parameters)), words, rotation=45, fontsize=SMALL)
-    axes.set_title(name, fontsize=10)
+    axes.set_xticks(range(len(parameters)), words, fontsize=SMALL)
+    turn_ticks(axes, 45)
+    axes.set_title(in_words(name), fontsize=10)
     bare(axes)
+
+
+def in_words(group: str) -> str:
+    """A group of outputs as the title of a panel."""
+    coordinate, _, where = group.partition(", ")
+    return f"{coordinate_words(coordinate)}, {where}" if where else group
 
 
 FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
@@ -192,7 +208,7 @@ def shares_table(record: Row) -> ik.report.Table:
         coordinates = [name.partition(", ")[0] for name in row["groups"]]
         for coordinate in dict.fromkeys(coordinates):
             chosen = values[[x == coordinate for x in coordinates]]
-            rows.append((knee, coordinate, *map(float, chosen.mean(axis=0))))
+            rows.append((knee, coordinate_words(coordinate), *map(float, chosen.mean(axis=0))))
     parameters = first_part(record)["parameters"]
     return ik.report.Table(
         title="Total Sobol index ST over the box, mean over flexion angles and loads",
@@ -217,7 +233,7 @@ def failures_table(record: Row) -> ik.report.Table:
             rows.append(
                 (
                     knee,
-                    method,
+                    METHODS[method],
                     row["n_simulations"],
                     100.0 * row["failed_share"][-1],
                     100.0 * max(row["failed_share"][:-1]),
@@ -228,7 +244,7 @@ def failures_table(record: Row) -> ik.report.Table:
     return table(
         "Simulations without a prediction, and what they change",
         "knee; method; simulations | 0; any trial failed [%] | 1; worst group failed [%] | 1; "
-        "its complete samples [%] | 1; indices that differ between the rules [%] | 1",
+        "complete samples of that group [%] | 1; indices that differ between the rules [%] | 1",
         rows,
     )
 
@@ -245,7 +261,7 @@ def convergence_table(record: Row) -> ik.report.Table:
             rows.append(
                 (
                     knee,
-                    method,
+                    METHODS[method],
                     row["n_simulations"],
                     float(np.median(widths[known])),
                     float(widths[known].max()),
@@ -257,7 +273,7 @@ def convergence_table(record: Row) -> ik.report.Table:
     return table(
         "Half-width of the 95 % confidence interval (Morris: over the largest effect)",
         "knee; method; simulations | 0; median group | 3; worst group | 3; "
-        "missing to 0.02, median | 0; missing to 0.02, worst | 0; time [s] | 0",
+        "simulations missing to reach 0.02, median | 0; the same, worst | 0; time [s] | 0",
         rows,
     )
 
@@ -271,15 +287,16 @@ def posterior_table(record: Row) -> ik.report.Table:
             mean = np.nanmean(array(found["value"])[:-1], axis=0)
             floor = found["noise_floor"]
             noise = None if floor is None else float(np.nanmean(array(floor)[:-1]))
-            rows.append((knee, f"{method}, {index}", *map(float, mean), noise))
+            name = METHODS[method] + (f", {index}" if index != method else "")
+            rows.append((knee, name, *map(float, mean), noise))
     parameters = first_part(record)["parameters"]
     return ik.report.Table(
-        title="Over the posterior, correlated parameters: mean index over all groups",
+        title="Mean index over all groups, over the posterior with its correlated parameters",
         columns=(
             ik.report.Column(name="knee"),
             ik.report.Column(name="index"),
             *map(short, parameters),
-            ik.report.Column(name="no influence"),
+            ik.report.Column(name="dummy"),
         ),
         rows=tuple(rows),
     )
@@ -299,7 +316,7 @@ def first_part(record: Row) -> Row:
 def short(parameter: str) -> ik.report.Column:
     """Column of a parameter."""
     owner, _, kind = parameter.rpartition(".")
-    return ik.report.Column(name=f"{owner} {'k' if kind.endswith('_kN') else 'eps_r'}")
+    return ik.report.Column(name=f"{owner} {'stiffness' if kind.endswith('_kN') else 'strain'}")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import numpy as np
 from common.page import Cell, table
 
 import identknee as ik
+from identknee.report.words import label
 
 Row = Mapping[str, Any]
 
@@ -46,16 +47,16 @@ def trials_table(record: Row) -> ik.report.Table:
         for t, target in enumerate(best["targets"]):
             first = (f"{knee}, {made} ({best['n_made']})", chosen) if t == 0 else ("", "")
             shown = (best["before"][t], best["predicted"][-1][t], best["after"][t])
-            body.append((*first, target, *(_interval(x) for x in shown)))
+            body.append((*first, label(target), *(_interval(x) for x in shown)))
     heads = (
-        "knee, trials made",
+        "knee, trials already made",
         "trials to add, the most helpful first",
         "target",
         "before",
         "predicted",
         "achieved",
     )
-    return table("Trials chosen by predicted width, and the 95 % intervals [kN or %]", heads, body)
+    return table("Trials chosen by predicted width, and the 95 % intervals", heads, body)
 
 
 def criteria_table(record: Row) -> ik.report.Table:
@@ -75,9 +76,17 @@ def criteria_table(record: Row) -> ik.report.Table:
                 str(len(best["at_fit"])),
             )
         )
-    heads = ("knee, trials made", *names, "at random", "not offered", "no prediction at best fit")
+    heads = (
+        "knee, trials already made",
+        *names,
+        "at random",
+        "not offered",
+        "no prediction at best fit",
+    )
     return table(
-        "Length left by criterion; sets drawn at random: median (smallest to largest)", heads, body
+        "Interval length left, by criterion; for random sets the median (smallest to largest)",
+        heads,
+        body,
     )
 
 
@@ -104,7 +113,7 @@ def data_table(record: Row) -> ik.report.Table:
             )
         )
     heads = (
-        "knee, trials made",
+        "knee, trials already made",
         "data sets",
         "length left",
         "open ends before",
@@ -112,7 +121,9 @@ def data_table(record: Row) -> ik.report.Table:
         "truth inside after",
     )
     return table(
-        "New noisy data with the trials chosen by width; length left: median (range)", heads, body
+        "New noisy data with the trials chosen by width; interval length left as median (range)",
+        heads,
+        body,
     )
 
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 import identknee as ik
 from identknee.report.design_figures import intervals_figure
+from identknee.report.words import label
 
 
 def main() -> None:
@@ -38,7 +39,7 @@ def figure_2(record: Row) -> Figure:
         if not np.isnan(number(best["before"])).any():
             continue
         for t, target in enumerate(best["targets"]):
-            names.append(f"{knee}, {made}\n{target}")
+            names.append(f"{knee}, {made}\n{label(target)}")
             center.append(best["best"][t])
             rows["before"].append(number(best["before"][t]))
             rows["predicted"].append(number(best["predicted"][-1][t]))
@@ -97,7 +98,7 @@ def figure_4(record: Row) -> Figure:
     axes.axhline(1.0, color="0.8", linewidth=0.8, zorder=0)
     axes.set_xticks(range(len(found)), [f"{knee}\n{made}" for knee, made, _ in found], fontsize=7)
     axes.set_ylim(bottom=0.0)
-    axes.set_ylabel("length of the targets' intervals, relative")
+    axes.set_ylabel("relative length of the targets' intervals")
     axes.legend(frameon=False, fontsize=ik.report.SMALL, ncols=3)
     axes.spines[["top", "right"]].set_visible(False)
     return figure
@@ -128,7 +129,7 @@ def figure_5(record: Row) -> Figure:
         axes.plot([x - 0.05, x + 0.4], [predicted] * 2, "-", color=ik.report.BLACK, label=label)
     axes.set_xticks(range(len(found)), [f"{knee}\n{made}" for knee, made, _ in found], fontsize=7)
     axes.set_ylim(bottom=0.0)
-    axes.set_ylabel("length of the targets' intervals, relative")
+    axes.set_ylabel("relative length of the targets' intervals")
     axes.legend(frameon=False, fontsize=ik.report.SMALL)
     axes.spines[["top", "right"]].set_visible(False)
     return figure

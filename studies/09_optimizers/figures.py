@@ -51,7 +51,7 @@ def figure_1(record: Row) -> Figure:
         axes.set_title(knee, fontsize=10)
         axes.set_xlabel("simulations")
         bare(axes)
-    grid[0].set_ylabel("best objective so far (below 1e-12 at 1e-12)")
+    grid[0].set_ylabel("best objective so far (floor at 1e-12)")
     legend_below(figure, *grid[0].get_legend_handles_labels(), columns=6)
     return figure
 
@@ -126,7 +126,7 @@ def method_table(record: Row) -> ik.report.Table:
             *("knee", "optimizer", "starts", "minima", "stopped"),
             *("cliffs", "no prediction", "polished to the truth"),
             "k error [kN]",
-            "eps_r error [%]",
+            "reference strain error [%]",
             "RMSE [deg]",
             "simulations",
             "time [s]",

@@ -27,6 +27,7 @@ from score_card import (
 )
 
 import identknee as ik
+from identknee.model.effects.facts import cause_label
 
 TINY = 7
 COLOUR_OF = {
@@ -40,7 +41,7 @@ COLOUR_OF = {
 SIGN_OF = {
     Ending.RIGHT: "right",
     Ending.GROUP: "group",
-    Ending.OPEN: "open",
+    Ending.OPEN: "not named",
     Ending.MISSED: "missed",
     Ending.WRONG: "WRONG",
 }
@@ -80,7 +81,7 @@ def score_card_figure(cases: Sequence[Row]) -> Figure:
         range(len(signals)), [f"signal {x:g}" for x in signals], fontsize=ik.report.SMALL
     )
     card.xaxis.tick_top()
-    card.set_yticks(range(len(names)), names, fontsize=ik.report.SMALL)
+    card.set_yticks(range(len(names)), [*map(cause_label, names)], fontsize=ik.report.SMALL)
     card.tick_params(length=0)
     card.spines[:].set_visible(False)
     series = series_of(cases)
@@ -96,7 +97,7 @@ def score_card_figure(cases: Sequence[Row]) -> Figure:
             left += width
     shares.set_yticks(range(len(series)), [_series_label(*x) for x in series.items()], fontsize=9)
     shares.set_ylim(len(series) - 0.4, -0.6)
-    shares.set_xlabel("share of the cases; numbers are cases")
+    shares.set_xlabel("share of the cases (numbers count cases)")
     shares.spines[["top", "right"]].set_visible(False)
     handles = [Patch(color=COLOUR_OF[x], label=f"{x}") for x in kinds]
     figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
@@ -119,9 +120,11 @@ def confusion_figure(cases: Sequence[Row]) -> Figure:
     figure = Figure(figsize=(9.6, 8.8), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(np.where(values > 0.0, values, np.nan), cmap="cividis_r", vmin=0, vmax=1)
-    figure.colorbar(image, ax=axes, shrink=0.6, label="share of the cases, a group counts in parts")
-    axes.set_xticks(range(len(answers)), answers, rotation=90, fontsize=TINY)
-    axes.set_yticks(range(len(truths)), truths, fontsize=TINY)
+    figure.colorbar(
+        image, ax=axes, shrink=0.6, label="share of the cases (members of a group in equal parts)"
+    )
+    axes.set_xticks(range(len(answers)), [*map(cause_label, answers)], rotation=90, fontsize=TINY)
+    axes.set_yticks(range(len(truths)), [*map(cause_label, truths)], fontsize=TINY)
     axes.set_xlabel("diagnosed")
     axes.set_ylabel("hidden")
     for row, name in enumerate(truths):
@@ -165,7 +168,10 @@ def parameters_figure(cases: Sequence[Row]) -> Figure:
         axes.set(xscale="log", yscale="log", xlabel=f"{label} before", ylabel="after")
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(fontsize=ik.report.SMALL, frameon=False, loc="upper left")
-    figure.suptitle("below the full line a cause helped, below the dotted one by half", fontsize=9)
+    figure.suptitle(
+        "Below the full line the cause reduced the error; below the dotted line it halved it.",
+        fontsize=9,
+    )
     return figure
 
 
@@ -192,7 +198,7 @@ def amplitudes_figure(cases: Sequence[Row]) -> Figure:
                 markeredgecolor=ik.report.BLACK,
                 markeredgewidth=0.4,
             )
-    axes.set_yticks(range(len(names)), names, fontsize=ik.report.SMALL)
+    axes.set_yticks(range(len(names)), [*map(cause_label, names)], fontsize=ik.report.SMALL)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(-0.05, MOST_RATIO + 0.05)
     axes.set_xlabel(f"amplitude found over true, 95 % intervals, cut at 0 and {MOST_RATIO:g}")

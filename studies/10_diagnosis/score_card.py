@@ -9,6 +9,7 @@ import numpy as np
 from common.page import table
 
 import identknee as ik
+from identknee.model.effects.facts import cause_label
 
 NULLS, ONE = "nothing hidden", "one"
 SILENT = ("ADEQUATE", "NOT_TESTABLE")
@@ -72,18 +73,18 @@ def sentences(record: Row) -> dict[str, str]:
     errors = np.median(values_of(right, "stiffness_error_kN"), axis=0) if right else [np.nan] * 2
     held = 100 * values_of(right, "coverage").mean(axis=0) if right else [np.nan] * 2
     answer = (
-        f"Of the single effects {'; '.join(by_signal)}, while over all {len(cases)} cases a wrong "
-        f"name is given in {wrong.count} (at most {100 * wrong.upper:.0f} % with 95 % confidence) "
-        f"and an alarm raised in {alarms} of {len(nulls)} with nothing hidden. "
-        f"In the {len(right)} cases named rightly the median error of the stiffnesses falls "
-        f"from {errors[0]:.2f} to {errors[1]:.2f} kN, and the parameters' 95 % intervals hold the "
-        f"truth in {held[1]:.0f} % instead of {held[0]:.0f} %."
+        f"{' '.join(by_signal)} A wrong name is given in {wrong.count} of all {len(cases)} cases "
+        f"(at most {100 * wrong.upper:.0f} % with 95 % confidence), and an alarm is raised in "
+        f"{alarms} of the {len(nulls)} cases with nothing hidden. In the {len(right)} cases named "
+        f"rightly the median error of the stiffnesses falls from {errors[0]:.2f} to "
+        f"{errors[1]:.2f} kN, and {held[1]:.0f} % of the parameters' 95 % intervals hold the truth "
+        f"instead of {held[0]:.0f} %."
     )
     seconds = [x["seconds"] for x in cases]
     cost = (
-        f"A diagnosis took {np.median(seconds):.0f} s (median; the longest "
-        f"{np.max(seconds):.0f} s) on two cores beside other long runs, all together "
-        f"{np.sum(seconds) / 60:.0f} minutes."
+        f"A diagnosis took {np.median(seconds):.0f} s (median; the longest took "
+        f"{np.max(seconds):.0f} s) on two cores that were also busy with other long runs. All "
+        f"cases together took {np.sum(seconds) / 60:.0f} minutes."
     )
     return {"answer": _wrapped(f"**Answer.** {answer}"), "cost": _wrapped(cost)}
 
@@ -97,9 +98,9 @@ def _named(signal: float, own: Sequence[Row]) -> str:
     """How many of the cases of one signal were named, or are in the group."""
     kinds = [ending(x) for x in own]
     return (
-        f"{kinds.count(Ending.RIGHT)} of {len(own)} are named rightly at a signal of {signal:g} "
-        f"and {kinds.count(Ending.GROUP)} more are in the group given "
-        f"({kinds.count(Ending.MISSED)} missed)"
+        f"At a signal of {signal:g}, {kinds.count(Ending.RIGHT)} of {len(own)} single effects are "
+        f"named rightly and {kinds.count(Ending.GROUP)} more are in the group of causes given "
+        f"(missed: {kinds.count(Ending.MISSED)})."
     )
 
 
@@ -117,7 +118,13 @@ def ending_table(cases: Sequence[Row]) -> ik.report.Table:
         sizes = [len(x["group"]) for x in own if x["verdict"] == "AMBIGUOUS"]
         typical = f"{np.median(sizes):g}" if sizes else "-"
         rows.append((name, str(len(own)), *(str(x) for x in counts), limits, typical))
-    heads = ("hidden", "cases", *Ending, "right or in the group, 95 % [%]", "median group")
+    heads = (
+        "hidden",
+        "cases",
+        *Ending,
+        "right or in the group, 95 % interval [%]",
+        "median size of the group",
+    )
     return table("How the diagnoses ended", heads, rows)
 
 
@@ -142,7 +149,7 @@ def parameter_table(cases: Sequence[Row]) -> ik.report.Table:
         "cases with a cause",
         *("stiffness error before [kN]", "after [kN]"),
         *("strain error before [%]", "after [%]"),
-        *("intervals that hold the truth before [%]", "after [%]"),
+        *("intervals with the truth before [%]", "after [%]"),
     )
     return table("Mean error of the ligament parameters, median over the cases", heads, rows)
 
@@ -151,11 +158,11 @@ def fault_table(cases: Sequence[Row]) -> ik.report.Table:
     """Every case that ended with neither the truth nor a group that holds it."""
     rows = tuple(
         (
-            " and ".join(x["effects"]) or "nothing",
+            " and ".join(map(cause_label, x["effects"])) or "nothing",
             f"{x['signal']:.1f}",
             str(x["seed"]),
             x["verdict"],
-            ", ".join(x["causes"] or x["group"]) or "-",
+            ", ".join(map(cause_label, x["causes"] or x["group"])) or "-",
             str(ending(x)),
         )
         for x in cases

@@ -9,11 +9,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from common.page import draw_study
-from gap_tables import SHOWN_KNEES, SHOWN_SD, gaps, size_label, tables
+from gap_tables import SHOWN_KNEES, SHOWN_SD, gaps, tables
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import identknee as ik
+from identknee.model.effects.facts import cause_label
 
 LEVEL = 0.05
 Row = Mapping[str, Any]
@@ -47,7 +48,7 @@ def gap_figure(record: Row) -> Figure:
     labels = [f"{x['load']}, {x['flexion_deg']:g} deg" for x in rows]
     axes.set_yticks(range(len(rows)), labels, fontsize=ik.report.SMALL)
     axes.invert_yaxis()
-    axes.set_xlabel("model less measured mean, in between-subject sds")
+    axes.set_xlabel("model minus measured mean, in between-subject sds")
     axes.legend(
         fontsize=ik.report.SMALL, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False
     )
@@ -63,15 +64,16 @@ def verdict_figure(record: Row) -> Figure:
         sds = [x["assumed_sd"] for x in known]
         colour, marker = ik.report.COLOURS[k + 1], ik.report.MARKERS[k + 1]
         chance.plot(sds, [x["p_value"] for x in known], marker=marker, color=colour, label=name)
-        for x in known:
+        for i, x in enumerate(known):
             chance.annotate(
                 x["verdict"].replace("_", " ").lower(),
                 (x["assumed_sd"], x["p_value"]),
-                xytext=(0, 7 if k == 0 else -12),
+                xytext=(0, 8 if k == 0 else -14 - 10 * (i % 2)),
                 ha="center",
                 textcoords="offset points",
-                fontsize=6,
-                color=colour,
+                fontsize=ik.report.SMALL - 1,
+                annotation_clip=True,
+                bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"},
             )
         left = [x["left_out"]["rmse_deg"] for x in known]
         held.plot(sds, left, marker=marker, color=colour, label=f"{name}, no cause")
@@ -95,7 +97,7 @@ def verdict_figure(record: Row) -> Figure:
     chance.set_yscale("log")
     chance.set_ylim(1e-12, 20.0)
     chance.set_xlim(0.2, 4.4)
-    chance.set_ylabel("probability of a misfit as clear under noise alone")
+    chance.set_ylabel("probability of such a misfit from noise alone")
     held.set_ylim(bottom=0.0)
     held.set_ylabel("RMSE of the angle left out [deg]")
     for axes in (chance, held):
@@ -115,12 +117,9 @@ def visible_figure(record: Row) -> Figure:
         _draw_visible(axes, {x["name"]: x for x in shown}, names, (k, knee))
     axes.axvline(1.0, color=ik.report.BLACK, linewidth=0.8, linestyle=ik.report.STYLES[3])
     axes.set_xscale("log")
-    axes.set_yticks(range(len(names)), names, fontsize=ik.report.SMALL)
+    axes.set_yticks(range(len(names)), [*map(cause_label, names)], fontsize=ik.report.SMALL)
     axes.invert_yaxis()
-    axes.set_xlabel(
-        "amplitude found in 9 of 10 data sets over the smallest worth knowing, sd "
-        f"{size_label(SHOWN_SD)} mm and deg"
-    )
+    axes.set_xlabel("amplitude found in 9 of 10 data sets, over the smallest relevant")
     axes.legend(fontsize=ik.report.SMALL, loc="lower right")
     axes.grid(axis="y", color="0.9")
     return figure

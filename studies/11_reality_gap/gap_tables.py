@@ -7,6 +7,8 @@ import numpy as np
 from common.page import table
 
 import identknee as ik
+from identknee.model.effects.facts import cause_label
+from identknee.report.words import amplitude_label, label
 
 PAPER = "the paper's model"
 PUBLISHED = "as printed (0.4 to 4.6)"
@@ -58,7 +60,7 @@ def gap_table(record: Row) -> ik.report.Table:
     )
     heads = ("load", "flexion [deg]", "unit", "measured mean (sd)", *values)
     return table(
-        "Laxity before any fit, and in brackets how many between-subject sds off the mean",
+        "Laxity before any fit; in brackets the distance from the mean in between-subject sds",
         heads,
         rows,
     )
@@ -113,7 +115,7 @@ def _verdicts(title: str, found: list[tuple[str, Row]]) -> ik.report.Table:
             x["degrees_of_freedom"],
             f"{x['p_value']:.2g}",
             x["verdict"],
-            ", ".join(x["group"]) or "-",
+            ", ".join(map(cause_label, x["group"])) or "-",
             x["max_score_quantile"],
         )
         for knee, x in found
@@ -139,7 +141,7 @@ def gain_table(record: Row) -> ik.report.Table:
             amounts = "; ".join(_amount(y) for y in its["amplitudes"])
             gain = None if its["elpd_gain_se"] is None else its["elpd_gain"]
             text = None if gain is None else f"{gain:.1f} ({its['elpd_gain_se']:.1f})"
-            names = " and ".join(its["names"])
+            names = " and ".join(map(cause_label, its["names"]))
             evidence = its["log_evidence_gain"]
             rows.append(
                 (
@@ -157,7 +159,7 @@ def gain_table(record: Row) -> ik.report.Table:
         "Each value predicted from the twelve others, without and with a cause",
         "knee; assumed sd [mm, deg]; cause added; fit ended in; log evidence gained | 1; "
         "amplitude (95 %); values predicted | 0; RMSE left out [mm]; RMSE left out [deg]; "
-        "RMSE over assumed sd; the same expected; log predictive density gained (se)",
+        "RMSE over assumed sd; expected RMSE over assumed sd; log predictive density gained (se)",
         rows,
     )
 
@@ -172,9 +174,8 @@ def visible_table(record: Row) -> ik.report.Table:
     first = next(iter(found.values()))
     rows = tuple(
         (
-            name,
-            y["parameter"],
-            "-" if y["unit"] == "1" else y["unit"],
+            cause_label(name),
+            amplitude_label(y["parameter"]),
             f"{y['relevant']:g}",
             *(_detectable(x[name]["detectable"]) for x in found.values()),
             *(_detectable(x[name]["power"]) for x in found.values()),
@@ -184,9 +185,9 @@ def visible_table(record: Row) -> ik.report.Table:
     return table(
         "What 13 values with an sd of 1 mm and 1 deg can show",
         [
-            *("effect", "amplitude", "unit", "worth knowing"),
+            *("effect", "amplitude", "smallest relevant"),
             *(f"found in 9 of 10, {knee}" for knee in found),
-            *(f"share found at the size worth knowing, {knee}" for knee in found),
+            *(f"share found at the smallest relevant size, {knee}" for knee in found),
         ],
         rows,
     )
@@ -207,7 +208,7 @@ def parameter_table(record: Row) -> ik.report.Table:
     )
     return table(
         "Standard deviation of each parameter after the fit over that of its prior",
-        ["knee", "assumed sd [mm, deg]", "parameters the values fix | 1", *names],
+        ["knee", "assumed sd [mm, deg]", "parameters the values fix | 1", *map(label, names)],
         rows,
     )
 

@@ -260,7 +260,7 @@ def numbers(rows: list[Any], width: int) -> ik.runs.Array:
 def short(parameter: str) -> str:
     """Owner and kind of a parameter."""
     owner, _, kind = parameter.rpartition(".")
-    return f"{owner} {'k' if kind.endswith('_kN') else 'eps_r'}"
+    return f"{owner} {'stiffness' if kind.endswith('_kN') else 'strain'}"
 
 
 def short_force(name: str) -> str:

@@ -18,6 +18,7 @@ from page_tables import (
 )
 
 import identknee as ik
+from identknee.report.words import label
 
 # Ends of polishing that are the truth differ from it by rounding, in kN and %.
 AT_TRUTH = 1e-3
@@ -83,7 +84,7 @@ def equivalent_table(record: Row) -> ik.report.Table:
         if case in part["cases"]
     ]
     body = [
-        (name, f"{truth:g}", *(span(case["parameters"][name]) for _, case in columns))
+        (label(name), f"{truth:g}", *(span(case["parameters"][name]) for _, case in columns))
         for name, truth in zip(setting["parameters"], setting["truth"], strict=True)
     ]
     return table(
@@ -104,7 +105,7 @@ def contact_table(record: Row) -> ik.report.Table:
         sizes += (f"{errors[1]:.2f} ({max(fitted['error_pct']):.2f})",)
         body.append((knee, f"fitted, {fitted['outcome']}", *kinematics(fitted), *sizes))
     return table(
-        "A model with half the contact pressure against data of the whole",
+        "A model with half the contact pressure, fitted to data made with all of it",
         [
             "knee",
             "parameters",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import identknee as ik
@@ -49,6 +50,12 @@ def draw_study(
             ik.runs.write_atomically(options.out / f"{name}.png", png(figure))
     page = options.page.read_text(encoding="utf-8")
     ik.runs.write_atomically(options.page, ik.report.filled(page, tables(record)))
+
+
+def turn_ticks(axes: Axes, degrees: float) -> None:
+    """Turn the labels below an axis so that each ends at its tick."""
+    for text in axes.get_xticklabels():
+        text.set(rotation=degrees, ha="right", rotation_mode="anchor")
 
 
 def table(

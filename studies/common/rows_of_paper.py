@@ -74,8 +74,8 @@ def start_table(names: Sequence[str], starts: Mapping[str, ArrayLike], truth: Ar
         column
         for name in names
         for column in (
-            Column(name=f"{name} k", unit="kN", decimals=1),
-            Column(name=f"{name} eps_r", unit="%", decimals=1),
+            Column(name=f"{name} stiffness", unit="kN", decimals=1),
+            Column(name=f"{name} reference strain", unit="%", decimals=1),
         )
     ]
     return Table(
@@ -83,8 +83,8 @@ def start_table(names: Sequence[str], starts: Mapping[str, ArrayLike], truth: Ar
         columns=(
             Column(name="start"),
             *columns,
-            Column(name="distance k", unit="kN", decimals=3),
-            Column(name="distance eps_r", unit="%", decimals=3),
+            Column(name="stiffness distance", unit="kN", decimals=3),
+            Column(name="reference strain distance", unit="%", decimals=3),
         ),
         rows=tuple(rows),
     )

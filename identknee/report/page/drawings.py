@@ -169,7 +169,7 @@ def _equivalents(result: Result) -> Iterator[Drawing]:
     bands = {label(x): apart[:, :, j] for j, x in enumerate(COORDINATES)}
     yield Drawing(
         name="sets",
-        figure=sets_figure(names, region.sets, region.fit, bands, origin="their mean"),
+        figure=sets_figure(names, region.sets, region.fit, bands, origin="the mean"),
         caption="Above, parameter sets that this measurement cannot tell apart, a line each; "
         "below, how little their laxity differs, trial by trial.",
         description=f"{region.n_sets} equivalent sets of {listed(map(label, names))}, and the "

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from figure_checks import (
     clipped,
+    code_names,
     drawn,
     empty_axes,
     overlapping,
@@ -48,6 +49,7 @@ def test_figures_can_be_read(verb: str) -> None:
         assert empty_axes(figure, renderer) == [], name
         assert clipped(figure, renderer) == [], name
         assert overlapping(figure, renderer) == [], name
+        assert code_names(figure) == [], name
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -78,8 +80,10 @@ def test_faults_of_figures_are_found() -> None:
     figure.text(0.95, 0.02, "reaches beyond the edge")
     right.plot([np.nan], [np.nan])
     right.set_title("nothing here")
+    right.set_xlabel("ACL.stiffness_kN")
     renderer = drawn(figure)
     assert empty_axes(figure, renderer) == ["nothing here"]
+    assert code_names(figure) == ["ACL.stiffness_kN"]
     assert clipped(figure, renderer) == ["reaches beyond the edge"]
     assert ("one upon", "the other") in overlapping(figure, renderer)
     pale = '<text style="fill: #999999">a</text><text style="fill: currentColor">b</text>'

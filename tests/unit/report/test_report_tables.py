@@ -74,7 +74,7 @@ def test_start_table_has_the_distances_of_the_paper() -> None:
     reference = [10.0, 18.0, 6.0, 8.3, 8.0, -4.0, 2.0, 4.0]
     starts = {"IG1": reference, "IG4": [8.0, 8.0, 8.0, 8.0, 4.0, 4.0, 4.0, 4.0]}
     table = start_table(["ACL", "PCL", "LCL", "MCL"], starts, reference)
-    assert table.columns[1].head == "ACL k [kN]"
+    assert table.columns[1].head == "ACL stiffness [kN]"
     assert table.rows[0][-2:] == (0.0, 0.0)
     assert table.rows[1][1:5] == (8.0, 4.0, 8.0, 4.0)
     assert table.rows[1][-2:] == pytest.approx((3.575, 3.5))

@@ -7,6 +7,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from figure_checks import clipped, code_names, drawn, empty_axes, overlapping
+from matplotlib.figure import Figure
 
 STUDIES = Path(__file__).parents[3] / "studies"
 PAPER = "13_paper"  # draws a page of the documentation, and has a test of its own
@@ -31,6 +33,13 @@ def test_figures_are_drawn_from_the_committed_record(
     # A script finds the modules beside it.
     monkeypatch.syspath_prepend(STUDIES / study)
     module = load(study, "figures")
+    figures: list[Figure] = []
+
+    def kept(figure: Figure) -> bytes:
+        figures.append(figure)
+        return b""
+
+    monkeypatch.setattr(sys.modules["common.page"], "png", kept)
     page = tmp_path / "README.md"
     page.write_text((STUDIES / study / "README.md").read_text(encoding="utf-8"), encoding="utf-8")
     out = tmp_path / "figures"
@@ -41,6 +50,12 @@ def test_figures_are_drawn_from_the_committed_record(
     assert page.read_text(encoding="utf-8") == (STUDIES / study / "README.md").read_text(
         encoding="utf-8"
     )
+    for figure in figures:
+        renderer = drawn(figure)
+        assert empty_axes(figure, renderer) == []
+        assert clipped(figure, renderer) == []
+        assert overlapping(figure, renderer) == []
+        assert code_names(figure) == []
 
 
 @pytest.mark.parametrize("study", NAMES)
