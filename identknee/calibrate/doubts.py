@@ -104,7 +104,7 @@ def bound_findings(
     many = "1 parameter stands" if len(standing) == 1 else f"{len(standing)} parameters stand"
     sentence = (
         f"{many} at a bound, where the bound stopped the fit and not the data: "
-        f"{_listed(standing)}. The other parameters make up for it."
+        f"{_listed(standing)}. The other parameters compensate for it."
     )
     return (Finding(severity=Severity.WARNING, sentence=sentence, where="parameters"),)
 

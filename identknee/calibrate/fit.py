@@ -133,7 +133,7 @@ def fit(
         ``"least-squares"``, ``"complex"``, ``"genetic"``, ``"particle-swarm"``, ``"cma-es"`` or
         ``"annealing"``. The same seed gives the same fit.
     seed
-        Of the random numbers, not negative.
+        Seed of the random numbers, not negative.
     budget
         Simulations allowed; 2,500 if None.
     fixed

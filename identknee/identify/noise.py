@@ -36,7 +36,7 @@ def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> Es
     Parameters
     ----------
     problem
-        Its residuals in the units of the data.
+        Problem whose residuals are in the units of the data.
     groups
         The group of each residual, 0 to k - 1, shape ``(m,)``.
     start

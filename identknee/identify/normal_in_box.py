@@ -58,7 +58,7 @@ def log_box_probability(mean: Array, covariance: Array, lower: Array, upper: Arr
     Parameters
     ----------
     mean, covariance
-        Of the vector, shapes ``(p,)`` and ``(p, p)``.
+        Mean and covariance of the vector, shapes ``(p,)`` and ``(p, p)``.
     lower, upper
         Bounds, perhaps infinite, shape ``(p,)``.
 
@@ -83,7 +83,7 @@ def box_intervals(mean: Array, covariance: Array, lower: Array, upper: Array) ->
     Parameters
     ----------
     mean, covariance
-        Of the vector, shapes ``(p,)`` and ``(p, p)``.
+        Mean and covariance of the vector, shapes ``(p,)`` and ``(p, p)``.
     lower, upper
         Bounds, perhaps infinite, shape ``(p,)``.
     """

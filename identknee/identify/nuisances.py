@@ -57,7 +57,7 @@ def nuisance_estimates(problem: Problem, theta: Array) -> tuple[NuisanceEstimate
     Parameters
     ----------
     problem
-        Its residuals in units of their noise, with rows for the priors of the nuisances.
+        Problem whose residuals are in units of their noise, with rows for the priors of nuisances.
     theta
         The best fit, shape ``(n,)``.
     """

@@ -22,7 +22,7 @@ def best_fit(
     Parameters
     ----------
     problem
-        Its residuals in units of their noise.
+        Problem whose residuals are in units of their noise.
     start
         Where the first fit begins and what the others lie around (Sobol points within two prior
         standard deviations), shape ``(n,)``; the subject's own values if None.

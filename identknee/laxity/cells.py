@@ -59,7 +59,7 @@ class CellFile:
     def open(cls, path: PathLike) -> Iterator[Self]:
         """The file at `path`, its header read.
 
-        Of an OpenSim storage (``.sto``, ``.mot``) the lines above the column names are comments,
+        In an OpenSim storage (``.sto``, ``.mot``) the lines above the column names are comments,
         and cells that say nan are blank.
 
         Raises

@@ -175,7 +175,7 @@ def row_of(states, n):
 
 @compiled
 def follow(segment, guess, guessed, contact, field, ligaments, work, g):
-    """Follow the branch of equilibria from one end of a segment to the other.
+    """Follow the path of equilibria from one end of a segment to the other.
 
     ``work.path.here`` is the state before and becomes the state after, or the last stable one
     reached. A step is accepted when it agrees with the tangents at both of its ends, else it is

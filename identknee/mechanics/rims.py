@@ -47,7 +47,7 @@ def share_near_rims(centres: Array, femoral: RimDistance, tibial: tuple[RimDista
     Parameters
     ----------
     centres
-        Of each trial and compartment: force [N], its centre in tibial and in femoral axes [mm],
+        For each trial and compartment: force [N], its centre in tibial and in femoral axes [mm],
         shape ``(n, compartments, 7)``.
     femoral, tibial
         The rims, one a tibial surface.

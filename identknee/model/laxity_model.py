@@ -56,7 +56,7 @@ class _StoredWithKnee(tuple[Effect, ...]):
 
 
 class _Last(threading.local):
-    """Of each thread: the model that was last asked to predict once, and its prediction."""
+    """The model that each thread last asked for one prediction, and that prediction."""
 
     made: "tuple[LaxityModel, Prediction] | None" = None
 

@@ -261,7 +261,7 @@ def _own_finding(report: StabilityReport) -> GeometryFinding:
 
 
 def _lost(report: StabilityReport) -> list[str]:
-    """Of each way in which trials ended how many did, which, and what it means."""
+    """For each way in which trials ended: how many, which, and what it means."""
     by_outcome: dict[Outcome, list[str]] = {}
     for x in report.trials:
         if x.outcome is not Outcome.CONVERGED:

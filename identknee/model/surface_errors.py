@@ -54,7 +54,7 @@ def surface_bumps(
     tibial
         All contact points in tibial axes [mm], shape ``(n, 3)``.
     length
-        Of a bump [mm].
+        Length of a bump [mm].
     """
     touched = np.unique(np.concatenate([x.index for x in contacts]))
     femoral = np.concatenate([x.femoral for x in contacts])

@@ -65,7 +65,7 @@ def candidates_figure(
     candidates
         The trials.
     gains
-        Of each, shape ``(k,)``; NaN for those excluded, drawn as crosses.
+        Gain of each, shape ``(k,)``; NaN for those excluded, drawn as crosses.
     chosen
         Places of those chosen in the order of their help; one may come more than once. Loads that
         candidates have at less than half of the angles are left out where none is chosen.

@@ -78,13 +78,13 @@ def ranges_figure(
     Parameters
     ----------
     names
-        Of the quantities.
+        Names of the quantities.
     at_fit
         Their values at the fit, shape ``(n,)``.
     ranges
         By name of the region, smallest and largest value, shape ``(n, 2)``.
     unit
-        Of the quantities.
+        Unit of the quantities.
     """
     n = len(names)
     figure = Figure(figsize=(7.6, 1.4 + n * (0.16 + 0.13 * len(ranges))), layout="constrained")

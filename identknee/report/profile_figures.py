@@ -31,7 +31,7 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
     Parameters
     ----------
     profiles
-        Of any quantities.
+        Profiles of any quantities.
     """
     figure, panels = _panels(len(profiles), 2.3)
     for axes, profile in zip(panels, profiles, strict=False):
@@ -52,7 +52,7 @@ def intervals_figure(
     Parameters
     ----------
     profiles
-        Of any quantities.
+        Profiles of any quantities.
     truth
         True values by name, where they are known.
     """

@@ -19,7 +19,7 @@ class Column:
     name
         What stands in it.
     unit
-        Of its numbers; empty for text, counts and ratios.
+        Unit of its numbers; empty for text, counts and ratios.
     decimals
         Places after the point; None for as many as four significant digits need.
     """

@@ -137,7 +137,7 @@ def time_left(elapsed_s: float, share: float, before: float = 0.0) -> float | No
     elapsed_s
         Time since the work began, or was resumed.
     share
-        Of the work that is done.
+        Share of the work that is done.
     before
         Share that was done when it began.
 

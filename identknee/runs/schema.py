@@ -203,7 +203,7 @@ def remedy_of(model: type[BaseModel], fault: Fault, examples: Mapping[str, str])
     model
         The schema.
     fault
-        Of a file of it.
+        Fault of one of its files.
     examples
         What to write by key.
     """

@@ -168,7 +168,7 @@ def _exchanged_epicondyles(knee: Knee) -> bool:
 
 
 def _curls_up_in_front(knee: Knee) -> bool:
-    """Whether the part of the femur that faces upward lies in front of the rest."""
+    """Whether the part of the femur that faces upward is anterior to the rest."""
     femur, axes = knee.femur, knee.femur_frame.axes
     # The test must hold for normals that all point inward, too: the next test finds these.
     normals = femur.normals * np.sign(-_facing_up(knee.femur, knee.tibia, axes[1]))

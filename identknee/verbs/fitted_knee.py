@@ -137,7 +137,7 @@ def as_stated(knee: Knee, answer: Answer) -> Knee:
 
 
 def _insertion_shifts(knee: Knee, values: Mapping[str, float]) -> Array:
-    """Of both ends of every ligament along the axes of their bones [mm], ``(n, 2, 3)``."""
+    """Shifts of both ends of every ligament along the axes of their bones [mm], ``(n, 2, 3)``."""
     shape = (len(knee.ligaments), 2, 3)
     spread = knee.uncertainty.insertions_mm
     is_own = any(x.name == INSERTION for x in knee.effects)

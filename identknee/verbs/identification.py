@@ -63,7 +63,7 @@ class Identification:
     start
         Where fits begin, shape ``(n,)``.
     degrees_of_freedom
-        Of a noise estimated from the fit; None where the noise is stated.
+        Degrees of freedom of a noise estimated from the fit; None where the noise is stated.
     estimated_noise
         Its standard deviation for lengths and for angles [mm, deg]; None where it is stated or no
         such coordinate was measured.

@@ -64,11 +64,11 @@ def measured_cells(residuals: LaxityResiduals, predictive: Predictive, seed: int
     Parameters
     ----------
     residuals
-        Of the model against the data, weighted by their noise.
+        Residuals of the model against the data, weighted by their noise.
     predictive
         Predictions of the same model under the trials of the data.
     seed
-        Of the noise on the predictions.
+        Seed of the noise on the predictions.
     """
     laxity = residuals.laxity
     coordinates = predictive.coordinates[0]

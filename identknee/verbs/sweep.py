@@ -37,7 +37,7 @@ USUAL_SIMULATIONS = 25
 
 @declared
 class Sweep(Answer):
-    """Where searches from many starts end: basins, recovery of the best end, and cliffs."""
+    """Where searches from many starts end: basins, recovery of the best fit, and cliffs."""
 
     design: str = entry("Design of the starts, sobol or shells")
     survey: Survey = entry("The searches and what is read from them", is_inline=True)
@@ -97,7 +97,7 @@ def sweep(
     distances
         Mean differences in kN and in %, as numbers or as a text such as ``0.5,1,2``.
     within
-        Mean distance in kN and in % from the best end at which it counts as recovered.
+        Mean distance in kN and in % from the best fit at which it counts as recovered.
     paths
         Starts whose straight path to the best fit is searched for cliffs.
     uncertain
@@ -205,7 +205,7 @@ def _lost(model: LaxityModel, free: FreeParameters, theta: Array) -> list[str]:
 
 
 def _findings(setup: Identification, survey: Survey) -> tuple[Finding, ...]:
-    """What speaks against the best end, and whether others fit as well."""
+    """What speaks against the best fit, and whether others fit as well."""
     searches = survey.searches
     if survey.target is None:
         return (no_prediction_finding(setup),)

@@ -145,7 +145,7 @@ def ramp_protocol(flexion: float, load: str, steps: np.ndarray) -> ik.Protocol:
 
 
 def ending(model: ik.LaxityModel, prediction: ik.model.Prediction) -> Row:
-    """Of a ramp that does not reach its full load: why, and its last stable pose.
+    """Why a ramp does not reach its full load, and its last stable pose.
 
     The trials of a ramp that converge come first. The one after them carries the last stable pose
     on its way, the load of which follows from the share of the step that it reached.

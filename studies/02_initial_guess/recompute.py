@@ -14,7 +14,7 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again.
+    """Name, recorded value and a function that computes it again.
 
     Branches over 1,000 parameter sets take too long to be among them, and a search by Complex of
     an older build of the kernel need not be that of a newer one: it hangs on the last bits.

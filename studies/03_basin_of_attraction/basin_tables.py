@@ -136,7 +136,7 @@ def basin_table(record: Row) -> ik.report.Table:
 
 
 def cliff_table(record: Row) -> ik.report.Table:
-    """Cliffs on the straight ways to the truth."""
+    """Cliffs on the straight paths to the truth."""
     body: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
         row = part["cliffs"]

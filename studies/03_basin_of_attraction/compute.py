@@ -241,7 +241,7 @@ def shares_row(found: ik.identify.Recovery) -> Row:
 
 
 def guess_rows(found: ik.identify.Searches, truth: ik.runs.Array) -> Row:
-    """Of each guess: kinds of its ends, where polishing leads, errors as the paper's Table 3."""
+    """For each guess: how its searches end, where polishing leads, errors as in Table 3."""
     groups = ik.identify.unit_groups(found.parameters)
     guess_of = np.repeat(GUESSES, found.n // len(GUESSES))
     rows: Row = {}
@@ -262,7 +262,7 @@ def guess_rows(found: ik.identify.Searches, truth: ik.runs.Array) -> Row:
 def cliff_row(
     knee: str, problem: ik.LaxityResiduals, options: argparse.Namespace, executor: ik.runs.Executor
 ) -> Row:
-    """Cliffs on the straight ways from Sobol points of the bounds to the truth."""
+    """Cliffs on the straight paths from Sobol points of the bounds to the truth."""
     truth = truth_of(problem.parameters)
     n = 4 if options.quick else N_WAYS[knee]
     starts = ik.identify.sobol_starts(problem.parameters, n, seed=SEED)

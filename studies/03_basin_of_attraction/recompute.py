@@ -17,7 +17,7 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again.
+    """Name, recorded value and a function that computes it again.
 
     Single searches by least squares that ended at the truth: where another one stops hangs on the
     last bits of its way, and one by Complex takes longer than all others together.

@@ -12,20 +12,13 @@ from common.page import Cell, draw_study, table
 from matplotlib.figure import Figure
 
 import identknee as ik
+from identknee.report.answers.sample import CONDITIONS
 from identknee.report.figures import BLACK, COLOURS, SMALL, STYLES, bare
 from identknee.report.words import label
 
 KNEE = "reference"
 # Steps after burn-in must be so many autocorrelation times.
 TIMES = 50.0
-CONDITIONS = {
-    "steps_per_tau": "number of longest autocorrelation times sampled, at least",
-    "effective_draws": "effective draws (bulk or tail), at least",
-    "effective_draws_each": "effective draws of any one ensemble, at least",
-    "tau_drift": "relative change of an autocorrelation time between checks, at most",
-    "rhat": "R-hat between half ensembles, at most",
-    "mean_error": "Monte Carlo error of a mean [standard deviations], at most",
-}
 Row = Mapping[str, Any]
 
 

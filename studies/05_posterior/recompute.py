@@ -13,7 +13,7 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again.
+    """Name, recorded value and a function that computes it again.
 
     The samples themselves take too long.
     """

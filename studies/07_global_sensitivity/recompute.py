@@ -14,7 +14,7 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again.
+    """Name, recorded value and a function that computes it again.
 
     The analyses over the posterior; those over the box take many simulations more.
     """

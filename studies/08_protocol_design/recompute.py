@@ -10,7 +10,7 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again."""
+    """Name, recorded value and a function that computes it again."""
     for name, part in record["knees"].items():
         for made, found in part["made"].items():
             for criterion, row in found["advice"].items():

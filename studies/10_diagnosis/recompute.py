@@ -10,7 +10,7 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again."""
+    """Name, recorded value and a function that computes it again."""
     for name, part in record["knees"].items():
         for row in part["cases"]:
             case = {key: row[key] for key in ("series", "effects", "wanted", "seed")}

@@ -11,7 +11,7 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again."""
+    """Name, recorded value and a function that computes it again."""
     seed = record["head"]["settings"]["seed"]
     for name, part in record["knees"].items():
         knee = study_knee(name)

@@ -144,7 +144,7 @@ def best_fit(
 
 
 def standard_deviations(jacobian: ik.runs.Array) -> ik.runs.Array:
-    """Of the parameters by the information matrix, shape ``(p,)``."""
+    """Standard deviations of the parameters by the information matrix, shape ``(p,)``."""
     return np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
 
 

@@ -95,7 +95,7 @@ def equivalent_table(record: Row) -> ik.report.Table:
 
 
 def contact_table(record: Row) -> ik.report.Table:
-    """What half the contact stiffness does, before and after the parameters make up for it."""
+    """What half the contact stiffness does, before and after the parameters compensate for it."""
     body = []
     for knee, part in record["knees"].items():
         before, fitted = part["one_way"]["before"], part["one_way"]["fitted"]

@@ -10,7 +10,7 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again."""
+    """Name, recorded value and a function that computes it again."""
     draws = record["head"]["settings"]["draws"]
     for name, part in record["knees"].items():
         yield f"{name}, before any fit", part["before_any_fit"], partial(before_any_fit, name)

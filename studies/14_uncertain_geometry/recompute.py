@@ -14,7 +14,7 @@ TASK = ("insertions_mm", "frames", "replicate")
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Of each entry its name, what was recorded, and a function that computes it again.
+    """Name, recorded value and a function that computes it again.
 
     Those with exact insertions: over uncertain ones searches end on kinks of the model, where their
     number of simulations and the last digits hang on the processor and on what was computed before.

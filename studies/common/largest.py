@@ -15,7 +15,7 @@ def largest_by(values: Array, labels: Sequence[object], order: Sequence[object])
     values
         With a row a trial; NaN is left out.
     labels
-        Of each row.
+        Labels of the rows.
     order
         The labels wanted. One without a number gives NaN.
     """

@@ -234,7 +234,7 @@ def margin_figure(
         For each column its title, and by name of the knee: load, ascending; rotation [deg]; margin
         [N/mm]; shape ``(n,)`` each. Where the last two are NaN there is no equilibrium.
     unit
-        Of the loads.
+        Unit of the loads.
     """
     figure = Figure(figsize=(1.0 + 3.1 * len(ramps), 6.0), layout="constrained")
     grid = figure.subplots(2, len(ramps), squeeze=False, sharex=True, sharey="row")

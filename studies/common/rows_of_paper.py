@@ -58,7 +58,7 @@ def start_table(names: Sequence[str], starts: Mapping[str, ArrayLike], truth: Ar
     Parameters
     ----------
     names
-        Of the ligaments, in the order of theta.
+        Names of the ligaments, in the order of theta.
     starts
         Theta by name, shape ``(2 m,)`` each.
     truth

@@ -28,7 +28,7 @@ from identknee.runs.declare import declared, entry
 # Rivals beyond these follow from the nearest ones.
 MOST_RIVALS = 6
 # In units of noise: where explanations that fit alike differ by more in a single value, one of the
-# knees snaps, and whether it does hangs on parameters that hardly differ.
+# knees jumps, and whether it does depends on parameters that hardly differ.
 MOST_DIFFERENCE = 10.0
 
 
@@ -232,8 +232,8 @@ def _table(best: Refit, rivals: Sequence[Rival], offer: OfferedTrials) -> tuple[
         values, own = offer.predict(other.model, other.theta)
         made += [(whole.made - values.made)[:, None], own.made[:, n_base:]]
         differences = whole.offered - values.offered
-        snaps = (np.abs(differences) > MOST_DIFFERENCE).any(axis=1)
-        differences[snaps] = np.nan
+        jumps = (np.abs(differences) > MOST_DIFFERENCE).any(axis=1)
+        differences[jumps] = np.nan
         offered += [differences[:, :, None], own.offered[:, :, n_base:]]
         end = place + 1 + other.model.parameters.n - n_base
         pairs.append(

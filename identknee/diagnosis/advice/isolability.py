@@ -74,10 +74,10 @@ def worst_distances(
 ) -> Distances:
     """The distances before any data, each effect in the mix of its amplitudes hardest to tell.
 
-    Of the mixes that stand out of the noise by `root` with no amplitude beyond three prior standard
-    deviations, the one closest to the rival counts, by generalised eigenvalues; signs are left out
-    of account. An effect too small for it at any mix counts with its most visible one, and one that
-    is not seen at all is taken for no other.
+    The mix that counts is the one closest to the rival, by generalised eigenvalues, among those
+    that stand out of the noise by `root` with no amplitude beyond three prior standard deviations.
+    Signs are ignored. An effect whose every mix is too small counts with its most visible one, and
+    one that is not seen at all is taken for no other.
 
     Parameters
     ----------

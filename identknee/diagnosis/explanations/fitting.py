@@ -40,7 +40,7 @@ REACH = 1.0
 # Tolerance on the deviance; the statistics that follow are known to a thousandth of a unit at best.
 TOLERANCE = 1e-4
 MOST_STEPS = 40
-# Share of the largest load of the data below which a knee seldom snaps through.
+# Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5
 
 
@@ -267,7 +267,7 @@ class BaseFit:
 def fitted_to_low_loads(
     model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array
 ) -> Array:
-    """The fit to the trials of low loads, shape ``(p,)``: a way past parameters that snap.
+    """The fit to trials of low loads, shape ``(p,)``: a way past parameters where the knee jumps.
 
     `start` itself where no trial has low loads.
     """

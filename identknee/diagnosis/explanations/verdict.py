@@ -25,8 +25,8 @@ MULTIPLES = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 # A verdict that holds for only some of these multiples of a stated noise is none.
 NOISE_FACTORS = (0.75, 1.33)
 HANGS_ON_NOISE = (
-    "The verdict hangs on the noise, which the data state but do not show: with 0.75 or 1.33 times "
-    "that noise it would be another. Measure longer load curves or replicates."
+    "The verdict depends on the noise, which the data state but do not show: with 0.75 or 1.33 "
+    "times that noise it would be different. Measure longer load curves or replicates."
 )
 
 

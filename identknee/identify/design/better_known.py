@@ -73,7 +73,7 @@ def narrowing(
     parameters
         Those of the problem, whose nuisances are the errors.
     features
-        Of the trials made, shape ``(f,)``, and of the candidates, ``(k, f)``.
+        Features of the trials made, shape ``(f,)``, and of the candidates, ``(k, f)``.
     allowed
         Which candidates are offered, shape ``(k,)``.
     """

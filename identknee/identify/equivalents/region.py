@@ -48,7 +48,7 @@ def noise_region(problem: Problem, center: Array, *, limit: float = 1.0) -> Regi
     Parameters
     ----------
     problem
-        Its residuals in units of their noise.
+        Problem whose residuals are in units of their noise.
     center
         Theta of the fit, shape ``(n,)``.
     limit

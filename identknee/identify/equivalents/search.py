@@ -124,7 +124,7 @@ class Searches:
             ``(n_starts, n_quantities)``. Searches begin at the first, and at a few others where the
             quantity is lowest or highest.
         name
-            Of the map in the store.
+            Name of the map in the store.
         """
         items: list[Row] = []
         for i in which:
@@ -287,7 +287,7 @@ def _as_row(extreme: Extreme) -> Row:
 
 
 def _farthest(points: Array) -> tuple[IntArray, Array]:
-    """Of each point the one farthest from it, and how far that is, both shape ``(n,)``."""
+    """For each point the one farthest from it, and their distance, both shape ``(n,)``."""
     partners, apart = [], []
     for start in range(0, len(points), BLOCK):
         block = cdist(points[start : start + BLOCK], points)

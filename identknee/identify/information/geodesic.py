@@ -128,7 +128,7 @@ def geodesics(
     Parameters
     ----------
     problem
-        Its residuals in units of their noise.
+        Problem whose residuals are in units of their noise.
     theta
         Where to start, within the bounds, shape ``(n,)``; usually the best fit.
     scaling

@@ -241,8 +241,8 @@ def information(
     Parameters
     ----------
     problem
-        Its residuals in units of their noise. `WithPriors` of it gives the information of data
-        and priors together.
+        Problem whose residuals are in units of their noise. `WithPriors` of it gives the
+        information of data and priors together.
     theta
         Where, within the bounds, shape ``(n,)``; usually the best fit.
     scaling

@@ -126,9 +126,9 @@ class ExcludedMass:
     def __str__(self) -> str:  # type: ignore[explicit-override]
         """Both parts as a sentence."""
         return (
-            f"Excluded from the prior: {100 * self.beyond_bounds:.2g} % by the bounds; of the rest "
-            f"{100 * self.without_prediction:.2g} % has no prediction "
-            f"({100 * self.low:.2g} to {100 * self.high:.2g} % at 95 % confidence, "
+            f"The bounds exclude {100 * self.beyond_bounds:.2g} % of the prior. Another "
+            f"{100 * self.without_prediction:.2g} % of what is left has no prediction "
+            f"(95 % confidence interval {100 * self.low:.2g} to {100 * self.high:.2g} %, from "
             f"{self.n_draws} draws)."
         )
 

@@ -99,7 +99,7 @@ def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -
     Parameters
     ----------
     problem
-        Its residuals in units of their noise.
+        Problem whose residuals are in units of their noise.
     n_live
         Live points; errors shrink with their square root, time grows with them.
     seed

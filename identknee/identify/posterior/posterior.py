@@ -47,7 +47,7 @@ class Posterior:
     n_walk_simulations
         Those of the steps alone.
     seed
-        Of all random numbers.
+        Seed of all random numbers.
     record
         The call, its settings and the time.
     """

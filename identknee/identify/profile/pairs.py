@@ -99,7 +99,7 @@ def profile_pair(
 ) -> PairProfile:
     """The profile of two parameters at once, all others fitted.
 
-    The set's edge is solved for along 24 straight ways from the optimum, evenly spread in units of
+    The set's edge is solved for along 24 straight paths from the optimum, evenly spread in units of
     the pair's covariance, each as one side of a profile of a single quantity.
 
     Parameters
@@ -109,7 +109,7 @@ def profile_pair(
     optimum_theta
         The best fit known, shape ``(n,)``.
     names
-        Of the two parameters.
+        Names of the two parameters.
     level
         Confidence level of the set for both at once.
     threshold
@@ -118,7 +118,7 @@ def profile_pair(
     executor
         Anything with an ordered ``map``.
     store
-        Where finished ways are kept; from `identknee.runs.resume.open_work`.
+        Where finished paths are kept; from `identknee.runs.resume.open_work`.
 
     Raises
     ------

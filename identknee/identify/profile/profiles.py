@@ -165,7 +165,7 @@ def other_optima(
     threshold
         Rise of the deviance up to which an optimum is likely.
     seed
-        Of the Sobol points that the fits start from.
+        Seed of the Sobol points that the fits start from.
     executor
         Anything with an ordered ``map``.
     """

@@ -28,7 +28,7 @@ WIDTHS = 1.0
 NARROW = 0.05
 # How far beyond an end to go and come back, in distances to the optimum.
 OUTSIDE = 1.0
-# Of the way to the ends of the likely values: how far a constant is tried.
+# Share of the distance to the ends of the confidence set over which a constant is tried.
 ALMOST = 0.9
 
 Region = tuple[float, float]
@@ -54,7 +54,7 @@ class Branch:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Lower and upper end of the likely values, infinite where open."""
+        """Lower and upper end of the confidence set, infinite where open."""
         low, high = self.lower.side.end, self.upper.side.end
         return (-np.inf if low is None else low), (np.inf if high is None else high)
 
@@ -71,7 +71,7 @@ def walk_branch(walk: Walk, origin: Point) -> Branch:
 def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
     """The branches of a quantity that does not change around the optimum, as a slack line's force.
 
-    Its set begins as that one value. Where it is another one at an end of the likely values of a
+    Its set begins as that one value. Where it is another one at an end of the confidence set of a
     parameter, by the covariance at the optimum, the fit there with the largest and the smallest
     value begin branches of their own.
 
@@ -102,7 +102,7 @@ def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
 
 
 def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
-    """Theta with each parameter almost at an end of its likely values, the others following."""
+    """Theta with each parameter almost at an end of its confidence set, the others following."""
     parameters = walk.evaluator.parameters
     at = origin.evaluation
     scales = typical_steps(parameters)

@@ -91,7 +91,7 @@ def f_threshold(level: float, degrees_of_freedom: int, n_quantities: int = 1) ->
     level
         Confidence level, between 0 and 1.
     degrees_of_freedom
-        Of the noise estimate: residuals less the parameters they determine.
+        Degrees of freedom of the noise estimate: residuals minus the parameters they determine.
     n_quantities
         How many numbers are held at once.
 
@@ -126,7 +126,7 @@ class BootstrapStatistics:
     Attributes
     ----------
     names
-        Of the quantities.
+        Names of the quantities.
     statistics
         Rise of the deviance when a quantity is held at its true value, one row a data set, shape
         ``(n, q)``; infinite where the model has no fit there, NaN where the data have no fit.
@@ -239,7 +239,7 @@ def bootstrap_statistics(
     n
         How many data sets.
     seed
-        Of the data sets.
+        Seed of the data sets.
     executor
         Anything with an ordered ``map``.
     store

@@ -67,7 +67,7 @@ class Walk:
     Parameters
     ----------
     evaluator
-        Of residuals in units of their noise.
+        Problem whose residuals are in units of their noise.
     quantity
         What is profiled.
     threshold

@@ -95,7 +95,7 @@ def sobol_indices(outputs: Array, groups: IntArray, seed: int) -> dict[str, Inde
     groups
         The group of each output, 0 to k - 1, shape ``(m,)``.
     seed
-        Of the resampling.
+        Seed of the resampling.
 
     References
     ----------
@@ -132,7 +132,7 @@ def morris_indices(points: Array, outputs: Array, groups: IntArray, seed: int) -
     groups
         The group of each output, 0 to k - 1, shape ``(m,)``.
     seed
-        Of the resampling of trajectories for the confidence intervals.
+        Seed of the resampling of trajectories for the confidence intervals.
 
     References
     ----------

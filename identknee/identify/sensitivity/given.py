@@ -44,7 +44,7 @@ def converging_indices(
     levels
         Numbers of draws, ascending.
     seed
-        Of the resampling.
+        Seed of the resampling.
 
     Returns
     -------

@@ -107,7 +107,7 @@ def map_cliffs(
     Parameters
     ----------
     problem
-        Its residuals are infinite where the model has no prediction.
+        Problem whose residuals are infinite where the model has no prediction.
     starts
         Shape ``(N, p)``; each path costs about fifty simulations.
     target

@@ -79,7 +79,8 @@ def recovery(distances: Array, recovered: BoolArray) -> Recovery:
     Parameters
     ----------
     distances
-        Of the starts from the target, shape ``(N,)``. Twenty different ones at most are shells.
+        Distances of the starts from the target, shape ``(N,)``. If at most twenty of them differ,
+        they are taken as shells.
     recovered
         From `is_recovered`, shape ``(N,)``.
     """

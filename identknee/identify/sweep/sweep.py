@@ -203,7 +203,7 @@ def sweep(
         Where to begin, shape ``(N, p)``, such as from
         `identknee.identify.sweep.starts_design.sobol_starts`.
     method, budget
-        Of each search, as for `identknee.fit`.
+        Method and budget of each search, as for `identknee.fit`.
     seed
         The seed of search i follows from it and from i alone, so that neither the number of starts
         nor that of workers changes a search.

@@ -19,7 +19,7 @@ class Effect(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the cause, as in the first part of its parameters' names."""
+        """Name of the cause: the first part of its parameters' names."""
         ...
 
     @property

@@ -36,7 +36,7 @@ FOUND = {
     Cell.MISSPECIFIED: "seen",
     Cell.INSPECT: "seen",
     Cell.EXCLUDED: "excluded",
-    Cell.INCONCLUSIVE: "not seen, but not excluded",
+    Cell.INCONCLUSIVE: "neither seen nor excluded",
 }
 
 
@@ -264,7 +264,7 @@ def _change(answer: Diagnosis) -> Statement:
     moves = {x: abs(after[x] - value) / _width(old[x]) for x, value in before.items()}
     heads: tuple[str, ...] = ("parameter", "without", "95 % from", "to", "with", "95 % from", "to")
     title = "Parameters without and with the cause"
-    sentence = "The table has the fitted ligament parameters of the model as it is."
+    sentence = "The table lists the fitted ligament parameters without any added cause."
     if not answer.causes:
         rows, heads, title = [x[:4] for x in rows], ("parameter", "value", *heads[2:4]), "Fit"
     else:
@@ -354,7 +354,7 @@ def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
     missing = [cause_label(x) for x in known if x not in effects and x not in uncertain]
     stated = [cause_label(x) for x in known if x in uncertain]
     said = f"Of {len({*known, *effects})} known causes, {len(effects)} were tested: "
-    said += f"{listed(f'{n} {words}' for words, n in counts.items())}."
+    said += f"{listed(f'{counts[x]} {x}' for x in dict.fromkeys(FOUND.values()) if counts[x])}."
     if missing:
         said += f" Not testable with these data or this knee: {listed(missing)}."
     if stated:

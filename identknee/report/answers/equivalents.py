@@ -27,8 +27,9 @@ def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
     forces = _widest_first(region.quantities.values())
     if forces:
         widest, shown = forces[0], forces[:MOST_FORCES]
-        several = f" The table has the {MOST_FORCES} that differ most, of {len(forces)}." * (
-            len(forces) > MOST_FORCES
+        several = (
+            f" The table lists the {MOST_FORCES} of {len(forces)} forces that differ most."
+            * (len(forces) > MOST_FORCES)
         )
         yield Statement(
             question=Question.KNOWN,
@@ -51,9 +52,9 @@ def _least_known(parameters: Iterable[Extrema]) -> Iterator[str]:
 def _sets(answer: Equivalents) -> Iterator[str]:
     region = answer.region
     yield (
-        f"Of {region.n_sets} such parameter sets the two farthest apart differ by "
-        f"{region.farthest:.3g} typical steps (3 kN, 2 %), the two closest by "
-        f"{region.closest:.2g}. {region.sentence}"
+        f"Among {region.n_sets} such parameter sets the two farthest apart differ by "
+        f"{region.farthest:.3g} typical steps (3 kN, 2 %), and the two closest by "
+        f"{region.closest:.3g}. {region.sentence}"
     )
     if answer.power_of_best_test is not None:
         yield (

@@ -15,12 +15,12 @@ STIFFNESS = "stiffness_kN"
 # More of them in one sentence are no answer any more.
 MOST_NAMED = 5
 CONDITIONS = {
-    "steps_per_tau": "steps in the longest autocorrelation time, at least",
-    "effective_draws": "fewest effective draws, at least",
-    "effective_draws_each": "fewest effective draws of one ensemble, at least",
-    "tau_drift": "change of an autocorrelation time between checks, at most",
-    "rhat": "largest R-hat, at most",
-    "mean_error": "largest error of a mean, in standard deviations, at most",
+    "steps_per_tau": "length of the chain in autocorrelation times, at least",
+    "effective_draws": "effective draws (bulk or tail), at least",
+    "effective_draws_each": "effective draws of any one ensemble, at least",
+    "tau_drift": "relative change of an autocorrelation time between checks, at most",
+    "rhat": "R-hat between half ensembles, at most",
+    "mean_error": "Monte Carlo error of a mean [standard deviations], at most",
 }
 
 
@@ -39,7 +39,7 @@ def sample_statements(answer: Sample) -> Iterator[Statement]:
         f"{100 * check.acceptance.mean():.0f} % of the proposals were accepted.",
         _conditions(answer),
     )
-    yield _statement(f"{answer.excluded} {answer.n_simulations} simulations.")
+    yield _statement(f"{answer.excluded} The sample took {answer.n_simulations} simulations.")
     if answer.nested is not None:
         yield _statement(_opinion(answer.nested))
 
@@ -60,14 +60,15 @@ def _trusted(answer: Sample) -> str:
 
 
 def _probable(marginals: Mapping[str, Marginal]) -> str:
-    """Of at most so many parameters, the stiffnesses where there are any."""
+    """Intervals of a few parameters, stiffnesses where there are any."""
     names = [x for x in marginals if x.endswith(STIFFNESS)] or list(marginals)
     parts = []
     for name in names[:MOST_NAMED]:
         unit = "kN" if name.endswith("_kN") else "%" if name.endswith("_pct") else ""
         limits = (marginals[name].q025, marginals[name].q975)
-        parts.append(f"{parameter_words(name)} is {between(limits, unit)}")
-    return f"with 95 % probability {listed(parts)}"
+        interval = between(limits, unit).removeprefix("from ")
+        parts.append(f"{interval} for {parameter_words(name)}")
+    return f"the 95 % {'interval is' if len(parts) == 1 else 'intervals are'} {listed(parts)}"
 
 
 def _table(marginals: Mapping[str, Marginal]) -> Table:

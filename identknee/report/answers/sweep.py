@@ -97,21 +97,21 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
     radius = recovery.radius
     if radius.value == 0.0:
         return (
-            f"At no distance do nine of ten starts lead {searches} back to the best end (to "
-            f"{within:g} kN and {within:g} %), unless more starts would show one."
+            f"At no distance from the best fit do nine in ten starts lead {searches} back to it "
+            f"(to within {_kN_and_pct(within)}). More starts might show such a distance."
         )
     return (
-        f"Nine of ten starts within {_kN_and_pct(radius.value)} of the best end (95 %: "
-        f"{_kN_and_pct(radius.lower)} to {_kN_and_pct(radius.upper)}) lead {searches} back to "
-        f"within {within:g} of it."
+        f"Nine in ten starts within {_kN_and_pct(radius.value)} of the best fit lead {searches} "
+        f"back to it, to within {_kN_and_pct(within)} (95 % limits of that distance: "
+        f"{_kN_and_pct(radius.lower)} to {_kN_and_pct(radius.upper)})."
     )
 
 
 def _cliffs(cliffs: CliffMap) -> str:
-    lost = ", ".join(f"{name} ({n})" for name, n in list(cliffs.trials_lost.items())[:MOST_LOST])
+    lost = ", ".join(f"{name} (on {n})" for name, n in list(cliffs.trials_lost.items())[:MOST_LOST])
     return (
         f"On {cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best fit the "
-        f"simulated knee jumps{f', most often in {lost}' if lost else ''}."
+        f"simulated knee jumps{f', most often in trial {lost}' if lost else ''}."
     )
 
 

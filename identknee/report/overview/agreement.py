@@ -62,7 +62,7 @@ class Agreement:
         Parameters
         ----------
         unit
-            Of the quantity.
+            Unit of the quantity.
         """
         n = 1 + len(self.others)
         if n == 1:

@@ -198,7 +198,7 @@ def _known(rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | N
     elif diagnosis.verdict is Verdict.NOT_TESTABLE:
         proviso = ", if the model is right"
     elif diagnosis.verdict is not Verdict.ADEQUATE:
-        return "The sets below hold for the model as it is."
+        return "The sets below hold for the model as it stands."
     if not unknown:
         which = {1: "The one parameter is", 2: "Both parameters are"}.get(
             n, f"All {n} parameters are"

@@ -86,7 +86,7 @@ class Range:
 def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:
     """By the name of a parameter or force, what each method says of it, the most telling first.
 
-    Of two answers of one kind the later counts.
+    If two answers are of one kind, the later counts.
     """
     found: dict[str, dict[Source, Range]] = {}
     for answer in answers:

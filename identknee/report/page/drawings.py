@@ -114,7 +114,7 @@ def _sample(result: Result) -> Iterator[Drawing]:
         name="corner",
         figure=corner_figure(names, draws),
         caption="Every pair of parameters: half and 95 % of the posterior lie inside the lines. "
-        "Oblong shapes are parameters that make up for one another.",
+        "Oblong shapes are parameters that compensate for one another.",
         description=f"Pairwise posterior of {told}.",
     )
     if answer.predictive is not None and answer.data is not None:

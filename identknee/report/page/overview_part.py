@@ -19,7 +19,7 @@ def overview_html(found: Overview, cautions: Iterable[str], level: int) -> str:
     cautions
         What results say against themselves, as sentences.
     level
-        Of the heading above.
+        Level of the heading above.
     """
     verdict = paragraph(found.verdict, class_=f"verdict {found.tone.value}")
     searches = paragraph(" ".join(found.searches))

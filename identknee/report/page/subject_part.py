@@ -67,9 +67,9 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
     findings
         All results of one subject.
     number
-        Of the subject on the page, for identities.
+        Number of the subject on the page, for identities.
     level
-        Of its headings.
+        Level of its headings.
     scene
         Its knee to turn; None for none.
     """

@@ -54,9 +54,9 @@ def test_sets_and_what_they_leave_open(table: Path, tmp_path: Path) -> None:
         theta[[0, 4, 5, 6, 7]] = data["theta"].values[3]
         assert np.array_equal(model.simulate(theta).coordinates, data["coordinates"].values[3])
     told = str(load(tmp_path))
-    assert "Of 12 such parameter sets" in told
+    assert "Among 12 such parameter sets" in told
     assert "in only 26 of 100 measurements" in told
-    assert "The table has the 12 that differ most, of 40" in told
+    assert "The table lists the 12 of 40 forces that differ most" in told
 
 
 def test_the_paper_s_criterion(table: Path, tmp_path: Path) -> None:

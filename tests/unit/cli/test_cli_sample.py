@@ -62,7 +62,7 @@ def test_a_person_reads_the_gate(table: Path, tmp_path: Path) -> None:
     for part in (
         "not met",
         "Conditions of convergence",
-        "Excluded from the prior",
+        "The bounds exclude",
         "budget",
         "97.5 %",
     ):

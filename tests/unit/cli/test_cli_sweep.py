@@ -34,7 +34,7 @@ def test_a_sweep_tells_its_ends_apart(data: Path, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "Of 12 least-squares searches from different starts, " in result.stdout
     assert "Where searches ended" in result.stdout
-    assert "Nine of ten starts within" in result.stdout
+    assert "Nine in ten starts within" in result.stdout
     assert "straight paths to the best fit the" in result.stdout
     found = summary(tmp_path)
     assert sum(found["kinds"].values()) == found["n_starts"] == 12

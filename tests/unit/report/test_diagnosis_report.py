@@ -137,7 +137,7 @@ def test_an_unexplained_misfit_changes_no_parameter() -> None:
     assert answer.causes == ()
     assert answer.parameters_after == answer.parameters_before
     said = " ".join(x.sentence for x in diagnosis_statements(answer))
-    assert "of the model as it is" in said
+    assert "without any added cause" in said
     assert "With the cause" not in said
 
 
