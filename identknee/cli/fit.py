@@ -16,7 +16,7 @@ from identknee.cli.command import (
     Workers,
     run_verb,
 )
-from identknee.cli.identification import Uncertain
+from identknee.cli.identification import Noise, Uncertain
 
 Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]
 Method = Annotated[
@@ -74,6 +74,7 @@ def fit(
     method: Method = "least-squares",
     budget: Budget = None,
     weighting: Weighting = "unit",
+    noise: Noise = None,
     likelihood: Likelihood = "normal",
     uncertain: Uncertain = None,
     priors: Priors = False,

@@ -91,6 +91,8 @@ class LaxityModel:
         equilibrium under its whole load is then looked for from there. Those that the knee is known
         to take if not given; None where it states none, and paths begin unloaded in the scanned
         pose.
+    keeps_poses
+        Whether `with_tests` leaves the poses of its own protocol as they are.
     contact
         ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
         ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
@@ -106,6 +108,7 @@ class LaxityModel:
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
     poses: Array | None = None
+    keeps_poses: bool = False
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
@@ -154,8 +157,8 @@ class LaxityModel:
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
         """The same model under the protocol of measured laxity, its trials run as measured."""
         model = self.with_protocol(laxity.protocol)
-        poses = None
-        if self.continuation == "continuation":
+        poses = self.poses if self.keeps_poses and model is self else None
+        if poses is None and self.continuation == "continuation":
             poses = measured_start.first_poses(self.knee, laxity)
         is_known = model.order is laxity.order and model.phase is laxity.phase
         if (is_known or not self.effects) and np.array_equal(model.poses, poses):  # type: ignore[arg-type]

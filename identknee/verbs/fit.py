@@ -28,6 +28,7 @@ from identknee.model.measured_start import poses_of
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.soundness import rim_findings, stability_findings
+from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding, Severity
@@ -41,11 +42,13 @@ from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike
+from identknee.verbs.followed_fit import FollowedFit, followed_fit
 from identknee.verbs.heavy_tails import about_tails, robust
 from identknee.verbs.held_out import HeldOut, predicted, split
+from identknee.verbs.identification import with_noise
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model
-from identknee.verbs.values import BoundsLike, bounds_of, by_ligament, check_word
+from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, by_ligament, check_word
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 from identknee.verbs.warming import warm_up
 
@@ -137,6 +140,7 @@ def fit(
     method: str = "least-squares",
     budget: int | None = None,
     weighting: Weighting = "unit",
+    noise: NoiseLike = None,
     likelihood: Likelihood = "normal",
     uncertain: UncertainLike = None,
     priors: bool = False,
@@ -168,6 +172,9 @@ def fit(
         Simulations allowed; 2,500 if None.
     weighting
         ``"unit"`` for plain mm and deg, ``"noise"`` for residuals divided by their stated noise.
+    noise
+        Standard deviations of lengths and of angles [mm, deg], in place of those of the data: two
+        numbers or a text such as ``0.5mm,0.5deg``. Residuals are then divided by them.
     likelihood
         ``"normal"`` for least squares, ``"student"`` for errors with heavy tails, whose scale is
         estimated: values that are far off count little.
@@ -201,7 +208,10 @@ def fit(
     check_word("continuation", continuation, get_args(Continuation))
     check_word("weighting", weighting, get_args(Weighting))
     check_word("likelihood", likelihood, get_args(Likelihood))
-    laxity, is_held = split(run.laxity, hold_out or ())
+    measured = run.laxity
+    if noise is not None:
+        measured, weighting = with_noise(measured, noise), "noise"
+    laxity, is_held = split(measured, hold_out or ())
     model, pattern = table_model(run.knee, laxity, continuation)
     trials = TrialSearch(
         model=model,
@@ -213,9 +223,9 @@ def fit(
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(run.knee, laxity.protocol)
     run.start_clock()
-    plain = partial(search, method=method, seed=seed, budget=budget, priors=priors)
-    is_robust = likelihood == "student"
-    used, found = trials.fitted(theta, partial(robust, plain) if is_robust else plain)
+    plain = partial(search, method=method, seed=seed, priors=priors)
+    trials, used, found = _searched(trials, theta, plain, budget, likelihood)
+    model = trials.model
     problem = trials.problem(used.laxity)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
@@ -227,9 +237,9 @@ def fit(
         if run.out is not None:
             write_subject(knee, run.out / FITTED)
         if is_held.any():
-            kept = run.laxity.select(is_held)
+            kept = measured.select(is_held)
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
-    tails = about_tails(problem, used.laxity, found) if is_robust else ()
+    tails = about_tails(problem, used.laxity, found) if likelihood == "student" else ()
     said = _findings(problem, found, (model, prediction), error, used.laxity)
     return Calibration(
         **simulated(model, prediction),
@@ -244,6 +254,21 @@ def fit(
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=beside_the_table(model, laxity, (*lost_findings(laxity, used.laxity), *said)),
     )
+
+
+def _searched(
+    trials: TrialSearch,
+    theta: Array,
+    plain: partial[Fit],
+    budget: int | None,
+    likelihood: Likelihood,
+) -> FollowedFit:
+    """The fit from theta, which least squares follows through the equilibria that it finds."""
+    if likelihood == "normal" and plain.keywords["method"] == "least-squares":
+        return followed_fit(trials, theta, plain, budget)
+    plain = partial(plain, budget=budget)
+    used, found = trials.fitted(theta, partial(robust, plain) if likelihood == "student" else plain)
+    return FollowedFit(trials=trials, used=used, found=found)
 
 
 def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:

@@ -45,6 +45,9 @@ JUDGED = {
     "Varus": "varus_deg",
     "Valgus": "varus_deg",
 }
+# Fits of the first table again with this noise, and diagnoses with each.
+NOISE = "1mm,1.5deg"
+DIAGNOSED = {"s192803": ("1mm,1deg",), "s192803_bundles": ("1mm,1deg", "1mm,2.5deg")}
 DIGITS = 4
 
 
@@ -53,7 +56,16 @@ def main() -> None:
     options = parsed_options(__file__)
     record = begun(options, KNEES, uncertain=UNCERTAIN, splits=SPLITS)
     tasks = [
+        *(
+            {"knee": k, "part": "diagnosis", "uncertain": "frames and insertions", "noise": x}
+            for k, noises in DIAGNOSED.items()
+            for x in noises
+        ),
         *({"knee": k, "part": "fit", "uncertain": u} for k in KNEES for u in UNCERTAIN),
+        *(
+            {"knee": k, "part": "fit", "uncertain": "frames and insertions", "noise": NOISE}
+            for k in KNEES
+        ),
         *(
             {"knee": k, "part": "held out", "uncertain": u, "split": x}
             for x in SPLITS
@@ -99,14 +111,16 @@ def as_it_is(knee: str) -> Row:
 def row_of(task: Row) -> Row:
     """One part of the record."""
     began = time.perf_counter()
-    work = fitted if task["part"] == "fit" else held_out
+    work = {"fit": fitted, "held out": held_out, "diagnosis": diagnosed}[task["part"]]
     row: Row = {**task, **work(task)}
     return dict(rounded({**row, "seconds": time.perf_counter() - began}, DIGITS))
 
 
 def fitted(task: Row) -> Row:
     """A fit to all trials but the wrong row."""
-    found = ik.fit(task["knee"], table(), uncertain=UNCERTAIN[task["uncertain"]])
+    found = ik.fit(
+        task["knee"], table(), uncertain=UNCERTAIN[task["uncertain"]], noise=task.get("noise")
+    )
     return {**ended(found), "doubts": doubts(found)}
 
 
@@ -134,6 +148,39 @@ def held_out(task: Row) -> Row:
         "within_90": found.held_out.within_90,
         "n_values": len(values),
         "judged": [[x.trial, x.coordinate, x.measured, x.predicted, x.sd] for x in judged],
+    }
+
+
+def diagnosed(task: Row) -> Row:
+    """What a diagnosis of all trials says; it leaves out the wrong row by itself."""
+    found = ik.diagnose(
+        task["knee"],
+        table(with_wrong_row=True),
+        noise=task["noise"],
+        uncertain=UNCERTAIN[task["uncertain"]],
+    )
+    misfit, gain = found.misfit, found.gain
+    return {
+        "verdict": found.verdict.value,
+        "reasons": list(found.reasons),
+        "causes": [[x.name, x.parameter, x.amplitude, x.unit] for x in found.causes],
+        "open": [list(x.causes) for x in found.rivals if x.state.value == "open"],
+        "trials_used": len(found.trials_used),
+        "misfit": misfit
+        and {
+            "chi_square": [misfit.chi_square_before, misfit.chi_square_after],
+            "p_value": [misfit.p_value_before, misfit.p_value_after],
+            "n": misfit.n_measured,
+        },
+        "line": found.line and {"sentence": found.line.sentence, "side": found.line.side},
+        "gain": gain
+        and {
+            "elpd": [gain.elpd_difference, gain.elpd_se],
+            "held_out": {k: [x.mm, x.deg] for k, x in gain.rmse_held_out.items()},
+        },
+        "advised": [x.trial for x in found.advised_trials],
+        "advice": found.advice and found.advice.sentence,
+        "findings": [x.sentence for x in found.findings],
     }
 
 
