@@ -2,8 +2,8 @@
 A first day with your own knee
 ==============================
 
-From files to an answer, in the order in which you will need it: cartilage surfaces, a table from
-the robot, a fit, what it is worth, and the way back to OpenSim. The files of the analytic knee
+From files to an answer, in the order in which you will need them: cartilage surfaces, a table from
+the robot, a fit, a check of that fit, and the way back to OpenSim. The files of the analytic knee
 ``reference`` stand in for yours. Download this page as a notebook at its end and put yours in.
 """
 
@@ -78,8 +78,8 @@ for finding in ik.check_geometry(knee):
 # Noon: the robot's table
 # -----------------------
 # One row per trial: the loads, and where the tibia went. A load that has no column was zero. This
-# table is simulated with a stiffer anterior cruciate than the subject file states. Rows like these
-# are what you write.
+# table is simulated with a stiffer anterior cruciate than the subject file states. Your own table
+# has rows like these.
 
 truth = ik.simulate(knee, "drawer", {"ACL.stiffness_kN": 12.0})
 table = ik.write_laxity(
@@ -94,14 +94,15 @@ for row in table.read_text(encoding="utf-8").splitlines()[:3]:
 data = ik.read_laxity(table)
 
 # %%
-# Afternoon: the fit, and what it is worth
-# ----------------------------------------
+# Afternoon: the fit, and how far to trust it
+# -------------------------------------------
 
 answer = ik.fit(knee, data, weighting="noise", out=folder / "results" / "fit")
 print(answer)
 
 # %%
-# The fit is good. That says little about the parameters: which of them do nine drawer trials know?
+# The fit is good. That says little about the parameters: which of them do nine drawer trials
+# determine?
 
 profiles = ik.profile(
     knee,
@@ -114,7 +115,8 @@ figure = profiles.plot()
 
 # %%
 # The truth, 12 kN for the anterior cruciate, should lie in its set. That set is the answer to write
-# into a paper. Its width says whether more trials are needed; ``ik.design(knee, data)`` names them.
+# into a paper. The width of the set says whether more trials are needed; ``ik.design(knee, data)``
+# names them.
 #
 # Evening: for others
 # -------------------

@@ -2,8 +2,8 @@
 Your own knee from STL files
 ============================
 
-A subject is a folder: three surfaces and a text file that says where they are and which ligaments
-hold them. Here the files of the analytic knee ``reference`` stand in for yours.
+A subject is a folder with three surfaces and a text file, which says where the surfaces are and
+which ligaments join them. Here the files of the analytic knee ``reference`` stand in for yours.
 """
 
 import tempfile
@@ -58,14 +58,14 @@ reference_strain_pct = {ligament.reference_strain_pct}
 knee = ik.read_subject(folder)
 
 # %%
-# What can be read may still be wrong. ``identknee subject check`` looks at surfaces, frames and
-# ligaments; so does this, with a remedy for each thing found.
+# Files that can be read may still be wrong. ``identknee subject check`` checks surfaces, frames and
+# ligaments. So does this call, with a remedy for each finding.
 
 for finding in ik.check_geometry(knee):
     print(finding.line)
 
 # %%
-# Look at it from behind and from the side: insertions in another place than meant are seen at once.
+# Look at the knee from behind and from the side: a misplaced insertion shows at once.
 
 figure = ik.scene(knee)
 
@@ -78,8 +78,8 @@ for trial, value in zip(simulation.trials, drawer, strict=True):
     print(f"{trial.trial:24} {trial.outcome.value:10} anterior drawer {value:6.2f} mm")
 
 # %%
-# The stability margin says how far each pose is from a jump. A knee should have a good one over
-# its whole protocol before anyone calibrates on it.
+# The stability margin says how far each pose is from a jump. Calibrate a knee only if the margin is
+# good over the whole protocol.
 
 print(f"smallest margin: {min(x.margin_N_per_mm for x in simulation.trials):.1f} N/mm")
 

@@ -2,8 +2,8 @@
 A knee from an OpenSim model
 ============================
 
-Models in the manner of OpenSim JAM hold contact meshes and ligaments. One is written here that has
-as little as may be: two bodies, their joint, two meshes and the ligaments of the reference knee.
+OpenSim JAM models hold contact meshes and ligaments. The smallest possible one is written here: two
+bodies, their joint, two meshes and the ligaments of the reference knee.
 """
 
 import tempfile
@@ -16,7 +16,7 @@ folder = Path(tempfile.mkdtemp())
 like = ik.reference_knee(edge_mm=2.0)
 
 # %%
-# OpenSim counts in metres. Meshes lie beside the model or in its folder ``Geometry``.
+# OpenSim uses metres. Meshes lie beside the model or in its folder ``Geometry``.
 
 (folder / "Geometry").mkdir()
 write_surface(like.femur.scaled(1e-3), folder / "Geometry" / "femur.stl")
@@ -67,7 +67,7 @@ model.write_text(
 
 # %%
 # The import takes the pose in which all coordinates are zero. What it had to leave out, such as
-# points by which a ligament wraps around bone, is told in the description.
+# points by which a ligament wraps around bone, is listed in the description.
 
 knee = ik.import_opensim(model)
 print(knee.side, knee.description)
@@ -78,12 +78,12 @@ for ligament in knee.ligaments:
     )
 
 # %%
-# ``bundles="merged"`` makes the four single lines of the literature out of many bundles.
+# ``bundles="merged"`` merges many bundles into the four single lines of the literature.
 
 figure = ik.scene(knee)
 
 # %%
-# A subject folder is what every verb takes, and what can be edited by hand:
+# Every verb takes a subject folder, and you can edit it by hand:
 
 ik.write_subject(knee, folder / "subject")
 print(sorted(x.name for x in (folder / "subject").iterdir()))

@@ -2,8 +2,8 @@
 Your own laxity data
 ====================
 
-A laxity table is a CSV file with a row a trial: the loads that were applied and where the tibia
-went. Here one is written from the reference knee, with noise as a test rig has it.
+A laxity table is a CSV file with one row per trial: the loads that were applied and where the tibia
+went. Here one is simulated with the reference knee and the noise of a test rig.
 """
 
 import tempfile
@@ -23,14 +23,14 @@ path = ik.write_laxity(measured, folder / "laxity.csv")
 # %%
 # A table that a robot measured on a cadaver comes with identknee: ``ik.example_laxity("s192803")``.
 #
-# This is what the file looks like. A column that is missing is a load of zero, a cell that is
-# blank was not measured, and the columns ``sd_`` state the errors.
+# This is what the file looks like. A missing load column means a load of zero, a blank cell was not
+# measured, and the columns ``sd_`` state the errors.
 
 for row in path.read_text(encoding="utf-8").splitlines()[:4]:
     print(row[:96])
 
 # %%
-# Reading checks it. What is wrong is said with row, column and remedy.
+# Reading checks the table. A mistake is reported with its row, its column and a remedy.
 
 wrong = path.read_text(encoding="utf-8").replace("0.0,", "O.0,", 1)
 (folder / "wrong.csv").write_text(wrong, encoding="utf-8")
@@ -40,21 +40,21 @@ except ik.InputError as error:
     print(str(error).replace(str(folder), "."))
 
 # %%
-# A model of the knee under the trials of the data, and the difference of both, weighted by the
-# errors stated:
+# A model of the knee under the trials of the data, and the difference between model and data,
+# weighted by the stated errors:
 
 laxity = ik.read_laxity(path)
 model = ik.LaxityModel(knee=knee, protocol=laxity.protocol)
 problem = ik.LaxityResiduals(model=model, laxity=laxity, weighting="noise")
 
 # %%
-# The fit begins far off, at the worst of the paper's four initial guesses.
+# The fit begins far from the truth, at the worst of the paper's four initial guesses.
 
 found = ik.fit(knee, laxity, start="IG4", weighting="noise")
 print(found)
 
 # %%
-# Is the misfit what noise leaves? With these weights the mean square is about one.
+# Is the misfit no larger than noise? If so, the mean square is about one with these weights.
 
 residuals = problem.residuals(found.theta)
 print(f"mean square of the residuals: {np.mean(residuals**2):.2f}")
@@ -62,7 +62,7 @@ error = ik.laxity_rmse(model.simulate(found.theta), laxity)
 print(f"root mean square: {error.mm:.2f} mm, {error.deg:.2f} deg")
 
 # %%
-# A fit is no answer yet. Within what limits do these data determine the cruciates?
+# A fit is not yet an answer. Within what limits do these data determine the cruciates?
 
 names = ["ACL.stiffness_kN", "ACL.reference_strain_pct", "PCL.stiffness_kN"]
 profiles = ik.profile_parameters(problem, found.theta, names)

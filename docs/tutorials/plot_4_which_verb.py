@@ -2,8 +2,8 @@
 Which verb answers which question
 =================================
 
-One data set, asked everything that can be asked of a calibration. Each answer here is a small one;
-the command that gives it in full stands beside it.
+One data set, and every question that can be asked of a calibration. The answers here are kept
+small; the command for the full answer is given with each.
 """
 
 import numpy as np
@@ -27,8 +27,8 @@ best = fit(problem, problem.parameters.center)
 # %%
 # Do all starts lead to the same parameters?
 # -------------------------------------------
-# ``identknee sweep``: searches from everywhere, each end with what stopped it. A failed start is
-# an end too: with these parameters the knee has no equilibrium in some trial.
+# ``identknee sweep``: searches from everywhere, and what stopped each of them. A failed start
+# counts too: with these parameters the knee has no equilibrium in some trial.
 
 searches = ik.sweep(knee, laxity, n_starts=24, paths=0).searches
 for kind in (ik.Outcome.MINIMUM, ik.Outcome.VALLEY, ik.Outcome.CLIFF, ik.Outcome.START_FAILED):
@@ -50,7 +50,7 @@ figure = spectrum_figure({"reference": information})
 # %%
 # Which values do the data allow?
 # -------------------------------
-# ``identknee profile``: sets with an end only where the data give one.
+# ``identknee profile``: sets that end only where the data limit them.
 
 names = ["ACL.stiffness_kN", "PCL.stiffness_kN", "MCL.stiffness_kN"]
 profiles = ik.profile_parameters(problem, best.theta, names)
@@ -59,8 +59,8 @@ figure = intervals_figure(profiles)
 # %%
 # How different may two knees be that these data cannot tell apart?
 # -----------------------------------------------------------------
-# ``identknee equivalents``: sets whose predictions differ by less than one squared standard
-# deviation in all, as far from one another as can be.
+# ``identknee equivalents``: parameter sets as different as possible, whose predictions differ by
+# less than one squared standard deviation in total.
 
 region = ik.identify.noise_region(problem, best.theta)
 found = equivalents(region, n_sets=6, seed=0)

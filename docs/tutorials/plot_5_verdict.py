@@ -2,8 +2,8 @@
 Reading a verdict
 =================
 
-Data are made with something in the knee that the model lacks, by a generator that shares no
-mechanics with it. A diagnosis sees the data alone. Then the truth is opened.
+A generator that shares no mechanics with the model makes data with something in the knee that the
+model lacks. The diagnosis sees the data alone. Then the truth is revealed.
 """
 
 import identknee as ik
@@ -28,14 +28,14 @@ print(*diagnosis.reasons)
 
 # %%
 # **Where** the misfit is: each field of the map is one coordinate at one angle of flexion under
-# loads of one direction.
+# loads in one direction.
 
 print(diagnosis.misfit.sentence)
 figure = misfit_figure(diagnosis.misfit.map, diagnosis.misfit.sentence)
 
 # %%
 # **What** could explain it: the scores of all effects of the library, beside the model without
-# causes and then beside the explanation, where none should be left.
+# causes, and then beside the explanation, where no score should be left.
 
 figure = scores_figure(diagnosis.steps)
 
@@ -49,17 +49,17 @@ for cause in diagnosis.causes:
 figure = added_variable_figure(diagnosis.added_variable)
 
 # %%
-# **Rivals**: other causes, with the evidence for them against the best, and how far they would
-# stay from the data that the best one expects.
+# **Rivals**: other causes, with the evidence for them relative to the best one, and how far they
+# stay from the data that the best one predicts.
 
 for rival in diagnosis.rivals:
     names = " + ".join(rival.causes) or "none"
     print(f"{names:24} distance {rival.distance or 0.0:5.1f}  {rival.state.value}")
 
 # %%
-# **What it does to the parameters** is the reason to look at all: without its cause the misfit is
-# taken up by ligaments that have nothing to do with it. Crosses are the truth, which only a blind
-# case knows.
+# **What it does to the parameters** is why this matters: without its cause the misfit is absorbed
+# by ligaments that have nothing to do with it. Crosses mark the truth, which is known only in a
+# blind case.
 
 figure = parameters_before_after_figure(diagnosis, case.truth.theta)
 

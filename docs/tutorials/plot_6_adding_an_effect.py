@@ -2,8 +2,8 @@
 Adding an effect
 ================
 
-An effect is a physical cause with amplitudes that are zero where it does not act. This one is no
-part of the library: a goniometer that is mounted askew reads a share of varus as internal rotation.
+An effect is a physical cause whose amplitudes are zero where it does not act. This one is not in
+the library: a goniometer that is mounted askew reads a share of varus as internal rotation.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ class Crosstalk:
 
 # %%
 # A model extended by it is a model like any other. The amplitude is one more parameter, and its
-# derivatives come by themselves.
+# derivatives need no code.
 
 knee = ik.reference_knee()
 protocol = ik.load_protocol("seed63")
@@ -46,7 +46,7 @@ truth = extended.parameters.vector({"crosstalk.share": 0.2})
 laxity = ik.add_noise(extended.simulate(truth), sd_mm=0.3, sd_deg=0.3, seed=3)
 
 # %%
-# Does a fit find it? So many parameters, and this one well known:
+# Does a fit find it? Among all the parameters this one is well determined:
 
 problem = ik.LaxityResiduals(model=extended, laxity=laxity, weighting="noise")
 fitted = fit(problem, problem.parameters.center)
@@ -54,7 +54,7 @@ fitted = fit(problem, problem.parameters.center)
 print(f"{profile.optimum_value:.3f}, {profile.lower:.3f} to {profile.upper:.3f}")
 
 # %%
-# And would a diagnosis name it among others? Some of the library stand beside it.
+# And would a diagnosis name it among other causes? Some from the library are offered too.
 
 others = ["moment_gain_IE", "moment_offset", "axis_misalignment", "rig_compliance_IE"]
 candidates = [Crosstalk(), *(ik.effect_named(knee, name) for name in others)]
@@ -68,4 +68,5 @@ figure = scores_figure(diagnosis.steps)
 
 # %%
 # To have it in the library for everyone takes a file, a row of facts and a line: see
-# :doc:`/contributing`. Remember that one effect more is one more wrong name for all others.
+# :doc:`/contributing`. Remember that each new effect is one more possible wrong name for the
+# others.

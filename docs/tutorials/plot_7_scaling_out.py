@@ -28,8 +28,8 @@ serial = sweep(problem, starts)
 
 # %%
 # ``dask_cluster`` takes the address of a scheduler, wherever its workers are. Here it is a cluster
-# inside this process, which costs nothing; ``dask_cluster(8)`` would start eight workers, and
-# ``dask_cluster("tcp://10.0.0.5:8786")`` use those of a scheduler that runs already.
+# inside this process, which costs nothing. ``dask_cluster(8)`` would start eight workers, and
+# ``dask_cluster("tcp://10.0.0.5:8786")`` would use those of a scheduler that is already running.
 
 with (
     LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as it,
@@ -49,5 +49,5 @@ figure = waterfall_figure({"Least squares from 16 starts": ends})
 # %%
 # On the command line ``--workers N`` starts N processes; ``--workers tcp://10.0.0.5:8786`` works on
 # the cluster of that scheduler. So does the argument ``workers`` of a verb in Python. If a worker
-# is lost, its tasks go to another. A run that is stopped goes on where it was when the same command
-# is given again, with any workers.
+# is lost, its tasks go to another. A run that was stopped resumes when the same command is given
+# again, with any workers.

@@ -3,8 +3,8 @@ A knee from MRI
 ===============
 
 The knee ``lenhart2015_stable`` was segmented from the MRI of a healthy woman. Its cartilage is
-real, and its insertions were moved until it is stable. Here drawer tests are simulated, fitted
-again, and asked what they determine.
+real, and its insertions were moved until it is stable. Here drawer tests are simulated and
+fitted again, to see what they determine.
 """
 
 import identknee as ik
@@ -28,14 +28,15 @@ answer = ik.fit(knee, data, start="IG4")
 print(answer)
 
 # %%
-# The fit is good, and its anterior cruciate is wrong: 6 kN where 10 kN were simulated with. Nothing
-# in the error says so. Which combinations of parameters do drawer tests alone determine?
+# The fit is good, and its anterior cruciate is wrong: 6 kN, where the data were simulated with 10
+# kN. Nothing in the error says so. Which combinations of parameters do drawer tests alone
+# determine?
 
 known = ik.information(knee, data)
 print(known)
 figure = known.plot()
 
 # %%
-# The combinations on the right are sloppy: the data hardly hold them, the cruciates' stiffness most
-# of all. ``ik.design(knee, data)`` says which trials would. In a notebook
-# ``ik.scene_3d(knee, answer)`` shows the fitted knee to turn.
+# The combinations on the right are sloppy: the data hardly determine them, above all the cruciates'
+# stiffness. ``ik.design(knee, data)`` says which trials would. In a notebook
+# ``ik.scene_3d(knee, answer)`` shows the fitted knee, which you can turn.

@@ -3,8 +3,8 @@ A knee measured by a robot
 ==========================
 
 The knee ``s192803`` is a cadaver's left knee. Its laxity was measured by a robotic simulator, and
-nobody knows its ligament parameters. Here is what real data are like, and how far a fit to them can
-be believed.
+its ligament parameters are unknown. This page shows what real data are like, and how far a fit to
+them can be trusted.
 """
 
 from dataclasses import replace
@@ -17,8 +17,8 @@ knee = ik.example("s192803")
 data = ik.example_laxity("s192803")
 
 # %%
-# The trials differ in flexion as a rig leaves them, and the table states no errors. Both are
-# common. The ligament parameters in the subject's file are placeholders.
+# The flexion angles are not quite those intended, and the table states no errors. Both are common.
+# The ligament parameters in the subject's file are placeholders.
 
 angles = data.protocol.flexion_deg
 print(f"{data.protocol.n} trials at {angles.min():.1f} to {angles.max():.1f} deg of flexion")
@@ -26,7 +26,7 @@ figure = ik.scene(knee)
 
 # %%
 # One trial contradicts its neighbours. ``identknee fit`` says so by itself: under the valgus moment
-# at 57 deg the tibia tilts 8 deg further than the course over flexion. Its cells are left blank, as
+# at 57 deg the tibia tilts 8 deg further than at neighbouring angles. Its cells are left blank, as
 # for any trial that went wrong. A blank cell is not fitted.
 
 coordinates = np.array(data.coordinates)
@@ -35,8 +35,8 @@ data = replace(data, coordinates=coordinates)
 
 # %%
 # Bone frames of a robot and of a scan never agree exactly. So the fit is told how far they may be
-# apart, here by 4 deg and 4 mm (standard deviations). It then finds the turn and the shift of both
-# frames along with the parameters. Without this the same model fits several times worse.
+# apart, here by 4 deg and 4 mm (standard deviations). It then finds the rotation and the shift of
+# both frames along with the parameters. Without this the same model fits several times worse.
 
 fit = ik.fit(knee, data, uncertain="registration=4deg,registration=4mm", priors=True)
 print(f"{fit.rmse.mm:.2f} mm and {fit.rmse.deg:.2f} deg; {len(fit.trials_used)} trials fitted")
@@ -45,12 +45,13 @@ for name, values in fit.parameters.items():
         print(f"{name}: {values['stiffness_kN']:5.1f} kN, {values['reference_strain_pct']:5.1f} %")
 
 # %%
-# Measured and fitted laxity, trial by trial: a line joins both, and the longer, the worse the fit.
+# Measured and fitted laxity, trial by trial. A line joins the two: the longer it is, the worse the
+# fit.
 
 figure = fit.plot()
 
 # %%
-# A fit to real data has something to say against itself. Forces that no knee carries and strains
+# A fit to real data also reports what speaks against it. Forces that no knee carries and strains
 # that no ligament survives mean that the model lacks something, however small the error is.
 
 for finding in fit.findings:

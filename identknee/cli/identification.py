@@ -17,7 +17,7 @@ Uncertain = Annotated[
     typer.Option(
         metavar="NAME=SIZE,...",
         help="How well the knee and the tests are known, as in insertions=2mm,registration=2deg, "
-        "in place of what the subject states; none for exactly.",
+        "in place of what the subject states; none if known exactly.",
     ),
 ]
 Start = Annotated[

@@ -307,8 +307,10 @@ def written(cells: Iterable[str]) -> str:
 
 
 def _column_remedy(name: str, known: tuple[str, ...]) -> str:
-    """The closest known column; where only the unit differs, its values must change too."""
+    """The closest known column, or how to name one; a different unit changes its values too."""
     remedy, quantity = suggestion(name, known), name.rpartition("_")[0]
+    if not remedy.startswith("Did you mean"):
+        return f"{remedy} To read it as one of them, begin the file: # column: ONE = 1 * {name}"
     if not quantity or remedy.removeprefix("Did you mean ").rpartition("_")[0] != quantity:
         return remedy
     return f"{remedy} If so, convert its values to that unit."

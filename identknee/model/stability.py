@@ -252,8 +252,8 @@ def _own_finding(report: StabilityReport) -> GeometryFinding:
             f"stability margin is {report.lowest_margin:.3g} N/mm, in {weakest}."
         ),
         remedy=(
-            f"Below {ENOUGH_MARGIN:g} N/mm a small change may end the branch: check the ligaments "
-            "that hold this motion."
+            f"Below {ENOUGH_MARGIN:g} N/mm a small change may leave no stable pose: check the "
+            "ligaments that hold this motion."
             if is_low
             else ""
         ),
@@ -298,9 +298,9 @@ def _box_finding(report: StabilityReport) -> GeometryFinding:
         severity=Severity.WARNING if is_low else Severity.INFO,
         where="stability",
         sentence=(
-            f"In the box of stiffness +-{100 * STIFFNESS_SHARE:g} % and reference strain "
+            f"With stiffness varied by +-{100 * STIFFNESS_SHARE:g} % and reference strain by "
             f"+-{STRAIN_PCT:g} %, {100 * share:.2f} % of the trials of {report.protocol} "
-            f"converge{ended}; {n_failed} of {report.n_samples} parameter vectors lose at least "
+            f"converge{ended}; {n_failed} of {report.n_samples} parameter sets lose at least "
             "one trial."
         ),
         remedy=(

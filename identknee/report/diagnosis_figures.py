@@ -97,7 +97,7 @@ def residual_curves_figure(answer: Diagnosis) -> Figure | None:
 
     None where no three trials make a curve.
 
-    Dots are measured less predicted values, the band is two standard deviations of the noise. Lines
+    Dots are measured minus predicted values, the band two standard deviations of the noise. Lines
     are what the model changes when a cause joins it and everything is fitted again: the cause that
     is right goes through the dots.
     """
@@ -125,11 +125,11 @@ def residuals_figure(
     protocol
         The trials.
     residuals
-        Measured less predicted [mm, deg], shape ``(n, 5)``; NaN where nothing was measured.
+        Measured minus predicted [mm, deg], shape ``(n, 5)``; NaN where nothing was measured.
     sd
         Standard deviation of the noise, in the same shape.
     changes
-        By name of a model, its prediction less the first one's, in the same shape.
+        By name of a model, its prediction minus the first one's, in the same shape.
     """
     curves = load_curves(protocol)
     rows = np.flatnonzero(np.isfinite(residuals).any(axis=0))
@@ -156,7 +156,7 @@ def residuals_figure(
         figure.legend(
             handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9
         )
-    figure.suptitle("measured less predicted by the model without causes", fontsize=10)
+    figure.suptitle("measured minus predicted by the model without causes", fontsize=10)
     return figure
 
 
@@ -209,7 +209,7 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
     axes.set_yticks(range(len(order)), order, fontsize=SMALL)
     axes.set_ylim(len(order) - 0.4, -0.6)
     axes.set_xlim(left=0.0)
-    axes.set_xlabel("score [normal deviate]; broken line: the largest of all by chance in 5 %")
+    axes.set_xlabel("score [normal deviate]; dashed line: the largest of all by chance in 5 %")
     if len(steps) > 1:
         axes.legend(fontsize=SMALL, frameon=False, loc="lower right")
     bare(axes)

@@ -26,7 +26,7 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
         axes.plot(x, each.floors, "_", color=GREY, markersize=9)
         for place, value, floor in zip(x, each.eigenvalues, each.floors, strict=True):
             axes.plot([place, place], [floor, value], color="0.88", linewidth=1.0, zorder=0)
-        sizes = f"{each.n_above_noise} of {each.theta.size} above noise\ncondition"
+        sizes = f"{each.n_above_noise} of {each.theta.size} above noise\ncondition number"
         axes.annotate(
             f"{sizes} {each.condition:.3g}",
             (k, float(each.eigenvalues[0])),

@@ -94,7 +94,7 @@ def _draw_sets(axes: Axes, profile: Profile, row: int) -> None:
                 alpha=0.75,
                 linewidth=thickness,
                 solid_capstyle="butt",
-                label=f"{level:.0%}",
+                label=f"{100 * level:g} %",
             )
     for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
         if side.end is None:

@@ -33,7 +33,8 @@ _SENTENCES = {
     Outcome.CONVERGED: "A stable equilibrium was found on the branch that starts unloaded.",
     Outcome.FOLD: "No stable pose at full load: the simulated knee jumps before reaching it.",
     Outcome.NO_EQUILIBRIUM: "No equilibrium was found from the reference pose.",
-    Outcome.UNCONSTRAINED: "Nothing resists one direction of motion, so the pose is not unique.",
+    Outcome.UNCONSTRAINED: "Nothing resists one direction of motion, so the pose is not unique. Is "
+    "a ligament missing or slack?",
     Outcome.MINIMUM: "Exact derivatives confirm a local minimum.",
     Outcome.VALLEY: "The optimizer stopped in a valley before a minimum was reached.",
     Outcome.CLIFF: "The search stopped at a cliff, beyond which the simulated knee jumps.",

@@ -131,7 +131,9 @@ def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
         ) from error
     # Dates that are none and numbers of too many digits are no TOMLDecodeError.
     except (ValueError, OverflowError) as error:
-        raise InputError(file, "", f"this is not TOML: {error}", "Correct that line.") from error
+        paths = " Write paths with /, on Windows too." * ("\\" in str(error))
+        remedy = f"Correct that line.{paths}"
+        raise InputError(file, "", f"this is not TOML: {error}", remedy) from error
 
 
 def read_json(path: PathLike, remedy: str, limit_mb: float = 512) -> Any:

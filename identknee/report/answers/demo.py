@@ -39,9 +39,10 @@ def misleading_fit(fits: StartFits) -> str:
     """How wrong the parameters of a start were that fitted well."""
     error, rmse = fits.error, fits.rmse
     return (
-        f"Complex from {fits.start} ends {error['kN']:.2f} kN and {error['pct']:.2f} % from the "
-        f"true parameters on average, and still reproduces the laxity to {rmse['mm']:.2f} mm and "
-        f"{rmse['deg']:.2f} deg: a good fit does not show that its parameters are right."
+        "A good fit does not show that its parameters are right. From the start "
+        f"{fits.start} the Complex method reproduces the laxity to {rmse['mm']:.2f} mm and "
+        f"{rmse['deg']:.2f} deg with parameters that are wrong by {error['kN']:.2f} kN and "
+        f"{error['pct']:.2f} % on average."
     )
 
 
@@ -52,7 +53,7 @@ def exact_fit(fits: Sequence[StartFits]) -> str:
         return f"Least squares ends up to {largest:.2g} kN from the true parameters."
     return (
         f"Least squares with exact derivatives finds the true parameters from all {len(fits)} "
-        "starts: the wrong sets are places where Complex stopped, not other minima."
+        "starts, so the wrong sets are places where the Complex method stopped, not other minima."
     )
 
 

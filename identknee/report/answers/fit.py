@@ -12,6 +12,9 @@ from identknee.runs.outcome import Outcome
 from identknee.verbs.fit import Calibration
 from identknee.verbs.held_out import HeldOut
 
+# Below it an error is that of rounding, mm or deg.
+NO_ERROR = 1e-4
+
 
 def fit_statements(answer: Calibration) -> Iterator[Statement]:
     """How well the fit reproduces the data, and how the search ended."""
@@ -20,13 +23,18 @@ def fit_statements(answer: Calibration) -> Iterator[Statement]:
         yield Statement(question=Question.SEARCH, sentence=answer.sentence, is_answer=True)
         return
     sizes = ((answer.rmse.mm, "mm"), (answer.rmse.deg, "deg"))
-    errors = [amount(size, unit) for size, unit in sizes if np.isfinite(size)]
+    errors = [
+        amount(size, unit) if size >= NO_ERROR else f"less than {NO_ERROR:g} {unit}"
+        for size, unit in sizes
+        if np.isfinite(size)
+    ]
     is_good = all(x.severity is Severity.INFO for x in answer.findings)
     caution = " A good fit does not show that its parameters are right." if is_good else ""
+    plural = "" if answer.rmse.n_compared == 1 else "s"
     yield Statement(
         question=Question.SEARCH,
         sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
-        f"(RMSE over {answer.rmse.n_compared} measured values). {answer.sentence}{caution}",
+        f"(RMSE over {answer.rmse.n_compared} measured value{plural}). {answer.sentence}{caution}",
         tables=(_table(answer), *_nuisances(answer)),
         is_answer=True,
     )
@@ -44,7 +52,8 @@ def _held_out(held: HeldOut) -> Statement:
     errors = f", to {listed(sizes)} on average (RMSE)" if sizes else ""
     return Statement(
         question=Question.SEARCH,
-        sentence=f"It predicts {len(held.trials)} trials that it did not see{errors}.{lost}{shown}",
+        sentence=f"The fit predicts {len(held.trials)} trials that it did not see{errors}."
+        f"{lost}{shown}",
         tables=(
             Table(
                 title="Trials held out",

@@ -39,7 +39,7 @@ def parameter_statements(profiles: Sequence[Profile], given: str = "") -> Iterat
         yield Statement(
             question=Question.KNOWN,
             sentence=" ".join([*first, _one_by_one(group)]),
-            tables=(_table(group, f"{group[0].level:.0%} intervals by profile likelihood"),),
+            tables=(_table(group, f"{100 * group[0].level:g} % intervals by profile likelihood"),),
             is_answer=k == 0,
         )
 

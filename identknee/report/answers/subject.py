@@ -11,7 +11,9 @@ from identknee.verbs.subject_settle import SettledSubject
 def subject_statements(answer: SubjectFacts) -> Iterator[Statement]:
     """Side and ligaments."""
     names = ", ".join(x.name for x in answer.ligaments)
-    sentence = f"{answer.subject}: {answer.side} knee, {len(answer.ligaments)} ligaments ({names})."
+    n = len(answer.ligaments)
+    count = f"{n} ligament{'' if n == 1 else 's'}"
+    sentence = f"{answer.subject}: {answer.side} knee, {count} ({names})."
     also = [f"Also written: {x}" for x in answer.written]
     yield Statement(question=Question.KNOWN, sentence="\n".join([sentence, *also]))
 

@@ -8,6 +8,7 @@ from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.model.effects.facts import cause_label
+from identknee.report.answers.statements import statements_of
 from identknee.report.overview.agreement import Agreement, agreement, reasons
 from identknee.report.overview.next_tests import next_tests
 from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source, ranges_of
@@ -23,6 +24,7 @@ from identknee.report.words import (
     unit_of,
 )
 from identknee.verbs.answer import Answer
+from identknee.verbs.demo import Demonstration
 from identknee.verbs.diagnosis import Diagnosis
 
 MOST_NAMED = 3
@@ -103,8 +105,10 @@ def overview(answers: Sequence[Answer]) -> Overview:
     diagnosis = next((x for x in reversed(answers) if isinstance(x, Diagnosis)), None)
     differ = disagreement(answers)
     sentence, tone = _verdict([x for x in rows if "@" not in x.name], diagnosis, differ)
+    # What a demonstration was made to show comes first.
+    shown = [statements_of(x)[0].sentence for x in answers if isinstance(x, Demonstration)]
     return Overview(
-        verdict=sentence,
+        verdict=" ".join(x for x in (*shown, sentence) if x),
         tone=tone,
         rows=rows,
         reasons=reasons(x.found for x in rows),

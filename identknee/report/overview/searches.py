@@ -10,7 +10,6 @@ from identknee.report.answers.statements import statements_of
 from identknee.report.words import amount, listed, parameter_words, unit_of
 from identknee.runs.outcome import Outcome
 from identknee.verbs.answer import Answer
-from identknee.verbs.demo import Demonstration
 from identknee.verbs.fit import Calibration
 from identknee.verbs.sweep import Sweep
 
@@ -27,14 +26,14 @@ ENDED = {
 
 
 def searches_sentences(answers: Sequence[Answer]) -> tuple[str, ...]:
-    """Fits, sweeps and the demo in a few sentences; none without a search."""
+    """Fits and sweeps in a few sentences; none without a search."""
     fits = {x: y for x, y in _fits(answers).items() if y.outcome is not Outcome.START_FAILED}
     failed = [x for x in _fits(answers).values() if x.outcome is Outcome.START_FAILED]
-    others = [x for x in answers if isinstance(x, Sweep | Demonstration)]
+    sweeps = [x for x in answers if isinstance(x, Sweep)]
     return (
         *(_several(fits) if len(fits) > 1 else _each(fits.values())),
         *_each(failed),
-        *(statements_of(x)[0].sentence for x in others),
+        *(statements_of(x)[0].sentence for x in sweeps),
     )
 
 

@@ -48,7 +48,7 @@ def computed_html(results: Sequence[Result]) -> str:
     text = json.dumps(records, indent=2, ensure_ascii=False)
     written = element("pre", escape(text), tabindex="0", aria_label="Records of all results")
     folded = disclosed("Settings, digests of inputs and versions", written)
-    return disclosed(f"{len(results)} results", table) + folded
+    return disclosed(f"{len(results)} result{'' if len(results) == 1 else 's'}", table) + folded
 
 
 def further_html(findings: Findings) -> str:

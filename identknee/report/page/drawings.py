@@ -52,8 +52,8 @@ def _demo(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="starts",
         figure=starts_figure(answer.starts),
-        caption="Left, how wrong the fitted stiffnesses are; right, how well the same fits "
-        "reproduce the laxity: a dot a run.",
+        caption="Left: the error of the fitted stiffnesses. Right: how well the same fits "
+        "reproduce the laxity. Each dot is one run.",
         description=f"Errors of fits by {methods} from every start. Laxity is reproduced to "
         f"{max(x.rmse_deg.max() for x in answer.starts):.2f} deg at worst, with stiffnesses up to "
         f"{max(x.error_kN.max() for x in answer.starts):.2f} kN wrong on average.",
@@ -78,10 +78,10 @@ def _profile_drawings(
     yield Drawing(
         name="intervals",
         figure=intervals_figure(profiles, truth),
-        caption="Values that the data do not exclude, a row each: the thicker the bar, the more "
-        "likely; an arrow is an end that the data leave open, a cross one where only the "
-        "model ends.",
-        description=f"Nested intervals of {names}. At {profiles[0].level:.0%} confidence: {ends}.",
+        caption="Confidence intervals of each quantity, nested from 50 % (thick) to 95 % (thin). "
+        "An arrow marks an end that the data leave open, a cross one where the model ends.",
+        description=f"Nested intervals of {names}. "
+        f"At {100 * profiles[0].level:g} % confidence: {ends}.",
     )
     # The force of a slack ligament is one point.
     curves = [x for x in profiles if len(x.values) > 1]
@@ -90,10 +90,11 @@ def _profile_drawings(
     yield Drawing(
         name="profiles",
         figure=profiles_figure(curves),
-        caption="How much worse the best fit becomes when one value is held elsewhere. Values "
-        "below the broken line are not excluded; a curve that stays below it is open there.",
+        caption="How much worse the fit becomes when one value is held and all others are fitted "
+        "again. Values below the dashed line are not excluded; a curve that stays below it is open "
+        "on that side.",
         description=f"Profile likelihoods of {names}: a curve each that rises away from the best "
-        "value, and the threshold as a broken line.",
+        "value, and the threshold as a dashed line.",
     )
 
 
@@ -107,13 +108,13 @@ def _sample(result: Result) -> Iterator[Drawing]:
         name="prior-posterior",
         figure=prior_posterior_figure(names, _thinned(answer.prior.theta), {"posterior": draws}),
         caption="What was assumed of each parameter before the data (grey), and what is "
-        "probable after them.",
+        "probable given the data.",
         description=f"Densities of {told} before and after the data.",
     )
     yield Drawing(
         name="corner",
         figure=corner_figure(names, draws),
-        caption="Every pair of parameters: half and 95 % of the posterior lie inside the lines. "
+        caption="Every pair of parameters: 50 and 95 % of the posterior lie inside the lines. "
         "Oblong shapes are parameters that compensate for one another.",
         description=f"Pairwise posterior of {told}.",
     )
@@ -132,8 +133,8 @@ def _forces(predictive: Predictive, names: Sequence[str]) -> Drawing:
     return Drawing(
         name="forces",
         figure=forces_figure(trials, predictive.ligaments, np.moveaxis(spread[:, chosen], 0, -1)),
-        caption="Ligament forces as far as the data determine them, in the trials where they are "
-        "least certain: thick half, thin 95 % of the posterior.",
+        caption="Ligament forces in the trials where they are least certain, around their medians: "
+        "thick bars hold 50 %, thin bars 95 % of the posterior.",
         description=f"Ranges of the tension of {listed(predictive.ligaments)} in {len(trials)} "
         f"trials; the widest has {widths.max():.0f} N.",
     )
@@ -146,8 +147,8 @@ def _information(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="spectrum",
         figure=spectrum_figure({result.subject: found}),
-        caption="How well the data know each combination of parameters, from stiff to sloppy; a "
-        "bar marks what rounding alone would give.",
+        caption="How well the data determine each combination of parameters, from stiff to sloppy. "
+        "A bar marks what rounding alone would give.",
         description=f"Eigenvalues of the information from {found.eigenvalues[0]:.3g} to "
         f"{found.eigenvalues[-1]:.3g}; {found.n_above_noise} of {found.theta.size} stand above "
         "the solver's noise.",
@@ -155,7 +156,7 @@ def _information(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="eigenvectors",
         figure=eigenvectors_figure(found),
-        caption="Which parameters make up each of these combinations, a column each.",
+        caption="Which parameters make up each of these combinations, one column each.",
         description=f"The least known combination is {found.combination(found.theta.size - 1)}.",
     )
 
@@ -170,8 +171,8 @@ def _equivalents(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="sets",
         figure=sets_figure(names, region.sets, region.fit, bands, origin="the mean"),
-        caption="Above, parameter sets that this measurement cannot tell apart, a line each; "
-        "below, how little their laxity differs, trial by trial.",
+        caption="Above: parameter sets that this measurement cannot tell apart, one line each. "
+        "Below: how little their laxity differs, trial by trial.",
         description=f"{region.n_sets} equivalent sets of {listed(map(label, names))}, and the "
         "spread of their laxity.",
     )
@@ -203,8 +204,8 @@ def _sweep(result: Result) -> Iterator[Drawing]:
         yield Drawing(
             name="waterfall",
             figure=waterfall_figure({f"{searches.n} starts": curves}),
-            caption="How low every search ended, best first; steps are places where searches "
-            "gather.",
+            caption="Objective at which each search ended, the best first. A step is a place where "
+            "several searches ended.",
             description=f"Objectives of {searches.n} searches in ascending order: {told}.",
         )
     kinds = [OUTCOMES[code].value for code in searches.kind_codes]
@@ -214,8 +215,8 @@ def _sweep(result: Result) -> Iterator[Drawing]:
         figure=start_end_figure(
             {"": (searches.starts, searches.ends, kinds)}, names, best, mark="best end"
         ),
-        caption="Where searches began (by colour how they ended) and where they ended (black), in "
-        "the plane of each ligament's two parameters.",
+        caption="Where searches began (coloured by how they ended) and where they ended (black), "
+        "in the plane of each ligament's two parameters.",
         description=f"Starts and ends of {searches.n} searches: {told}.",
     )
 
@@ -236,7 +237,8 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="influence",
         figure=map_figure(tables, parameters, INDICES[name]),
-        caption="How much each parameter (across) moves each kind of laxity (down): dark is much.",
+        caption="How much each parameter (across) moves each kind of laxity (down): dark means "
+        "strongly.",
         description=f"{INDICES[name]} of {listed(map(label, parameters))} by coordinate, flexion "
         "and load.",
     )
@@ -251,8 +253,8 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
         yield Drawing(
             name="effects",
             figure=effects_figure(panels, parameters),
-            caption="Right is a strong effect, up one that depends on the other parameters; the "
-            "two kinds of laxity that move most.",
+            caption="The two kinds of laxity that move most. Farther right an effect is stronger; "
+            "farther up it depends more on the other parameters.",
             description=f"Morris effects of {listed(map(label, parameters))}.",
         )
 

@@ -38,8 +38,8 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="misfit",
         figure=misfit_figure(misfit.map, misfit.sentence),
-        caption="Measured less predicted, in units of the noise: red where more was measured, blue "
-        "where less; framed where noise alone hardly does that.",
+        caption="Measured minus predicted, in units of the noise: red where more was measured, "
+        "blue where less. Framed cells are hardly due to noise alone.",
         description="Map of the misfit by coordinate, flexion and load: "
         f"{misfit_words(misfit.sentence)}.",
     )
@@ -53,7 +53,7 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
             caption="What the model leaves unexplained along every load curve (dots, with a band "
             "of two standard deviations of the noise)"
             + (", and what the cause explains of it (line)." if causes else "."),
-            description="Measured less predicted laxity along every load curve"
+            description="Measured minus predicted laxity along every load curve"
             + (f", with the part that {causes} explains." if causes else "."),
         )
     if result.knee is not None and answer.missing_wrench and not _is_adequate(answer):
@@ -61,7 +61,7 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
             name="missing-wrench",
             figure=wrench_figure(answer, result.knee),
             caption="What else would have to act on the tibia, seen from above: arrows are "
-            "forces, arcs moments; grey is what noise alone may ask for.",
+            "forces, arcs are moments. Grey is the range that noise alone could explain.",
             description="Forces and moments that the model lacks, by flexion and load.",
         )
     # Without a cause there is nothing to compare.
@@ -86,8 +86,8 @@ def isolability_drawings(result: Result) -> Iterator[Drawing]:
         yield Drawing(
             name="isolability",
             figure=isolability_figure(distances_of(answer)),
-            caption="How far the data of each cause (rows) are from what each other one could "
-            "explain in its place (columns): dark cells cannot be told apart.",
+            caption="How far the data of each cause (rows) are from what another cause (columns) "
+            "could explain in its place. Causes in dark cells cannot be told apart.",
             description=f"Distances between {len(answer.rivals)} causes.",
         )
 
@@ -104,8 +104,8 @@ def design_drawings(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="design-intervals",
         figure=intervals_figure(names, [x.optimum_value for x in before], ends),
-        caption="The interval of each target now, as the advised trials are predicted to leave "
-        "it, and as simulated trials left it.",
+        caption="The interval of each target: now, as predicted with the advised trials, and as "
+        "found when those trials were simulated.",
         description=f"Intervals of {listed(names)} before and after adding {trials}.",
     )
     widths = np.diff(choice.predicted)[..., 0]
@@ -122,8 +122,8 @@ def design_drawings(result: Result) -> Iterator[Drawing]:
     yield Drawing(
         name="design-candidates",
         figure=candidates_figure(answer.candidates, gains, choice.chosen, "gain of one such trial"),
-        caption="What each possible trial alone would gain; circles are the trials advised, with "
-        "their order and how often each comes.",
+        caption="What each possible trial alone would gain. Circles mark the advised trials, with "
+        "their order and how often each is to be made.",
         description=f"Gain of {choice.n_candidates} candidate trials; chosen are {trials}.",
     )
 

@@ -33,7 +33,7 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     assert "Short settings" in result.stderr
     for word in ("Complex", "Least-squares", "IG2", "IG4", "1 out of budget", "1 at a minimum"):
         assert word in result.stdout
-    assert "a good fit does not show that its parameters are right" in result.stdout
+    assert "A good fit does not show that its parameters are right" in result.stdout
     assert {x.name for x in out.iterdir()} == {
         "knee.png",
         "laxity.csv",

@@ -337,6 +337,13 @@ def test_messages_about_columns_and_files(tmp_path: Path, text: str | bytes, mes
     assert str(caught.value) == f"{path}{message}"
 
 
+def test_a_column_of_another_name_may_be_told_what_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "laxity.csv"
+    path.write_text("trial,flexion_deg,knob,varus_deg\na,30,1,2", encoding="utf-8")
+    with pytest.raises(InputError, match=r"begin the file: # column: ONE = 1 \* knob$"):
+        read_laxity(path)
+
+
 def test_a_file_over_512_megabytes_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "laxity.csv"
     with path.open("wb") as file:

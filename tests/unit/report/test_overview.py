@@ -192,3 +192,11 @@ def test_profiles_of_one_table_are_told_once_and_other_tables_apart(tmp_path: Pa
     (findings,) = by_subject(found_results(tmp_path))
     assert len(findings.merged.results) == 1
     assert len(findings.of_main_data) == 2
+
+
+def test_a_demonstration_is_answered_first() -> None:
+    demo = load(Path(__file__).parents[2] / "fuzz" / "results" / "demo")
+    found = overview([demo])
+    assert found.verdict.startswith("A good fit does not show that its parameters are right.")
+    assert found.verdict.endswith("known within limits, if the model is right (not tested).")
+    assert not found.searches
