@@ -5,6 +5,7 @@ scanned pose in steps of flexion, then along a straight line from no load to the
 share the nodes their paths have in common.
 """
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -45,9 +46,20 @@ def load_paths(
 
     With ``"single-step"`` every trial starts at the scanned pose and bears its whole load at once.
     """
+    # Models of one protocol with other effects have the same paths, hundreds in a diagnosis.
+    plain = np.asarray(flexion, float).tobytes(), np.asarray(loads, float).tobytes()
+    return _load_paths(*plain, float(start_flexion), continuation)
+
+
+@lru_cache(maxsize=32)
+def _load_paths(
+    flexion: bytes, loads: bytes, start_flexion: float, continuation: Continuation
+) -> LoadPaths:
     tree = _Tree()
     trial_node = []
-    for angle, load in zip(flexion, loads, strict=True):
+    for angle, load in zip(
+        np.frombuffer(flexion), np.frombuffer(loads).reshape(-1, 5), strict=True
+    ):
         if continuation == "single-step":
             trial_node.append(tree.node(-1, float(angle), load))
         else:

@@ -6,6 +6,7 @@ result files all follow from these declarations.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from functools import cache
 from types import MappingProxyType
 from typing import Any, TypeVar, dataclass_transform
 
@@ -188,6 +189,11 @@ def name_axis(dim: str, names: Sequence[str]) -> None:
 
 def is_declared(cls: Any) -> bool:
     """Whether a type is a class of declared fields."""
+    return _is_declared(cls)
+
+
+@cache
+def _is_declared(cls: Any) -> bool:
     return isinstance(cls, type) and hasattr(cls, "__dataclass_fields__") and bool(entries(cls))
 
 
@@ -203,16 +209,14 @@ def _made(cls: Callable[..., Any], values: Mapping[str, Any]) -> Any:
 
 def _freeze(record: Any) -> None:
     lengths = {dim: len(names) for dim, names in AXIS_NAMES.items()}
-    for name, values in record.__dataclass_fields__.items():
-        if not values.init:
-            continue
+    kind: Any = type(record)
+    for name, about, may_miss in _given(kind):
         value = getattr(record, name)
-        about = values.metadata.get(ENTRY)
         if about is not None and about.dims and not about.is_in_arrays:
             value = tuple(value)
             object.__setattr__(record, name, value)
         elif about is not None and about.dims:
-            if value is None and values.default is None:
+            if value is None and may_miss:
                 continue
             made = _array(name, value, about, lengths)
             lengths |= dict(zip(about.dims, made.shape, strict=True))
@@ -222,17 +226,30 @@ def _freeze(record: Any) -> None:
         lengths |= {dim: len(x) for dim, x in names_within(about, value)}
 
 
+@cache
+def _given(cls: Any) -> tuple[tuple[str, Entry | None, bool], ...]:
+    """Name, entry and whether it may be missing, of each field that a record is made with."""
+    return tuple((x.name, x.metadata.get(ENTRY), x.default is None) for x in fields(cls) if x.init)
+
+
 def names_within(about: Entry | None, value: Any) -> list[tuple[str, tuple[str, ...]]]:
     """Names along axes that a field's value holds: the value itself, or those of a record."""
     if about is not None and about.dims and not about.is_in_arrays:
         return [(about.dims[0], value)]
-    if not is_declared(type(value)):
+    kind: Any = type(value)
+    if not is_declared(kind):
         return []
     return [
         found
-        for name, inner in entries(type(value)).items()
+        for name, inner in _without_arrays(kind)
         for found in names_within(inner, getattr(value, name))
     ]
+
+
+@cache
+def _without_arrays(cls: type) -> tuple[tuple[str, Entry], ...]:
+    """The entries that may hold names: all but the arrays."""
+    return tuple((k, x) for k, x in entries(cls).items() if not (x.dims and x.is_in_arrays))
 
 
 def _array(name: str, value: Any, about: Entry, lengths: Mapping[str, int]) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.mechanics.equilibria import Lines
-from identknee.model.effects.changes import SettingChange, remeasured
+from identknee.model.effects.changes import CopiesChange, remeasured
 from identknee.model.effects.effect import amplitudes
 from identknee.model.effects.insertion import AXES, BONES
 from identknee.model.setting import PER_PCT, Setting
@@ -16,7 +16,7 @@ SPREAD_SD, SPREAD_LIMIT = 5.0, 30.0  # %
 PLACE_SD, PLACE_LIMIT = 4.0, 16.0  # mm
 
 
-def bundles(knee: Knee) -> SettingChange:
+def bundles(knee: Knee) -> CopiesChange:
     """Two bundles in place of every ligament, a spread apart in reference strain and in place.
 
     Each has half of the stiffness; the first half of the spread [%] more strain than the ligament
@@ -46,7 +46,7 @@ def bundles(knee: Knee) -> SettingChange:
         lower=n * [0.0] + m * [-PLACE_LIMIT],
         upper=n * [SPREAD_LIMIT] + m * [PLACE_LIMIT],
     )
-    return SettingChange(name="bundles", parameters=made, changed=_split)
+    return CopiesChange(name="bundles", parameters=made, changed=_split)
 
 
 def _split(setting: Setting, values: Array) -> Setting:
@@ -56,8 +56,11 @@ def _split(setting: Setting, values: Array) -> Setting:
     owner = setting.owner[line]
     side = np.where(owner >= 0, 0.5, 0.0)
     side[is_own.size :] *= -1.0
-    n = len(values) // (1 + len(BONES) * len(AXES))
-    aside = side[:, None, None] * values[n:].reshape(n, len(BONES), len(AXES))[owner]
+    n = values.shape[-1] // (1 + len(BONES) * len(AXES))
+    each = values if values.ndim > 1 else values[None]
+    row = setting.copy[line] if values.ndim > 1 else np.zeros(line.size, int)
+    strains, places = each[:, :n], each[:, n:].reshape(-1, n, len(BONES), len(AXES))
+    aside = side[:, None, None] * places[row, owner]
     half = np.where(owner >= 0, 0.5, 1.0)
     bundled = Lines(
         femoral=lines.femoral[line] + aside[:, 0],
@@ -70,7 +73,7 @@ def _split(setting: Setting, values: Array) -> Setting:
     split = replace(
         setting,
         stiffness=half * setting.stiffness[line],
-        reference_strain=setting.reference_strain[line] + PER_PCT * side * values[:n][owner],
+        reference_strain=setting.reference_strain[line] + PER_PCT * side * strains[row, owner],
         owner=owner,
         share=half * setting.share[line],
         copy=setting.copy[line],
