@@ -85,3 +85,13 @@ def reference_prediction(reference_model: LaxityModel) -> Prediction:
 def stable_model() -> LaxityModel:
     """The real knee whose four-line model is well posed, under the 63 trials."""
     return LaxityModel(knee=example("lenhart2015_stable"), protocol=load_protocol("seed63"))
+
+
+@pytest.fixture
+def short_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searches for trials of a measured knee that bear their load end early.
+
+    For tests of what is said of the table, whatever was found.
+    """
+    monkeypatch.setattr("identknee.verbs.used_trials.MOST_ROUNDS", 1)
+    monkeypatch.setattr("identknee.verbs.used_trials.BUDGET", 5)

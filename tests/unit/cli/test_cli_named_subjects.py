@@ -46,6 +46,7 @@ def test_a_name_is_simulated(tmp_path: Path) -> None:
     assert summary["record"]["settings"]["subject"] == "lenhart2015_stable"
 
 
+@pytest.mark.usefixtures("short_searches")
 def test_a_name_stands_for_data_too(tmp_path: Path) -> None:
     run("fit", "s192803", "s192803", "--budget", 5, "--out", tmp_path)
     summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))

@@ -80,6 +80,7 @@ def test_a_tibia_that_moves_against_its_load_is_seen_in_the_table_alone(
     assert found.sentence.startswith(f"{COORDINATES[k]} falls as {load} rises")
 
 
+@pytest.mark.usefixtures("short_searches")
 def test_the_measured_specimen_moves_with_its_loads() -> None:
     laxity = ik.example_laxity("s192803")
     assert against_load_findings(laxity) == ()
