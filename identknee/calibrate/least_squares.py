@@ -17,6 +17,8 @@ INSIDE = 1e-3
 RELATIVE_STEP = 1e-10
 RELATIVE_START = 1e-9
 MAX_WAYS = 30
+# A search creeps when so many simulations lower the deviance by less than this share of it.
+CREEPING, A_CREEP = 40, 1e-5
 
 
 def minimise_by_least_squares(
@@ -76,7 +78,9 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
             raise
         outcome = end.outcome
     else:
-        outcome = Outcome.MINIMUM if _is_on_a_kink(evaluator) else Outcome.VALLEY
+        outcome = Outcome.VALLEY
+    if outcome is Outcome.VALLEY and _is_on_a_kink(evaluator):
+        outcome = Outcome.MINIMUM
     if outcome is Outcome.MINIMUM:
         _settle(evaluator)
     return outcome
@@ -93,14 +97,25 @@ class _Watch:
         self._evaluator = evaluator
         self._scales = typical_steps(evaluator.parameters)
         self._accepted: Array | None = None
+        self._goal, self._n_above_goal = np.inf, 0
 
     def residuals(self, theta: Array) -> Array:
         residuals = self._evaluator.residuals(theta)
+        self._stop_creeping()
         if self._accepted is not None and not np.all(np.isfinite(residuals)):
             step = np.max(np.abs(theta - self._accepted) / self._scales)
             if step < CLIFF_STEP:
                 raise Ended(Outcome.CLIFF)
         return residuals
+
+    def _stop_creeping(self) -> None:
+        """End the search where its steps have long been too short to matter, as along a kink."""
+        lowest = self._evaluator.best_deviance
+        self._n_above_goal += 1
+        if lowest < self._goal:
+            self._goal, self._n_above_goal = (1.0 - A_CREEP) * lowest, 0
+        if self._n_above_goal > CREEPING:
+            raise Ended(Outcome.VALLEY)
 
     def jacobian(self, theta: Array) -> Array:
         here = self._evaluator(theta)
@@ -119,7 +134,7 @@ def _is_on_a_kink(evaluator: Evaluator) -> bool:
     other: the lowest place is there, and no derivative vanishes at it.
     """
     here = evaluator(_best(evaluator))
-    return gauss_newton(here, evaluator.parameters).is_on_a_kink
+    return here.is_finite and gauss_newton(here, evaluator.parameters).is_on_a_kink
 
 
 def _settle(evaluator: Evaluator) -> None:

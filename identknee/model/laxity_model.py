@@ -12,7 +12,7 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_points import DEFAULT_NUMBER
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactLaw, ContactPoints, solve
+from identknee.mechanics.equilibria import ContactLaw, ContactPoints
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
@@ -21,12 +21,12 @@ from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model import measured_start
 from identknee.model.effects.effect import Effect, Tests
-from identknee.model.effects.stored import effects_of
 from identknee.model.extension import Extension
 from identknee.model.joint import Joint, joint_of, sheets_of
 from identknee.model.knee_parameters import knee_parameters
-from identknee.model.nuisances.library import held_errors, nuisances_of
+from identknee.model.own_effects import StoredWithKnee, own_effects
 from identknee.model.parameters import Parameters
+from identknee.model.past_folds import solve_past_folds
 from identknee.model.prediction import Prediction
 from identknee.model.setting import PER_KN, PER_PCT, Setting
 from identknee.model.tied import Tied, tied
@@ -47,12 +47,6 @@ _GENERALISED = np.array(
         [0.0, 0.0, 0.0, 0.0, 1.0],
     ]
 )
-
-
-class _StoredWithKnee(tuple[Effect, ...]):
-    """Stands for the effects and nuisances of the knee where a model is given none."""
-
-    __slots__ = ()
 
 
 class _Last(threading.local):
@@ -93,6 +87,10 @@ class LaxityModel:
         pose.
     keeps_poses
         Whether `with_tests` leaves the poses of its own protocol as they are.
+    fallback_poses
+        Pose of each trial from which the equilibrium under its whole load is looked for where its
+        path has none, shape ``(n, 5)``, NaN where unknown: the measured ones, where the knee states
+        errors. With None such a trial has no equilibrium.
     contact
         ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
         ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
@@ -104,11 +102,12 @@ class LaxityModel:
     continuation: Continuation = "continuation"
     n_points: int | None = DEFAULT_NUMBER
     contact: Contact = "field"
-    effects: tuple[Effect, ...] = _StoredWithKnee()
+    effects: tuple[Effect, ...] = StoredWithKnee()
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
     poses: Array | None = None
     keeps_poses: bool = False
+    fallback_poses: Array | None = None
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
@@ -128,8 +127,8 @@ class LaxityModel:
             paths = load_paths(flexion, loads, joint.start_flexion, self.continuation)
         else:
             paths = loaded_at_once(flexion, loads)
-        is_stored = isinstance(self.effects, _StoredWithKnee)
-        effects = _own_effects(self.knee) if is_stored else tuple(self.effects)
+        is_stored = isinstance(self.effects, StoredWithKnee)
+        effects = own_effects(self.knee) if is_stored else tuple(self.effects)
         object.__setattr__(self, "effects", effects)
         extension = Extension(effects=effects)
         if effects and self.contact == "mesh":
@@ -151,19 +150,31 @@ class LaxityModel:
         """The same model under another protocol, run nobody knows when; itself under its own."""
         if protocol is self.protocol:
             return self
-        poses = measured_start.poses_between(self.protocol, self.poses, protocol)
-        return replace(self, protocol=protocol, order=None, phase=None, poses=poses)
+        made = self.protocol
+        return replace(
+            self,
+            protocol=protocol,
+            order=None,
+            phase=None,
+            poses=measured_start.poses_between(made, self.poses, protocol),
+            fallback_poses=measured_start.poses_of_made(made, self.fallback_poses, protocol),
+        )
 
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
         """The same model under the protocol of measured laxity, its trials run as measured."""
         model = self.with_protocol(laxity.protocol)
         poses = self.poses if self.keeps_poses and model is self else None
+        fallback = None
         if poses is None and self.continuation == "continuation":
-            poses = measured_start.first_poses(self.knee, laxity)
+            poses, fallback = measured_start.poses_of_tests(self.knee, laxity)
         is_known = model.order is laxity.order and model.phase is laxity.phase
-        if (is_known or not self.effects) and np.array_equal(model.poses, poses):  # type: ignore[arg-type]
+        if (is_known or not self.effects) and measured_start.are_same(
+            (model.poses, model.fallback_poses), (poses, fallback)
+        ):
             return model
-        return replace(model, order=laxity.order, phase=laxity.phase, poses=poses)
+        return replace(
+            model, order=laxity.order, phase=laxity.phase, poses=poses, fallback_poses=fallback
+        )
 
     def with_effects(self, effects: Sequence[Effect]) -> "LaxityModel":
         """The same model with these effects in place of its own."""
@@ -193,11 +204,12 @@ class LaxityModel:
         if self.contact == "mesh":
             return self._predict_on_meshes(theta, derivatives=derivatives)
         setting = self.setting(theta)
-        found = solve(
+        lines = setting.measured_lines.arrays(setting.stiffness, setting.reference_strain)
+        found = solve_past_folds(
             replace(self.paths, flexion=setting.flexion, loads=setting.loads),
             setting.first_pose,
-            *self.surfaces(setting),
-            setting.measured_lines.arrays(setting.stiffness, setting.reference_strain),
+            (*self.surfaces(setting), lines),
+            self.fallback_poses,
             derivatives=derivatives,
             guesses=None if near is None else near.node_poses,
         )
@@ -379,19 +391,6 @@ class LaxityModel:
             rims=None,
             node_poses=found.poses,
         )
-
-
-def _own_effects(knee: Knee) -> tuple[Effect, ...]:
-    """The effects stored with a knee, then its nuisances.
-
-    An effect that is both is one mechanism: it has the prior of the nuisance, or is held where the
-    knee states none.
-    """
-    errors = (*held_errors(knee), *nuisances_of(knee))
-    names = {x.name for x in errors}
-    if any(x.name in names for x in knee.effects):
-        knee = knee.with_effects([x for x in knee.effects if x.name not in names])
-    return (*effects_of(knee), *errors)
 
 
 @lru_cache(maxsize=4)

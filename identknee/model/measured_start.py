@@ -1,5 +1,7 @@
 """Where a model of a measured table begins: poses and strains as the table has them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from identknee.laxity.protocol import Protocol
@@ -31,6 +33,17 @@ def measured_poses(laxity: Laxity) -> Array | None:
     return pose_from_coordinates(np.take_along_axis(laxity.coordinates, nearest, axis=0))
 
 
+def fallback_poses(knee: Knee, laxity: Laxity) -> Array | None:
+    """The measured pose of each trial where the knee states errors, shape ``(n, 5)``; NaN unknown.
+
+    None where the knee is taken as exact, so that the path of a load is part of the model, or where
+    the coordinates count from an unloaded pose.
+    """
+    if knee.uncertainty.is_exact or laxity.zero != "absolute":
+        return None
+    return pose_from_coordinates(laxity.coordinates)
+
+
 def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
     """Pose of each trial that the knee is known to take, shape ``(n, 5)``; None if it states none.
 
@@ -41,10 +54,23 @@ def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
     return pose_from_coordinates(pose_at(knee.poses, protocol.flexion_deg))
 
 
-def first_poses(knee: Knee, laxity: Laxity) -> Array | None:
-    """Measured pose of each trial, or the one that the knee is known to take; None without both."""
+def poses_of_tests(knee: Knee, laxity: Laxity) -> tuple[Array | None, Array | None]:
+    """Where the equilibria of measured trials are looked for, and where if their path has none.
+
+    First the measured poses, or those that the knee is known to take; None without both. Then
+    `fallback_poses`, where that is so.
+    """
     poses = measured_poses(laxity)
-    return known_poses(knee, laxity.protocol) if poses is None else poses
+    poses = known_poses(knee, laxity.protocol) if poses is None else poses
+    return poses, fallback_poses(knee, laxity) if poses is None else None
+
+
+def are_same(some: Sequence[Array | None], others: Sequence[Array | None]) -> bool:
+    """Whether poses are the same one by one; NaN is the same as NaN."""
+    return all(
+        x is y if x is None or y is None else np.array_equal(x, y, equal_nan=True)
+        for x, y in zip(some, others, strict=True)
+    )
 
 
 def poses_of(protocol: Protocol, coordinates: Array) -> tuple[KnownPose, ...]:
@@ -79,6 +105,14 @@ def poses_between(made: Protocol, poses: Array | None, asked: Protocol) -> Array
     middle = poses_of(made, coordinates_from_pose(poses))
     between = pose_from_coordinates(pose_at(middle, asked.flexion_deg))
     return np.array([known.get(x, y) for x, y in zip(_keys(asked), between, strict=True)])
+
+
+def poses_of_made(made: Protocol, poses: Array | None, asked: Protocol) -> Array | None:
+    """The poses ``(n, 5)`` of those trials asked for that were made, NaN for others, ``(k, 5)``."""
+    if poses is None:
+        return None
+    known = dict(zip(_keys(made), poses, strict=True))
+    return np.array([known.get(x, np.full(5, np.nan)) for x in _keys(asked)])
 
 
 def _keys(protocol: Protocol) -> list[tuple[str, float, bytes]]:

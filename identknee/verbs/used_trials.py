@@ -13,6 +13,7 @@ from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import (
     Bounded,
     Problem,
+    restricted,
     with_bounds,
     with_nuisance_priors,
     without_priors,
@@ -30,12 +31,17 @@ from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.findings import Finding, Severity
 from identknee.subject.knee import Knee
+from identknee.verbs.barred import BarredSearch
 
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
 STRETCHES = (0.04, 0.06, 0.08, 0.1, 0.12)
 PATTERN_STRETCH = 0.06
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 MOST_ROUNDS, BUDGET = 8, 300
+ABOUT_FALLBACK = (
+    "Geometry is uncertain: a trial whose load path ends, or whose unloaded knee is loose, was "
+    "looked for from its measured pose under its whole load."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,8 +100,9 @@ class TrialSearch:
         """
         said = about_paths(self.model)
         lost = self.measured & ~self.has_equilibrium(start)
-        if not lost.any():
-            return UsedTrials(laxity=self.laxity, start=start, sentences=said)
+        used = self._past_bars(UsedTrials(laxity=self.laxity, start=start, sentences=said))
+        if not lost.any() or (used.start is not start and len(used.names) == self.measured.sum()):
+            return used
         made = {x: self._regained(y) for x, y in self._beginnings(start).items()}
         if not made:
             return UsedTrials(laxity=self.laxity, start=start, sentences=said)
@@ -107,10 +114,35 @@ class TrialSearch:
             "and compared trials that did not bear their load under the share they bore, until "
             f"they did ({sum(x.n_simulations for x in made.values())} simulations)."
         )
-        return UsedTrials(
-            laxity=self.with_equilibrium(theta),
-            start=theta,
-            sentences=(*said, sentence),
+        return self._past_bars(
+            UsedTrials(
+                laxity=self.with_equilibrium(theta),
+                start=theta,
+                sentences=(*said, sentence),
+            )
+        )
+
+    def _past_bars(self, used: UsedTrials) -> UsedTrials:
+        """The trials used and a start beyond those that bar the way of a search from there.
+
+        Where the knee is exact its load paths are part of the model, and so are their ends.
+        """
+        if self.model.fallback_poses is None:
+            return used
+        free = self.problem(self.laxity).parameters.with_fixed(self.fixed, used.start)
+        search = BarredSearch(
+            compared=LaxityResiduals(model=self.model, laxity=self.laxity),
+            problem=lambda part: restricted(self.problem(part), self.fixed, used.start),
+            expand=free.expand,
+        )
+        beyond = search.run(free.restrict(used.start))
+        if beyond is None:
+            return used
+        return replace(
+            used,
+            laxity=_blanked(self.laxity, beyond.is_left_out),
+            start=free.expand(beyond.theta),
+            sentences=(*used.sentences, beyond.sentence(self.laxity.protocol.trials)),
         )
 
     def fitted(self, start: Array, search: Callable[..., Fit]) -> tuple[UsedTrials, Fit]:
@@ -310,6 +342,8 @@ def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
 
 def about_paths(model: LaxityModel) -> tuple[str, ...]:
     """Where equilibria were looked for, if not along paths from the scanned pose."""
+    if model.fallback_poses is not None:
+        return (ABOUT_FALLBACK,)
     if model.poses is None:
         return ()
     known = known_poses(model.knee, model.protocol)

@@ -165,7 +165,7 @@ def test_trials_along_paths_that_the_start_loses_are_regained() -> None:
     found = ik.fit(given, ik.add_noise(laxity, sd_mm=0.5, sd_deg=0.5, seed=0))
     assert found.trials_used == protocol.trials
     said = " ".join(found.assumptions)
-    assert f"At the start {lost.sum()} of {protocol.n} measured trials had no equilibrium" in said
+    assert "the simulated knee jumps or loses its pose in" in said
     assert found.rmse.mm < 1.0
     assert found.rmse.deg < 1.0
 

@@ -1,0 +1,119 @@
+"""Searches past trials that end them or jump."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from small_knee import small_protocol
+
+from identknee.laxity.table import Laxity
+from identknee.model.parameters import Parameters
+from identknee.model.residuals import LaxityResiduals
+from identknee.runs.arrays import Array
+from identknee.verbs.barred import BarredSearch, Beyond
+
+N = 6
+BARRED = 3
+
+
+@dataclass(frozen=True)
+class Sliding:
+    """Every trial measures a pose that x moves, less and less; one of them has its own way.
+
+    The first step from 0 to the measured 1 ends half way.
+    """
+
+    laxity: Laxity
+    barred: Callable[[float], float]
+
+    @property
+    def parameters(self) -> Parameters:
+        one = np.ones(1)
+        return Parameters(
+            names=("x_mm",),
+            center=0.0 * one,
+            lower=-0.3 * one,
+            upper=2.0 * one,
+            prior_sd=10.0 * one,
+            is_log=np.zeros(1, bool),
+        )
+
+    def differences(self, theta: Array) -> Array:
+        poses = np.full(N, np.log1p(3.0 * float(theta[0])) / np.log(4.0))
+        poses[BARRED] = self.barred(float(poses[0]))
+        return np.asarray(self.laxity.coordinates - poses[:, None])
+
+    def residuals(self, theta: Array) -> Array:
+        rows = self.differences(theta)[self.laxity.is_measured]
+        return -rows if np.isfinite(rows).all() else np.full(rows.size, np.inf)
+
+    def jacobian(self, theta: Array) -> Array:
+        slope = 3.0 / (1.0 + 3.0 * float(theta[0])) / np.log(4.0)
+        return np.full((int(self.laxity.is_measured.sum()), 1), slope)
+
+
+def table(*, barred: float) -> Laxity:
+    """Trials that measured 1 in all coordinates, some noise aside, but for one."""
+    values = 1.0 + 0.01 * np.random.default_rng(3).standard_normal((N, 5))
+    values[BARRED] = barred
+    return Laxity(
+        protocol=small_protocol().select(np.arange(small_protocol().n) < N), coordinates=values
+    )
+
+
+def search(pose: Callable[[float], float], measured: float = 1.0) -> Beyond | None:
+    laxity = table(barred=measured)
+    return BarredSearch(
+        compared=cast(LaxityResiduals, Sliding(laxity, pose)),
+        problem=lambda part: cast(Any, Sliding(part, pose)),
+        expand=lambda theta: theta,
+    ).run(np.zeros(1))
+
+
+def is_between(pose: float) -> bool:
+    return 0.3 < pose < 0.7
+
+
+@pytest.mark.parametrize("beyond", [np.nan, 5.0], ids=["ends", "jumps"])
+def test_a_trial_that_bars_the_way_is_taken_back_from_beyond(beyond: float) -> None:
+    found = search(lambda pose: beyond if is_between(pose) else pose)
+    assert found is not None
+    assert found.theta[0] == pytest.approx(1.0, abs=0.01)
+    assert np.flatnonzero(found.has_barred).tolist() == [BARRED]
+    assert not found.is_left_out.any()
+    assert "jumps or loses its pose in d: what barred" in found.sentence("abcdef")
+
+
+def test_a_trial_without_a_pose_where_all_others_fit_is_left_out() -> None:
+    found = search(lambda x: np.nan if x > 0.5 else x)
+    assert found is not None
+    assert found.theta[0] == pytest.approx(1.0, abs=0.01)
+    assert np.flatnonzero(found.is_left_out).tolist() == [BARRED]
+
+
+def test_a_trial_that_costs_the_others_little_is_kept() -> None:
+    laxity = replace(table(barred=0.98), sd=np.full((N, 5), 1.0))
+    problem = Sliding(laxity, lambda x: np.nan if x > 0.98 else x)
+    found = BarredSearch(
+        compared=cast(LaxityResiduals, problem),
+        problem=lambda part: cast(Any, replace(problem, laxity=part)),
+        expand=lambda theta: theta,
+    ).run(np.zeros(1))
+    assert found is None
+
+
+def test_a_trial_that_has_no_pose_at_the_start_comes_back() -> None:
+    found = search(lambda x: np.nan if x < 0.5 else x)
+    assert found is not None
+    assert not found.is_left_out.any()
+
+
+def test_a_way_without_bars_needs_no_other_start() -> None:
+    assert search(lambda x: x) is None
+
+
+def test_many_trials_are_not_all_named() -> None:
+    found = Beyond(theta=np.zeros(1), is_left_out=np.zeros(6, bool), has_barred=np.ones(6, bool))
+    assert "in a, b, c, d and 2 more trials: what" in found.sentence("abcdef")
