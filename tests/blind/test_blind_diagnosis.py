@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from blind_diagnoses import BlindTask, outcome_of
+from scipy.stats import chi2
 
 from identknee.blind.case import blind_case
 from identknee.diagnosis.explanations.verdict import Verdict
@@ -14,7 +15,7 @@ from identknee.diagnosis.investigation import investigate
 from identknee.laxity.table import Laxity
 from identknee.subject.reference import reference_knee
 
-N_NULLS, MOST_ALARMS = 20, 3
+N_NULLS, MOST_ALARMS = 12, 2
 SIGNAL = 12.0
 # Of each kind, in the order of the library: structures, what ligaments are, loads, readings.
 EFFECTS = (
@@ -37,14 +38,20 @@ def outcome(effect: str, seed: int) -> dict[str, Any]:
 
 
 def test_nothing_hidden_seldom_alarms() -> None:
-    """Three of twenty alarms at a rate of 5 % in 1.6 % of such tests."""
+    """More than two of twelve alarms at a rate of 5 % in 2 % of such tests.
+
+    All p-values together say more than that count: by Fisher's method, on either side.
+    """
     knee = reference_knee()
-    n_alarms = 0
+    p_values, n_alarms = [], 0
     for seed in range(FIRST_SEED, FIRST_SEED + N_NULLS):
         found = investigate(knee, blind_case(knee, seed=seed, effect=None).laxity)
         assert found is not None
+        p_values.append(found.conclusion.p_value)
         n_alarms += found.conclusion.verdict is not Verdict.ADEQUATE
     assert n_alarms <= MOST_ALARMS
+    fisher = -2.0 * np.log(p_values).sum()
+    assert 0.01 < chi2(2 * N_NULLS).cdf(fisher) < 0.99
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
