@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import Bounded, restricted
+from identknee.identify.marginal import marginal
+from identknee.identify.optimum import best_fits as find_best_fits
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import has_shared_errors, shared_errors
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.executors import Executor
-from identknee.verbs.identification import Identification, best_fits
+from identknee.verbs.identification import Identification, best_fits, check_start
 
 # Draws of the errors that show how far predictions are from straight lines, and their seed.
 N_DRAWS, DRAWS_SEED = 16, 0
@@ -65,6 +68,33 @@ def averaged(setup: Identification, *, seed: int, executor: Executor) -> Identif
         nuisances_at=(setup.problem, best),
         assumptions=(*setup.assumptions, sentence),
     )
+
+
+def straight_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[Fit, ...]:
+    """Fits from the start and from around it, the lowest first, as `best_fits`, but sooner.
+
+    The fits from around it have nuisances change predictions along straight lines, as at the end of
+    a first fit; from the lowest of them all parameters are fitted. Without nuisances it is
+    `best_fits`.
+
+    Raises
+    ------
+    ValueError, NotComputed
+        As `best_fits`.
+    """
+    is_asked = setup.problem.parameters.is_of_interest
+    if is_asked.all():
+        return best_fits(setup, seed=seed, executor=executor)
+    check_start(setup)
+    first = fit(setup.problem, setup.start, seed=seed)
+    if not np.isfinite(first.objective):
+        return best_fits(setup, seed=seed, executor=executor)
+    part = marginal(setup.problem, first.theta)
+    begun = np.array(first.theta)
+    around = find_best_fits(part, start=begun[is_asked], seed=seed, executor=executor)
+    begun[is_asked] = around[0].theta
+    again = fit(setup.problem, begun, seed=seed)
+    return tuple(sorted((first, again), key=lambda x: x.objective))
 
 
 def _with_straight_lines(setup: Identification, theta: Array, varied: BoolArray) -> LaxityResiduals:

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from identknee.calibrate.problem import Scaled
+from identknee.calibrate.problem import Problem, Scaled
 from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
+from identknee.identify.design.added_trials import Candidates
 from identknee.identify.design.criteria import Criterion
 from identknee.identify.design.design import ChosenTrials
 from identknee.identify.design.design import design as choose_trials
+from identknee.identify.design.straight import straight
 from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
 from identknee.laxity.candidates import repeated
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, load_protocol
@@ -24,13 +26,18 @@ from identknee.runs.files import PathLike
 from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import Identification, best_fits, identification
+from identknee.verbs.averaged import straight_fits
+from identknee.verbs.identification import Identification, identification
 from identknee.verbs.used_trials import about_offered
 from identknee.verbs.values import BoundsLike, NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 
 ADVICE = "advised_trials.csv"
 GROUP = "design"
+STRAIGHT = (
+    "Intervals and trials were predicted along straight lines about the best fit: equilibria that "
+    "begin at measured poses jump too often for profiles."
+)
 
 
 @declared
@@ -181,11 +188,17 @@ def design(
     wanted = [_target(setup, name) for name in targets or ()]
     degrees = setup.degrees_of_freedom
     run.start_clock()
-    fits = best_fits(setup, seed=seed, executor=run.executor)
+    fits = straight_fits(setup, seed=seed, executor=run.executor)
+    problem: Problem = setup.problem
+    begun: Candidates = offered.begun_at(fits[0].theta)
+    about_errors = _about_errors(setup, wanted)
+    if about_errors and setup.model.poses is not None:
+        problem, begun = straight(problem, fits[0].theta, begun)
+        about_errors = (*about_errors, STRAIGHT)
     choice = choose_trials(
-        setup.problem,
+        problem,
         fits[0].theta,
-        offered.begun_at(fits[0].theta),
+        begun,
         n_trials=n_trials,
         targets=wanted,
         criterion=criterion,
@@ -193,7 +206,6 @@ def design(
         level=level,
         thresholds=chi2_threshold(level) if degrees is None else f_threshold(level, degrees),
     )
-    best = choice.before[choice.targets[0]]
     answer = Design(
         choice=choice,
         flexion_deg=offered.protocol.flexion_deg,
@@ -202,13 +214,29 @@ def design(
         coordinate_sd=None if setup.laxity.sd is None else offered.sd,
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
-        assumptions=(*setup.assumptions, *about_offered(setup.model)),
-        **setup.uncertain_at(best.optimum),
-        findings=setup.findings_at(best.optimum, best.deviance, fits),
+        assumptions=(
+            *setup.assumptions,
+            *about_errors,
+            *about_offered(setup.model),
+        ),
+        **setup.uncertain_at(fits[0].theta),
+        findings=setup.findings_at(fits[0].theta, 2.0 * fits[0].objective, fits),
     )
     if run.out is not None:
         write_laxity(answer.to_measure, run.out / ADVICE)
     return answer
+
+
+def _about_errors(setup: Identification, targets: Sequence[Quantity]) -> tuple[str, ...]:
+    """How stated errors count."""
+    n = len(setup.problem.parameters.nuisance_names)
+    if not n or not all(isinstance(x, ParameterQuantity) for x in targets):
+        return ()
+    sentence = (
+        f"{n} stated errors were averaged over to first order at the best fit, in the data and in "
+        "the trials that may be added, which share them."
+    )
+    return (sentence,)
 
 
 def _offered(setup: Identification, name: str | None) -> CandidateLaxity:

@@ -18,6 +18,8 @@ from identknee.scrutiny.suspicious_rows import SuspiciousRow, left_out, suspicio
 from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.knee import Knee
 
+# Trials in which most misfit is left are named up to this number.
+MOST_REPEATED = 3
 AGAINST = "what the fit to the other trials says"
 
 
@@ -103,14 +105,36 @@ def unbelievable_findings(found: Investigation) -> tuple[Finding, ...]:
 
 
 def advice_findings(found: Investigation) -> tuple[Finding, ...]:
-    """That no trial can be advised, where some should be."""
-    if found.conclusion.verdict is not Verdict.AMBIGUOUS or found.advice is not None:
+    """That no trial can be advised, where some should be, and what to ask for instead."""
+    verdict = found.conclusion.verdict
+    if found.advice is not None or verdict not in (Verdict.AMBIGUOUS, Verdict.UNEXPLAINED):
         return ()
     sentence = (
         "No trial to add can be advised: the causes that are left differ in nothing that a load "
         "could show, or the model has no equilibrium in the trials that could be added."
     )
+    if verdict is Verdict.UNEXPLAINED:
+        sentence = _asked_instead(found)
     return (Finding(severity=Severity.INFO, sentence=sentence, where="trials"),)
+
+
+def _asked_instead(found: Investigation) -> str:
+    """What would help where nothing explains the misfit: repeats, and errors known better."""
+    fitted, trials = found.explanation.fitted, found.laxity.protocol.trials
+    left = np.nansum((fitted.differences / found.noise.sd) ** 2, axis=1)
+    worst = [trials[i] for i in np.argsort(-left, kind="stable")[:MOST_REPEATED]]
+    said = (
+        "No trial to add can be advised: nothing explains the misfit, so there are no explanations "
+        f"that a trial could tell apart. Most of it is left in {', '.join(worst)}: measure these "
+        "again, to tell errors of a trial from the knee."
+    )
+    if fitted.nuisance_groups:
+        farthest = min(fitted.nuisance_groups, key=lambda x: x.p_value)
+        said += (
+            f" Of what is stated as uncertain, the fit moves {farthest.name} to the least probable "
+            "place: measure it."
+        )
+    return said
 
 
 def _with(findings: Sequence[Finding], said: str) -> tuple[Finding, ...]:

@@ -1,5 +1,7 @@
 """What an error known twice as well would tell, in the currency in which trials are compared."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from identknee.identify.design.criteria import WidthLoss
@@ -57,10 +59,9 @@ class Narrowing:
 
 def narrowing(
     width: WidthLoss,
-    points: CandidatePredictions,
-    parameters: Parameters,
     features: tuple[Array, Array],
     allowed: BoolArray,
+    halved: Mapping[str, Array],
 ) -> Narrowing:
     """How trials and errors known better narrow the targets, one at a time.
 
@@ -68,26 +69,32 @@ def narrowing(
     ----------
     width
         The profiles of the targets.
-    points
-        Where trials were predicted.
-    parameters
-        Those of the problem, whose nuisances are the errors.
     features
-        Features of the trials made, shape ``(f,)``, and of the candidates, ``(k, f)``.
+        Of the trials made, shape ``(f,)``, and of the candidates, ``(k, f)``.
     allowed
         Which candidates are offered, shape ``(k,)``.
+    halved
+        Features of each error known twice as well, shape ``(1, f)``, by its name.
     """
     made, trials = features
-    groups = nuisance_places(parameters)
-    halved = [width.of_trials(*_as_trial(points, parameters, x)) for x in groups.values()]
     with_trial = np.full((len(trials), len(width.paths)), np.nan)
     with_trial[allowed] = _widths(width, made + trials[allowed])
     return Narrowing(
-        errors=tuple(groups),
+        errors=tuple(halved),
         now=_widths(width, made[None])[0],
         with_trial=with_trial,
-        with_error_halved=_widths(width, made + np.vstack([np.empty((0, made.size)), *halved])),
+        with_error_halved=_widths(
+            width, made + np.vstack([np.empty((0, made.size)), *halved.values()])
+        ),
     )
+
+
+def errors_halved(
+    width: WidthLoss, points: CandidatePredictions, parameters: Parameters
+) -> dict[str, Array]:
+    """Features of errors that are parameters, their standard deviations halved, ``(1, f)`` each."""
+    groups = nuisance_places(parameters)
+    return {name: width.of_trials(*_as_trial(points, parameters, x)) for name, x in groups.items()}
 
 
 def mean_share(shares: Array) -> float:

@@ -1,6 +1,7 @@
 """Which trials to add, so that the data tell what they leave open: chosen, predicted, verified."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
@@ -10,16 +11,26 @@ from numpy.typing import ArrayLike
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.design.added_trials import Candidates, WithTrials
-from identknee.identify.design.better_known import Narrowing, mean_share, narrowing
+from identknee.identify.design.better_known import (
+    Narrowing,
+    errors_halved,
+    mean_share,
+    narrowing,
+)
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, Loss, WidthLoss
 from identknee.identify.design.predictions import Excluded, paths_of, predict_candidates
 from identknee.identify.design.search import choose
+from identknee.identify.design.shared import SharedErrors, Telling, shared_errors
 from identknee.identify.profile.profiles import ProfileSettings, profile_quantities
 from identknee.identify.profile.result import Profile
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 
+NONE_ALLOWED = (
+    "no candidate has a prediction at all parameter sets that the data allow; offer others"
+)
 ProfilesOf = Callable[[Problem, ArrayLike, Sequence[Quantity]], tuple[Profile, ...]]
 
 
@@ -163,25 +174,20 @@ def design(
         If `n_trials` is less than 1, the criterion is unknown, all parameters are nuisances, the
         model has no prediction at the best fit, or every candidate is excluded.
     """
-    if n_trials < 1:
-        raise ValueError(f"the number of trials to add must be at least 1, got {n_trials}")
-    if criterion not in CRITERIA:
-        raise ValueError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
+    _check(problem, n_trials, criterion)
     profiles_of = partial(profile_quantities, executor=executor, **settings)
-    if not problem.parameters.is_of_interest.any():
-        raise ValueError("all parameters of interest are fixed; leave at least one free")
-    if targets:
-        quantities = tuple(targets)
-        before = profiles_of(problem, optimum_theta, quantities)
-    else:
-        quantities, before = _needy(problem, optimum_theta, profiles_of)
+    theta = np.asarray(optimum_theta, dtype=np.float64)
+    shared = _shared(problem, theta, candidates, targets)
+    if shared is not None:
+        targets = [_of_interest(x, shared.problem.parameters) for x in targets]
+        theta = theta[problem.parameters.is_of_interest]
+        problem, candidates = shared.problem, shared.candidates
+    quantities, before = _profiled(problem, theta, profiles_of, targets)
     points = predict_candidates(problem, before, candidates, executor)
     excluded = points.excluded(candidates.names)
     allowed = ~np.isin(candidates.names, [x.name for x in excluded])
     if not allowed.any():
-        raise ValueError(
-            "no candidate has a prediction at all parameter sets that the data allow; offer others"
-        )
+        raise ValueError(NONE_ALLOWED)
     gradients = np.array([x.evaluate(points.thetas[0])[1] for x in quantities]) * points.scales
     width = WidthLoss(paths=paths_of(before, quantities, points.scales))
     local = LocalLoss(
@@ -190,10 +196,13 @@ def design(
         is_of_interest=problem.parameters.is_of_interest,
     )
     loss: Loss = width if criterion == "width" else local
-    made, trials = points.features(loss, allowed)
-    chosen = choose(loss, made, trials, allowed, n_trials)
-    along = points.features(width, allowed)
-    whole = _with_trials(problem, candidates, chosen, points.thetas[0])
+    known = None if shared is None else shared.known(points)
+    telling = Telling(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
+    chosen = choose(loss, telling.beside, allowed, n_trials)
+    along = replace(telling, loss=width)
+    halved = errors_halved(width, points, problem.parameters) if shared is None else along.halved()
+    adding = partial(_with_trials, problem, candidates) if shared is None else shared.with_trials
+    whole = adding(chosen, points.thetas[0])
     after = profiles_of(whole, points.thetas[0], quantities)
     return ChosenTrials(
         criterion=criterion,
@@ -201,15 +210,47 @@ def design(
         targets=tuple(x.name for x in before),
         chosen=chosen,
         excluded=excluded,
-        losses=loss(_sums(made, trials, chosen)),
-        alone=np.where(allowed, loss(made + trials), np.nan),
-        predicted=_intervals(width, _sums(*along, chosen)),
-        sds=np.sqrt(local.variances(_sums(*points.features(local, allowed), chosen))),
-        narrowing=narrowing(width, points, problem.parameters, along, allowed),
+        losses=loss(_stages(telling, chosen)),
+        alone=np.where(allowed, loss(np.add(*telling.beside(()))), np.nan),
+        predicted=_intervals(width, _stages(along, chosen)),
+        sds=np.sqrt(local.variances(_stages(replace(telling, loss=local), chosen))),
+        narrowing=narrowing(width, along.beside(()), allowed, halved),
         before={x.name: x for x in before},
         after={x.name: x for x in after},
         n_simulations=points.n_simulations + sum(x.n_simulations for x in (*before, *after)),
     )
+
+
+def _check(problem: Problem, n_trials: int, criterion: Criterion) -> None:
+    if n_trials < 1:
+        raise ValueError(f"the number of trials to add must be at least 1, got {n_trials}")
+    if criterion not in CRITERIA:
+        raise ValueError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
+    if not problem.parameters.is_of_interest.any():
+        raise ValueError("all parameters of interest are fixed; leave at least one free")
+
+
+def _shared(
+    problem: Problem, theta: Array, candidates: Candidates, targets: Sequence[Quantity]
+) -> SharedErrors | None:
+    """The nuisances averaged over; None without any, or where a target is no parameter."""
+    is_error = ~problem.parameters.is_of_interest
+    if not (is_error.any() and all(isinstance(x, ParameterQuantity) for x in targets)):
+        return None
+    return shared_errors(problem, theta, candidates)
+
+
+def _of_interest(target: Quantity, parameters: Parameters) -> Quantity:
+    return ParameterQuantity(parameters=parameters, name=target.name)
+
+
+def _profiled(
+    problem: Problem, theta: Array, profiles_of: ProfilesOf, targets: Sequence[Quantity]
+) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
+    """The targets and their profiles; those that need it most where none is given."""
+    if not targets:
+        return _needy(problem, theta, profiles_of)
+    return tuple(targets), profiles_of(problem, theta, targets)
 
 
 def _needy(
@@ -224,9 +265,9 @@ def _needy(
     return tuple(every[i] for i in chosen), tuple(profiles[i] for i in chosen)
 
 
-def _sums(made: Array, trials: Array, chosen: tuple[int, ...]) -> Array:
+def _stages(telling: Telling, chosen: tuple[int, ...]) -> Array:
     """Features before and after each of the chosen trials, shape ``(n_trials + 1, f)``."""
-    return np.asarray(made + np.cumsum(np.vstack([np.zeros(made.size), trials[list(chosen)]]), 0))
+    return np.array([telling.beside(chosen[:i])[0] for i in range(len(chosen) + 1)])
 
 
 def _intervals(width: WidthLoss, features: Array) -> Array:

@@ -1,6 +1,6 @@
 """Choosing the trials to add: greedy, then by exchange."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,7 +12,10 @@ TOLERANCE = 1e-10
 
 
 def choose(
-    loss: Callable[[Array], Array], made: Array, trials: Array, allowed: BoolArray, n_chosen: int
+    loss: Callable[[Array], Array],
+    beside: Callable[[Sequence[int]], tuple[Array, Array]],
+    allowed: BoolArray,
+    n_chosen: int,
 ) -> tuple[int, ...]:
     """The trials to add, in the order in which they help most; a trial may come more than once.
 
@@ -23,10 +26,9 @@ def choose(
     ----------
     loss
         Loss of rows of summed features, shape ``(k,)`` from ``(k, f)``.
-    made
-        Features of the trials made, shape ``(f,)``.
-    trials
-        Features of the trials that may be added, shape ``(k, f)``.
+    beside
+        Features of the trials made with those added, shape ``(f,)``, and of each of the trials that
+        may come next, ``(k, f)``.
     allowed
         Which of them may be chosen, shape ``(k,)``.
     n_chosen
@@ -37,12 +39,12 @@ def choose(
     V. V. Fedorov, Theory of Optimal Experiments (1972), ISBN 978-0-12-250750-2.
     """
     possible = np.flatnonzero(allowed)
-    offered = trials[possible]
 
     def best_beside(others: list[int]) -> tuple[int, float]:
-        losses = loss(made + offered[others].sum(axis=0) + offered)
+        made, trials = beside(others)
+        losses = loss(made + trials[possible])
         best = int(np.argmin(losses))
-        return best, float(losses[best])
+        return int(possible[best]), float(losses[best])
 
     chosen: list[int] = []
     value = np.inf
@@ -57,16 +59,18 @@ def choose(
                 chosen[place], value = best, new
         if value >= before:
             break
-    return tuple(int(possible[i]) for i in _in_order(loss, made, offered, chosen))
+    return _in_order(loss, beside, chosen)
 
 
 def _in_order(
-    loss: Callable[[Array], Array], made: Array, offered: Array, chosen: list[int]
-) -> list[int]:
+    loss: Callable[[Array], Array],
+    beside: Callable[[Sequence[int]], tuple[Array, Array]],
+    chosen: list[int],
+) -> tuple[int, ...]:
     """The chosen ones, each the most helpful of those left after the ones before."""
-    left, ordered, features = list(chosen), [], np.array(made)
+    left, ordered = list(chosen), list[int]()
     while left:
-        best = int(np.argmin(loss(features + offered[left])))
-        features = features + offered[left[best]]
+        made, trials = beside(ordered)
+        best = int(np.argmin(loss(made + trials[left])))
         ordered.append(left.pop(best))
-    return ordered
+    return tuple(ordered)

@@ -13,6 +13,7 @@ from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.design.added_trials import WithTrials
 from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, directions_across
 from identknee.identify.design.design import ChosenTrials, design
+from identknee.identify.design.straight import straight
 from identknee.identify.information.information import scaled_units
 from identknee.identify.profile.result import SideStatus
 from identknee.runs.arrays import Array
@@ -238,6 +239,20 @@ def _with_nuisances() -> Problem:
     return with_nuisance_priors(Linear(parameters=parameters, matrix=matrix, data=data))
 
 
+def test_straight_lines_are_the_problem_at_the_best_fit_and_itself_where_linear() -> None:
+    problem, theta = _with_nuisances(), np.array([0.3, -0.2, 0.5, 0.1])
+    blocks = np.random.default_rng(12).normal(size=(6, 2, 4))
+    candidates = linear_trials(blocks)
+    lines, offered = straight(problem, theta, candidates)
+    elsewhere = theta + np.array([0.5, -0.4, 0.3, 0.2])
+    np.testing.assert_allclose(lines.residuals(elsewhere), problem.residuals(elsewhere))
+    np.testing.assert_allclose(lines.jacobian(elsewhere), problem.jacobian(elsewhere))
+    for one, other in zip(
+        offered.predict(elsewhere, [4, 1]), candidates.predict(elsewhere, [4, 1]), strict=True
+    ):
+        np.testing.assert_allclose(one, other)
+
+
 @pytest.mark.parametrize("criterion", ["D", "A", "E"])
 def test_nuisances_are_no_targets_and_are_integrated_out(criterion: Criterion) -> None:
     problem = _with_nuisances()
@@ -252,6 +267,18 @@ def test_nuisances_are_no_targets_and_are_integrated_out(criterion: Criterion) -
         sizes = np.linalg.eigvalsh(covariance)
         expected = {"D": np.log(sizes).sum(), "A": sizes.sum(), "E": sizes[-1]}
         assert loss == pytest.approx(expected[criterion], rel=1e-4)
+
+
+def test_trials_that_share_errors_are_told_from_each_other() -> None:
+    problem, blocks = _with_nuisances(), np.random.default_rng(12).normal(size=(6, 2, 4))
+    optimum = fit(problem, np.zeros(4)).theta
+    found = design(problem, optimum, linear_trials(blocks), n_trials=3, criterion="A")
+    jacobian = problem.jacobian(optimum)
+    scales = np.outer(*2 * [scaled_units(problem.parameters, "typical")[1:3]])
+    for n, loss in enumerate(found.losses):
+        added = blocks[list(found.chosen[:n])].reshape(-1, 4)
+        covariance = np.linalg.inv(jacobian.T @ jacobian + added.T @ added)[1:3, 1:3] / scales
+        assert loss == pytest.approx(np.trace(covariance), rel=1e-4)
 
 
 def test_an_error_known_better_is_the_problem_with_half_its_prior() -> None:

@@ -1,5 +1,6 @@
 """Greedy choice and exchange against all sets there are."""
 
+from collections.abc import Callable, Sequence
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -25,13 +26,18 @@ def _features(seed: int) -> tuple[Array, Array]:
     return (made.T @ made).ravel(), np.einsum("kmi,kmj->kij", rows, rows).reshape(K, -1)
 
 
+def _sums(made: Array, trials: Array) -> Callable[[Sequence[int]], tuple[Array, Array]]:
+    """Features beside others, of trials that know nothing of each other."""
+    return lambda others: (made + trials[list(others)].sum(axis=0), trials)
+
+
 @pytest.mark.parametrize("criterion", ["D", "A", "E", "c"])
 @pytest.mark.parametrize("seed", range(5))
 def test_it_is_the_best_of_all_sets_or_close(criterion: Criterion, seed: int) -> None:
     """An exchange may end in a set that no single exchange improves."""
     made, trials = _features(seed)
     loss = _loss(criterion)
-    chosen = choose(loss, made, trials, np.ones(K, bool), 3)
+    chosen = choose(loss, _sums(made, trials), np.ones(K, bool), 3)
     found = float(loss((made + trials[list(chosen)].sum(axis=0))[None])[0])
     sets = np.array(list(combinations_with_replacement(range(K), 3)))
     best = float(loss(made + trials[sets].sum(axis=1)).min())
@@ -46,7 +52,7 @@ def test_exchange_mends_what_greed_did(monkeypatch: pytest.MonkeyPatch) -> None:
         losses = []
         for rounds in (0, 20):
             monkeypatch.setattr(design_search, "MOST_ROUNDS", rounds)
-            chosen = choose(_loss("E"), made, trials, np.ones(K, bool), 4)
+            chosen = choose(_loss("E"), _sums(made, trials), np.ones(K, bool), 4)
             losses.append(float(_loss("E")((made + trials[list(chosen)].sum(axis=0))[None])[0]))
         assert losses[1] <= losses[0] * (1.0 + 1e-9)
         mended += losses[1] < 0.99 * losses[0]
@@ -57,15 +63,15 @@ def test_what_is_not_allowed_is_not_chosen_and_repeats_are() -> None:
     made, trials = _features(0)
     trials[4] *= 100.0
     everything = np.ones(K, bool)
-    assert 4 in choose(_loss("D"), made, trials, everything, 2)
-    assert 4 not in choose(_loss("D"), made, trials, np.arange(K) != 4, 2)
-    assert choose(_loss("D"), made, trials, np.arange(K) == 3, 3) == (3, 3, 3)
+    assert 4 in choose(_loss("D"), _sums(made, trials), everything, 2)
+    assert 4 not in choose(_loss("D"), _sums(made, trials), np.arange(K) != 4, 2)
+    assert choose(_loss("D"), _sums(made, trials), np.arange(K) == 3, 3) == (3, 3, 3)
 
 
 def test_the_most_helpful_comes_first() -> None:
     made, trials = _features(2)
     loss = _loss("A")
-    chosen = choose(loss, made, trials, np.ones(K, bool), 4)
+    chosen = choose(loss, _sums(made, trials), np.ones(K, bool), 4)
     sums = made + np.cumsum(trials[list(chosen)], axis=0)
     first = loss(made + trials[sorted(set(chosen))]).min()
     assert loss(sums)[0] == pytest.approx(first)
