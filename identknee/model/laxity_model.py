@@ -85,8 +85,6 @@ class LaxityModel:
         equilibrium under its whole load is then looked for from there. Those that the knee is known
         to take if not given; None where it states none, and paths begin unloaded in the scanned
         pose.
-    keeps_poses
-        Whether `with_tests` leaves the poses of its own protocol as they are.
     fallback_poses
         Pose of each trial from which the equilibrium under its whole load is looked for where its
         path has none, shape ``(n, 5)``, NaN where unknown: the measured ones, where the knee states
@@ -106,7 +104,6 @@ class LaxityModel:
     order: IntArray | None = None
     phase: tuple[str, ...] | None = None
     poses: Array | None = None
-    keeps_poses: bool = False
     fallback_poses: Array | None = None
     joint: Joint = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
@@ -163,9 +160,8 @@ class LaxityModel:
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
         """The same model under the protocol of measured laxity, its trials run as measured."""
         model = self.with_protocol(laxity.protocol)
-        poses = self.poses if self.keeps_poses and model is self else None
-        fallback = None
-        if poses is None and self.continuation == "continuation":
+        poses = fallback = None
+        if self.continuation == "continuation":
             poses, fallback = measured_start.poses_of_tests(self.knee, laxity)
         is_known = model.order is laxity.order and model.phase is laxity.phase
         if (is_known or not self.effects) and measured_start.are_same(

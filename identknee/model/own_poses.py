@@ -30,15 +30,12 @@ def at_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
     for share in SHARES:
         part = model.protocol.under(np.full(model.protocol.n, share))
         found = replace(model, protocol=part).predict(theta, derivatives=False)
-        model = replace(model, poses=moved_poses(model.poses, found))
+        model = replace(model, poses=_moved(model.poses, found))
     return model
 
 
-def moved_poses(poses: Array, prediction: Prediction) -> Array:
-    """The poses of a prediction between the measured frames, shape ``(n, 5)``.
-
-    Those of trials without equilibrium stay as they were in `poses`.
-    """
+def _moved(poses: Array, prediction: Prediction) -> Array:
+    """Poses between the measured frames, those of trials without equilibrium as they were."""
     found = prediction.is_converged[:, None]
     return np.where(
         found, pose_from_coordinates(np.where(found, prediction.coordinates, 0.0)), poses

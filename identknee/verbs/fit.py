@@ -28,7 +28,6 @@ from identknee.model.measured_start import poses_of
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.soundness import rim_findings, stability_findings
-from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding, Severity
@@ -42,7 +41,6 @@ from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike
-from identknee.verbs.followed_fit import FollowedFit, followed_fit
 from identknee.verbs.heavy_tails import about_tails, robust
 from identknee.verbs.held_out import HeldOut, predicted, split
 from identknee.verbs.identification import with_noise
@@ -223,9 +221,9 @@ def fit(
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(run.knee, laxity.protocol)
     run.start_clock()
-    plain = partial(search, method=method, seed=seed, priors=priors)
-    trials, used, found = _searched(trials, theta, plain, budget, likelihood)
-    model = trials.model
+    plain = partial(search, method=method, seed=seed, budget=budget, priors=priors)
+    is_robust = likelihood == "student"
+    used, found = trials.fitted(theta, partial(robust, plain) if is_robust else plain)
     problem = trials.problem(used.laxity)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
@@ -239,7 +237,7 @@ def fit(
         if is_held.any():
             kept = measured.select(is_held)
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
-    tails = about_tails(problem, used.laxity, found) if likelihood == "student" else ()
+    tails = about_tails(problem, used.laxity, found) if is_robust else ()
     said = _findings(problem, found, (model, prediction), error, used.laxity)
     return Calibration(
         **simulated(model, prediction),
@@ -254,21 +252,6 @@ def fit(
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=beside_the_table(model, laxity, (*lost_findings(laxity, used.laxity), *said)),
     )
-
-
-def _searched(
-    trials: TrialSearch,
-    theta: Array,
-    plain: partial[Fit],
-    budget: int | None,
-    likelihood: Likelihood,
-) -> FollowedFit:
-    """The fit from theta, which least squares follows through the equilibria that it finds."""
-    if likelihood == "normal" and plain.keywords["method"] == "least-squares":
-        return followed_fit(trials, theta, plain, budget)
-    plain = partial(plain, budget=budget)
-    used, found = trials.fitted(theta, partial(robust, plain) if likelihood == "student" else plain)
-    return FollowedFit(trials=trials, used=used, found=found)
 
 
 def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:

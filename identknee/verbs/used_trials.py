@@ -26,7 +26,6 @@ from identknee.mechanics.load_paths import NEAR, Continuation
 from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import POSE_EVERY_DEG, known_poses, strains_as_measured
-from identknee.model.own_poses import moved_poses
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.findings import Finding, Severity
@@ -34,7 +33,7 @@ from identknee.subject.knee import Knee
 from identknee.verbs.barred import BarredSearch
 
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
-STRETCHES = (0.04, 0.06, 0.08, 0.1, 0.12)
+STRETCHES = (0.04, 0.06, 0.08, 0.1)
 PATTERN_STRETCH = 0.06
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 MOST_ROUNDS, BUDGET = 8, 300
@@ -189,18 +188,8 @@ class TrialSearch:
         begun = {"the start all the same": start}
         if self.model.poses is not None:
             of_each = "% of strain at the longest measured length of each ligament"
-            begun |= {f"{100 * x:.0f} {of_each}": y for x, y in self.stretched(start).items()}
+            begun |= {f"{100 * x:.0f} {of_each}": self._stretched(start, x) for x in STRETCHES}
         return {words: x for words, x in begun.items() if (self._borne(x) >= 0.0).any()}
-
-    def begun_at(self, theta: Array) -> "TrialSearch":
-        """The same search, equilibria looked for from those of the model at `theta`."""
-        found = self.model.predict(theta, derivatives=False)
-        poses = None if self.model.poses is None else moved_poses(self.model.poses, found)
-        return replace(self, model=replace(self.model, poses=poses, keeps_poses=True))
-
-    def stretched(self, start: Array) -> dict[float, Array]:
-        """Thetas with the strains of the measured poses, by how far these stretch at most."""
-        return {x: self._stretched(start, x) for x in STRETCHES}
 
     def _stretched(self, start: Array, stretch: float) -> Array:
         """Theta with reference strains as the measured poses have them, kept to the bounds."""

@@ -170,24 +170,6 @@ def test_trials_along_paths_that_the_start_loses_are_regained() -> None:
     assert found.rmse.deg < 1.0
 
 
-def test_a_fit_goes_on_where_the_equilibrium_from_a_measured_pose_changes() -> None:
-    """And what it says of trials is from the equilibria that it was fitted at."""
-    laxity = ik.example_laxity("s192803")
-    coordinates = np.array(laxity.coordinates)
-    coordinates[laxity.protocol.trials.index("Valgus_60")] = np.nan
-    table = replace(laxity, coordinates=coordinates)
-    uncertain = "registration=4deg,registration=4mm,insertions=2mm"
-    first = ik.fit("s192803_bundles", table, budget=300, uncertain=uncertain)
-    found = ik.fit("s192803_bundles", table, budget=600, uncertain=uncertain)
-    assert found.objective < 0.995 * first.objective
-    assert 300 < found.n_simulations <= 600
-    assert found.search.history[-1, 1] == pytest.approx(found.objective)
-    assert (np.diff(found.search.history, axis=0) * [1.0, -1.0] > 0.0).all()
-    left = (found.coordinates - found.data.coordinates)[found.data.is_measured]
-    priors = np.array([x.away for x in found.nuisances])
-    assert 0.5 * (left @ left + priors @ priors) == pytest.approx(found.objective, rel=1e-6)
-
-
 def test_a_stated_noise_weighs_as_columns_of_the_table_do() -> None:
     laxity = as_read()
     coordinates = laxity.coordinates + np.random.default_rng(5).normal(size=(laxity.n, 5))
