@@ -42,6 +42,27 @@ class Kinked:
         return np.array([[self.slope if theta[0] > 0 else -self.slope], [30.0]])
 
 
+@dataclass(frozen=True, kw_only=True)
+class Bent:
+    """A bent valley so narrow that a search creeps along it, beside a misfit that stays."""
+
+    narrow: float = 1e4
+    parameters: Parameters = plain_parameters(2)
+
+    def residuals(self, theta: Array) -> Array:
+        x, y = theta
+        return np.array([1e3, self.narrow * (y - x * x), 1.0 - x])
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.array([[0.0, 0.0], [-2.0 * self.narrow * theta[0], self.narrow], [-1.0, 0.0]])
+
+
+def test_a_search_that_creeps_ends_in_a_valley() -> None:
+    end = fit(Bent(), np.array([-3.0, 9.0]))
+    assert end.outcome is Outcome.VALLEY
+    assert end.n_simulations < 60
+
+
 def test_scipy_shrinks_its_step_fourfold_after_residuals_without_prediction() -> None:
     """What the search for a cliff relies on, whichever scipy is installed."""
     tried: list[float] = []
