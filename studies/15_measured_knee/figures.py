@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from scipy.special import stdtrit
 
 import identknee as ik
+from identknee.model.effects.facts import cause_label
 
 NAMES = {"s192803": "four lines", "s192803_bundles": "14 bundles in 4 groups"}
 NAIVE, HONEST = "nothing", "frames and insertions"
@@ -59,6 +60,7 @@ def tables(record: Row) -> Mapping[str, ik.report.Table | str]:
     return {
         "before": before_table(record),
         "fits": fits_table(record),
+        "diagnoses": diagnoses_table(record),
         "held out": held_out_table(record),
     }
 
@@ -82,6 +84,7 @@ def fits_table(record: Row) -> ik.report.Table:
         (
             NAMES[x["knee"]],
             x["uncertain"],
+            x.get("noise", "1mm,1deg").replace("mm,", " mm, ").replace("deg", " deg"),
             f"{x['n_parameters']} + {x['n_nuisances']}",
             f"{x['trials_used']} of 24",
             *(_of(x["rmse"], name) for name in JUDGED),
@@ -92,8 +95,36 @@ def fits_table(record: Row) -> ik.report.Table:
     ]
     return table(
         "Fits to 24 trials: root-mean-square errors over the trials used",
-        "model; taken as uncertain; parameters + errors; trials used; anterior drawer [mm]; "
-        "internal rotation [deg]; varus [deg]; ended; contact on one side alone",
+        "model; taken as uncertain; errors weighed as; parameters + errors; trials used; "
+        "anterior drawer [mm]; internal rotation [deg]; varus [deg]; ended; "
+        "contact on one side alone",
+        rows,
+    )
+
+
+def diagnoses_table(record: Row) -> ik.report.Table:
+    """What diagnoses name, and what it gains."""
+    rows: list[tuple[Cell, ...]] = []
+    for x in parts(record, "diagnosis"):
+        before, after = x["misfit"]["chi_square"]
+        gain = x["gain"] and "{:.1f} ± {:.1f}".format(*x["gain"]["elpd"])
+        named = ", ".join(cause_label(cause[0]) for cause in x["causes"])
+        rows.append(
+            (
+                NAMES[x["knee"]],
+                x["noise"].replace("mm,", " mm, ").replace("deg", " deg"),
+                x["verdict"],
+                named or "none",
+                len(x["open"]),
+                f"{before:.1f} to {after:.1f} of {x['misfit']['n']}",
+                gain or "none",
+                len(x["advised"]),
+            )
+        )
+    return table(
+        "Diagnoses of 24 trials",
+        "model; noise assumed; verdict; best cause; other causes open | 0; chi-square; "
+        "gain in log predictive density ± standard error; trials advised | 0",
         rows,
     )
 

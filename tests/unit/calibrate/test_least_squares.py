@@ -25,7 +25,7 @@ from identknee.runs.outcome import Outcome
 RECOVERY = 1e-9
 
 
-ALONE = plain_parameters(1)
+ALONE, PAIR = plain_parameters(1), plain_parameters(2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Bent:
     """A bent valley so narrow that a search creeps along it, beside a misfit that stays."""
 
     narrow: float = 1e4
-    parameters: Parameters = plain_parameters(2)
+    parameters: Parameters = PAIR
 
     def residuals(self, theta: Array) -> Array:
         x, y = theta
