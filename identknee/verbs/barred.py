@@ -142,7 +142,8 @@ class BarredSearch:
         parameters, here = evaluator.parameters, self._misfits(at.theta)
         for share in SHARES:
             theta = np.clip(at.theta + share * step, parameters.lower, parameters.upper)
-            rise = np.where(aside, 0.0, self._misfits(theta) - here)
+            # What is set aside has no pose on either side.
+            rise = np.where(aside, 0.0, self._misfits(theta)) - np.where(aside, 0.0, here)
             if not np.isfinite(rise).all():
                 return ~np.isfinite(rise), at.theta
             if share in JUMPS and rise.max() > A_JUMP * promised:
