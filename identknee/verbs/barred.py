@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from identknee.calibrate.constrained import Constrained, minimise
 from identknee.calibrate.evaluation import Evaluation, Evaluator
@@ -172,4 +172,4 @@ class BarredSearch:
         n, n_lost = int(measured[~lost].sum()), int(measured[lost & ~out].sum())
         scale = without.evaluation.deviance / max(n - without.evaluation.theta.size, 1)
         cost = best.evaluation.deviance - without.evaluation.deviance
-        return bool(cost > scale * chi2.ppf(LEVEL, n_lost))
+        return bool(cost > scale * chdtri(n_lost, 1.0 - LEVEL))

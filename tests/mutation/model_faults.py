@@ -441,7 +441,7 @@ NUISANCES = (
     ),
     _fault(
         "verbs/barred.py",
-        "return bool(cost > scale * chi2.ppf(LEVEL, n_lost))",
+        "return bool(cost > scale * chdtri(n_lost, 1.0 - LEVEL))",
         "return bool(cost > 0.0)",
         "a trial is left out wherever the others then fit a little better",
         "tests/unit/verbs/test_barred.py",
