@@ -4,14 +4,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from coverage_replicates import FREE_TOLERANCE, held_at_truth
+from coverage_replicates import FREE_TOLERANCE, HELD_TOLERANCE, NEAR_MISS, held_at_truth
 from knees import knee
 from scipy.special import chdtrc
 
-from identknee.blind.case import CORRELATION, SD, blind_case
+from identknee.blind.case import CORRELATION, SD, BlindCase, blind_case
 from identknee.blind.conditions import Conditions
-from identknee.calibrate.constrained import minimise
+from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluator
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.quantities import LigamentForce
+from identknee.runs.arrays import Array
 from identknee.subject.uncertainty import Uncertainty
 from identknee.verbs.identification import identification
 
@@ -46,7 +49,10 @@ class UncertainTask:
 
 
 def uncertain_replicate(task: UncertainTask) -> dict[str, Any]:
-    """The rise of each ligament parameter's profile deviance to the truth; `error` without data."""
+    """The rise of the profile deviance to the truth; `error` without data.
+
+    Of each ligament parameter, and of each ligament's force in the trial that truly loads it most.
+    """
     given = knee(task.subject)
     try:
         case = blind_case(given, seed=task.seed, effect=None, conditions=task.stated.conditions)
@@ -70,17 +76,52 @@ def uncertain_replicate(task: UncertainTask) -> dict[str, Any]:
             return {"error": "no prediction"}
         # Stated errors as the fit has them: those given would lead over ends of load paths.
         near_truth = np.r_[truth, free.evaluation.theta[len(names) :]]
-        held = [held_at_truth(evaluator, free, name, near_truth) for name in names]
+        held = [
+            *(held_at_truth(evaluator, free, name, near_truth) for name in names),
+            *_held_forces(evaluator, setup.model, free, (near_truth, case)),
+        ]
         lowest = min([free, *held], key=lambda x: x.evaluation.deviance)
         deviance = lowest.evaluation.deviance
         if deviance > free.evaluation.deviance - WORTH:
             break
         starts = [lowest.evaluation.theta]
     information = np.linalg.pinv(free.evaluation.information, hermitian=True)
+    # A truth that no fit reaches is not in the interval.
+    rises = [x.evaluation.deviance - deviance if x.is_on_target else np.inf for x in held]
     return {
-        "rises": [x.evaluation.deviance - deviance for x in held],
+        "rises": rises[: len(names)],
+        "force_rises": rises[len(names) :],
         "sds": np.sqrt(np.diag(information))[: len(names)].tolist(),
         "misfit_p_value": float(chdtrc(setup.laxity.is_measured.sum() - len(names), deviance)),
         "n_simulations": evaluator.n_simulations,
         "n_left_out": int(laxity.is_measured.sum() - setup.laxity.is_measured.sum()),
     }
+
+
+def _held_forces(
+    evaluator: Evaluator, model: LaxityModel, free: Constrained, truth: tuple[Array, BlindCase]
+) -> list[Constrained]:
+    """Fits with each ligament's largest force at its true value, from the free fit or the truth."""
+    near_truth, case = truth
+    trials = model.protocol.trials
+    kept = [case.laxity.protocol.trials.index(x) for x in trials]
+    found = []
+    for ligament, tension in zip(model.knee.ligaments, case.tensions[kept].T, strict=True):
+        most = int(tension.argmax())
+        quantity = LigamentForce(model=model, ligament=ligament.name, trial=trials[most])
+        fits = []
+        for start in (free.evaluation.theta, near_truth):
+            fits.append(
+                solve_constrained(
+                    evaluator,
+                    start,
+                    quantity=quantity,
+                    target=float(tension[most]),
+                    tolerance=HELD_TOLERANCE,
+                )
+            )
+            rise = fits[0].evaluation.deviance - free.evaluation.deviance
+            if fits[0].is_on_target and rise < NEAR_MISS:
+                break
+        found.append(min(fits, key=lambda x: (not x.is_on_target, x.evaluation.deviance)))
+    return found

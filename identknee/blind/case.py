@@ -14,6 +14,7 @@ from identknee.blind.experiment import (
     Run,
     conduct,
     experiment_of,
+    tensions,
     theta_slopes,
 )
 from identknee.blind.fitting import BaseFit, Noise, base_fit, left_over, scaled_to
@@ -54,11 +55,14 @@ class BlindCase:
         What is behind them.
     noise_free
         The same without errors.
+    tensions
+        True tension of each ligament in each trial [N], shape ``(n, m)``.
     """
 
     laxity: Laxity
     truth: Truth
     noise_free: Laxity
+    tensions: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,7 +168,12 @@ def blind_case(
     facts |= {"contact_exponent": exponent, "largest_remounting": float(np.abs(remounting).max())}
     truth = _truth(actual, seed, found, {**facts, "redraws": redraws, "wanted_signal": signal})
     truth = replace(truth, stated_errors=true_errors(knee, actual, off))
-    return BlindCase(laxity=laxity, truth=truth, noise_free=exact)
+    return BlindCase(
+        laxity=laxity,
+        truth=truth,
+        noise_free=exact,
+        tensions=tensions(found.own, found.run, scene.n_lines),
+    )
 
 
 def _names(effect: str | Sequence[str] | None, generator: np.random.Generator) -> tuple[str, ...]:

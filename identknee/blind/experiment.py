@@ -326,6 +326,19 @@ def _line_slopes(R: Array, t: Array, lines: Array) -> Array:
     return slopes
 
 
+def tensions(experiment: Experiment, run: Run, n_lines: int) -> Array:
+    """Tension of the first `n_lines` lines in every trial of a run [N], shape ``(n, n_lines)``."""
+    rows = []
+    for R, t in run.poses:
+        row = []
+        for line in experiment.lines[:n_lines]:
+            length, _, _ = energy.course(R, t, line)
+            strain = length / line[REFERENCE_LENGTH] * (1.0 + line[REFERENCE_STRAIN]) - 1.0
+            row.append(line[STIFFNESS] * energy.smooth_tension(strain, line[TOE])[0])
+        rows.append(row)
+    return np.array(rows)
+
+
 def _coordinate_slopes(R: Array, t: Array, flexion: float) -> Array:
     """Change of the coordinates [mm, rad] with a tangent step [mm], shape ``(5, 5)``."""
     size = equilibrium.DIFFERENCE
