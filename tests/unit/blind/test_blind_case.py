@@ -8,9 +8,13 @@ from posed_knees import NAMES, posed_reference
 
 from identknee.blind.case import BlindCase, blind_case
 from identknee.blind.effects import EFFECTS, HISTORY, LISTED
+from identknee.blind.experiment import TOE_STRAIN
 from identknee.blind.folder import write_blind
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import read_laxity
+from identknee.mechanics.grood_suntay import pose_from_coordinates
+from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
 
@@ -58,6 +62,20 @@ def test_a_null_hides_nothing_and_is_no_subject_as_given(knee: Knee, null: Blind
     assert null.truth.signal == 0.0
     for x in knee.ligaments:
         assert null.truth.theta[f"{x.name}.stiffness_kN"] != x.stiffness_kN
+
+
+def test_the_true_tensions_are_those_of_the_printed_law_at_the_true_poses(
+    knee: Knee, protocol: Protocol, null: BlindCase
+) -> None:
+    theta = np.array(list(null.truth.theta.values()))
+    poses = pose_from_coordinates(null.noise_free.coordinates)
+    flexion = np.radians(protocol.flexion_deg)
+    lines = LaxityModel(knee=knee, protocol=protocol).joint.lines
+    found = ligament_tensions(lines, flexion, poses, 1000.0 * theta[:4], 0.01 * theta[4:])
+    # The generator rounds the ends of the toe region by 2 % of its width.
+    rounded = 0.02 * TOE_STRAIN * 1000.0 * theta[:4]
+    assert (np.abs(null.tensions - found.tensions) < rounded).all()
+    assert null.tensions.max() > 20.0 * rounded.max()
 
 
 def test_the_noise_is_misstated_within_a_fifth_and_its_correlation_not_stated(
