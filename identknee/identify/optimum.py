@@ -8,6 +8,7 @@ from identknee.calibrate.problem import Problem
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, serial
+from identknee.runs.outcome import Outcome
 
 N_STARTS = 16
 # How many prior standard deviations around the subject's values the other starts lie in.
@@ -40,20 +41,31 @@ def best_fit(
 
 
 def best_fits(
-    problem: Problem, *, start: Array | None = None, seed: int = 0, executor: Executor = serial
+    problem: Problem,
+    *,
+    start: Array | None = None,
+    seed: int = 0,
+    executor: Executor = serial,
+    budget: int | None = None,
 ) -> tuple[Fit, ...]:
-    """The seventeen fits that `best_fit` is the lowest of, from low to high; as there."""
+    """The seventeen fits that `best_fit` is the lowest of, from low to high; as there.
+
+    With a budget each has so many simulations, and only the lowest goes on to its end.
+    """
     parameters = problem.parameters
     first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
     check_inside(first, parameters)
     points = sobol_around(parameters, first, N_STARTS, reach=REACH, seed=seed)
-    around = fit_many(problem, points, seed=seed, executor=executor)
-    fits = sorted([fit(problem, first, seed=seed), *around], key=lambda one: one.objective)
+    around = fit_many(problem, points, seed=seed, executor=executor, budget=budget)
+    begun = [fit(problem, first, seed=seed, budget=budget), *around]
+    fits = sorted(begun, key=lambda one: one.objective)
     if not np.isfinite(fits[0].objective):
         raise ValueError(
             f"the model has no prediction at any of {N_STARTS + 1} starts; "
             "see: identknee subject check"
         )
+    if budget is not None and fits[0].outcome is Outcome.BUDGET:
+        fits[0] = fit(problem, fits[0].theta, seed=seed)
     return tuple(fits)
 
 

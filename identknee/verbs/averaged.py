@@ -4,25 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.fit import Fit
 from identknee.calibrate.problem import Bounded, restricted
-from identknee.identify.marginal import marginal
-from identknee.identify.optimum import best_fits as find_best_fits
+from identknee.model.effects.changes import held
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import has_shared_errors, shared_errors
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor
-from identknee.verbs.identification import Identification, best_fits, check_start
+from identknee.verbs.identification import Identification, best_fits
 
 # Draws of the errors that show how far predictions are from straight lines, and their seed.
 N_DRAWS, DRAWS_SEED = 16, 0
 
 
-def averaged(setup: Identification, *, seed: int, executor: Executor) -> Identification:
-    """The same question of the parameters of interest alone; itself where it has no nuisances.
+def averaged(
+    setup: Identification, *, seed: int, executor: Executor
+) -> tuple[Identification, tuple[Fit, ...]]:
+    """The same question of the parameters of interest alone, which starts at the best fit.
 
     Around the best fit nuisances change predictions along straight lines. Their priors then add
-    to the covariance of the noise, ``V = noise + J C J'``, and leave no parameter behind.
+    to the covariance of the noise, ``V = noise + J C J'``, and leave no parameter behind. Far from
+    it they do not, so the question is not fitted again.
 
     Parameters
     ----------
@@ -33,6 +36,13 @@ def averaged(setup: Identification, *, seed: int, executor: Executor) -> Identif
     executor
         Anything with an ordered ``map``.
 
+    Returns
+    -------
+    setup
+        The question; the one given where it has no nuisances.
+    fits
+        Those of all parameters, the lowest first; none where there are no nuisances.
+
     Raises
     ------
     ValueError
@@ -40,73 +50,51 @@ def averaged(setup: Identification, *, seed: int, executor: Executor) -> Identif
     NotComputed
         If no parameters near the start have a prediction in every measured trial.
     """
-    nuisances = setup.problem.parameters.nuisance_names
-    if not nuisances:
-        return setup
+    if not setup.problem.parameters.nuisance_names:
+        return setup, ()
     if setup.degrees_of_freedom is not None:
         raise ValueError(
             "stated errors can be averaged over only beside a stated noise; add --noise, for "
             "example --noise 0.5mm,0.5deg, or hold the geometry exact with --uncertain none"
         )
-    best = best_fits(setup, seed=seed, executor=executor)[0].theta
-    theta = setup.free.expand(best)
-    everything = setup.free.everything
-    varied = np.isin(everything.names, nuisances)
-    residuals = _with_straight_lines(setup, theta, varied)
-    kept = set(setup.problem.parameters.names_of_interest)
-    held = [name for name in everything.names if name not in kept]
-    part = restricted(Bounded(problem=residuals, parameters=everything), held, theta)
+    fits = best_fits(setup, seed=seed, executor=executor)
+    return _about(setup, fits[0].theta), fits
+
+
+def _about(setup: Identification, best: Array) -> Identification:
+    """The question of the parameters of interest, nuisances averaged over about a best fit."""
+    theta, everything = setup.free.expand(best), setup.free.everything
+    residuals = _with_straight_lines(setup, theta)
+    asked, nuisances = setup.problem.parameters.names_of_interest, everything.nuisance_names
+    kept = everything.with_fixed(nuisances, theta)
+    bounded = Bounded(problem=residuals, parameters=kept.parameters)
+    fixed = [name for name in kept.parameters.names if name not in asked]
+    free = everything.with_fixed([*fixed, *nuisances], theta)
     sentence = (
-        f"{len(nuisances)} stated errors were averaged over to first order at the best fit, where "
-        f"predictions hold them. {_bend(setup, residuals, theta, varied)}"
+        f"{setup.problem.parameters.n - len(asked)} stated errors were averaged over to first "
+        f"order at the best fit, where predictions hold them. {_bend(setup, residuals, theta)}"
     )
     return replace(
         setup,
-        problem=part,
-        free=part.free,
-        start=part.free.restrict(setup.free.expand(setup.start)),
+        problem=restricted(bounded, fixed, kept.restrict(theta)),
+        free=free,
+        start=free.restrict(theta),
         nuisances_at=(setup.problem, best),
         assumptions=(*setup.assumptions, sentence),
     )
 
 
-def straight_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[Fit, ...]:
-    """Fits from the start and from around it, the lowest first, as `best_fits`, but sooner.
-
-    The fits from around it have nuisances change predictions along straight lines, as at the end of
-    a first fit; from the lowest of them all parameters are fitted. Without nuisances it is
-    `best_fits`.
-
-    Raises
-    ------
-    ValueError, NotComputed
-        As `best_fits`.
-    """
-    is_asked = setup.problem.parameters.is_of_interest
-    if is_asked.all():
-        return best_fits(setup, seed=seed, executor=executor)
-    check_start(setup)
-    first = fit(setup.problem, setup.start, seed=seed)
-    if not np.isfinite(first.objective):
-        return best_fits(setup, seed=seed, executor=executor)
-    part = marginal(setup.problem, first.theta)
-    begun = np.array(first.theta)
-    around = find_best_fits(part, start=begun[is_asked], seed=seed, executor=executor)
-    begun[is_asked] = around[0].theta
-    again = fit(setup.problem, begun, seed=seed)
-    return tuple(sorted((first, again), key=lambda x: x.objective))
-
-
-def _with_straight_lines(setup: Identification, theta: Array, varied: BoolArray) -> LaxityResiduals:
-    """Residuals whose covariance holds the errors `varied`, their means at the priors' middles."""
+def _with_straight_lines(setup: Identification, theta: Array) -> LaxityResiduals:
+    """Residuals whose covariance holds the nuisances, their means at the priors' middles."""
     everything = setup.free.everything
+    varied = ~everything.is_of_interest
     _, jacobian = _tangent(setup, theta)
     slopes = jacobian[:, :, varied]
     columns = slopes * everything.prior_sd[varied]
     if has_shared_errors(setup.knee.uncertainty):
         columns = np.concatenate([columns, shared_errors(setup.model, theta)], axis=2)
     return LaxityResiduals(
-        model=setup.model,
+        model=_with_errors_held(setup.model, theta),
         laxity=setup.laxity,
         weighting="noise",
         shared=columns,
@@ -114,11 +102,24 @@ def _with_straight_lines(setup: Identification, theta: Array, varied: BoolArray)
     )
 
 
-def _bend(
-    setup: Identification, residuals: LaxityResiduals, theta: Array, varied: BoolArray
-) -> str:
+def _with_errors_held(model: LaxityModel, theta: Array) -> LaxityModel:
+    """The model with its nuisances as in theta: their derivatives are most of a simulation."""
+    nuisances = set(model.parameters.nuisance_names)
+    values = dict(zip(model.parameters.names, theta.tolist(), strict=True))
+    return model.with_effects(
+        [
+            held(x, {name: values[name] for name in x.parameters.names})
+            if nuisances.issuperset(x.parameters.names)
+            else x
+            for x in model.effects
+        ]
+    )
+
+
+def _bend(setup: Identification, residuals: LaxityResiduals, theta: Array) -> str:
     """How far draws of the errors depart from straight lines, as a sentence."""
     everything, model = setup.free.everything, setup.model
+    varied = ~everything.is_of_interest
     generator = np.random.default_rng(DRAWS_SEED)
     coordinates, jacobian = _tangent(setup, theta)
     squares = []

@@ -26,8 +26,7 @@ from identknee.runs.files import PathLike
 from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
-from identknee.verbs.averaged import straight_fits
-from identknee.verbs.identification import Identification, identification
+from identknee.verbs.identification import Identification, best_fits, identification
 from identknee.verbs.used_trials import about_offered
 from identknee.verbs.values import BoundsLike, NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
@@ -188,7 +187,7 @@ def design(
     wanted = [_target(setup, name) for name in targets or ()]
     degrees = setup.degrees_of_freedom
     run.start_clock()
-    fits = straight_fits(setup, seed=seed, executor=run.executor)
+    fits = best_fits(setup, seed=seed, executor=run.executor)
     problem: Problem = setup.problem
     begun: Candidates = offered.begun_at(fits[0].theta)
     about_errors = _about_errors(setup, wanted)

@@ -138,7 +138,7 @@ def equivalents(
     setup = identification(
         run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
     )
-    setup = averaged(setup, seed=seed, executor=run.executor)
+    setup, _ = averaged(setup, seed=seed, executor=run.executor)
     check_start(setup)
     quantities = _forces(setup, forces, trials)
     run.start_clock()

@@ -44,6 +44,9 @@ from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model,
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
 from identknee.verbs.warming import warm_up
 
+# Simulations of a search that is only to tell whether it is the lowest. Of a measured knee with 104
+# parameters 15 of 17 came within 4 of their last deviance in so many.
+BRIEF = 60
 # Of lengths and of angles [mm, deg].
 Sizes = tuple[float | None, float | None]
 
@@ -105,7 +108,7 @@ class Identification:
         deviance
             Sum of squared residuals there, in units of their noise.
         fits
-            All fits that it is the best of.
+            All fits that it is the best of, nuisances among their parameters.
         """
         parameters, whole = self.problem.parameters, self.free.expand(theta)
         prediction = self.model.predict_once(whole)
@@ -133,7 +136,7 @@ class Identification:
             return (*data, *model)
         thetas = np.array([x.theta for x in fits])
         deviances = 2.0 * np.array([x.objective for x in fits])
-        return (*data, *start_findings(thetas, deviances, parameters), *model)
+        return (*data, *start_findings(thetas, deviances, fits[0].parameters), *model)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
         """What an answer rests on: its trials, and what of geometry and tests is uncertain.
@@ -269,6 +272,9 @@ def with_noise(laxity: Laxity, noise: NoiseLike) -> Laxity:
 def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[Fit, ...]:
     """Fits from the start and from around it, the lowest first.
 
+    Beside nuisances all but the lowest are brief: searches among so many parameters creep for
+    hundreds of simulations, when the lowest can long be told.
+
     Raises
     ------
     ValueError
@@ -277,8 +283,11 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
         If none of them found a prediction; it says which trials are to blame.
     """
     check_start(setup)
+    budget = BRIEF if setup.problem.parameters.nuisance_names else None
     try:
-        return find_best_fits(setup.problem, start=setup.start, seed=seed, executor=executor)
+        return find_best_fits(
+            setup.problem, start=setup.start, seed=seed, executor=executor, budget=budget
+        )
     except ValueError as error:
         raise no_prediction(setup) from error
 

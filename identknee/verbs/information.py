@@ -94,12 +94,12 @@ def information(
     setup = identification(
         run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
     )
-    setup = averaged(setup, seed=seed, executor=run.executor)
     # Refuses a scaling that is none before anything takes time.
     scaled_units(setup.problem.parameters, scaling)
     run.start_clock()
-    fits = best_fits(setup, seed=seed, executor=run.executor)
-    theta = fits[0].theta
+    setup, fits = averaged(setup, seed=seed, executor=run.executor)
+    fits = fits or best_fits(setup, seed=seed, executor=run.executor)
+    theta = fits[0].theta[fits[0].parameters.is_of_interest]
     return LocalIdentifiability(
         fisher=fisher_information(setup.problem, theta, scaling=scaling, seed=seed),
         structure=check_structure(setup.problem, seed=seed, executor=run.executor),

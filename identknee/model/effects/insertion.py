@@ -32,8 +32,8 @@ def _shifted(setting: Setting, values: Array) -> Setting:
     is_own = setting.owner >= 0
     shifts = np.zeros((len(is_own), 2, 3))
     of_ligament = np.moveaxis(values.reshape(*values.shape[:-1], -1, 2, 3), -3, 0)
-    own = of_ligament[setting.owner[is_own]]
-    shifts[is_own] = own if values.ndim == 1 else own[np.arange(len(own)), setting.copy[is_own]]
+    copies = () if values.ndim == 1 else (setting.copy[is_own],)
+    shifts[is_own] = of_ligament[setting.owner[is_own], *copies]
     lines = setting.lines
     moved = replace(lines, femoral=lines.femoral + shifts[:, 0], tibial=lines.tibial + shifts[:, 1])
     return remeasured(setting, moved, is_own)

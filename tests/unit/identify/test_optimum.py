@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from problems import ClosedForm, plain_parameters, sloppy_springs
 
-from identknee.identify.optimum import best_fit
+from identknee.identify.optimum import best_fit, best_fits
 from identknee.runs.arrays import Array
+from identknee.runs.outcome import Outcome
 
 LEFT, RIGHT = -2.0, 2.0
 
@@ -36,6 +37,14 @@ def test_the_other_starts_find_the_lower_valley() -> None:
 def test_one_valley_is_found_from_the_centre() -> None:
     problem = sloppy_springs()
     assert best_fit(problem).theta == pytest.approx(problem.minimum, abs=1e-5)
+
+
+def test_of_brief_fits_only_the_lowest_goes_on_to_its_end() -> None:
+    problem = sloppy_springs()
+    lowest, *others = best_fits(problem, budget=4)
+    assert lowest.theta == pytest.approx(problem.minimum, abs=1e-5)
+    assert {x.outcome for x in others} == {Outcome.BUDGET}
+    assert max(x.n_simulations for x in others) == 4
 
 
 def test_a_start_outside_the_bounds_is_refused() -> None:

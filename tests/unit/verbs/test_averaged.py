@@ -44,12 +44,17 @@ def setup(knee: Knee, measured: Laxity) -> Identification:
 
 @pytest.fixture(scope="module")
 def marginal(setup: Identification) -> Identification:
-    return averaged(setup, seed=0, executor=serial)
+    return averaged(setup, seed=0, executor=serial)[0]
 
 
 def test_the_parameters_of_interest_remain(setup: Identification, marginal: Identification) -> None:
     assert marginal.problem.parameters.names == setup.problem.parameters.names_of_interest
     assert marginal.free.parameters.names == marginal.problem.parameters.names
+
+
+def test_it_starts_at_the_best_fit_of_all_parameters(marginal: Identification) -> None:
+    problem, best = marginal.nuisances_at or pytest.fail("nothing was averaged over")
+    np.testing.assert_array_equal(marginal.start, best[problem.parameters.is_of_interest])
 
 
 def test_information_is_that_of_the_marginal_covariance(marginal: Identification) -> None:
@@ -85,7 +90,7 @@ def test_it_says_how_far_predictions_bend(marginal: Identification) -> None:
 
 def test_a_knee_known_exactly_is_left_alone(measured: Laxity) -> None:
     exact = identification(ik.example("reference"), measured, fixed=FIXED)
-    assert averaged(exact, seed=0, executor=serial) is exact
+    assert averaged(exact, seed=0, executor=serial) == (exact, ())
 
 
 def test_errors_beside_an_unknown_noise_are_refused(knee: Knee, measured: Laxity) -> None:
