@@ -149,11 +149,7 @@ def blind_case(
         if found is None or not stays_inside(found.own, found.run, rims_of(actual)):
             found, redraws = None, redraws + 1
     if found is None:
-        raise ValueError(
-            f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
-            f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
-            "smaller loads"
-        )
+        raise _no_draw(names, knee)
     tells_order = bool(HISTORY & set(names)) or streams[1].random() < ORDER_SHARE
     exact = Laxity(
         protocol=protocol,
@@ -167,12 +163,19 @@ def blind_case(
     laxity = replace(laxity, coordinates=laxity.coordinates + remounting)
     facts |= {"contact_exponent": exponent, "largest_remounting": float(np.abs(remounting).max())}
     truth = _truth(actual, seed, found, {**facts, "redraws": redraws, "wanted_signal": signal})
-    truth = replace(truth, stated_errors=true_errors(knee, actual, off))
     return BlindCase(
         laxity=laxity,
-        truth=truth,
+        truth=replace(truth, stated_errors=true_errors(knee, actual, off)),
         noise_free=exact,
         tensions=tensions(found.own, found.run, scene.n_lines),
+    )
+
+
+def _no_draw(names: Sequence[str], knee: Knee) -> ValueError:
+    return ValueError(
+        f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
+        f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
+        "smaller loads"
     )
 
 
