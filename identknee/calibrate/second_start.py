@@ -39,7 +39,7 @@ class SecondSearch:
         ended = f"a second search, least squares from {self.name}, ended"
         if self.second.outcome is Outcome.START_FAILED:
             return _on_starts(
-                Severity.INFO, f"No second search: {self.name} has no prediction either."
+                Severity.INFO, f"No second search: at {self.name} there is no prediction either."
             )
         objectives = f"(objective {second:.4g}, here {first:.4g})"
         alike = ALIKE * first + ROUNDING

@@ -16,6 +16,7 @@ IMPROBABLE = 0.0027
 # Share of its prior variance that the data must take from a combination of nuisances to speak of
 # it: what they hardly see has no scatter of its own.
 LEAST_SEEN = 1e-6
+TINY = 1e-12
 
 
 OF_NUISANCE = "mm, deg or a plain number, as its name says"
@@ -35,6 +36,11 @@ class NuisanceEstimate:
     )
     prior_sd: float = entry("Standard deviation of the prior", unit=OF_NUISANCE)
     center: float = entry("Middle of the prior", unit=OF_NUISANCE)
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of best fits: next to none where the data hardly see the nuisance."""
+        return float(np.sqrt(max(self.prior_sd**2 - self.sd**2, 0.0)))
 
     @property
     def away(self) -> float:
@@ -120,12 +126,13 @@ def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
         if group.p_value * len(groups) >= IMPROBABLE:
             continue
         own = [x for name, x in values.items() if group_name(name) == group.name]
-        farthest = max(own, key=lambda x: abs(x.away))
+        farthest = max(own, key=lambda x: abs(x.value - x.center) / max(x.scatter, TINY))
         sentence = (
             f"The fit moves {group.name} beyond its stated uncertainty "
-            f"({farthest.name} {farthest.value:.3g}, stated to {farthest.prior_sd:.3g}; such "
-            f"errors have a probability of {group.p_value:.2g}): what is stated is too narrow, or "
-            f"another cause stands behind it.{HINT}"
+            f"({farthest.name} {farthest.value:.3g}; of an error stated to "
+            f"{farthest.prior_sd:.3g} such data show no more than {2.0 * farthest.scatter:.2g} in "
+            f"95 % of fits; probability of all {group.n} together {group.p_value:.2g}): what is "
+            f"stated is too narrow, or another cause stands behind it.{HINT}"
         )
         found.append(Finding(severity=Severity.WARNING, sentence=sentence, where=group.name))
     return tuple(found)

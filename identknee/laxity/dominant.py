@@ -37,7 +37,8 @@ class DominantLoads:
 def dominant_loads(protocol: Protocol) -> DominantLoads:
     """The load that each trial is about: the largest beside a usual test's, stray ones aside.
 
-    A load that no trial is without, such as compression, is counted from its median.
+    A load that no trial is without, such as compression, is counted from its median, unless the
+    trials then have no load left.
 
     Examples
     --------
@@ -48,6 +49,10 @@ def dominant_loads(protocol: Protocol) -> DominantLoads:
     """
     loads = _changes(protocol)
     share = np.abs(loads) / TYPICAL
+    if not np.any(share >= STRAY):
+        # As in drawer one way alone, or in a single trial.
+        loads = protocol.loads
+        share = np.abs(loads) / TYPICAL
     axis = np.argmax(share, axis=1)
     rows = np.arange(protocol.n)
     is_stray = share[rows, axis] < STRAY

@@ -20,15 +20,16 @@ POSE_EVERY_DEG = 15.0
 def measured_poses(laxity: Laxity) -> Array | None:
     """The measured pose of each trial, where its equilibrium is looked for, shape ``(n, 5)``.
 
-    None where the trials have nominal angles (two share one, or all are whole degrees), where the
+    None where the trials have nominal angles (most share one, or all are whole degrees), where the
     coordinates count from an unloaded pose, or where one was never measured. A cell not measured
     has the value of the trial nearest in flexion.
     """
     angles, measured = laxity.protocol.flexion_deg, laxity.is_measured
-    is_nominal = len(np.unique(angles)) < laxity.n or not np.any(angles % 1.0)
+    is_nominal = 2 * len(np.unique(angles)) <= laxity.n or not np.any(angles % 1.0)
     if is_nominal or laxity.zero != "absolute" or not measured.any(axis=0).all():
         return None
-    apart = np.abs(angles[:, None] - angles)
+    # Its own cell comes first, also before that of another reading at the same angle.
+    apart = np.abs(angles[:, None] - angles) - np.eye(laxity.n)
     nearest = np.argmin(np.where(measured.T[:, None], apart, np.inf), axis=2).T
     return pose_from_coordinates(np.take_along_axis(laxity.coordinates, nearest, axis=0))
 

@@ -9,6 +9,7 @@ from identknee.runs.findings import Finding, Severity
 from identknee.scrutiny.against_load import against_load_findings
 from identknee.scrutiny.broken_convention import convention_findings
 from identknee.scrutiny.contradictions import end_point_findings, row_findings
+from identknee.scrutiny.whole_table import load_findings, pose_findings
 
 
 def data_findings(
@@ -50,10 +51,11 @@ def beside_the_table(
 
     A table with a sign turned loses trials too: the sign is said first.
     """
+    findings = (*load_findings(laxity), *findings)
     if model.poses is None:
         return findings
     named = {x.where for x in findings}
     rows = tuple(x for x in end_point_findings(laxity) if x.where not in named)
     # What is wrong with the whole table makes its trials contradict one another.
-    whole = against_load_findings(laxity)
+    whole = (*pose_findings(model), *against_load_findings(laxity))
     return (*whole, *(x for x in (*rows, *findings) if x not in whole))

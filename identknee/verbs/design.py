@@ -27,7 +27,7 @@ from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
-from identknee.verbs.used_trials import about_offered
+from identknee.verbs.trial_sentences import about_offered
 from identknee.verbs.values import BoundsLike, NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 

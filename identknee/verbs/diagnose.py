@@ -58,8 +58,9 @@ from identknee.verbs.diagnosis_rows import (
     with_unsound,
 )
 from identknee.verbs.identification import with_noise
+from identknee.verbs.trial_sentences import about_offered, lost_findings
 from identknee.verbs.trials import advised, trials_of
-from identknee.verbs.used_trials import about_offered, lost_findings, testable, trial_names
+from identknee.verbs.used_trials import testable
 from identknee.verbs.values import NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
 from identknee.verbs.warming import warm_up
@@ -94,7 +95,7 @@ def diagnose_data(
     checked = sound(laxity)
     knee, used = testable(run.knee, checked, start)
     kept = used.laxity
-    lost = lost_findings(checked, kept)
+    lost = lost_findings(run.knee, checked, kept)
     # Stiffness there as well: the knee has its strains already, and trials may hang on both.
     is_own = np.array_equal(used.start, model.parameters.start)
     begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
@@ -105,17 +106,14 @@ def diagnose_data(
         with stage("telling what follows"):
             answer = diagnosis_of(found)
     compared = Comparison(knee=knee, starts=begin, effects=effects, seed=seed)
-    rows = (
-        *compared.table_findings(found, with_unsound(kept, laxity)),
-        *compared.row_findings(found),
-    )
     answer = replace(
         answer,
-        trials_used=trial_names(kept),
+        trials_used=used.names,
         assumptions=(*answer.assumptions, *used.sentences, *_about_advice(found)),
         findings=(
             *lost,
-            *rows,
+            *compared.table_findings(found, with_unsound(kept, laxity)),
+            *compared.row_findings(found),
             *unbelievable_findings(found),
             *answer.findings,
             *advice_findings(found),

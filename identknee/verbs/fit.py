@@ -45,7 +45,8 @@ from identknee.verbs.heavy_tails import about_tails, robust
 from identknee.verbs.held_out import HeldOut, predicted, split
 from identknee.verbs.identification import with_noise
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
-from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model
+from identknee.verbs.trial_sentences import about_inputs, lost_findings
+from identknee.verbs.used_trials import TrialSearch, table_model
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, by_ligament, check_word
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 from identknee.verbs.warming import warm_up
@@ -238,19 +239,20 @@ def fit(
             kept = measured.select(is_held)
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
     tails = about_tails(problem, used.laxity, found) if is_robust else ()
-    said = _findings(problem, found, (model, prediction), error, used.laxity)
+    said = lost_findings(run.knee, laxity, used.laxity)
+    said += _findings(problem, found, (model, prediction), error, used.laxity)
     return Calibration(
         **simulated(model, prediction),
         start=start,
         search=found,
         data=laxity,
         rmse=error,
-        trials_used=used.names,
+        trials_used=() if found.outcome is Outcome.START_FAILED else used.names,
         held_out=held,
-        assumptions=(run.knee.uncertainty.sentence, *pattern, *used.sentences, *tails),
+        assumptions=(*about_inputs(run.knee, measured), *pattern, *used.sentences, *tails),
         uncertainty=run.knee.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
-        findings=beside_the_table(model, laxity, (*lost_findings(laxity, used.laxity), *said)),
+        findings=beside_the_table(model, laxity, said),
     )
 
 
@@ -332,6 +334,15 @@ def _not_fitted(laxity: Laxity, prediction: Prediction) -> tuple[Finding, ...]:
     by_outcome: dict[Outcome, list[str]] = {}
     for i in np.flatnonzero(lost):
         by_outcome.setdefault(prediction.outcomes[i], []).append(laxity.protocol.trials[i])
+    if not lost.any():
+        return (
+            Finding(
+                severity=Severity.ERROR,
+                sentence="Nothing was fitted: the start lies outside the bounds of the parameters, "
+                "and inside them trials have no equilibrium. Choose another --start or --bounds.",
+                where="starts",
+            ),
+        )
     said = (
         f"Nothing was fitted: at the start {lost.sum()} of {measured.sum()} measured trials have "
         "no equilibrium. Choose another --start, or leave the cells of such trials blank."

@@ -40,7 +40,8 @@ from identknee.runs.outcome import Outcome
 from identknee.scrutiny.about_data import data_findings
 from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.knee import Knee
-from identknee.verbs.used_trials import TrialSearch, lost_findings, table_model, trial_names
+from identknee.verbs.trial_sentences import about_blanks, lost_findings, trial_names
+from identknee.verbs.used_trials import TrialSearch, table_model
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
 from identknee.verbs.warming import warm_up
 
@@ -97,7 +98,7 @@ class Identification:
         return trial_names(self.laxity)
 
     def findings_at(
-        self, theta: Array, deviance: float, fits: Sequence[Fit] = ()
+        self, theta: Array, deviance: float, fits: Sequence[Fit] = (), *, is_draw: bool = False
     ) -> tuple[Finding, ...]:
         """What speaks against the best fit: the table, its misfit, bounds, other fits, the model.
 
@@ -109,16 +110,19 @@ class Identification:
             Sum of squared residuals there, in units of their noise.
         fits
             All fits that it is the best of, nuisances among their parameters.
+        is_draw
+            Whether it is a draw of a posterior: what the data do not see is anywhere in its prior.
         """
         parameters, whole = self.problem.parameters, self.free.expand(theta)
         prediction = self.model.predict_once(whole)
+        nuisances = self.nuisances_at or (self.problem, np.asarray(theta))
         model = (
             *self.lost,
             *stability_findings(self.model),
             *feasibility_findings(self.problem, np.asarray(theta)),
             *rim_findings(self.model.protocol.trials, prediction),
             *unmeasured_findings(self.model, prediction),
-            *nuisance_findings(*(self.nuisances_at or (self.problem, np.asarray(theta)))),
+            *(() if is_draw else nuisance_findings(*nuisances)),
         )
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
@@ -215,7 +219,8 @@ def identification(
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(knee, laxity.protocol)
     used = trials.used(theta)
-    lost = lost_findings(laxity, used.laxity)
+    lost = lost_findings(knee, laxity, used.laxity)
+    blanks = about_blanks(laxity)
     laxity, theta = used.laxity, used.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
     if has_shared_errors(knee.uncertainty):
@@ -225,7 +230,7 @@ def identification(
     degrees: int | None = None
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
-    said = (knee.uncertainty.sentence, *pattern, *used.sentences)
+    said = (knee.uncertainty.sentence, *pattern, *used.sentences, *blanks)
     assumptions = [*said, *_about_the_data(laxity, asked)]
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
@@ -374,18 +379,13 @@ def _about_estimated_noise(sizes: Sizes, degrees: int) -> str:
 
 
 def _about_the_data(laxity: Laxity, n_parameters: int) -> list[str]:
-    measured = laxity.is_measured
-    sentences = [
-        f"{name} was not measured."
-        for name, column in zip(COORDINATES, measured.T, strict=True)
-        if not column.any()
-    ]
-    n = int(measured.sum())
+    n = int(laxity.is_measured.sum())
     if n == 0:
         raise ValueError("no coordinate was measured in any trial; fill in at least one column")
-    if n < n_parameters:
-        sentences.append(
-            f"{n} measured values cannot determine {n_parameters} parameters: some intervals must "
-            "be open. Measure more trials, or hold parameters with --fix."
-        )
-    return sentences
+    if n >= n_parameters:
+        return []
+    sentence = (
+        f"{n} measured values cannot determine {n_parameters} parameters: some intervals must be "
+        "open. Measure more trials, or hold parameters with --fix."
+    )
+    return [sentence]

@@ -299,4 +299,4 @@ def _findings(setup: Identification, posterior: Posterior) -> tuple[Finding, ...
     best = int(np.argmax(posterior.kept_log_likelihood))
     deviance = -2.0 * float(posterior.kept_log_likelihood.ravel()[best])
     theta = posterior.kept.reshape(-1, posterior.kept.shape[-1])[best]
-    return setup.findings_at(theta, deviance)
+    return setup.findings_at(theta, deviance, is_draw=True)

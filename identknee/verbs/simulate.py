@@ -22,7 +22,7 @@ from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
 from identknee.runs.workers import Workers
 from identknee.verbs.answer import Answer
-from identknee.verbs.used_trials import about_paths
+from identknee.verbs.trial_sentences import about_paths
 from identknee.verbs.values import (
     NoiseLike,
     ValuesLike,

@@ -22,25 +22,20 @@ from identknee.calibrate.starts import load_start
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.laxity.zeros import from_zero
-from identknee.mechanics.load_paths import NEAR, Continuation
-from identknee.mechanics.small_matrices import ROTATION_SCALE
+from identknee.mechanics.load_paths import Continuation
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import POSE_EVERY_DEG, known_poses, strains_as_measured
+from identknee.model.measured_start import strains_as_measured
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.findings import Finding, Severity
 from identknee.subject.knee import Knee
 from identknee.verbs.barred import BarredSearch
+from identknee.verbs.trial_sentences import about_paths, trial_names
 
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
 STRETCHES = (0.04, 0.06, 0.08, 0.1)
 PATTERN_STRETCH = 0.06
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 MOST_ROUNDS, BUDGET = 8, 300
-ABOUT_FALLBACK = (
-    "Geometry is uncertain: a trial whose load path ends, or whose unloaded knee is loose, was "
-    "looked for from its measured pose under its whole load."
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -253,11 +248,6 @@ def residuals_of(problem: Problem) -> LaxityResiduals:
     return inner
 
 
-def trial_names(laxity: Laxity) -> tuple[str, ...]:
-    """The trials with measured values."""
-    return tuple(laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.any(axis=1)))
-
-
 def table_model(
     knee: Knee, laxity: Laxity, continuation: Continuation = "continuation"
 ) -> tuple[LaxityModel, tuple[str, ...]]:
@@ -313,66 +303,6 @@ def testable(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, UsedTrials]:
     return replace(knee, ligaments=ligaments, fitted=dict(errors)), replace(
         used, sentences=(*said, *used.sentences, centred)
     )
-
-
-def lost_findings(laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
-    """Which measured trials a result does not rest on."""
-    measured, kept = trial_names(laxity), trial_names(used)
-    lost = [x for x in measured if x not in kept]
-    if not lost:
-        return ()
-    sentence = (
-        f"The result rests on {len(kept)} of {len(measured)} measured trials: the model has no "
-        f"equilibrium in {', '.join(lost)}. Look them up, or state how "
-        "well geometry is known with --uncertain."
-    )
-    return (Finding(severity=Severity.WARNING, sentence=sentence, where="trials"),)
-
-
-def about_paths(model: LaxityModel) -> tuple[str, ...]:
-    """Where equilibria were looked for, if not along paths from the scanned pose."""
-    if model.fallback_poses is not None:
-        return (ABOUT_FALLBACK,)
-    if model.poses is None:
-        return ()
-    known = known_poses(model.knee, model.protocol)
-    if known is not None and np.array_equal(model.poses, known):
-        sentence = (
-            "Equilibria were followed under growing loads from the poses that the fitted "
-            "subject states for each flexion angle, not from measured ones."
-        )
-        return (sentence, *_about_extrapolation(model))
-    sentence = (
-        "Each trial has a flexion angle of its own, as a rig reads it: its equilibrium was looked "
-        "for from its measured pose under its whole load, not along a path from the scanned pose, "
-        f"and counts within {NEAR:.0f} mm and {np.degrees(NEAR / ROTATION_SCALE):.0f} deg of it."
-    )
-    return (sentence,)
-
-
-def _about_extrapolation(model: LaxityModel) -> tuple[str, ...]:
-    """Which trials lie beyond the flexion angles at which the knee states poses."""
-    angles, known = model.protocol.flexion_deg, [x.flexion_deg for x in model.knee.poses]
-    is_beyond = (angles < min(known) - POSE_EVERY_DEG) | (angles > max(known) + POSE_EVERY_DEG)
-    if not is_beyond.any():
-        return ()
-    names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
-    sentence = (
-        f"These poses lie at {min(known):.0f} to {max(known):.0f} deg of flexion: what is said of "
-        f"trials far beyond ({names}) is extrapolated."
-    )
-    return (sentence,)
-
-
-def about_offered(model: LaxityModel) -> tuple[str, ...]:
-    """Where equilibria of trials that were not made are looked for, if not on paths from a scan."""
-    if model.poses is None:
-        return ()
-    sentence = (
-        "A trial that was not made has no measured pose: its equilibrium was followed under a "
-        "growing load from the mean pose of the trials made, interpolated over flexion."
-    )
-    return (sentence,)
 
 
 def _blanked(laxity: Laxity, lost: BoolArray) -> Laxity:

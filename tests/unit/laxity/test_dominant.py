@@ -34,6 +34,13 @@ def test_a_load_is_said_in_words() -> None:
     assert words["FullExt_0"] == "no load at 5 deg"
 
 
+def test_a_load_that_all_trials_hold_is_their_load_where_there_is_no_other() -> None:
+    laxity = example_laxity("s192803")
+    pulled = laxity.protocol.select(range(4))
+    assert load_words(pulled, 1) == "197 N of anterior force at 36 deg"
+    assert load_words(laxity.protocol.select([8]), 0) == "7.45 N·m of external moment at 4 deg"
+
+
 def test_exact_protocols_are_told_apart_as_they_are() -> None:
     protocol = concatenate([load_protocol("seed63"), load_protocol("drawer")])
     np.testing.assert_array_equal(told_loads(protocol), protocol.loads)

@@ -62,11 +62,10 @@ def test_an_equilibrium_far_from_the_measured_pose_does_not_count() -> None:
 def test_angles_as_set_begin_at_the_scanned_pose() -> None:
     laxity = as_measured()
     whole = replace(laxity.protocol, flexion_deg=np.round(laxity.protocol.flexion_deg))
-    twice = np.array(laxity.protocol.flexion_deg)
-    twice[1] = twice[0]
+    shared = np.repeat(laxity.protocol.flexion_deg[::3], 3)[: laxity.n]
     others = (
         replace(laxity, protocol=whole),
-        replace(laxity, protocol=replace(laxity.protocol, flexion_deg=twice)),
+        replace(laxity, protocol=replace(laxity.protocol, flexion_deg=shared)),
         replace(laxity, zero="unloaded"),
     )
     assert measured_poses(laxity) is not None
@@ -76,6 +75,14 @@ def test_angles_as_set_begin_at_the_scanned_pose() -> None:
     )
     assert single_step.with_tests(laxity).poses is None
     assert begun(laxity).with_tests(replace(laxity, protocol=whole)).poses is None
+
+
+def test_a_second_reading_at_the_same_angle_leaves_the_others_theirs() -> None:
+    laxity = as_measured()
+    twice = np.array(laxity.protocol.flexion_deg)
+    twice[1] = twice[0]
+    read_again = replace(laxity, protocol=replace(laxity.protocol, flexion_deg=twice))
+    np.testing.assert_array_equal(measured_poses(read_again), measured_poses(laxity))
 
 
 def test_another_trial_begins_between_the_poses_of_those_made() -> None:

@@ -1,0 +1,66 @@
+"""Tables that are wrong as a whole end in a sentence, never in a silent answer."""
+
+from dataclasses import replace
+
+import numpy as np
+from small_knee import as_read, small_knee
+
+import identknee as ik
+from identknee.laxity.examples import example_laxity
+from identknee.laxity.table import Laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.runs.findings import Severity
+from identknee.runs.outcome import Outcome
+from identknee.scrutiny.whole_table import load_findings, pose_findings
+from identknee.subject.folder import read_subject
+
+
+def begun(subject: str, laxity: Laxity) -> LaxityModel:
+    return LaxityModel(knee=read_subject(subject), protocol=laxity.protocol).with_tests(laxity)
+
+
+def test_changes_from_a_pose_are_not_taken_for_coordinates() -> None:
+    laxity = example_laxity("s192803")
+    zeroed = replace(laxity, coordinates=laxity.coordinates - laxity.coordinates[-1])
+    for subject in ("s192803", "s192803_bundles"):
+        assert pose_findings(begun(subject, laxity)) == ()
+        (finding,) = pose_findings(begun(subject, zeroed))
+        assert finding.severity is Severity.ERROR
+        assert "# zero: unloaded" in finding.sentence
+
+
+def test_a_table_of_deep_flexion_alone_is_one_of_this_knee() -> None:
+    laxity = example_laxity("s192803")
+    deep = laxity.select(np.flatnonzero(laxity.protocol.flexion_deg > 80.0))
+    assert pose_findings(begun("s192803_bundles", deep)) == ()
+
+
+def test_a_table_without_loads_is_said_to_have_none() -> None:
+    laxity = as_read()
+    assert load_findings(laxity) == ()
+    unloaded = replace(laxity.protocol, loads=np.zeros_like(laxity.protocol.loads))
+    found = ik.fit(small_knee(), replace(laxity, protocol=unloaded), budget=3)
+    assert "No trial of the table has a load" in " ".join(x.sentence for x in found.findings)
+
+
+def test_what_was_not_measured_is_said_by_a_fit() -> None:
+    laxity = as_read()
+    coordinates = np.array(laxity.coordinates)
+    coordinates[3], coordinates[:, 2] = np.nan, np.nan
+    sd = np.full(coordinates.shape, np.nan)
+    sd[:, 3] = 1.0
+    found = ik.fit(small_knee(), replace(laxity, coordinates=coordinates, sd=sd), budget=3)
+    said = " ".join(found.assumptions)
+    assert "distraction_mm was not measured." in said
+    assert "No value was measured in trial 3: it is only predicted." in said
+    assert "Errors are stated of varus_deg only" in said
+
+
+def test_a_start_outside_the_bounds_is_said_to_be_the_reason() -> None:
+    knee, laxity = small_knee(), as_read()
+    names = LaxityModel(knee=knee, protocol=laxity.protocol).parameters.names
+    narrow = {name: (-60.0, -59.0) for name in names if name.endswith("_pct")}
+    found = ik.fit(knee, laxity, bounds=narrow)
+    assert found.outcome is Outcome.START_FAILED
+    assert found.trials_used == ()
+    assert "0 of" not in " ".join(x.sentence for x in found.findings)
