@@ -7,9 +7,9 @@ import numpy as np
 from oracle import OracleKnee, State
 from scipy.ndimage import map_coordinates
 
+from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.energy import evaluate
-from identknee.mechanics.equilibria import PRESSURE_MODULUS
 from identknee.mechanics.kernel import workspace
 from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, LigamentArrays
 from identknee.mechanics.pose import rotation_matrix

@@ -150,12 +150,13 @@ class _Point:
 
 @declared
 class _Plan:
-    """The step the linear model wants, and what it promises."""
+    """The step the model around a point wants, and what it promises."""
 
     theta: Array
     step: Step
     length: float
     reduction: float
+    linear_reduction: float
     gap: float
     remaining: float
     is_boxed: bool
@@ -176,6 +177,7 @@ class _Search:
         self._radius = np.inf
         self._price = 0.0
         self._met_cliff = False
+        self._curvature = evaluator.curvature
 
     def run(self, start: Array, most_steps: int) -> Constrained:
         before = self._evaluator.n_simulations
@@ -223,7 +225,7 @@ class _Search:
     def _plan(self, point: _Point) -> _Plan:
         at = point.evaluation
         scales = conditional_sds(at.jacobian, self._evaluator.parameters)
-        matrix = at.jacobian * scales
+        matrix, data = self._model(at, scales)
         low, high = (self._lower - at.theta) / scales, (self._upper - at.theta) / scales
         box = np.maximum(low, -self._radius), np.minimum(high, self._radius)
         constraint, gap, remaining = None, 0.0, 0.0
@@ -235,8 +237,12 @@ class _Search:
             constraint = normal, reachable
             gap = abs(wanted) / size if size > 0 else (np.inf if wanted else 0.0)
             remaining = abs(wanted - reachable)
-        step = bounded_step(matrix, at.residuals, box, constraint)
-        change = matrix @ step.step
+        step = bounded_step(matrix, data, box, constraint)
+        reduction = linear_reduction = _reduction(matrix, data, step)
+        if self._curvature is not None and self._curvature.is_known:
+            linear = at.jacobian * scales
+            by_it = bounded_step(linear, at.residuals, box, constraint)
+            linear_reduction = _reduction(linear, at.residuals, by_it)
         theta = np.clip(at.theta + scales * step.step, self._lower, self._upper)
         theta = np.where(step.step == low, self._lower, theta)
         theta = np.where(step.step == high, self._upper, theta)
@@ -245,7 +251,8 @@ class _Search:
             theta=theta,
             step=step,
             length=length,
-            reduction=float(-2.0 * at.residuals @ change - change @ change),
+            reduction=reduction,
+            linear_reduction=linear_reduction,
             gap=gap,
             remaining=remaining,
             is_boxed=length >= self._radius,
@@ -253,7 +260,7 @@ class _Search:
 
     def _is_done(self, plan: _Plan, point: _Point) -> bool:
         tolerance = max(self._tolerance, ROUNDING * point.evaluation.deviance)
-        if abs(plan.reduction) > tolerance:
+        if max(abs(plan.reduction), abs(plan.linear_reduction)) > tolerance:
             return False
         if point.gradient is None or plan.gap <= self._tolerance:
             return True
@@ -268,6 +275,8 @@ class _Search:
             self._met_cliff = True
             self._radius = SHORTER * plan.length
             return point
+        if self._curvature is not None:
+            self._curvature.learn(point.evaluation, new.evaluation)
         missing = 0.0 if point.gradient is None else abs(self._target - point.value)
         self._price = max(self._price, PENALTY * 2.0 * abs(plan.step.multiplier))
         promised = plan.reduction + self._price * (missing - plan.remaining)
@@ -280,6 +289,12 @@ class _Search:
             self._radius *= LONGER
         self._met_cliff = self._met_cliff and np.isfinite(self._radius)
         return new
+
+    def _model(self, at: Evaluation, scales: Array) -> tuple[Array, Array]:
+        """Matrix and data of the model of the deviance around a point."""
+        if self._curvature is None:
+            return at.jacobian * scales, at.residuals
+        return self._curvature.model(at, scales)
 
     def _merit(self, point: _Point) -> float:
         missing = 0.0 if point.gradient is None else abs(self._target - point.value)
@@ -316,7 +331,7 @@ class _Search:
         scales = conditional_sds(point.evaluation.jacobian, self._evaluator.parameters)
         limit = np.where(held, 0.0, np.inf)
         # Rows of data are the parameters' own steps, so the linear model is d theta / d value.
-        matrix = point.evaluation.jacobian * scales
+        matrix, _ = self._model(point.evaluation, scales)
         normal = gradient * scales
         if not np.any(normal[~held]):
             return np.zeros(normal.size)
@@ -325,6 +340,12 @@ class _Search:
             matrix, np.zeros(len(matrix)), (-limit, limit), (normal / size, 1.0)
         ).step
         return np.asarray(scales * step / size)
+
+
+def _reduction(matrix: Array, data: Array, step: Step) -> float:
+    """How much lower a model has the deviance after its step."""
+    change = matrix @ step.step
+    return float(-2.0 * data @ change - change @ change)
 
 
 def _unsolved(start: Array, outcome: Outcome) -> Constrained:

@@ -9,6 +9,7 @@ from identknee.calibrate.scales import typical_steps
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity
+from identknee.runs.words import amount, either, label_without_unit, listed, unit_of
 
 # A misfit that noise alone would leave less often than this is doubtful, and one that is so many
 # times what noise leaves (three times its standard deviation) speaks of a mistake in the data.
@@ -92,7 +93,7 @@ def bound_findings(
     """Which fitted parameters stand at a bound: there the bound decided, and not the data."""
     margin = AT_END * (parameters.upper - parameters.lower)
     standing = [
-        f"{name} ({end:g})"
+        f"{label_without_unit(name)} ({amount(end, unit_of(name))})"
         for name, value, low, high, near in zip(
             parameters.names, theta, parameters.lower, parameters.upper, margin, strict=True
         )
@@ -104,9 +105,15 @@ def bound_findings(
     many = "1 parameter stands" if len(standing) == 1 else f"{len(standing)} parameters stand"
     sentence = (
         f"{many} at a bound, where the bound stopped the fit and not the data: "
-        f"{_listed(standing)}. The other parameters compensate for it."
+        f"{listed(standing)}. The other parameters compensate for it."
     )
     return (Finding(severity=Severity.WARNING, sentence=sentence, where="parameters"),)
+
+
+def at_zero(theta: Array, parameters: Parameters) -> tuple[str, ...]:
+    """Names of the parameters that stand at a lower bound of zero, as what is absent does."""
+    zero = (theta <= 0.0) & (parameters.lower == 0.0)
+    return tuple(x for x, is_zero in zip(parameters.names, zero, strict=True) if is_zero)
 
 
 def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> tuple[Finding, ...]:
@@ -133,7 +140,7 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
     rivals = np.flatnonzero((rises <= AS_GOOD) & (away > APART))
     if rivals.size:
         farthest = rivals[int(np.argmax(away[rivals]))]
-        apart = _listed(_changes(thetas[best], thetas[farthest], parameters))
+        apart = listed(_changes(thetas[best], thetas[farthest], parameters))
         sentence = (
             f"Starts disagree: {rivals.size} of {k} ended at other parameters that fit as well at "
             f"95 % ({apart}; misfit higher by {rises[farthest]:.2g}). See: identknee profile"
@@ -156,9 +163,4 @@ def _changes(theta: Array, other: Array, parameters: Parameters) -> list[str]:
     size = np.abs(other - theta) / typical_steps(parameters)
     asked = parameters.is_of_interest
     most = np.argsort(-np.where(asked, size, 0.0))[: min(2, int(asked.sum()))]
-    return [f"{parameters.names[i]} {theta[i]:.3g} or {other[i]:.3g}" for i in most]
-
-
-def _listed(words: Sequence[str]) -> str:
-    *most, last = words
-    return f"{', '.join(most)} and {last}" if most else last
+    return [either(parameters.names[i], theta[i], other[i]) for i in most]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.calibrate.curvature import Curvature
 from identknee.calibrate.problem import Problem
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
@@ -86,6 +87,9 @@ class Evaluator:
         self.n_simulations = 0
         # Number of the simulation and deviance, at each improvement.
         self.history: list[tuple[int, float]] = []
+        # Of searches one after another over uncertain geometry; exact geometry has none.
+        has_nuisances = not problem.parameters.is_of_interest.all()
+        self.curvature = Curvature(problem.parameters.n) if has_nuisances else None
 
     @property
     def parameters(self) -> Parameters:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from identknee.calibrate.cliff import way_around
+from identknee.calibrate.constrained import minimise
 from identknee.calibrate.evaluation import Ended, Evaluator
 from identknee.calibrate.gauss_newton import gauss_newton
 from identknee.calibrate.scales import typical_steps
@@ -17,8 +18,11 @@ INSIDE = 1e-3
 RELATIVE_STEP = 1e-10
 RELATIVE_START = 1e-9
 MAX_WAYS = 30
-# A search creeps when so many simulations lower the deviance by less than this share of it.
+MOST_STEPS = 200
+# A search creeps when so many simulations lower the deviance by less than this share of it: one to
+# the end, and one that a search which learns curvature takes over.
 CREEPING, A_CREEP = 40, 1e-5
+CREEPING_SOON, A_CREEP_SOON = 6, 1e-2
 
 
 def minimise_by_least_squares(
@@ -29,11 +33,13 @@ def minimise_by_least_squares(
     scipy's trust-region reflective method does the descent. It stays off the bounds, where a slack
     ligament has no slope to leave them by: of 300 starts far from the minimum of eight sloppy
     springs 296 reach it, and 243 by the active set of `identknee.calibrate.constrained`, which is
-    the method near a minimum and with a constraint. It ends where the Gauss-Newton step
-    within the bounds vanishes, or where no step goes down any more and the derivatives promise next
-    to nothing, as at a minimum on a kink (`minimum`). Where it cannot go on because every longer
-    step has no prediction it tries to get around (`identknee.calibrate.cliff`) and goes on from
-    there, or ends (`cliff`). A start outside the bounds is moved just inside.
+    the method near a minimum and with a constraint. With nuisance parameters that method, which
+    learns the curvature of their bent valleys, takes over where this one creeps. It ends where the
+    Gauss-Newton step within the bounds vanishes, or where no step goes down any more and the
+    derivatives promise next to nothing, as at a minimum on a kink (`minimum`). Where it cannot go
+    on because every longer step has no prediction it tries to get around
+    (`identknee.calibrate.cliff`) and goes on from there, or ends (`cliff`). A start outside the
+    bounds is moved just inside.
     """
     theta = _inside(start, evaluator.parameters)
     if not np.isfinite(evaluator.deviance(theta)):
@@ -79,6 +85,11 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
         outcome = end.outcome
     else:
         outcome = Outcome.VALLEY
+    if evaluator.curvature is not None:
+        found = minimise(evaluator, _best(evaluator), most_steps=MOST_STEPS)
+        if found.outcome is Outcome.BUDGET:
+            raise Ended(Outcome.BUDGET)
+        outcome = found.outcome
     if outcome is Outcome.VALLEY and _is_on_a_kink(evaluator):
         outcome = Outcome.MINIMUM
     if outcome is Outcome.MINIMUM:
@@ -98,6 +109,8 @@ class _Watch:
         self._scales = typical_steps(evaluator.parameters)
         self._accepted: Array | None = None
         self._goal, self._n_above_goal = np.inf, 0
+        is_followed = evaluator.curvature is not None
+        self._creeping = (CREEPING_SOON, A_CREEP_SOON) if is_followed else (CREEPING, A_CREEP)
 
     def residuals(self, theta: Array) -> Array:
         residuals = self._evaluator.residuals(theta)
@@ -113,8 +126,8 @@ class _Watch:
         lowest = self._evaluator.best_deviance
         self._n_above_goal += 1
         if lowest < self._goal:
-            self._goal, self._n_above_goal = (1.0 - A_CREEP) * lowest, 0
-        if self._n_above_goal > CREEPING:
+            self._goal, self._n_above_goal = (1.0 - self._creeping[1]) * lowest, 0
+        if self._n_above_goal > self._creeping[0]:
             raise Ended(Outcome.VALLEY)
 
     def jacobian(self, theta: Array) -> Array:

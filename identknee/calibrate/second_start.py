@@ -11,6 +11,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
+from identknee.runs.words import either
 
 # Share of the objective, and objective: ends that are the same, also where a search stops early.
 ALIKE, ROUNDING = 1e-3, 1e-9
@@ -33,6 +34,12 @@ class SecondSearch:
     second: Fit
 
     @property
+    def is_better(self) -> bool:
+        """Whether the second search ended at a lower misfit."""
+        first, second = self.first.objective, self.second.objective
+        return self.second.outcome is not Outcome.START_FAILED and second < first - _alike(first)
+
+    @property
     def finding(self) -> Finding:
         """Whether both agree, as a sentence."""
         first, second = self.first.objective, self.second.objective
@@ -42,14 +49,13 @@ class SecondSearch:
                 Severity.INFO, f"No second search: at {self.name} there is no prediction either."
             )
         objectives = f"(objective {second:.4g}, here {first:.4g})"
-        alike = ALIKE * first + ROUNDING
-        if second < first - alike:
+        if self.is_better:
             return _on_starts(
                 Severity.ERROR,
                 f"Starts disagree: {ended} at a lower misfit {objectives}, so this fit is not the "
                 "best. identknee sweep tries many starts.",
             )
-        if second > first + alike:
+        if second > first + _alike(first):
             return _on_starts(
                 Severity.WARNING,
                 f"Starts disagree: {ended} at a higher misfit {objectives}. identknee sweep tries "
@@ -71,7 +77,11 @@ class SecondSearch:
         parameters = self.first.parameters
         steps = typical_steps(parameters)
         i = int(np.argmax(np.abs(self.second.theta - self.first.theta) / steps))
-        return f"{parameters.names[i]} {self.first.theta[i]:.3g} or {self.second.theta[i]:.3g}"
+        return either(parameters.names[i], self.first.theta[i], self.second.theta[i])
+
+
+def _alike(objective: float) -> float:
+    return ALIKE * objective + ROUNDING
 
 
 def second_search(problem: Problem, first: Fit) -> SecondSearch:

@@ -107,7 +107,7 @@ Workers = Annotated[
     str,
     typer.Option(
         metavar="N",
-        help="Number of parallel processes, or the address of a dask scheduler such as "
+        help="Number of processor cores to work on, or the address of a dask scheduler such as "
         "tcp://10.0.0.5:8786. The results do not depend on it.",
         callback=_workers,
     ),

@@ -90,6 +90,6 @@ def fit(
     """Fit the parameters of SUBJECT to DATA.csv.
 
     Writes the fitted parameters, the error that is left and how the search ended to
-    result.json. A search runs on one thread: more workers change nothing.
+    result.json. The load paths of each simulation are shared among the workers.
     """
     run_verb(context, ik.fit)

@@ -69,6 +69,6 @@ def simulate(
     """Simulate laxity tests of SUBJECT.
 
     Writes laxity.csv, and how each trial ended to result.json. A trial without a stable pose
-    has blank cells. It runs on one thread: more workers change nothing.
+    has blank cells.
     """
     run_verb(context, ik.simulate)

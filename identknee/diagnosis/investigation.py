@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from identknee.calibrate.doubts import bound_findings
+from identknee.calibrate.doubts import at_zero, bound_findings
 from identknee.calibrate.starts import load_start
 from identknee.diagnosis.advice.advice import Advice, advise
 from identknee.diagnosis.explanations.attribution import (
@@ -33,6 +33,7 @@ from identknee.diagnosis.score.localisation import Localisation, TrialLayout, lo
 from identknee.laxity.dominant import nominal_flexion, told_loads
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.effects.effect import Effect
+from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.soundness import stability_findings
@@ -40,6 +41,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import stage
+from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 
 DIRECTIONS = (
@@ -164,11 +166,15 @@ class Investigation:
         """What a reader must know of the fits that the diagnosis stands on."""
         findings = list(_unfinished(self.base, "without causes"))
         if self.explanation is not self.base:
-            names = " and ".join(self.explanation.names)
-            findings += _unfinished(self.explanation, f"with {names}")
+            labels = listed(map(cause_label, self.explanation.names))
+            findings += _unfinished(self.explanation, f"with {labels}")
         fitted = self.explanation.fitted
         parameters = fitted.model.parameters
-        findings += bound_findings(fitted.theta, parameters, parameters.nuisance_names)
+        # No bound stopped a part of the cause that is absent.
+        amplitudes = parameters.names[fitted.model.n_ligament_parameters :]
+        absent = (x for x in at_zero(fitted.theta, parameters) if x in amplitudes)
+        held = (*parameters.nuisance_names, *absent)
+        findings += bound_findings(fitted.theta, parameters, held)
         findings += fitted.nuisance_findings
         findings += [
             Finding(

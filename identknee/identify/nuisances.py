@@ -9,6 +9,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, Severity
+from identknee.runs.words import amount, error_words
 
 # Joint distance of a group of nuisances from their prior that is worth a word: 3 standard
 # deviations of one of them, shared by all groups that are looked at.
@@ -127,15 +128,36 @@ def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
             continue
         own = [x for name, x in values.items() if group_name(name) == group.name]
         farthest = max(own, key=lambda x: abs(x.value - x.center) / max(x.scatter, TINY))
+        unit, where = shift_words(farthest.name)
+        together = f" for its {group.n} values together" * (group.n > 1)
         sentence = (
-            f"The fit moves {group.name} beyond its stated uncertainty "
-            f"({farthest.name} {farthest.value:.3g}; of an error stated to "
-            f"{farthest.prior_sd:.3g} such data show no more than {2.0 * farthest.scatter:.2g} in "
-            f"95 % of fits; probability of all {group.n} together {group.p_value:.2g}): what is "
-            f"stated is too narrow, or another cause stands behind it.{HINT}"
+            f"The fit moves the {error_words(group.name)} beyond its stated uncertainty: by "
+            f"{amount(farthest.value - farthest.center, unit)}{where}, where an error stated to "
+            f"{amount(farthest.prior_sd, unit)} leaves at most "
+            f"{amount(2.0 * farthest.scatter, unit)} in 95 % of fits (p = {group.p_value:.2g}"
+            f"{together}). The stated uncertainty is too small, or another cause stands behind "
+            f"it.{HINT}"
         )
         found.append(Finding(severity=Severity.WARNING, sentence=sentence, where=group.name))
     return tuple(found)
+
+
+def shift_words(name: str) -> tuple[str, str]:
+    """Unit of a nuisance, and what of its group it moves.
+
+    Examples
+    --------
+    >>> shift_words("insertion.ACL_femur_x_mm"), shift_words("load_gain.varus_moment")
+    (('mm', ' along x'), ('1', ' in varus moment'))
+    """
+    *words, last = name.rpartition(".")[2].split("_")
+    unit = last if last in ("mm", "deg") else "1"
+    what = words if unit != "1" else [*words, last]
+    if what[0] == "ln":
+        return unit, " in its logarithm"
+    if what[-1] in ("x", "y", "z"):
+        return unit, f" {'along' if unit == 'mm' else 'about'} {what[-1]}"
+    return unit, "" if what == ["offset"] else f" in {' '.join(what)}"
 
 
 def group_name(name: str) -> str:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.elements import REFERENCE_DEPTH
-from identknee.mechanics.equilibria import ContactLaw, ContactPoints
+from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.placement import place
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
@@ -32,19 +32,19 @@ def contact_places(
     places = field.to_field(placement.to_femur(contact.points))
     index = np.flatnonzero(_may_touch(field, places))
     distance, outward = distances(field, places[index])
-    inside = distance < 0.0
+    inside = distance < law.rounding
     index, depth = index[inside], -distance[inside]
     jacobian = placement.jacobian(contact.points[index])
     if field.turn is not None:
         jacobian = jacobian @ field.turn.T
-    spring = law.modulus * contact.areas[index] * (depth / REFERENCE_DEPTH) ** (law.exponent - 1.0)
+    pressure, slope = law.pressure(depth)
     return ContactPlaces(
         index=index,
         femoral=places[index],
         jacobian=jacobian,
         deepening=-np.einsum("kai,ki->ka", jacobian, outward[inside]),
-        force=spring * depth,
-        stiffness=law.exponent * spring,
+        force=contact.areas[index] * pressure,
+        stiffness=contact.areas[index] * slope,
     )
 
 

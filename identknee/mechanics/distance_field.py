@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
+from identknee.mechanics.contact_law import MOST_ROUNDING
 from identknee.mechanics.elements import IS_NEAR, NEAR_CELLS
 from identknee.mechanics.memory import FieldArrays
 from identknee.runs.arrays import Array, ReachArray
@@ -22,9 +23,9 @@ class DistanceField:
 
     coefficients: Array = entry("Spline coefficients [mm], shape ``(nx, ny, nz)``")
     reach: ReachArray = entry(
-        "What each cell can hold, shape ``(nx, ny, nz)``: bits 0-7, the distance may be negative "
-        "in that eighth (the least of its Bezier coefficients is); bit 8, a cell close by has one "
-        "of those bits"
+        "What each cell can hold, shape ``(nx, ny, nz)``: bits 0-7, contact may lie in that eighth "
+        "(the least of its Bezier coefficients is below `MOST_ROUNDING`); bit 8, a cell close by "
+        "has one of those bits"
     )
     origin: Array = entry("Position of the first node [mm], shape ``(3,)``")
     spacing: float = entry("Distance between nodes [mm]")
@@ -98,17 +99,17 @@ def _reach(coefficients: Array) -> ReachArray:
     """What each cell can hold; the outermost cells, which lack support, hold nothing."""
     support = np.lib.stride_tricks.sliding_window_view(coefficients, (4, 4, 4))
     inner = (slice(1, -2),) * 3
-    # A spline lies within the hull of its coefficients; only where they differ in sign is it worth
-    # finding the tighter hull of the Bezier coefficients of each eighth of the cell.
+    # A spline lies within the hull of its coefficients; only where the rounding is among them is it
+    # worth finding the tighter hull of the Bezier coefficients of each eighth of the cell.
     lowest = minimum_filter(coefficients, size=4, origin=-1)[inner]
     highest = maximum_filter(coefficients, size=4, origin=-1)[inner]
-    holds = np.where(highest < 0.0, 255, 0)
-    undecided = np.nonzero((lowest < 0.0) & (highest >= 0.0))
+    holds = np.where(highest < MOST_ROUNDING, 255, 0)
+    undecided = np.nonzero((lowest < MOST_ROUNDING) & (highest >= MOST_ROUNDING))
     corners = support[undecided].reshape(-1, 64)
     for eighth in range(8):
         x, y, z = (_HALVES[eighth >> axis & 1] for axis in (2, 1, 0))
         bezier = corners @ np.kron(x, np.kron(y, z)).T
-        holds[undecided] |= (bezier.min(axis=1) < 0.0) << eighth
+        holds[undecided] |= (bezier.min(axis=1) < MOST_ROUNDING) << eighth
     reach = np.zeros(coefficients.shape, np.uint16)
     near = maximum_filter(np.pad(holds > 0, 1), size=2 * NEAR_CELLS + 1)[1:-1, 1:-1, 1:-1]
     reach[inner] = holds + IS_NEAR * near

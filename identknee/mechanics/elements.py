@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from identknee.mechanics.compiled import compiled
+from identknee.mechanics.contact_law import REFERENCE_DEPTH
 from identknee.mechanics.ligament_law import tension
 from identknee.mechanics.memory import N_LISTED, N_LISTINGS, N_TOUCHING
 from identknee.mechanics.spline_lanes import spline_at
@@ -19,8 +20,6 @@ from identknee.mechanics.spline_lanes import spline_at
 # the cell is near one that does.
 IS_NEAR = 256
 NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
-# mm; at this depth the pressure does not depend on the exponent of the contact law.
-REFERENCE_DEPTH = 0.3
 
 
 @compiled
@@ -89,7 +88,7 @@ def list_is_valid(R, t, radius, spacing, work):
 
 
 @compiled
-def contact_elements(R, t, exponent, field, work):
+def contact_elements(R, t, law, field, work):
     """Write an element for every point that may touch the femur; return their number and energy."""
     reach, listed, moved, which = field.reach, work.listed, work.moved, work.which
     elements, fractions, touching = work.elements, work.fractions, work.touching
@@ -119,8 +118,29 @@ def contact_elements(R, t, exponent, field, work):
         cells[i] = cells[j] - stride_x - stride_y - 1
         touching[i] = which[j]
     inverse = 1.0 / field.spacing[0]
-    energy = spline_elements(n, field.coefficients, stride_x, stride_y, inverse, exponent, work)
+    energy = spline_elements(n, field.coefficients, stride_x, stride_y, inverse, law, work)
     return n, energy
+
+
+@compiled
+def felt_depth(depth, exponent, rounding):
+    """Depth as the pressure feels it, its derivative, and the integral of its power over depth.
+
+    The integral is given for ``felt^exponent``, divided by ``felt^(exponent - 1)``, by which the
+    caller multiplies the spring.
+    """
+    if depth >= rounding and depth > 0.0:
+        if rounding == 0.0:
+            return depth, 1.0, depth * depth / (exponent + 1.0)
+        # What the rounded part holds more than the law would up to the same depth.
+        more = (rounding / depth) ** (exponent - 1.0) * rounding * rounding
+        more /= (exponent + 1.0) * (2.0 * exponent + 1.0)
+        return depth, 1.0, depth * depth / (exponent + 1.0) + more
+    reach = depth + rounding
+    if reach <= 0.0:
+        return 0.0, 0.0, 0.0
+    felt = reach * reach / (4.0 * rounding)
+    return felt, reach / (2.0 * rounding), felt * reach / (2.0 * exponent + 1.0)
 
 
 @compiled
@@ -140,11 +160,13 @@ def spline_weights(u, weights, i, first):
 
 
 @compiled
-def spline_elements(n, coefficients, stride_x, stride_y, inverse, exponent, work):
+def spline_elements(n, coefficients, stride_x, stride_y, inverse, law, work):
     """Write f and D of n contact points from the distance spline; return their energy.
 
-    The force of a point is its stiffness times ``depth (depth / REFERENCE_DEPTH)^(exponent - 1)``.
+    `law` is the exponent and the rounding of the contact law: the force of a point is its stiffness
+    times ``felt (felt / REFERENCE_DEPTH)^(exponent - 1)``, with the depth as the law feels it.
     """
+    exponent, rounding = law
     elements, fractions, cells, weights = work.elements, work.fractions, work.cells, work.weights
     for i in range(n):
         spline_weights(fractions[0, i], weights, i, 0)
@@ -155,20 +177,22 @@ def spline_elements(n, coefficients, stride_x, stride_y, inverse, exponent, work
         d, gx, gy, gz, hxx, hyy, hzz, hxy, hxz, hyz = spline_at(
             coefficients, cells[i], stride_x, stride_y, weights, i
         )
-        spring = fractions[3, i] if d < 0.0 else 0.0
-        if exponent != 1.0 and d < 0.0:
-            spring *= (-d / REFERENCE_DEPTH) ** (exponent - 1.0)
-        energy += spring * d * d / (exponent + 1.0)
-        k1 = spring * d * inverse
+        felt, steepness, work_done = felt_depth(-d, exponent, rounding)
+        spring = fractions[3, i]
+        if exponent != 1.0 and felt > 0.0:
+            spring *= (felt / REFERENCE_DEPTH) ** (exponent - 1.0)
+        energy += spring * work_done
+        k1 = -spring * felt * inverse
         k2 = spring * inverse * inverse
+        bend = exponent * steepness
         elements[3, i], elements[4, i], elements[5, i] = k1 * gx, k1 * gy, k1 * gz
-        elements[6, i] = k2 * (exponent * gx * gx + d * hxx)
-        elements[7, i] = k2 * (exponent * gy * gy + d * hyy)
-        elements[8, i] = k2 * (exponent * gz * gz + d * hzz)
-        elements[9, i] = k2 * (exponent * gx * gy + d * hxy)
-        elements[10, i] = k2 * (exponent * gx * gz + d * hxz)
-        elements[11, i] = k2 * (exponent * gy * gz + d * hyz)
-        elements[12, i] = -d
+        elements[6, i] = k2 * (bend * gx * gx - felt * hxx)
+        elements[7, i] = k2 * (bend * gy * gy - felt * hyy)
+        elements[8, i] = k2 * (bend * gz * gz - felt * hzz)
+        elements[9, i] = k2 * (bend * gx * gy - felt * hxy)
+        elements[10, i] = k2 * (bend * gx * gz - felt * hxz)
+        elements[11, i] = k2 * (bend * gy * gz - felt * hyz)
+        elements[12, i] = felt
     return energy
 
 

@@ -11,8 +11,8 @@ axes that turn with flexion: ``x_femur = R x_tibia + Rz(-flexion) (x, y, z)`` wi
 import math
 
 from identknee.mechanics.compiled import compiled
+from identknee.mechanics.contact_law import REFERENCE_DEPTH
 from identknee.mechanics.elements import (
-    REFERENCE_DEPTH,
     contact_elements,
     ligament_elements,
     line_force,
@@ -142,7 +142,8 @@ def evaluate(flexion, q, load, contact, field, ligaments, work, g, H, h):
     place_in_field(R, t, field, R_field, t_field)
     if not list_is_valid(R_field, t_field, contact.radius[0], field.spacing[0], work):
         list_candidates(R_field, t_field, contact, field, work)
-    n_contact, energy = contact_elements(R_field, t_field, contact.exponent[0], field, work)
+    law = contact.exponent[0], contact.rounding[0]
+    n_contact, energy = contact_elements(R_field, t_field, law, field, work)
     if field.is_apart[0]:
         turn_elements(n_contact, field.turn, elements)
     work.counts[N_TOUCHING] = n_contact

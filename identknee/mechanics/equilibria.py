@@ -1,11 +1,12 @@
 """Equilibria of a set of trials: the kernel's door for the rest of the package."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from identknee.mechanics import kernel
+from identknee.mechanics.branch_threads import on_branches
+from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.load_paths import LoadPaths
 from identknee.mechanics.memory import (
@@ -19,24 +20,7 @@ from identknee.mechanics.small_matrices import scale_of
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
 
-PRESSURE_MODULUS = 10.0  # N/mm3, the paper's 10 GN/m3
 TRANSITION_STRAIN = 0.03
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ContactLaw:
-    """Pressure of the contact, ``modulus depth (depth / REFERENCE_DEPTH)^(exponent - 1)``.
-
-    Attributes
-    ----------
-    modulus
-        [N/mm3], > 0.
-    exponent
-        Exponent of the depth, > 0; the paper's law has 1.
-    """
-
-    modulus: float = PRESSURE_MODULUS
-    exponent: float = 1.0
 
 
 @declared
@@ -66,6 +50,7 @@ class ContactPoints:
             stiffness=law.modulus * self.areas,
             compartment=self.compartment,
             exponent=np.array([law.exponent]),
+            rounding=np.array([law.rounding]),
         )
 
 
@@ -142,8 +127,7 @@ def solve(
         solves=np.zeros(n, np.int64),
     )
     nodes = (paths.flexion, paths.loads, paths.parent, np.array([paths.farthest]))
-    kernel.simulate_path(
-        NodeArrays(*map(_read_only, nodes)),
+    arguments = (
         np.array(np.broadcast_to(start, (n, 5)), float),
         np.zeros((n, 5)) if guesses is None else np.array(guesses),
         guesses is not None,
@@ -153,6 +137,8 @@ def solve(
         derivatives,
         found,
     )
+    tree = NodeArrays(*map(_read_only, nodes))
+    on_branches(paths.parent, lambda x: kernel.simulate_path(tree, _read_only(x), *arguments))
     return found
 
 

@@ -333,17 +333,18 @@ def write_state(state, results, n):
 
 @compiled_apart
 def simulate_path(
-    nodes, starts, guesses, has_guess, contact, field, ligaments, derivatives, results
+    nodes, chosen, starts, guesses, has_guess, contact, field, ligaments, derivatives, results
 ):
-    """Solve every node of a tree of load paths, each from its parent's state.
+    """Solve the chosen nodes of a tree of load paths, each from its parent's state.
 
-    A node n without parent starts the search at the pose ``starts[n]``. `results` are the arrays of
-    `identknee.mechanics.memory.Equilibria`, to be written to.
+    Parents come first, or were solved before. A node n without parent starts the search at the
+    pose ``starts[n]``. `results` are the arrays of `identknee.mechanics.memory.Equilibria`, to be
+    written to.
     """
     work = workspace(contact.points.shape[1], ligaments.femoral.shape[0])
     g, here, far = np.zeros(5), work.path.here, nodes.farthest[0]
     columns = np.zeros((5, results.sensitivities.shape[2]))
-    for n in range(nodes.flexion.shape[0]):
+    for n in chosen:
         before = nodes.parent[n]
         if before < 0:
             for i in range(5):

@@ -27,6 +27,8 @@ class ContactArrays(NamedTuple):
         Which tibial surface each belongs to, shape ``(n,)``.
     exponent
         Exponent of the contact law, shape ``(1,)``.
+    rounding
+        Its rounding [mm], shape ``(1,)``.
     """
 
     points: Array
@@ -34,6 +36,7 @@ class ContactArrays(NamedTuple):
     stiffness: Array
     compartment: IntArray
     exponent: Array
+    rounding: Array
 
 
 class FieldArrays(NamedTuple):

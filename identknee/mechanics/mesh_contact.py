@@ -19,7 +19,7 @@ import fcl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.mechanics.equilibria import PRESSURE_MODULUS
+from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.placement import Placement
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry

@@ -4,6 +4,7 @@ import hashlib
 import io
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from zipfile import BadZipFile
@@ -12,18 +13,20 @@ import numpy as np
 
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.compiled import cache_folder
+from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.contact_points import DEFAULT_NUMBER, contact_points
 from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
 from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.pose import start_pose
 from identknee.mechanics.rims import RimDistance, rim_distance
+from identknee.model.nuisances.library import contact_rounding
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder, write_atomically
 from identknee.subject.knee import Knee
 
-FIELD_FORMAT = b"field 3"
+FIELD_FORMAT = b"field 4"
 Sheet = tuple[Array, IntArray]
 
 
@@ -53,9 +56,12 @@ def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
     )
     insertions = np.array([x.femur for x in knee.ligaments]).reshape(-1, 3)
     tibial_insertions = np.array([x.tibia for x in knee.ligaments]).reshape(-1, 3)
+    contact, rounding = contact_points(sheets, n_points), contact_rounding(knee)
+    if rounding:
+        contact = replace(contact, law=ContactLaw(rounding=rounding))
     return Joint(
         field=_field(knee, femoral),
-        contact=contact_points(sheets, n_points),
+        contact=contact,
         lines=Lines(
             femoral=knee.femur_frame.to_local(insertions),
             tibial=knee.tibia_frame.to_local(tibial_insertions),

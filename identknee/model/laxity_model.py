@@ -10,9 +10,10 @@ import numpy as np
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
+from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.contact_points import DEFAULT_NUMBER
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactLaw, ContactPoints
+from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
@@ -230,7 +231,7 @@ class LaxityModel:
             owner=np.arange(m),
             share=np.ones(m),
             copy=np.zeros(m, int),
-            law=ContactLaw(),
+            law=self.joint.contact.law or ContactLaw(),
             start_flexion=self.joint.start_flexion,
             start=self.joint.start,
             measured=self.poses,

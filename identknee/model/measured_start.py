@@ -15,6 +15,8 @@ from identknee.subject.known_pose import KnownPose, pose_at
 
 # Trials within so many degrees of flexion of each other have one pose between them.
 POSE_EVERY_DEG = 15.0
+# Above the next longest length of a ligament no single trial stretches it so far.
+BLUNDER = 0.2
 
 
 def measured_poses(laxity: Laxity) -> Array | None:
@@ -130,7 +132,8 @@ def strains_as_measured(setting: Setting, stretch: float) -> Array:
     setting
         With measured poses.
     stretch
-        Strain of each line at the longest of its measured lengths.
+        Strain of each line at the longest of its measured lengths; at the longest but one where
+        a single pose would stretch it by a fifth more than all others, as a blunder does.
 
     Returns
     -------
@@ -146,6 +149,8 @@ def strains_as_measured(setting: Setting, stretch: float) -> Array:
         raise ValueError("strains from measured poses need a model that begins there")
     places = zip(setting.flexion.tolist(), setting.measured, strict=True)
     lines = setting.measured_lines
-    longest = np.max([line_lengths(lines, angle, pose) for angle, pose in places], axis=0)
+    lengths = np.sort([line_lengths(lines, angle, pose) for angle, pose in places], axis=0)
+    longest, others = lengths[-1], lengths[max(len(lengths) - 2, 0)]
+    longest = np.where(longest > (1.0 + BLUNDER) * others, others, longest)
     reference = np.asarray(setting.lines.reference_length)
     return np.asarray(((1.0 + stretch) * reference / longest - 1.0) / PER_PCT)

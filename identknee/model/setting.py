@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from identknee.mechanics.equilibria import ContactLaw, Lines
+from identknee.mechanics.contact_law import ContactLaw
+from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.measured_frames import MeasuredFrames
 from identknee.runs.arrays import Array, IntArray

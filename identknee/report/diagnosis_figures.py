@@ -16,9 +16,9 @@ from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.units import unit_of
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare
-from identknee.report.words import coordinate_words
 from identknee.report.wrench_figure import wrench_figure
 from identknee.runs.arrays import Array
+from identknee.runs.words import coordinate_words
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import (
     AddedVariable,

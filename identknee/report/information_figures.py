@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from identknee.identify.information.information import Information
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare
-from identknee.report.words import label_without_unit
+from identknee.runs.words import label_without_unit
 
 
 def spectrum_figure(found: Mapping[str, Information]) -> Figure:

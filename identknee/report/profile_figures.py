@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from identknee.identify.profile.hermite import cubic
 from identknee.identify.profile.result import Interval, Profile, SideStatus
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS
-from identknee.report.words import label_without_unit
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.words import label_without_unit
 
 # Nested sets beside the profile's own.
 LEVELS = (0.5, 0.8, 0.9)

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.report import words
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare
+from identknee.runs import words
 from identknee.runs.arrays import Array
 
 # From nothing to everything: dark means much, and grey prints tell the same.

@@ -46,6 +46,8 @@ class Table:
         Heads, as many as every row has cells.
     rows
         Cells: text, numbers, or None where there is nothing to say.
+    most
+        Rows that a terminal shows, the first ones; all where None.
 
     Raises
     ------
@@ -56,6 +58,7 @@ class Table:
     title: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
+    most: int | None = None
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -81,7 +84,7 @@ class Table:
     # typing.override came with Python 3.12.
     def __str__(self) -> str:  # type: ignore[explicit-override]
         """The table in columns of even width, for a terminal."""
-        rows = [[column.head for column in self.columns], *self.texts()]
+        rows = [[column.head for column in self.columns], *self.texts()[: self.most]]
         widths = [max(len(row[i]) for row in rows) for i in range(len(self.columns))]
         lines = [
             "  ".join(
@@ -90,7 +93,9 @@ class Table:
             ).rstrip()
             for row in rows
         ]
-        return "\n".join([self.title, *lines])
+        left = len(self.rows) + 1 - len(rows)
+        more = [f"and {left} more rows, which the report shows"] if left else []
+        return "\n".join([self.title, *lines, *more])
 
     def _is_text(self, i: int) -> bool:
         return i == 0 or any(isinstance(row[i], str) for row in self.rows)

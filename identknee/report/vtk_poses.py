@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from identknee.mechanics.closest_point import mesh_distance
+from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.contact_places import distances
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.elements import REFERENCE_DEPTH
-from identknee.mechanics.equilibria import ContactLaw
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_lengths
 from identknee.mechanics.placement import Placement, place
 from identknee.model.laxity_model import LaxityModel
@@ -119,11 +118,7 @@ class _Poses:
         return [to_tibia, *(_to_femur(self._field, x) for x in tibial)]
 
     def _pressure(self, gaps: Array) -> Array:
-        depth = np.nan_to_num(np.maximum(-gaps, 0.0))
-        pressure: Array = (
-            self._law.modulus * depth * (depth / REFERENCE_DEPTH) ** (self._law.exponent - 1.0)
-        )
-        return pressure
+        return self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0]
 
     def _pulled(self, trial: int) -> tuple[Array, Array]:
         """Tension [N] and strain [%] of every line."""

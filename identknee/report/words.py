@@ -1,12 +1,11 @@
-"""Names and numbers in words that need no manual."""
+"""Trials in words that need no manual."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from identknee.laxity.protocol import FLEXION, LOADS
+from identknee.runs.words import UNITS, listed
 
-MOTIONS = {"varus_deg": "varus angulation", "internal_deg": "internal rotation"}
-UNITS = {"pct": "%", "Nm": "N·m"}
 OPPOSITES = {
     "internal_moment_Nm": "external moment",
     "varus_moment_Nm": "valgus moment",
@@ -14,121 +13,6 @@ OPPOSITES = {
     "distraction_force_N": "compression",
     "lateral_force_N": "medial force",
 }
-
-
-def parameter_words(name: str) -> str:
-    """A parameter or another quantity as the subject of a sentence.
-
-    Examples
-    --------
-    >>> parameter_words("ACL.stiffness_kN")
-    "the ACL's stiffness"
-    >>> parameter_words("ACL.tension_N@flexion30_internal5")
-    "the ACL's tension in trial flexion30_internal5"
-    >>> parameter_words("varus_deg@a")
-    'varus angulation in trial a'
-    """
-    quantity, _, trial = name.partition("@")
-    owner, _, kind = quantity.rpartition(".")
-    words = coordinate_words(kind)
-    whole = f"the {owner}'s {words}" if owner else words
-    return f"{whole} in trial {trial}" if trial else whole
-
-
-def coordinate_words(name: str) -> str:
-    """A coordinate, or any name that ends in its unit, in words.
-
-    Examples
-    --------
-    >>> coordinate_words("internal_deg"), coordinate_words("anterior_drawer_mm")
-    ('internal rotation', 'anterior drawer')
-    """
-    return MOTIONS.get(name) or name.rpartition("_")[0].replace("_", " ") or name
-
-
-def label(name: str) -> str:
-    """A parameter or coordinate with its unit in brackets, for a table.
-
-    Examples
-    --------
-    >>> label("ACL.reference_strain_pct"), label("varus_deg"), label("x.total")
-    ('ACL reference strain [%]', 'varus [deg]', 'x total')
-    """
-    quantity, at, trial = name.partition("@")
-    words, _, unit = quantity.rpartition("_")
-    if not words:
-        return name.replace(".", " ")
-    plain = f"{words.replace('.', ' ').replace('_', ' ')} [{UNITS.get(unit, unit)}]"
-    return f"{plain} in {trial}" if at else plain
-
-
-def amplitude_label(name: str) -> str:
-    """An amplitude of a cause with its unit in brackets, for a table.
-
-    Examples
-    --------
-    >>> amplitude_label("medial_N_per_mm"), amplitude_label("offset_deg"), amplitude_label("gain")
-    ('medial [N/mm]', 'offset [deg]', 'gain')
-    """
-    words, per, below = name.partition("_per_")
-    plain = label(words)
-    return f"{plain.removesuffix(']')}/{UNITS.get(below, below)}]" if per else plain
-
-
-def unit_of(name: str) -> str:
-    """The unit that a name ends in, as people write it; empty where it ends in none.
-
-    Examples
-    --------
-    >>> unit_of("ACL.stiffness_kN"), unit_of("ACL.tension_N@a"), unit_of("x.value_pct")
-    ('kN', 'N', '%')
-    """
-    words, _, unit = name.partition("@")[0].rpartition("_")
-    return UNITS.get(unit, unit) if words else ""
-
-
-def label_without_unit(name: str) -> str:
-    """A parameter or force for a table whose cells have units.
-
-    Examples
-    --------
-    >>> label_without_unit("ACL.reference_strain_pct"), label_without_unit("ACL.tension_N@a")
-    ('ACL reference strain', 'ACL tension in a')
-    """
-    quantity, at, trial = name.partition("@")
-    words = (quantity.rpartition("_")[0] or quantity).replace(".", " ").replace("_", " ")
-    return f"{words} in {trial}" if at else words
-
-
-def amount(value: float | None, unit: str, digits: int = 3) -> str:
-    """A number with its unit.
-
-    Examples
-    --------
-    >>> amount(0.7766, "kN"), amount(0.08, "1"), amount(None, "kN"), amount(1234.5, "N")
-    ('0.777 kN', '0.08', 'unknown', '1230 N')
-    """
-    if value is None:
-        return "unknown"
-    number = f"{float(f'{value:.{digits}g}'):.10g}".replace("-", "−")
-    return number if unit in ("1", "") else f"{number} {unit}"
-
-
-def listed(words: Iterable[str], last: str = "and") -> str:
-    """Words as in a sentence.
-
-    Examples
-    --------
-    >>> listed(["a", "b", "c"]), listed(["a", "b"], "or")
-    ('a, b and c', 'a or b')
-    """
-    *most, end = [*words] or [""]
-    return f"{', '.join(most)} {last} {end}" if most else end
-
-
-def capital(sentence: str) -> str:
-    """The sentence with a capital letter, the rest as it is."""
-    return sentence[:1].upper() + sentence[1:]
 
 
 def trial_words(trial: Mapping[str, Any]) -> str:
@@ -150,19 +34,3 @@ def trial_words(trial: Mapping[str, Any]) -> str:
 
 def _load_name(name: str, value: float) -> str:
     return OPPOSITES[name] if value < 0 else name.rpartition("_")[0].replace("_", " ")
-
-
-def between(ends: tuple[float | None, float | None], unit: str) -> str:
-    """A range, open ends included.
-
-    Examples
-    --------
-    >>> between((1.0, 2.5), "kN"), between((1.0, None), "kN"), between((None, 2.5), "kN")
-    ('from 1 to 2.5 kN', 'from 1 kN upwards', 'up to 2.5 kN')
-    """
-    low, high = ends
-    if low is not None and high is not None:
-        return f"from {amount(low, '')} to {amount(high, unit)}"
-    if low is not None:
-        return f"from {amount(low, unit)} upwards"
-    return "any value" if high is None else f"up to {amount(high, unit)}"

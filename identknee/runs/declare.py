@@ -208,8 +208,15 @@ def _made(cls: Callable[..., Any], values: Mapping[str, Any]) -> Any:
 
 
 def _freeze(record: Any) -> None:
-    lengths = {dim: len(names) for dim, names in AXIS_NAMES.items()}
     kind: Any = type(record)
+    # Settings of the mechanics, made dozens of times a simulation, have no arrays over axes.
+    if not _has_axes(kind):
+        for name, _, _ in _given(kind):
+            value = getattr(record, name)
+            if type(value) is dict:
+                object.__setattr__(record, name, MappingProxyType(value.copy()))
+        return
+    lengths = {dim: len(names) for dim, names in AXIS_NAMES.items()}
     for name, about, may_miss in _given(kind):
         value = getattr(record, name)
         if about is not None and about.dims and not about.is_in_arrays:
@@ -230,6 +237,11 @@ def _freeze(record: Any) -> None:
 def _given(cls: Any) -> tuple[tuple[str, Entry | None, bool], ...]:
     """Name, entry and whether it may be missing, of each field that a record is made with."""
     return tuple((x.name, x.metadata.get(ENTRY), x.default is None) for x in fields(cls) if x.init)
+
+
+@cache
+def _has_axes(cls: Any) -> bool:
+    return any(about is not None and about.dims for _, about, _ in _given(cls))
 
 
 def names_within(about: Entry | None, value: Any) -> list[tuple[str, tuple[str, ...]]]:

@@ -14,6 +14,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity
+from identknee.runs.words import amount, label_without_unit, listed, unit_of
 from identknee.scrutiny.end_points import suspicious_end_points
 from identknee.scrutiny.suspicious_rows import SuspiciousRow, left_out, suspicious_rows
 
@@ -57,8 +58,10 @@ def row_findings(
     ]
     moved = np.abs(end - theta) / typical_steps(model.parameters)
     k = int(np.argmax(moved))
+    name = model.parameters.names[k]
     change = (
-        f", and {model.parameters.names[k]} changes from {theta[k]:.3g} to {end[k]:.3g}"
+        f", and the {label_without_unit(name)} changes from {amount(theta[k], '')} to "
+        f"{amount(end[k], unit_of(name))}"
         if moved[k] > WORTH
         else ""
     )
@@ -134,7 +137,7 @@ def _sentence(row: SuspiciousRow, laxity: Laxity, against: str) -> str:
     chance = f"{row.p_value:.1g}" if row.p_value >= 1e-6 else "less than 1e-06"
     return (
         f"{trial} does not agree with the other trials: under {load} "
-        f"its {_listed(said)} than {against}. In as many trials, chance alone puts one as far "
+        f"its {listed(said)} than {against}. In as many trials, chance alone puts one as far "
         f"off with probability {chance}. Check the trial, and leave its cells blank if it is wrong."
     )
 
@@ -172,8 +175,3 @@ def _each_value(laxity: Laxity) -> Array:
 def _root_mean(values: Array) -> float:
     known = values[~np.isnan(values)]
     return float(np.sqrt((known**2).mean())) if known.size else float("nan")
-
-
-def _listed(words: Sequence[str]) -> str:
-    *most, last = words
-    return f"{', '.join(most)} and {last}" if most else last

@@ -178,6 +178,7 @@ def _knee(file: Path, tables: SubjectTables) -> Knee:
             groups=tuple(groups),
             poses=poses,
             fitted=read_fitted(file.parent) if file.name == FILE else {},
+            contact_rounding_mm=tables.contact_rounding_mm,
         ),
     )
     return knee.mirrored() if tables.side == "left" else knee
@@ -259,12 +260,14 @@ def _made(file: Path, place: str, make: Callable[[], Made]) -> Made:
 
 def _text(knee: Knee, surfaces: Iterable[str]) -> str:
     """The subject.toml of a knee whose surfaces are files of these names."""
+    rounding = float(knee.contact_rounding_mm)
     lines = [
         "# A subject of identknee. Lengths in mm; frames: x anterior, y superior, z to the right.",
         f"format = {FORMAT}",
         f"name = {_toml(knee.name)}",
         f"side = {_toml(knee.side)}",
         f"description = {_toml(knee.description)}",
+        *([f"contact_rounding_mm = {_toml(rounding)}"] if rounding else []),
         "",
         "[surfaces]",
         *(f"{key} = {_toml(name)}" for key, name in zip(SURFACES, surfaces, strict=True)),

@@ -19,6 +19,8 @@ from identknee.subject.surface import Surface
 from identknee.subject.uncertainty import EXACTLY, Uncertainty
 
 Side = Literal["right", "left"]
+# mm: what the distance field allows for.
+MOST_CONTACT_ROUNDING = 0.15
 
 
 @declared
@@ -71,6 +73,9 @@ class Knee:
         Where the knee is known to be, so that searches for equilibria begin there.
     fitted
         Parameters by name at which the knee was fitted: a search starts there.
+    contact_rounding_mm
+        Rounding of the contact law with which it was fitted, 0 to 0.15: where geometry is
+        uncertain, contact begins gradually. See `identknee.mechanics.contact_law.ContactLaw`.
     femur_distance
         Signed distance [mm] of points ``(n, 3)`` to the femur, negative inside, where a closed form
         of it is known.
@@ -98,6 +103,7 @@ class Knee:
     groups: tuple[LigamentGroup, ...] = ()
     poses: tuple[KnownPose, ...] = ()
     fitted: Mapping[str, float] = field(default_factory=dict)
+    contact_rounding_mm: float = 0.0
     femur_distance: Callable[[Array], Array] | None = None
 
     __repr__ = short_repr
@@ -115,6 +121,11 @@ class Knee:
             if names.count(name) > 1:
                 kind = "ligaments" if ligaments.count(name) > 1 else "ligaments or effects"
                 raise ValueError(f"two {kind} are called {name}; rename one of them")
+        if not 0.0 <= self.contact_rounding_mm <= MOST_CONTACT_ROUNDING:
+            raise ValueError(
+                f"contact_rounding_mm must be 0 to {MOST_CONTACT_ROUNDING:g} mm, got "
+                f"{self.contact_rounding_mm:g}; leave it out for the law without rounding"
+            )
         self.uncertainty.check_ligaments(ligaments)
         check_groups(self.groups, self.ligaments)
         object.__setattr__(self, "tibia", tuple(self.tibia))

@@ -225,6 +225,7 @@ class SubjectTables(Part):
         Literal["right", "left"], otherwise("{} is no side", 'Write "right" or "left".')
     ]
     description: Text = ""
+    contact_rounding_mm: Number = 0.0
     surfaces: Annotated[SurfaceFiles, otherwise(_TABLE, "Write it below a line [surfaces].")]
     frames: Annotated[
         FrameTables | None, otherwise(_TABLE, "Write [frames.femur] and [frames.tibia].")

@@ -85,7 +85,7 @@ def diagnose(
     seed
         Seed of all random numbers.
     workers
-        Taken as by other verbs; one thread does it.
+        Threads that share the load paths of each simulation.
 
     Raises
     ------

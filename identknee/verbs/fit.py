@@ -25,6 +25,7 @@ from identknee.mechanics.load_paths import Continuation
 from identknee.model.effects.stored import choice_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import poses_of
+from identknee.model.nuisances.library import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.soundness import rim_findings, stability_findings
@@ -196,7 +197,7 @@ def fit(
     seed
         Seed of all random numbers.
     workers
-        One search is one thread: more workers change nothing.
+        Threads that share the load paths of each simulation.
 
     Raises
     ------
@@ -270,6 +271,7 @@ def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
         knee.with_effects(choices),
         fitted=dict(zip(parameters.names, theta.tolist(), strict=True)),
         poses=() if model.poses is None else poses_of(model.protocol, prediction.coordinates),
+        contact_rounding_mm=contact_rounding(knee),
     )
 
 
@@ -321,7 +323,10 @@ def _findings(
         return (*rows, *findings, *about_the_knee)
     if conventions := convention_findings(model, laxity, found.start, found.theta):
         return (*conventions, *findings, *about_the_knee)
-    return (*rows, *findings, second_search(problem, found).finding, *about_the_knee)
+    second = second_search(problem, found)
+    # What an end that is not the best leaves says nothing of data and model.
+    about_the_end = () if second.is_better else findings
+    return (*rows, *about_the_end, second.finding, *about_the_knee)
 
 
 def _states_noise(laxity: Laxity) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 
 from identknee.model.effects.insertion import AXES, BONES
 from identknee.model.nuisances.geometry import insertions
+from identknee.model.nuisances.library import contact_rounding
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.model.tied import tied
 from identknee.runs.arrays import Array
@@ -45,7 +46,8 @@ def fitted_knee(knee: Knee, answer: Answer) -> Knee:
     data = getattr(answer, "data", None)
     # The fit may have kept another pattern of the grouped bundles.
     pattern = knee if data is None else table_model(knee, data)[0].knee
-    return _with_values(knee, values, stated, pattern)
+    found = _with_values(knee, values, stated, pattern)
+    return replace(found, contact_rounding_mm=contact_rounding(stated))
 
 
 def as_fitted(knee: Knee) -> Knee:

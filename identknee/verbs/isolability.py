@@ -88,7 +88,7 @@ def isolability(
     seed
         Seed of all random numbers.
     workers
-        Taken as by other verbs; one thread does it.
+        Threads that share the load paths of each simulation.
 
     Raises
     ------

@@ -22,6 +22,8 @@ def knee_digest(knee: Knee) -> str:
     further = (knee.groups, known, sorted(knee.fitted.items()))
     if further != ((), [], []):
         parts.append(repr(further).encode())
+    if knee.contact_rounding_mm:
+        parts.append(f"contact rounding {knee.contact_rounding_mm}".encode())
     for surface in (knee.femur, *knee.tibia):
         parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
     for frame in (knee.femur_frame, knee.tibia_frame):

@@ -6,6 +6,7 @@ from typing import Any, get_args
 
 from identknee.calibrate.starts import load_start
 from identknee.laxity.cells import OPENSIM
+from identknee.laxity.named_tables import TABLES
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.rmse import LaxityError, laxity_rmse
@@ -154,9 +155,9 @@ def simulate(
         A knee, its folder, or the name of one that comes with identknee.
     protocol
         Trials: ``"seed63"``, ``"table2"``, ``"drawer"``, a TOML file, a `Protocol`, or a laxity
-        table (CSV), whose trials are run as a fit to it would run them, and whose values are
-        compared with. A subject that was fitted begins at the poses of its fit instead of the
-        measured ones.
+        table (CSV, or ``"s192803"``), whose trials are run as a fit to it would run them, and whose
+        values are compared with. A subject that was fitted begins at the poses of its fit instead
+        of the measured ones.
     values
         Parameters other than those of `start`, such as ``{"ACL.stiffness_kN": 9.5}``.
     start
@@ -174,7 +175,7 @@ def simulate(
     seed
         Seed of the noise.
     workers
-        One thread does it: more workers change nothing.
+        Threads that share the load paths of the simulation.
 
     Raises
     ------
@@ -229,7 +230,7 @@ def simulate(
 def _tests(protocol: str | Protocol) -> Protocol | Laxity:
     if isinstance(protocol, Protocol):
         return protocol
-    is_table = Path(protocol).suffix.lower() in (".csv", *OPENSIM)
+    is_table = protocol in TABLES or Path(protocol).suffix.lower() in (".csv", *OPENSIM)
     return read_laxity(protocol, is_measured=False) if is_table else load_protocol(protocol)
 
 

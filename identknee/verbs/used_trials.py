@@ -199,7 +199,7 @@ class TrialSearch:
         return theta
 
     def _regained(self, theta: Array) -> Fit:
-        """The last fit of a few, each with the loads that trials bear where the one before ended.
+        """The best fit of a few, each with the loads that trials bear where the one before ended.
 
         It ends where all trials bear their load, or where they bear no more than before.
         """
@@ -214,7 +214,8 @@ class TrialSearch:
             found = fit(self.problem(part), theta, budget=BUDGET, fixed=self.fixed)
             made.append(found)
             theta = found.theta
-        return replace(made[-1], n_simulations=sum(x.n_simulations for x in made))
+        best = max(made, key=lambda x: self._worth(x.theta))
+        return replace(best, n_simulations=sum(x.n_simulations for x in made))
 
     def _borne(self, theta: Array) -> Array:
         """The largest share of its load that each trial bears, -1 where none, shape ``(n,)``."""

@@ -12,6 +12,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
+from identknee.mechanics.branch_threads import branch_threads
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.runs.executors import Executor
 from identknee.runs.files import PathLike, digest, prepare_folder
@@ -26,7 +27,7 @@ from identknee.subject.uncertainty import with_stated
 from identknee.verbs.answer import Answer
 from identknee.verbs.knee_digest import knee_digest
 
-WORK = "unfinished.sqlite"
+WORK = "work.sqlite"
 # What cannot change a number; everything else decides whether stored work may be resumed. Of
 # subject and data the content decides, whatever they are called and wherever they stand.
 NOT_DECIDING = frozenset({"out", "workers", "subject", "data"})
@@ -190,11 +191,14 @@ def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator
     told = {key: x for key, x in settings.items() if key not in secret}
     recording = record(name, told, inputs, arguments.get("seed"))
     deciding = {key: x for key, x in settings.items() if key not in beside}
+    workers = arguments.get("workers", 1)
     with ExitStack() as stack:
+        # What other processes do not take is shared by threads of this one.
+        stack.enter_context(branch_threads(workers if isinstance(workers, int) else 1))
         run = Run(
             knee=knee,
             measured=laxity,
-            workers=arguments.get("workers", 1),
+            workers=workers,
             out=folder,
             deciding={"verb": name, "inputs": inputs, **deciding},
             _stack=stack,

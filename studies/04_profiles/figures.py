@@ -15,8 +15,8 @@ from profile_tables import tables
 import identknee as ik
 from identknee.calibrate.scales import typical_steps
 from identknee.report.figures import COLOURS, MARKERS, STYLES, bare
-from identknee.report.words import label, label_without_unit
 from identknee.runs.plain_records import from_plain
+from identknee.runs.words import label, label_without_unit
 
 # Parameters drawn in colour on each panel of paths: those that move most.
 N_COMPENSATORS = 3

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import identknee as ik
 from identknee.report.answers.sample import CONDITIONS
 from identknee.report.figures import BLACK, COLOURS, SMALL, STYLES, bare
-from identknee.report.words import label
+from identknee.runs.words import label
 
 KNEE = "reference"
 # Steps after burn-in must be so many autocorrelation times.

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import identknee as ik
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare, legend_below
-from identknee.report.words import coordinate_words, label
+from identknee.runs.words import coordinate_words, label
 
 KNEE = "reference"
 # What a clinician turns the knee by, at its middle angle.

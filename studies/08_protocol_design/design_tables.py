@@ -7,7 +7,7 @@ import numpy as np
 from common.page import Cell, table
 
 import identknee as ik
-from identknee.report.words import label
+from identknee.runs.words import label
 
 Row = Mapping[str, Any]
 

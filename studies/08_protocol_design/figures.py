@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import identknee as ik
 from identknee.report.design_figures import intervals_figure
-from identknee.report.words import label
+from identknee.runs.words import label
 
 
 def main() -> None:

@@ -46,6 +46,8 @@ SIGN_OF = {
     Ending.WRONG: "WRONG",
 }
 MOST_RATIO = 3.0
+# Of an interval that the data leave open.
+NO_END = (-np.inf, np.inf)
 Row = Mapping[str, Any]
 
 
@@ -185,8 +187,9 @@ def amplitudes_figure(cases: Sequence[Row]) -> Figure:
         found = [(x, a) for x in cases for a in x["amplitudes"] if a["name"] == name]
         for k, (x, a) in enumerate(found):
             kind = ending(x)
-            value, low, high = (y / a["true"] for y in (a["found"], *a["ci95"]))
-            low, high = min(low, high), max(low, high)
+            ends = (y if y is not None else z for y, z in zip(a["ci95"], NO_END, strict=True))
+            low, high = sorted(y / a["true"] for y in ends)
+            value = a["found"] / a["true"]
             place = row + 0.6 * ((k + 0.5) / len(found) - 0.5)
             axes.plot(np.clip([low, high], 0.0, MOST_RATIO), [place] * 2, color=COLOUR_OF[kind])
             axes.plot(

@@ -8,7 +8,7 @@ from common.page import table
 
 import identknee as ik
 from identknee.model.effects.facts import cause_label
-from identknee.report.words import amplitude_label, label
+from identknee.runs.words import amplitude_label, label
 
 PAPER = "the paper's model"
 PUBLISHED = "as printed (0.4 to 4.6)"

@@ -18,7 +18,7 @@ from page_tables import (
 )
 
 import identknee as ik
-from identknee.report.words import label
+from identknee.runs.words import label
 
 # Ends of polishing that are the truth differ from it by rounding, in kN and %.
 AT_TRUTH = 1e-3

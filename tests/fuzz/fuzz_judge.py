@@ -116,7 +116,7 @@ def _check_folder(out: Path | None, code: int) -> None:
     has_result = (out / "result.json").exists()
     if has_result:
         json.loads((out / "result.json").read_text(encoding="utf-8"))
-    elif code == 2 and [x for x in out.iterdir() if x.name != "unfinished.sqlite"]:
+    elif code == 2 and [x for x in out.iterdir() if x.name != "work.sqlite"]:
         raise AssertionError(f"half-written: {sorted(x.name for x in out.iterdir())}")
 
 

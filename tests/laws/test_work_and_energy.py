@@ -14,7 +14,7 @@ from evaluation import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identknee.mechanics.equilibria import PRESSURE_MODULUS
+from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel

@@ -1,6 +1,6 @@
 """Where in the protocol a model is wrong: which coordinate, at which flexion, under which load."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +9,7 @@ from identknee.diagnosis.noise.noise_model import NoiseModel
 from identknee.diagnosis.score.misfit import Projector
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, entry
+from identknee.runs.words import listed
 
 LEVEL = 0.05
 N_DRAWS = 4000
@@ -232,12 +233,6 @@ def _places(region: Sequence[CellScore]) -> list[str]:
     }
     places = []
     for shared in dict.fromkeys(angles.values()):
-        directions = _listed(x for x, own in angles.items() if own == shared)
-        places.append(f"under {directions} at {_listed(f'{x:g}' for x in shared)} deg")
+        directions = listed(x for x, own in angles.items() if own == shared)
+        places.append(f"under {directions} at {listed(f'{x:g}' for x in shared)} deg")
     return places
-
-
-def _listed(words: Iterable[str]) -> str:
-    """Words as in a sentence: ``a, b and c``."""
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last

@@ -20,6 +20,8 @@ Scale = Literal["known", "unknown"]
 N_DRAWS = 4000
 # The probability of a false alarm at which the quantile is taken.
 LEVEL = 0.05
+# A z-score below it is the root of a rounding error, and would order causes by the processor.
+ROUNDED_SCORE = 1e-6
 # An effect that would be found this often counts as one the data can exclude.
 HIGH_POWER = 0.75
 POWER_DRAWS, POWER_SEED = 1000, 0
@@ -246,7 +248,8 @@ def _trials_factors(scores: Array, signatures: Sequence[ProjectedSignature]) -> 
 def _corrected(scores: Array, trials_factors: Array) -> Array:
     """Z-scores as rare as the largest of so many independent ones, 0 at least."""
     log_tails = log_tail_of_z_score(scores) + np.log(trials_factors)
-    return np.asarray(np.maximum(z_score_of_log_tail(log_tails), 0.0))
+    corrected = z_score_of_log_tail(log_tails)
+    return np.where(corrected < ROUNDED_SCORE, 0.0, corrected)
 
 
 @unique

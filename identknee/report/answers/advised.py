@@ -4,8 +4,9 @@ from collections import Counter
 from collections.abc import Sequence
 
 from identknee.report.tables import Column, Table
-from identknee.report.words import listed, trial_words
+from identknee.report.words import trial_words
 from identknee.runs.plain_records import summary_of
+from identknee.runs.words import listed
 from identknee.verbs.trials import AdvisedTrial
 
 

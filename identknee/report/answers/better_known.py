@@ -9,7 +9,8 @@ from identknee.identify.design.better_known import SHARE
 from identknee.identify.nuisances import NuisanceEstimate, group_name
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import label_without_unit, parameter_words, trial_words
+from identknee.report.words import trial_words
+from identknee.runs.words import error_words, label_without_unit, parameter_words
 from identknee.verbs.design import Design
 
 MOST_ROWS = 12
@@ -74,16 +75,6 @@ def _most(answer: Design, row: dict[str, Any]) -> tuple[str, float]:
 
 def _trial(answer: Design, name: str) -> str:
     return trial_words(answer.candidate(answer.choice.names.index(name)))
-
-
-def error_words(name: str) -> str:
-    """A stated error in words, without its article."""
-    kind, _, place = name.partition(".")
-    words = kind.replace("_", " ")
-    if not place:
-        return words
-    ligament, _, bone = place.rpartition("_")
-    return f"{ligament} {words} on the {bone}" if ligament else f"{words} of the {bone}"
 
 
 def sizes_words(nuisances: Sequence[NuisanceEstimate], name: str) -> str:

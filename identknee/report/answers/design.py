@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from identknee.report.answers.better_known import better_known_statements
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import capital, label, listed, parameter_words, trial_words
+from identknee.report.words import trial_words
+from identknee.runs.words import capital, label, listed, parameter_words
 from identknee.verbs.design import ADVICE, Design
 
 # Beyond so many, targets are counted and not named.

@@ -1,10 +1,11 @@
 """What a diagnosis says: what the model gets wrong, why, and which tests would tell more."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from typing import TypeVar
 
 from identknee.diagnosis.explanations.candidates import Exclusion
+from identknee.diagnosis.explanations.causes import Estimate
 from identknee.diagnosis.explanations.refit import RivalState
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.gain.folds import FLEXION
@@ -12,14 +13,15 @@ from identknee.diagnosis.score.score import Cell
 from identknee.identify.laplace import Interval
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
 from identknee.report.answers.advised import trial_table, trials_words
-from identknee.report.answers.better_known import error_words, sizes_words
+from identknee.report.answers.better_known import sizes_words
 from identknee.report.answers.isolability import SIZES, sizes_seen
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import (
+from identknee.runs.words import (
     amount,
     amplitude_label,
     coordinate_words,
+    error_words,
     label,
     listed,
     parameter_words,
@@ -30,6 +32,8 @@ from identknee.verbs.diagnosis_gain import FamilyGain, GainFound
 Value = TypeVar("Value")
 HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested."
 MOST_PARAMETERS = 3
+# Amplitudes of a cause that a terminal shows.
+MOST_AMPLITUDES = 12
 # Standard errors from which on a gain on trials held out is one.
 LEAST_GAIN = 2.0
 FOUND = {
@@ -123,6 +127,15 @@ def _reasons(answer: Diagnosis) -> Table:
     )
 
 
+def _largest_first(
+    amplitudes: Collection[tuple[str, Estimate]],
+) -> Sequence[tuple[str, Estimate]]:
+    """The amplitudes as they are, or where they are many the largest first."""
+    if len(amplitudes) <= MOST_AMPLITUDES:
+        return [*amplitudes]
+    return sorted(amplitudes, key=lambda x: -abs(x[1].value))
+
+
 def _sizes(causes: Sequence[CauseFound]) -> Table:
     # What is plausible is known of a cause's size, which is its first amplitude.
     rows = tuple(
@@ -133,7 +146,7 @@ def _sizes(causes: Sequence[CauseFound]) -> Table:
             cause.source if k == 0 else "",
         )
         for cause in causes
-        for k, (name, x) in enumerate(cause.parameters.items())
+        for k, (name, x) in enumerate(_largest_first(cause.parameters.items()))
     )
     columns = (
         Column(name="amplitude"),
@@ -142,7 +155,7 @@ def _sizes(causes: Sequence[CauseFound]) -> Table:
         Column(name="to", decimals=None),
         Column(name="plausible size"),
     )
-    return Table(title="Size of the cause", columns=columns, rows=rows)
+    return Table(title="Size of the cause", columns=columns, rows=rows, most=MOST_AMPLITUDES)
 
 
 def _compared(rivals: Sequence[RivalFound]) -> Table:

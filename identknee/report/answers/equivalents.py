@@ -6,7 +6,7 @@ from identknee.identify.equivalents.equivalents import Extrema
 from identknee.identify.equivalents.extremum import End
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import amount, between, label, parameter_words
+from identknee.runs.words import amount, between, label, parameter_words
 from identknee.verbs.equivalents import Equivalents
 
 STIFFNESS = "stiffness_kN"

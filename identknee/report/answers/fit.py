@@ -6,14 +6,16 @@ import numpy as np
 
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import amount, coordinate_words, label, listed, unit_of
 from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
+from identknee.runs.words import amount, coordinate_words, label, listed, unit_of
 from identknee.verbs.fit import Calibration
 from identknee.verbs.held_out import HeldOut
 
 # Below it an error is that of rounding, mm or deg.
 NO_ERROR = 1e-4
+# Stated errors that a terminal shows.
+MOST_ERRORS = 8
 
 
 def fit_statements(answer: Calibration) -> Iterator[Statement]:
@@ -95,13 +97,15 @@ def _table(answer: Calibration) -> Table:
 
 def _nuisances(answer: Calibration) -> Iterator[Table]:
     if answer.nuisances:
+        moved = sorted(answer.nuisances, key=lambda x: -abs(x.away))
         yield Table(
-            title="Stated errors of geometry and tests at the fit",
+            title="Stated errors of geometry and tests at the fit, those moved most first",
             columns=(
                 Column(name="error"),
                 Column(name="fitted", decimals=None),
                 Column(name="sd", decimals=None),
                 Column(name="stated sd", decimals=None),
             ),
-            rows=tuple((label(x.name), x.value, x.sd, x.prior_sd) for x in answer.nuisances),
+            rows=tuple((label(x.name), x.value, x.sd, x.prior_sd) for x in moved),
+            most=MOST_ERRORS,
         )

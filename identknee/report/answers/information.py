@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from identknee.identify.information.information import Information
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import label, label_without_unit, listed, parameter_words
+from identknee.runs.words import label, label_without_unit, listed, parameter_words
 from identknee.verbs.information import LocalIdentifiability
 
 

@@ -7,7 +7,7 @@ from identknee.model.effects.facts import cause_label
 from identknee.report.answers.advised import trial_table, trials_words
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import amount, listed
+from identknee.runs.words import amount, listed
 from identknee.verbs.isolability import Isolability
 from identknee.verbs.trials import AdvisedTrial
 

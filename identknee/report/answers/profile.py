@@ -6,7 +6,7 @@ from identknee.identify.profile.pairs import PairProfile
 from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import amount, between, capital, label, listed, parameter_words
+from identknee.runs.words import amount, between, capital, label, listed, parameter_words
 from identknee.verbs.profile import Profiles
 
 STIFFNESS = "stiffness_kN"
@@ -34,12 +34,13 @@ def parameter_statements(profiles: Sequence[Profile], given: str = "") -> Iterat
     """
     stiffness = [x for x in profiles if x.name.endswith(STIFFNESS)]
     others = [x for x in profiles if not x.name.endswith(STIFFNESS)]
-    for k, group in enumerate(x for x in (stiffness, others) if x):
+    groups = (("stiffness", stiffness), ("other quantities", others))
+    for k, (kind, group) in enumerate((name, x) for name, x in groups if x):
         first = [capital(f"{given}{_how_many(profiles)}")] if k == 0 else []
         yield Statement(
             question=Question.KNOWN,
             sentence=" ".join([*first, _one_by_one(group)]),
-            tables=(_table(group, f"{100 * group[0].level:g} % intervals by profile likelihood"),),
+            tables=(_table(group, f"{100 * group[0].level:g} % profile intervals of {kind}"),),
             is_answer=k == 0,
         )
 

@@ -7,7 +7,7 @@ import numpy as np
 from identknee.identify.posterior.convergence import SampleOutcome
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import between, label, listed, parameter_words
+from identknee.runs.words import between, label, listed, parameter_words
 from identknee.verbs.sample import Sample
 from identknee.verbs.sample_records import Marginal, Nested
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from identknee.identify.sensitivity.sensitivity import Sensitivity
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import coordinate_words, label, parameter_words
+from identknee.runs.words import coordinate_words, label, parameter_words
 from identknee.verbs.sensitivity import GlobalSensitivity
 
 METHODS = {"morris": "Morris's elementary effects", "sobol": "Sobol's total index"}

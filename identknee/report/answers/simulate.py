@@ -8,8 +8,8 @@ from identknee.laxity.rmse import LaxityError
 from identknee.laxity.table import COORDINATES
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import amount, label_without_unit, listed, unit_of
 from identknee.runs.outcome import Outcome
+from identknee.runs.words import amount, label_without_unit, listed, unit_of
 from identknee.verbs.simulate import Simulation
 
 

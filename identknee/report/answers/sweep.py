@@ -8,8 +8,8 @@ from identknee.identify.sweep.recovery import Recovery
 from identknee.identify.sweep.survey import END, POLISHED, Survey
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import label, listed
 from identknee.runs.outcome import Outcome
+from identknee.runs.words import label, listed
 from identknee.verbs.sweep import Sweep
 
 SHARES = "share of all starts"

@@ -1,6 +1,6 @@
 """What an answer takes for granted: the trials that it rests on, and its assumptions."""
 
-from identknee.report.words import listed
+from identknee.runs.words import listed
 from identknee.verbs.answer import Answer
 
 # So many trials are listed by name.

@@ -6,7 +6,7 @@ from enum import Enum, unique
 from math import inf, isinf, sqrt
 
 from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source
-from identknee.report.words import between, listed
+from identknee.runs.words import between, listed
 
 # Ends as near as this share of a set's width are the same for every purpose.
 NEAR = 0.15

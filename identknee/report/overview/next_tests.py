@@ -5,8 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from identknee.model.effects.facts import cause_label
-from identknee.report.words import between, listed, parameter_words, trial_words, unit_of
+from identknee.report.words import trial_words
 from identknee.runs.plain_records import summary_of
+from identknee.runs.words import between, listed, parameter_words, unit_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.design import Design
 from identknee.verbs.diagnosis import Diagnosis

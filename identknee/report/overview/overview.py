@@ -13,14 +13,14 @@ from identknee.report.overview.agreement import Agreement, agreement, reasons
 from identknee.report.overview.next_tests import next_tests
 from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source, ranges_of
 from identknee.report.overview.searches import disagreement, searches_sentences
-from identknee.report.words import (
+from identknee.report.words import trial_words
+from identknee.runs.words import (
     amount,
     between,
     capital,
     label_without_unit,
     listed,
     parameter_words,
-    trial_words,
     unit_of,
 )
 from identknee.verbs.answer import Answer

@@ -4,11 +4,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from identknee.calibrate.second_start import ALIKE
 from identknee.identify.sweep.survey import WITHIN
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.statements import statements_of
-from identknee.report.words import amount, listed, parameter_words, unit_of
 from identknee.runs.outcome import Outcome
+from identknee.runs.words import amount, listed, parameter_words, unit_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.fit import Calibration
 from identknee.verbs.sweep import Sweep
@@ -41,6 +42,19 @@ def disagreement(answers: Sequence[Answer]) -> str:
     """That fits from different starts end at different parameters; empty where they do not."""
     return _disagreement(
         {x: y for x, y in _fits(answers).items() if y.outcome is not Outcome.START_FAILED}
+    )
+
+
+def is_beaten(fit: Calibration, others: Iterable[Calibration]) -> bool:
+    """Whether another fit of the same data leaves less, of lengths as of angles."""
+    return fit.rmse.n_compared > 0 and any(
+        np.array_equal(x.data.coordinates, fit.data.coordinates, equal_nan=True)
+        and x.rmse.n_compared >= fit.rmse.n_compared
+        and all(
+            np.isnan(own) or own > (1.0 + ALIKE) * other
+            for own, other in ((fit.rmse.mm, x.rmse.mm), (fit.rmse.deg, x.rmse.deg))
+        )
+        for x in others
     )
 
 

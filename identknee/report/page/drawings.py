@@ -21,8 +21,8 @@ from identknee.report.sample_figures import corner_figure, forces_figure, prior_
 from identknee.report.sensitivity_figures import effects_figure, map_figure
 from identknee.report.starts_figure import starts_figure
 from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
-from identknee.report.words import label, label_without_unit, listed
 from identknee.runs.arrays import Array
+from identknee.runs.words import label, label_without_unit, listed
 from identknee.verbs.demo import Demonstration
 from identknee.verbs.equivalents import Equivalents
 from identknee.verbs.information import LocalIdentifiability

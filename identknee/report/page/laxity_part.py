@@ -14,8 +14,8 @@ from identknee.report.laxity_figures import (
 )
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Findings, Result
-from identknee.report.words import listed
 from identknee.runs.arrays import Array
+from identknee.runs.words import listed
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.equivalents import Equivalents

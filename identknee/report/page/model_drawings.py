@@ -18,9 +18,9 @@ from identknee.report.diagnosis_figures import (
 from identknee.report.diagnosis_files import distances_of
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.results import Result
-from identknee.report.words import label, listed
 from identknee.report.wrench_figure import wrench_figure
 from identknee.runs.arrays import Array
+from identknee.runs.words import label, listed
 from identknee.verbs.design import Design
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.isolability import Isolability

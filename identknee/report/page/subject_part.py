@@ -1,13 +1,14 @@
 """All there is to say of one subject: the answer, then its parts, then how it was computed."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.report.answers.statements import statements_of
 from identknee.report.answers.taken import taken_for_granted
 from identknee.report.overview.overview import KNOWN, Overview, Tone, overview
+from identknee.report.overview.searches import is_beaten
 from identknee.report.page.computed_part import computed_html, further_html, short_path
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
@@ -30,6 +31,7 @@ from identknee.report.page.warnings import warnings
 from identknee.report.statement import Question, Statement
 from identknee.runs.progress import progress
 from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.fit import Calibration
 
 PLACES = dict.fromkeys(("diagnose", "isolability"), Question.WRONG)
 PLACES |= {"design": Question.NEXT, "sweep": Question.SEARCH}
@@ -75,10 +77,11 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
     """
     merged = findings.merged
     main = overview([x.answer for x in findings.of_main_data])
+    fits = [x.answer for x in merged.results if isinstance(x.answer, Calibration)]
     said = [
         _Said(finding=x, source=_source(result))
         for result in merged.results
-        for x in (*warnings(result), *_statements(result))
+        for x in (*_warnings(result, fits), *_statements(result))
     ]
     cautions = [x.finding.sentence for x in said if x.finding.is_warning]
     figures = _figures(merged, number)
@@ -98,6 +101,14 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
     contents = element("nav", links, aria_label=f"Contents, subject {findings.title}")
     first, *others = [section(*x, level=level) for x in shown]
     return first + contents + "".join(others)
+
+
+def _warnings(result: Result, fits: Sequence[Calibration]) -> Iterator[Statement]:
+    """What a result says against itself; of a fit that another beats, none leads the page."""
+    answer = result.answer
+    is_past = isinstance(answer, Calibration) and is_beaten(answer, fits)
+    for x in warnings(result):
+        yield replace(x, question=Question.SEARCH, is_warning=False) if is_past else x
 
 
 def _statements(result: Result) -> Iterable[Statement]:

@@ -8,6 +8,7 @@ from scipy import stats
 
 from identknee.calibrate.doubts import (
     IMPROBABLE,
+    at_zero,
     bound_findings,
     misfit_findings,
     start_findings,
@@ -82,10 +83,16 @@ def test_parameters_at_either_bound_are_named(parameters: Parameters) -> None:
     (found,) = bound_findings(theta, parameters)
     assert (found.severity, found.where) == (Severity.WARNING, "parameters")
     assert "2 parameters stand at a bound" in found.sentence
-    assert "ACL.stiffness_kN (40) and PCL.stiffness_kN (0)" in found.sentence
+    assert "ACL stiffness (40 kN) and PCL stiffness (0 kN)" in found.sentence
     # What the user holds there is no finding.
     (one,) = bound_findings(theta, parameters, fixed=["PCL.stiffness_kN"])
     assert "1 parameter stands" in one.sentence
+
+
+def test_what_stands_at_a_bound_of_zero_is_absent(parameters: Parameters) -> None:
+    assert at_zero(np.array([10.0, 0.0, 8.0]), parameters) == ("PCL.stiffness_kN",)
+    # Neither a value next to zero, nor one of zero within its bounds.
+    assert at_zero(np.array([10.0, 1e-3, 0.0]), parameters) == ()
 
 
 def test_starts_that_fit_as_well_elsewhere_disagree(parameters: Parameters) -> None:
@@ -97,7 +104,7 @@ def test_starts_that_fit_as_well_elsewhere_disagree(parameters: Parameters) -> N
     (found,) = start_findings(thetas, np.array([300.0, 300.01, 303.5]), parameters)
     assert (found.severity, found.where) == (Severity.WARNING, "starts")
     assert "1 of 3 ended at other parameters" in found.sentence
-    assert "PCL.stiffness_kN 18 or 24" in found.sentence
+    assert "PCL stiffness 18 or 24 kN" in found.sentence
 
 
 def test_a_minimum_that_one_start_alone_found_is_doubtful(parameters: Parameters) -> None:
@@ -139,7 +146,7 @@ class TwoWells:
     [
         (35.0, 0.5, Severity.ERROR, "ended at a lower misfit"),
         (5.0, 0.0, Severity.INFO, "the start is not the reason"),
-        (35.0, 0.0, Severity.WARNING, "other parameters (ACL.stiffness_kN 30 or 8)"),
+        (35.0, 0.0, Severity.WARNING, "other parameters (ACL stiffness 30 or 8 kN)"),
     ],
 )
 def test_a_second_search_says_whether_both_agree(
@@ -152,6 +159,7 @@ def test_a_second_search_says_whether_both_agree(
     found = again.finding
     assert (found.severity, found.where) == (severity, "starts")
     assert said in found.sentence
+    assert again.is_better is (severity is Severity.ERROR)
 
 
 def test_a_second_search_that_ends_higher_is_a_disagreement(parameters: Parameters) -> None:

@@ -8,7 +8,14 @@ from linear_data import N_PARAMETERS, LinearFit, library, linear_fit, signature
 from scipy.stats import norm
 
 from identknee.diagnosis.score.misfit import Projector
-from identknee.diagnosis.score.score import LEVEL, N_DRAWS, Scale, ScoreTest, score_test
+from identknee.diagnosis.score.score import (
+    LEVEL,
+    N_DRAWS,
+    Scale,
+    ScoreTest,
+    _corrected,
+    score_test,
+)
 from identknee.runs.arrays import Array
 
 N_NULLS = 4000
@@ -197,3 +204,11 @@ def test_an_effect_of_one_sign_scores_on_its_own_side(fit: LinearFit) -> None:
         (amplitude,) = seen.candidates[0].amplitude
         assert amplitude == pytest.approx(0.5 * sign, rel=1e-3)
         assert unseen.candidates[0].amplitude.tolist() == [0.0]
+
+
+def test_effects_that_explain_nothing_score_zero_in_the_order_of_the_library() -> None:
+    """The root of a rounding error is about 1e-8, and differs between processors."""
+    z_scores = np.array([[0.0, 1e-9, 2e-8, 1e-5, 2.0]])
+    np.testing.assert_allclose(
+        _corrected(z_scores, np.ones(5)), [[0.0, 0.0, 0.0, 1e-5, 2.0]], rtol=1e-5
+    )

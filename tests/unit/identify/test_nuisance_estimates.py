@@ -93,7 +93,8 @@ def test_a_nuisance_far_out_is_a_finding_with_its_name(problem: Linear) -> None:
     far = Linear(design=problem.design, data=problem.design @ [0.0, 0.0, 12.0, 0.0])
     whole = with_nuisance_priors(far)
     (finding,) = nuisance_findings(whole, fit(whole, np.zeros(4)).theta)
-    assert "insertion.ACL_femur" in finding.sentence
-    assert "insertion.ACL_femur_x_mm" in finding.sentence
+    assert finding.where == "insertion.ACL_femur"
+    assert "the ACL insertion on the femur beyond its stated uncertainty: by" in finding.sentence
+    assert " mm along x, where an error stated to" in finding.sentence
     whole = with_nuisance_priors(problem)
     assert nuisance_findings(whole, fit(whole, np.zeros(4)).theta) == ()

@@ -8,8 +8,8 @@ from evaluation import NO_LOAD, Evaluator, field_values
 from small_knee import small_knee, small_protocol
 from tolerances import CLOSED_FORM, DIFFERENCE
 
+from identknee.mechanics.contact_law import MOST_ROUNDING, ContactLaw
 from identknee.mechanics.contact_places import contact_places, distances
-from identknee.mechanics.equilibria import ContactLaw
 from identknee.model.joint import Joint, joint_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -41,7 +41,15 @@ def test_distances_are_those_of_the_spline(joint: Joint) -> None:
         np.testing.assert_allclose(gradient[:, axis], difference, atol=DIFFERENCE)
 
 
-@pytest.mark.parametrize("law", [ContactLaw(), ContactLaw(modulus=4.0, exponent=1.5)])
+@pytest.mark.parametrize(
+    "law",
+    [
+        ContactLaw(),
+        ContactLaw(modulus=4.0, exponent=1.5),
+        ContactLaw(rounding=MOST_ROUNDING),
+        ContactLaw(exponent=1.3, rounding=0.05),
+    ],
+)
 def test_forces_are_those_of_the_kernel(law: ContactLaw, joint: Joint, pose: Array) -> None:
     contact = replace(joint.contact, law=law)
     evaluator = Evaluator(replace(joint, contact=contact))

@@ -12,8 +12,8 @@ from evaluation import (
 )
 from tolerances import CLOSED_FORM, DERIVATIVE
 
+from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.elements import contact_centres, spline_weights
-from identknee.mechanics.equilibria import PRESSURE_MODULUS
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array

@@ -5,8 +5,8 @@ import pytest
 from evaluation import SCALE, Evaluator, random_parameters
 from tolerances import CLOSED_FORM, DIFFERENCE, RESIDUAL_N
 
+from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.equilibria import (
-    PRESSURE_MODULUS,
     TRANSITION_STRAIN,
     ContactPoints,
     Lines,
@@ -105,7 +105,7 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
         areas=np.array([2.0, 0.5]),
         compartment=np.array([0, 1]),
     )
-    points, radius, stiffness, compartment, law = contact.arrays()
+    points, radius, stiffness, compartment, exponent, rounding = contact.arrays()
     assert points.shape == (3, 2)
     assert points.flags.c_contiguous
     assert radius[0] >= 5.0
@@ -117,7 +117,7 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
     )
     _, _, properties = lines.arrays(np.array([8000.0]), np.array([0.02]))
     assert properties[0].tolist() == [8000.0, 0.02, 3.0**0.5, TRANSITION_STRAIN, 0.0, 0.5]
-    assert law.tolist() == [1.0]
+    assert (exponent.tolist(), rounding.tolist()) == ([1.0], [0.0])
 
 
 def test_points_of_the_wrong_shape_are_refused() -> None:

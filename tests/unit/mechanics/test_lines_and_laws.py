@@ -6,6 +6,7 @@ import pytest
 from evaluation import SCALE, Evaluator, ligaments_of
 from tolerances import CLOSED_FORM, DIFFERENCE
 
+from identknee.mechanics.contact_law import MOST_ROUNDING
 from identknee.mechanics.elements import line_force, line_shape
 from identknee.mechanics.ligament_law import tension
 from identknee.mechanics.ligament_wrench import line_tensions
@@ -76,13 +77,16 @@ def pressed(model: LaxityModel) -> tuple[float, Array]:
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5])
+@pytest.mark.parametrize("rounding", [0.0, MOST_ROUNDING])
 def test_the_stiffness_of_contact_is_the_slope_of_its_force(
-    exponent: float, reference_model: LaxityModel
+    exponent: float, rounding: float, reference_model: LaxityModel
 ) -> None:
     """With an exponent beside 1 the slope of a point's force is that many times its secant."""
     flexion, pose = pressed(reference_model)
     evaluate = Evaluator(reference_model.joint)
-    evaluate._contact = evaluate._contact._replace(exponent=np.array([exponent]))
+    evaluate._contact = evaluate._contact._replace(
+        exponent=np.array([exponent]), rounding=np.array([rounding])
+    )
     theta = reference_model.parameters.center * np.r_[np.zeros(4), np.ones(4)]
     ligaments = ligaments_of(reference_model, theta)
     found = evaluate(flexion, pose, ligaments)

@@ -160,6 +160,19 @@ def test_strains_are_those_of_the_longest_measured_length() -> None:
         strains_as_measured(replace(setting, measured=None), 0.05)
 
 
+def test_a_pose_that_no_knee_has_does_not_set_the_strains() -> None:
+    table = as_measured()
+    coordinates = np.array(table.coordinates)
+    coordinates[2, 2] += 60.0
+    sound, wrong = (begun(x) for x in (table, replace(table, coordinates=coordinates)))
+    strains, beside = (
+        strains_as_measured(x.setting(x.parameters.start), 0.05) for x in (sound, wrong)
+    )
+    # Where the trial was the longest, the next longest takes its place: no shorter, so no slacker.
+    assert np.all(beside >= strains - 1e-9)
+    assert np.all(beside < strains + 5.0)
+
+
 def _turn(axis: int, angle: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     a, b = (axis + 1) % 3, (axis + 2) % 3
     turn = np.eye(3)

@@ -13,7 +13,7 @@ from identknee.identify.profile.result import ProfileVerdict
 from identknee.report.overview.agreement import Relation, agreement, reasons, relation
 from identknee.report.overview.overview import Tone, overview
 from identknee.report.overview.ranges import Range, Source, ranges_of
-from identknee.report.overview.searches import disagreement, searches_sentences
+from identknee.report.overview.searches import disagreement, is_beaten, searches_sentences
 from identknee.report.page.results import by_subject, found_results
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
@@ -179,6 +179,23 @@ def test_fits_that_end_elsewhere_are_said_to_disagree(fitted: Calibration) -> No
     assert (
         "fits from different starts" in overview([one, moved(fitted, far, "IG2")]).verdict.lower()
     )
+
+
+def test_a_fit_is_beaten_by_one_of_the_same_data_that_leaves_less(fitted: Calibration) -> None:
+    def left(mm: float, deg: float, n_compared: int = 10) -> Calibration:
+        rmse = replace(fitted.rmse, mm=mm, deg=deg, n_compared=n_compared)
+        return replace(fitted, rmse=rmse)
+
+    one = left(0.5, 0.8)
+    assert is_beaten(one, [left(0.5, 0.8), left(0.4, 0.7)])
+    assert not is_beaten(one, [one, left(0.4, 0.9), left(0.49999, 0.79999)])
+    # Angles alone were measured.
+    assert is_beaten(left(np.nan, 0.8), [left(np.nan, 0.7)])
+    # It rests on fewer trials, or on none.
+    assert not is_beaten(one, [left(0.4, 0.7, n_compared=3)])
+    assert not is_beaten(left(np.nan, np.nan, n_compared=0), [one])
+    others = replace(fitted.data, coordinates=fitted.data.coordinates + 0.1)
+    assert not is_beaten(one, [replace(left(0.4, 0.7), data=others)])
 
 
 def test_many_fits_are_one_paragraph(fitted: Calibration) -> None:

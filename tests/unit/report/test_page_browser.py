@@ -1,6 +1,7 @@
 """The whole page in a real browser, from disk: on a phone, by keyboard, in light and dark."""
 
 from collections.abc import Iterator
+from importlib.resources import files
 from typing import Any
 
 import pytest
@@ -52,6 +53,12 @@ return [...document.querySelectorAll(texts)]
     const pair = [light(ink(x)), light(ground(x))].sort((a, b) => b - a);
     return [(pair[0] + 0.05) / (pair[1] + 0.05), x.tagName + ": " + x.textContent.slice(0, 40)];
   });
+"""
+
+BROKEN_RULES = """
+const tell = arguments[arguments.length - 1];
+axe.run(document, { resultTypes: ["violations"] }).then((found) =>
+  tell(found.violations.map((x) => [x.impact, x.id, x.nodes.map((y) => y.html.slice(0, 200))])));
 """
 
 
@@ -111,6 +118,21 @@ def test_wide_figures_and_tables_scroll_by_themselves_and_by_keyboard(browser: A
     )
     assert boxes
     assert all(index == 0 and name for index, name in boxes)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("is_unfolded", [False, True])
+def test_no_rule_of_accessibility_is_broken(
+    browser: Any,
+    scheme: str,
+    is_unfolded: bool,
+) -> None:
+    axe = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed")
+    prefer(browser, scheme)
+    if is_unfolded:
+        show_all(browser)
+    browser.execute_script((files(axe) / "axe.min.js").read_text(encoding="utf-8"))
+    assert browser.execute_async_script(BROKEN_RULES) == []
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

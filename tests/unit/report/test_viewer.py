@@ -10,8 +10,8 @@ import pytest
 from posed_knees import NAMES, posed_reference
 
 from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.contact_places import contact_places
-from identknee.mechanics.equilibria import ContactLaw
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction

@@ -12,6 +12,7 @@ from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Landmark, Side
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import Surface, read_surface, write_surface
+from identknee.verbs.knee_digest import knee_digest
 
 PLACE = 1e-9  # mm; roundings of coordinates of several hundred mm
 AXES = """[frames.femur]
@@ -108,6 +109,13 @@ def test_a_left_folder_holds_the_mirrored_knee(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_left.vertices, knee.femur.vertices * [1.0, 1.0, -1.0])
 
 
+def test_the_contact_law_of_a_fitted_knee_comes_back(tmp_path: Path) -> None:
+    knee = replace(posed_reference(0), contact_rounding_mm=0.15)
+    read = read_subject(write_subject(knee, tmp_path / "subject"))
+    assert read.contact_rounding_mm == 0.15
+    assert knee_digest(read) != knee_digest(replace(read, contact_rounding_mm=0.0))
+
+
 def test_reference_is_a_word() -> None:
     knee = read_subject("reference")
     assert knee.name == "reference"
@@ -192,6 +200,7 @@ def test_frames_win_over_landmarks(edited: Callable[..., Path]) -> None:
         ('name = "PCL"', "", "ligament 2: the key 'name' is missing"),
         ('name = "PCL"', 'name = "a.b"', "Rename it."),
         ("[[ligaments]]", "[ligaments]", "this is not TOML"),
+        ("format = 1", "format = 1\ncontact_rounding_mm = 2.0", "must be 0 to 0.15 mm, got 2"),
     ],
 )
 def test_mistakes_in_subject_toml(

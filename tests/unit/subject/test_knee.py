@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.subject.knee import Knee, Landmark
+from identknee.mechanics.contact_law import MOST_ROUNDING
+from identknee.subject.knee import MOST_CONTACT_ROUNDING, Knee, Landmark
 from identknee.subject.reference import reference_knee
 
 CLOSED_FORM = 1e-12  # a few roundings
@@ -32,6 +33,9 @@ def test_refuses(knee: Knee) -> None:
         replace(knee, tibia=knee.tibia[:1])
     with pytest.raises(ValueError, match="hip_centre must be finite"):
         Landmark(name="hip_centre", position=np.array([0.0, np.nan, 0.0]))
+    with pytest.raises(ValueError, match=r"contact_rounding_mm must be 0 to 0.15 mm, got 0.2"):
+        replace(knee, contact_rounding_mm=0.2)
+    assert MOST_CONTACT_ROUNDING == MOST_ROUNDING
 
 
 def test_the_mirror_shows_the_same_knee() -> None:

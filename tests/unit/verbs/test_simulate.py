@@ -62,6 +62,12 @@ def test_another_labs_trials_without_values_are_predicted_from_the_poses_of_the_
         read_laxity(table)
 
 
+def test_the_trials_of_a_table_that_comes_with_identknee_go_by_its_name() -> None:
+    answer = simulate("s192803", "s192803")
+    assert answer.rmse is not None
+    assert [x.trial for x in answer.trials] == list(read_laxity("s192803").protocol.trials)
+
+
 def test_an_unknown_name_is_refused() -> None:
     with pytest.raises(ValueError, match=r"there is no parameter 'ACL\.stiffness'"):
         simulate(reference_knee(), load_protocol("drawer"), {"ACL.stiffness": 9.0})

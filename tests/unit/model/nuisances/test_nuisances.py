@@ -7,12 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_knee import small_knee, small_protocol
 
+from identknee.mechanics.contact_law import MOST_ROUNDING
 from identknee.mechanics.grood_suntay import pose_from_coordinates
 from identknee.model.effects.structures import structure_at
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_frames import frames_at
 from identknee.model.nuisances.geometry import insertions
-from identknee.model.nuisances.library import nuisances_of
+from identknee.model.nuisances.library import contact_rounding, nuisances_of
 from identknee.model.tensions import tensions_of
 from identknee.runs.arrays import Array
 from identknee.subject.frames import Frame
@@ -40,6 +41,11 @@ def uncertain(stated: Uncertainty) -> LaxityModel:
     return LaxityModel(knee=small_knee().with_uncertainty(stated), protocol=small_protocol())
 
 
+def exact_knee() -> Knee:
+    """The small knee known exactly, with the contact law of an uncertain one."""
+    return replace(small_knee(), contact_rounding_mm=MOST_ROUNDING)
+
+
 def displaced(model: LaxityModel, share: float, seed: int = 0) -> Array:
     """Theta with nuisances at so many standard deviations in random directions."""
     p = model.parameters
@@ -52,8 +58,16 @@ def test_a_knee_known_exactly_has_none() -> None:
     assert uncertain(EVERYTHING).parameters.nuisance_names[0].startswith("insertion.")
 
 
+def test_contact_begins_gradually_where_something_is_uncertain() -> None:
+    assert contact_rounding(small_knee()) == 0.0
+    assert contact_rounding(exact_knee()) == MOST_ROUNDING
+    # Errors of surfaces are the same for every parameter: they are no nuisance.
+    for stated, expected in ((Uncertainty(surface_mm=0.1), 0.0), (EVERYTHING, MOST_ROUNDING)):
+        assert contact_rounding(small_knee().with_uncertainty(stated)) == expected
+
+
 def test_nuisances_at_zero_change_nothing() -> None:
-    exact, model = uncertain(Uncertainty()), uncertain(EVERYTHING)
+    exact, model = LaxityModel(knee=exact_knee(), protocol=small_protocol()), uncertain(EVERYTHING)
     expected = exact.predict(exact.parameters.start, derivatives=False).coordinates
     made = model.predict(model.parameters.start, derivatives=False).coordinates
     np.testing.assert_allclose(made, expected, atol=1e-9)
@@ -99,6 +113,7 @@ def moved_knee(model: LaxityModel, values: Array) -> Knee:
     return replace(
         model.knee,
         uncertainty=Uncertainty(),
+        contact_rounding_mm=MOST_ROUNDING,
         femur_frame=moved(model.knee.femur_frame, values[:6]),
         tibia_frame=moved(model.knee.tibia_frame, values[6:]),
     )
@@ -136,7 +151,7 @@ def test_load_gain_scales_one_kind_of_load() -> None:
         model.protocol, loads=np.column_stack([1.1 * column, model.protocol.loads[:, 1:]])
     )
     made = model.predict(theta, derivatives=False).coordinates
-    exact = LaxityModel(knee=small_knee(), protocol=larger)
+    exact = LaxityModel(knee=exact_knee(), protocol=larger)
     expected = exact.predict(exact.parameters.start, derivatives=False).coordinates
     np.testing.assert_allclose(made, expected, atol=1e-6)
 
@@ -157,7 +172,7 @@ def test_more_flexion_is_a_protocol_at_other_angles() -> None:
     theta = np.array(model.parameters.start)
     theta[-1] = 1.5
     protocol = replace(model.protocol, flexion_deg=model.protocol.flexion_deg + 1.5)
-    exact = LaxityModel(knee=small_knee(), protocol=protocol)
+    exact = LaxityModel(knee=exact_knee(), protocol=protocol)
     expected = exact.predict(exact.parameters.start, derivatives=False).coordinates
     made = model.predict(theta, derivatives=False).coordinates
     np.testing.assert_allclose(made, expected, atol=1e-6)
