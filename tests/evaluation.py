@@ -2,17 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from oracle import OracleKnee, State
 from scipy.ndimage import map_coordinates
 
+from identknee.mechanics.contact_elements import contact_element
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.energy import evaluate
-from identknee.mechanics.kernel import workspace
-from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, LigamentArrays
+from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, LigamentArrays, Point
 from identknee.mechanics.pose import rotation_matrix
+from identknee.mechanics.states import workspace
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -43,24 +45,36 @@ class Evaluator:
 
     def __init__(self, joint: Joint) -> None:
         self._contact, self._field = joint.contact.arrays(), joint.field.arrays()
-        self.work = workspace(len(joint.contact.points), len(joint.lines.femoral)).evaluation
+        self.work = workspace(len(joint.contact.points)).evaluation
 
     def __call__(
         self, flexion: float, pose: Array, ligaments: LigamentArrays, load: Array = NO_LOAD
     ) -> Evaluation:
-        g, H, h = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-        energy = evaluate(
-            flexion, pose, load, self._contact, self._field, ligaments, self.work, g, H, h
-        )
-        elements, n = self.work.elements, self.work.counts[N_TOUCHING]
-        carries = np.abs(elements[3:6, :n]).sum(axis=0) > 0.0
+        at = Point(np.array(pose, float), np.zeros(5), np.zeros((5, 5)), np.zeros(5))
+        energy = evaluate(flexion, load, self._contact, self._field, ligaments, self.work, at)
+        carries = np.linalg.norm(self.contact_forces(), axis=1) > 0.0
         return Evaluation(
             energy=float(energy),
-            gradient=g,
-            hessian=H,
-            flexion_slope=h,
-            touching=frozenset(self.work.touching[:n][carries].tolist()),
+            gradient=at.gradient,
+            hessian=at.hessian,
+            flexion_slope=at.gradient_by_flexion,
+            touching=frozenset(self.work.touching[: len(carries)][carries].tolist()),
         )
+
+    def contact_forces(self) -> Array:
+        """Gradients of the energy by the place of each expanded contact point [N], ``(n, 3)``."""
+        return np.array([first[3:] for first, *_ in self._contact_elements()]).reshape(-1, 3)
+
+    def contact_depths(self) -> Array:
+        """Depth of each, as the contact law feels it [mm], shape ``(n,)``."""
+        return np.array([felt for _, _, _, felt, _ in self._contact_elements()])
+
+    def _contact_elements(self) -> list[Any]:
+        work, law = self.work, (self._contact.exponent[0], self._contact.rounding[0])
+        return [
+            contact_element(work.expansion, i, work.rotation, work.translation, *law)
+            for i in range(work.counts[N_TOUCHING])
+        ]
 
     @property
     def n_listings(self) -> int:

@@ -9,10 +9,10 @@ from oracle import OracleKnee
 
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
-from identknee.mechanics import kernel
 from identknee.mechanics.energy import evaluate
-from identknee.mechanics.memory import N_TOUCHING
+from identknee.mechanics.memory import N_TOUCHING, Point
 from identknee.mechanics.small_matrices import ROTATION_SCALE
+from identknee.mechanics.states import workspace
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
@@ -79,7 +79,7 @@ class PoseEnergy:
             joint.lines.arrays(self.theta[:m] * 1000.0, self.theta[m:] * 0.01),
         )
         object.__setattr__(self, "_arrays", arrays)
-        object.__setattr__(self, "_work", kernel.workspace(len(joint.contact.points), m).evaluation)
+        object.__setattr__(self, "_work", workspace(len(joint.contact.points)).evaluation)
 
     def at(self, place: Array) -> tuple[float, Array, Array]:
         """Energy [N mm], gradient [N] and Hessian [N/mm] at a pose in mm."""
@@ -88,9 +88,7 @@ class PoseEnergy:
 
     def raw(self, pose: Array) -> tuple[float, Array, Array, Array]:
         """Energy, gradient, Hessian and d gradient / d flexion in the kernel's own units."""
-        g, H, h = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-        energy = evaluate(self.flexion, pose, self.load, *self._arrays, self._work, g, H, h)
-        return float(energy), g, H, h
+        return self._evaluated(self.flexion, pose, self.load)
 
     @property
     def n_touching(self) -> int:
@@ -101,13 +99,17 @@ class PoseEnergy:
         """`at` under another flexion and load, sharing this one's memory."""
 
         def at(place: Array) -> tuple[float, Array, Array]:
-            g, H, h = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-            energy = evaluate(
-                flexion, np.asarray(place) / SCALE, load, *self._arrays, self._work, g, H, h
-            )
-            return float(energy), g / SCALE, H / SCALE / SCALE[:, None]
+            energy, g, H, _ = self._evaluated(flexion, np.asarray(place) / SCALE, load)
+            return energy, g / SCALE, H / SCALE / SCALE[:, None]
 
         return at
+
+    def _evaluated(
+        self, flexion: float, pose: Array, load: Array
+    ) -> tuple[float, Array, Array, Array]:
+        at = Point(np.array(pose, float), np.zeros(5), np.zeros((5, 5)), np.zeros(5))
+        energy = evaluate(flexion, load, *self._arrays, self._work, at)
+        return float(energy), at.gradient, at.hessian, at.gradient_by_flexion
 
 
 def trial_energy(of: LaxityModel, theta: Array, trial: int) -> PoseEnergy:

@@ -13,7 +13,7 @@ def contact_motion_columns(sums: Array, flexion: Array, poses: Array) -> Array:
     ----------
     sums
         Those over the contact elements at each pose, as
-        `identknee.mechanics.elements.sum_elements` writes them, shape ``(n, 39)``.
+        `identknee.mechanics.elements.write_sums` writes them, shape ``(n, 39)``.
     flexion
         [rad], shape ``(n,)``.
     poses

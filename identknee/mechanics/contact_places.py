@@ -9,8 +9,6 @@ from identknee.mechanics.placement import place
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
 
-MAY_TOUCH = 255  # bits of a cell's `reach` that say that part of it may lie within the femur
-
 
 @declared
 class ContactPlaces:
@@ -73,7 +71,7 @@ def _may_touch(field: DistanceField, places: Array) -> BoolArray:
     """Which places lie in cells that may hold contact; those at the grid's faces do not."""
     last = np.array(field.reach.shape) - 1
     cell = np.clip(np.floor((places - field.origin) / field.spacing), 0, last).astype(np.int64)
-    may: BoolArray = (field.reach[cell[:, 0], cell[:, 1], cell[:, 2]] & MAY_TOUCH) > 0
+    may: BoolArray = field.reach[cell[:, 0], cell[:, 1], cell[:, 2]] > 0
     return may
 
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
+from identknee.mechanics.contact_expansion import FIRST_ROUNDED, NEAR_CELLS
 from identknee.mechanics.contact_law import MOST_ROUNDING
-from identknee.mechanics.elements import IS_NEAR, NEAR_CELLS
 from identknee.mechanics.memory import FieldArrays
-from identknee.runs.arrays import Array, ReachArray
+from identknee.runs.arrays import Array, BitArray, ReachArray
 from identknee.runs.declare import declared, entry
 
 SPACING = 0.75  # mm
@@ -23,9 +23,13 @@ class DistanceField:
 
     coefficients: Array = entry("Spline coefficients [mm], shape ``(nx, ny, nz)``")
     reach: ReachArray = entry(
-        "What each cell can hold, shape ``(nx, ny, nz)``: bits 0-7, contact may lie in that eighth "
-        "(the least of its Bezier coefficients is below `MOST_ROUNDING`); bit 8, a cell close by "
-        "has one of those bits"
+        "What each cell can hold, shape ``(nx, ny, nz)``: bits 0-7, contact without rounding may "
+        "lie in that eighth (the least of its Bezier coefficients is below 0); bits 8-15, contact "
+        "with the most rounding may"
+    )
+    near: BitArray = entry(
+        "One bit a cell, whether one close by has any of those bits: shape ``(nx, ny, nz / 8)``, "
+        "the lowest bit first"
     )
     origin: Array = entry("Position of the first node [mm], shape ``(3,)``")
     spacing: float = entry("Distance between nodes [mm]")
@@ -38,7 +42,7 @@ class DistanceField:
 
     def __post_init__(self) -> None:
         # The compiler makes another version of its code for arrays that can be written to.
-        for name in ("coefficients", "reach", "origin"):
+        for name in ("coefficients", "reach", "near", "origin"):
             array = np.ascontiguousarray(getattr(self, name))
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -48,6 +52,7 @@ class DistanceField:
         return FieldArrays(
             coefficients=self.coefficients.reshape(-1),
             reach=self.reach.reshape(-1),
+            near=self.near.reshape(-1),
             origin=self.origin,
             spacing=np.array([self.spacing]),
             shape=np.array(self.coefficients.shape, np.int64),
@@ -87,9 +92,11 @@ def build_field(
     wide = np.pad(values, STRAIGHT, mode="reflect", reflect_type="odd")
     inner = (slice(STRAIGHT, -STRAIGHT),) * 3
     coefficients = spline_filter(wide, order=3, mode="mirror")[inner]
+    reach = _reach(coefficients)
     return DistanceField(
         coefficients=coefficients,
-        reach=_reach(coefficients),
+        reach=reach,
+        near=_near(reach),
         origin=origin,
         spacing=spacing,
     )
@@ -99,21 +106,30 @@ def _reach(coefficients: Array) -> ReachArray:
     """What each cell can hold; the outermost cells, which lack support, hold nothing."""
     support = np.lib.stride_tricks.sliding_window_view(coefficients, (4, 4, 4))
     inner = (slice(1, -2),) * 3
-    # A spline lies within the hull of its coefficients; only where the rounding is among them is it
+    # A spline lies within the hull of its coefficients; only where the gap is among them is it
     # worth finding the tighter hull of the Bezier coefficients of each eighth of the cell.
     lowest = minimum_filter(coefficients, size=4, origin=-1)[inner]
     highest = maximum_filter(coefficients, size=4, origin=-1)[inner]
-    holds = np.where(highest < MOST_ROUNDING, 255, 0)
-    undecided = np.nonzero((lowest < MOST_ROUNDING) & (highest >= MOST_ROUNDING))
-    corners = support[undecided].reshape(-1, 64)
-    for eighth in range(8):
-        x, y, z = (_HALVES[eighth >> axis & 1] for axis in (2, 1, 0))
-        bezier = corners @ np.kron(x, np.kron(y, z)).T
-        holds[undecided] |= (bezier.min(axis=1) < MOST_ROUNDING) << eighth
     reach = np.zeros(coefficients.shape, np.uint16)
-    near = maximum_filter(np.pad(holds > 0, 1), size=2 * NEAR_CELLS + 1)[1:-1, 1:-1, 1:-1]
-    reach[inner] = holds + IS_NEAR * near
+    holds = reach[inner]
+    for gap, first in ((0.0, 0), (MOST_ROUNDING, FIRST_ROUNDED)):
+        holds[highest < gap] |= np.uint16(255 << first)
+        undecided = np.nonzero((lowest < gap) & (highest >= gap))
+        corners = support[undecided].reshape(-1, 64)
+        for eighth in range(8):
+            x, y, z = (_HALVES[eighth >> axis & 1] for axis in (2, 1, 0))
+            bezier = corners @ np.kron(x, np.kron(y, z)).T
+            may = (bezier.min(axis=1) < gap).astype(np.uint16)
+            holds[undecided] |= may << np.uint16(first + eighth)
     return reach
+
+
+def _near(reach: ReachArray) -> BitArray:
+    """Which cells are near one that may hold contact; the outermost are not."""
+    near = np.zeros(reach.shape, bool)
+    inner = (slice(1, -2),) * 3
+    near[inner] = maximum_filter(reach > 0, size=2 * NEAR_CELLS + 1)[inner]
+    return np.packbits(near, axis=2, bitorder="little")
 
 
 # Bezier coefficients of the lower and the upper half of a cell from the four spline coefficients.

@@ -10,6 +10,7 @@ from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.load_paths import LoadPaths
 from identknee.mechanics.memory import (
+    NO_EQUILIBRIUM,
     ContactArrays,
     Equilibria,
     FieldArrays,
@@ -119,7 +120,7 @@ def solve(
         hessians=np.zeros((n, 5, 5)),
         sensitivities=np.zeros((n, 5, 2 * m + 2 * (contact.law is not None))),
         gradient_by_flexion=np.zeros((n, 5)),
-        codes=np.full(n, kernel.NO_EQUILIBRIUM),
+        codes=np.full(n, NO_EQUILIBRIUM),
         residuals=np.zeros(n),
         reached=np.zeros(n),
         contact_sums=np.zeros((n, 39)),

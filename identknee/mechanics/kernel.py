@@ -4,129 +4,48 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled, compiled_apart
-from identknee.mechanics.elements import contact_centres, sum_elements
-from identknee.mechanics.energy import (
+from identknee.mechanics.compiled import compiled_apart, compiled_in_place
+from identknee.mechanics.contact_elements import (
+    contact_centres,
     contact_columns,
-    evaluate,
+    law_of,
+    sum_contact,
+)
+from identknee.mechanics.elements import write_sums
+from identknee.mechanics.energy import (
     evaluate_there,
     motion_axes,
     parameter_columns,
     place_tibia,
 )
 from identknee.mechanics.memory import (
-    N_LISTED,
+    CONVERGED,
+    FOLD,
     N_TOUCHING,
-    EvaluationMemory,
-    PathMemory,
+    UNCONSTRAINED,
     Segment,
-    SolverMemory,
-    State,
-    Workspace,
 )
-from identknee.mechanics.small_matrices import (
-    factorise,
-    residual_norm,
-    scale_of,
-    scaled_norm,
-    substitute,
-    trust_region_step,
+from identknee.mechanics.minimum import FLOOR_MARGIN, find_minimum
+from identknee.mechanics.small_matrices import factorise, scale_of, substitute
+from identknee.mechanics.states import (
+    MOST_HALVINGS,
+    copy_state,
+    keep_state,
+    read_state,
+    take_state,
+    workspace,
+    write_state,
 )
 
-# N and mm; a solve this close, by either, takes one Newton step more, unmeasured, which squares the
-# error: far below what a difference between two ways of solving may be (1e-9 mm). The Hessian stays
-# that of the pose before, off by as much as stiff contact changes within the step.
-RESIDUAL_TOLERANCE = 3e-6
-LAST_STEP = 3e-7
-MOST_HALVINGS = 10  # of the way from one node of the load path to the next
 SMALLEST_STEP = 0.5**MOST_HALVINGS
 LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has left the branch
 BRANCH_ABSOLUTE = 0.1  # mm; disagreement of a step with its end tangents that is always allowed
 BRANCH_RELATIVE = 0.25  # the same, as a share of the step's length
 # A guess must agree so much better with its neighbour that a search without one ends there too.
 GUESS_TOLERANCE = 0.25
-FLOOR_MARGIN = 1e-3  # N/mm; below this stiffness a pose is not unique
-SLACK_RESIDUAL = 1e-3  # N; with less than this and no stiffness, the search would creep on for ever
-MOST_ITERATIONS = 200
-
-CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = 0, 1, 2, 3
 
 
-@compiled
-def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work, g):
-    """Move the pose of a state to a minimum of the energy; return (outcome, residual).
-
-    A Newton step inside a trust region on the energy. `farthest` [mm] ends the search when the
-    pose moves farther than that from where it began. Its derivatives are those of the last pose
-    evaluated; `g` becomes the gradient there.
-    """
-    q, H, h, _ = state
-    evaluation = work.evaluation
-    L, right, step, trial, g_new, H_new, h_new, start = work.solver
-    for i in range(5):
-        start[i] = q[i]
-    energy = evaluate(flexion, q, load, contact, field, ligaments, evaluation, g, H, h)
-    residual = residual_norm(g)
-    radius = 3.0
-    is_close = False
-    for _ in range(MOST_ITERATIONS):
-        if residual < RESIDUAL_TOLERANCE:
-            is_close = True
-            break
-        if residual < SLACK_RESIDUAL and not factorise(H, -FLOOR_MARGIN, L):
-            break
-        shift = trust_region_step(g, H, radius, L, right, step)
-        length = scaled_norm(step)
-        if shift == 0.0 and length < LAST_STEP:
-            is_close = True
-            break
-        predicted = 0.0
-        for i in range(5):
-            trial[i] = q[i] + step[i]
-            s = 0.0
-            for j in range(5):
-                s += H[i, j] * step[j]
-            predicted -= step[i] * (g[i] + 0.5 * s)
-        energy_new = evaluate(
-            flexion, trial, load, contact, field, ligaments, evaluation, g_new, H_new, h_new
-        )
-        residual_new = residual_norm(g_new)
-        rounding = 1e-13 * (abs(energy) + 1e4)
-        gained = energy - energy_new
-        if gained > 0.1 * predicted - rounding and (
-            predicted > rounding or residual_new < residual
-        ):
-            if gained > 0.75 * predicted and length > 0.6 * radius:
-                radius = min(2.0 * radius, 10.0)
-            energy, residual = energy_new, residual_new
-            moved = 0.0
-            for i in range(5):
-                q[i] = trial[i]
-                g[i] = g_new[i]
-                h[i] = h_new[i]
-                moved += ((q[i] - start[i]) * scale_of(i)) ** 2
-                for j in range(5):
-                    H[i, j] = H_new[i, j]
-            if moved > farthest * farthest:
-                return NO_EQUILIBRIUM, residual
-        else:
-            if predicted <= rounding:  # Rounding hides any further gain.
-                break
-            radius = 0.25 * min(length, radius)
-            if radius < 1e-12:
-                break
-    if residual < SLACK_RESIDUAL and not factorise(H, -FLOOR_MARGIN, L):
-        return UNCONSTRAINED, residual
-    if not is_close:
-        return NO_EQUILIBRIUM, residual
-    factorise(H, 0.0, L)
-    substitute(L, g, step)
-    for i in range(5):
-        q[i] -= step[i]
-    return CONVERGED, residual
-
-
-@compiled
+@compiled_in_place
 def tangent(state, load_change, flexion_change, L, right):
     """Write how an equilibrium moves when load and flexion change: -H^-1 d(gradient)."""
     for i in range(5):
@@ -138,7 +57,7 @@ def tangent(state, load_change, flexion_change, L, right):
             state.tangent[i] = 0.0
 
 
-@compiled
+@compiled_in_place
 def off_branch(before, after, share, tolerance):
     """Whether a step disagrees with the tangents at its ends more than a smooth branch would.
 
@@ -155,25 +74,7 @@ def off_branch(before, after, share, tolerance):
     return math.sqrt(off) > tolerance * allowed
 
 
-@compiled
-def copy_state(state, to):
-    """Copy an equilibrium."""
-    for i in range(5):
-        to.pose[i], to.tangent[i] = state.pose[i], state.tangent[i]
-        to.gradient_by_flexion[i] = state.gradient_by_flexion[i]
-        for j in range(5):
-            to.hessian[i, j] = state.hessian[i, j]
-
-
-@compiled
-def row_of(states, n):
-    """State n of several, to be read and written."""
-    return State(
-        states.pose[n], states.hessian[n], states.gradient_by_flexion[n], states.tangent[n]
-    )
-
-
-@compiled
+@compiled_in_place
 def follow(segment, guess, guessed, contact, field, ligaments, work, g):
     """Follow the path of equilibria from one end of a segment to the other.
 
@@ -198,7 +99,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work, g):
         outcome = CONVERGED
         is_known = n_far > 0 and goal == goals[n_far - 1]
         if is_known:
-            copy_state(row_of(far, n_far - 1), there)
+            take_state(far, n_far - 1, there)
         else:
             for i in range(5):
                 there.pose[i] = guess[i] if guessed else here.pose[i] + share * here.tangent[i]
@@ -219,7 +120,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work, g):
             guessed = False
         else:
             if outcome == CONVERGED and not is_known:
-                copy_state(there, row_of(far, n_far))
+                keep_state(there, far, n_far)
                 goals[n_far] = goal
                 n_far += 1
             share *= 0.5
@@ -229,7 +130,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work, g):
     return CONVERGED, 1.0, residual, solves
 
 
-@compiled
+@compiled_in_place
 def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns, S, contact_sums):
     """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
 
@@ -242,9 +143,10 @@ def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns,
     L, right, step = solver.factor, solver.right, solver.step
     if S.shape[1] > 2 * m:
         evaluate_there(flexion, q, load, contact, field, ligaments, work)
-        n_touching = evaluation.counts[N_TOUCHING]
-        contact_columns(n_touching, evaluation.elements, axes, columns, 2 * m)
-        sum_elements(n_touching, evaluation.elements, contact_sums)
+        contact_columns(contact, evaluation, columns, 2 * m)
+        n_touching, law = evaluation.counts[N_TOUCHING], law_of(contact)
+        total, _ = sum_contact(n_touching, R, t, law, evaluation)
+        write_sums(total, contact_sums)
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
     parameter_columns(R, t, ligaments, axes, evaluation.line, columns)
@@ -257,80 +159,6 @@ def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns,
             S[i, j] = step[i]
 
 
-@compiled
-def empty_states(n):
-    """States to be written to."""
-    return State(np.zeros((n, 5)), np.zeros((n, 5, 5)), np.zeros((n, 5)), np.zeros((n, 5)))
-
-
-@compiled
-def workspace(n_points, n_ligaments):
-    """Memory for one thread's work, allocated once a simulation."""
-    n = n_points + n_ligaments + 1
-    counts = np.zeros(4, np.int64)
-    counts[N_LISTED] = -1
-    solver = SolverMemory(
-        factor=np.zeros((5, 5)),
-        right=np.zeros(5),
-        step=np.zeros(5),
-        trial=np.zeros(5),
-        trial_gradient=np.zeros(5),
-        trial_hessian=np.zeros((5, 5)),
-        trial_gradient_by_flexion=np.zeros(5),
-        start=np.zeros(5),
-    )
-    path = PathMemory(
-        here=row_of(empty_states(1), 0),
-        there=row_of(empty_states(1), 0),
-        far=empty_states(MOST_HALVINGS + 1),
-        goals=np.zeros(MOST_HALVINGS + 1),
-        load=np.zeros(5),
-        change=np.zeros(5),
-    )
-    evaluation = EvaluationMemory(
-        elements=np.zeros((13, n)),
-        fractions=np.zeros((4, n)),
-        listed=np.zeros((4, n)),
-        counts=counts,
-        listed_pose=np.zeros(12),
-        cells=np.zeros(n, np.int64),
-        eighths=np.zeros(n, np.int64),
-        pose=np.full(5, np.inf),
-        rotation=np.zeros(9),
-        translation=np.zeros(3),
-        field_rotation=np.zeros(9),
-        field_translation=np.zeros(3),
-        sums=np.zeros(39),
-        axes=np.zeros((9, 3)),
-        touching=np.zeros(n, np.int64),
-        which=np.zeros(n, np.int64),
-        moved=np.zeros((6, n)),
-        weights=np.zeros((n, 36)),
-        line=np.zeros(10),
-    )
-    return Workspace(evaluation=evaluation, solver=solver, path=path)
-
-
-@compiled
-def read_state(results, n, state):
-    """Make the state that of node n, but for its tangent."""
-    for i in range(5):
-        state.pose[i] = results.poses[n, i]
-        state.gradient_by_flexion[i] = results.gradient_by_flexion[n, i]
-        for j in range(5):
-            state.hessian[i, j] = results.hessians[n, i, j]
-
-
-@compiled
-def write_state(state, results, n):
-    """Keep the state as that of node n."""
-    for i in range(5):
-        results.poses[n, i] = state.pose[i]
-        results.gradient_by_flexion[n, i] = state.gradient_by_flexion[i]
-        for j in range(5):
-            results.hessians[n, i, j] = state.hessian[i, j]
-
-
 @compiled_apart
 def simulate_path(
     nodes, chosen, starts, guesses, has_guess, contact, field, ligaments, derivatives, results
@@ -341,7 +169,7 @@ def simulate_path(
     pose ``starts[n]``. `results` are the arrays of `identknee.mechanics.memory.Equilibria`, to be
     written to.
     """
-    work = workspace(contact.points.shape[1], ligaments.femoral.shape[0])
+    work = workspace(contact.points.shape[1])
     g, here, far = np.zeros(5), work.path.here, nodes.farthest[0]
     columns = np.zeros((5, results.sensitivities.shape[2]))
     for n in chosen:

@@ -6,10 +6,12 @@ leaves the machine code, and so the last bits of every sum, as it is.
 
 from typing import NamedTuple
 
-from identknee.runs.arrays import Array, IntArray, ReachArray
+from identknee.runs.arrays import Array, BitArray, IntArray, ReachArray
 
+# How the search for an equilibrium ended.
+CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = range(4)
 # Places in the counters of an evaluation.
-N_LISTED, N_TOUCHING, N_EVALUATIONS, N_LISTINGS = range(4)
+N_LISTED, N_TOUCHING, N_EVALUATIONS, N_LISTINGS, N_EXPANDED = range(5)
 
 
 class ContactArrays(NamedTuple):
@@ -44,7 +46,7 @@ class FieldArrays(NamedTuple):
 
     Attributes
     ----------
-    coefficients, reach
+    coefficients, reach, near
         Those of all nodes, flat.
     origin
         [mm], shape ``(3,)``.
@@ -60,6 +62,7 @@ class FieldArrays(NamedTuple):
 
     coefficients: Array
     reach: ReachArray
+    near: BitArray
     origin: Array
     spacing: Array
     shape: IntArray
@@ -145,6 +148,27 @@ class State(NamedTuple):
     tangent: Array
 
 
+class Point(NamedTuple):
+    """A pose, and the energy's derivatives there.
+
+    Attributes
+    ----------
+    pose
+        Shape ``(5,)``.
+    gradient
+        Shape ``(5,)``.
+    hessian
+        Shape ``(5, 5)``.
+    gradient_by_flexion
+        d gradient / d flexion, shape ``(5,)``.
+    """
+
+    pose: Array
+    gradient: Array
+    hessian: Array
+    gradient_by_flexion: Array
+
+
 class SolverMemory(NamedTuple):
     """What the search for one minimum needs.
 
@@ -156,8 +180,10 @@ class SolverMemory(NamedTuple):
         Right-hand side of a linear system, shape ``(5,)``.
     step
         Its solution, shape ``(5,)``.
-    trial, trial_gradient, trial_hessian, trial_gradient_by_flexion
-        The pose tried, shape ``(5,)``, and the energy's derivatives there.
+    trial
+        The point tried.
+    candidate
+        The point looked at next on the way to it.
     start
         The pose the search began at, shape ``(5,)``.
     """
@@ -165,10 +191,8 @@ class SolverMemory(NamedTuple):
     factor: Array
     right: Array
     step: Array
-    trial: Array
-    trial_gradient: Array
-    trial_hessian: Array
-    trial_gradient_by_flexion: Array
+    trial: Point
+    candidate: Point
     start: Array
 
 
@@ -199,19 +223,20 @@ class PathMemory(NamedTuple):
 
 
 class EvaluationMemory(NamedTuple):
-    """What evaluating one pose needs; n is the number of points and ligaments, and one more.
+    """What evaluating one pose needs; n is the number of points, and one more.
 
     Attributes
     ----------
-    elements
-        What pulls or pushes, as laid out in `identknee.mechanics.elements`, shape ``(13, n)``.
-    fractions
-        Place in its cell of each point that may touch (3), and its stiffness, shape ``(4, n)``.
+    expansion
+        Of each point that may touch: its place in tibial axes (3), that in the field where its
+        distance was looked up (3), its stiffness, and there the distance [mm] with its gradient (3)
+        and Hessian (xx yy zz xy xz yz), shape ``(17, n)``.
     listed
         Points near enough to touch soon (3), and their stiffness, shape ``(4, n)``.
     counts
-        How many points are listed (-1: no list yet) and how many may touch, how many evaluations
-        and listings were made, at the places `N_LISTED` to `N_LISTINGS`, shape ``(4,)``.
+        How many points are listed (-1: no list yet) and how many may touch, how many evaluations,
+        listings and evaluations of the expansion were made, at the places `N_LISTED` to
+        `N_EXPANDED`, shape ``(5,)``.
     listed_pose
         Rotation (9) and translation (3) for which the points were listed.
     cells, eighths
@@ -223,7 +248,7 @@ class EvaluationMemory(NamedTuple):
     field_rotation, field_translation
         The same in the frame of the distance field.
     sums
-        Sums over the elements, as `identknee.mechanics.elements.sum_elements` writes them, shape
+        Sums over the elements, as `identknee.mechanics.elements.write_sums` writes them, shape
         ``(39,)``.
     axes
         How the coordinates move the tibia, as `identknee.mechanics.energy.motion_axes` writes it,
@@ -233,15 +258,14 @@ class EvaluationMemory(NamedTuple):
     which
         Contact point of each listed one, shape ``(n,)``.
     moved
-        Listed points turned to the present pose (3), and their place in the grid (3), ``(6, n)``.
+        Place of listed points in the grid, shape ``(3, n)``.
     weights
-        Spline weights of each point that may touch, shape ``(n, 36)``.
+        Spline weights of one point along x and y, shape ``(24,)``.
     line
         Length, gradient (3) and Hessian (6) of a line, shape ``(10,)``.
     """
 
-    elements: Array
-    fractions: Array
+    expansion: Array
     listed: Array
     counts: IntArray
     listed_pose: Array
@@ -291,7 +315,7 @@ class Equilibria(NamedTuple):
     reached
         Share of the step from the parent that was reached, ``(n,)``.
     contact_sums
-        Sums over the contact elements, as `identknee.mechanics.elements.sum_elements` writes them,
+        Sums over the contact elements, as `identknee.mechanics.elements.write_sums` writes them,
         ``(n, 39)``; zero without sensitivities to the contact law.
     centres
         Contact force [N], its centre in tibial and femoral axes [mm], ``(n, compartments, 7)``.

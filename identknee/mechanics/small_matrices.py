@@ -5,18 +5,18 @@ One radian of rotation weighs as much as `ROTATION_SCALE` millimetres wherever t
 
 import math
 
-from identknee.mechanics.compiled import compiled
+from identknee.mechanics.compiled import compiled_in_place
 
 ROTATION_SCALE = 40.0
 
 
-@compiled
+@compiled_in_place
 def scale_of(i):
     """Millimetres that one unit of coordinate i is worth."""
     return ROTATION_SCALE if i < 2 else 1.0
 
 
-@compiled
+@compiled_in_place
 def factorise(H, shift, L):
     """Write the Cholesky factor of H + shift scale^2 into L; whether that is positive definite."""
     for i in range(5):
@@ -35,7 +35,7 @@ def factorise(H, shift, L):
     return True
 
 
-@compiled
+@compiled_in_place
 def substitute(L, b, x):
     """Solve L L^T x = b."""
     for i in range(5):
@@ -50,7 +50,7 @@ def substitute(L, b, x):
         x[i] = s / L[i, i]
 
 
-@compiled
+@compiled_in_place
 def scaled_norm(x):
     """Length of a pose change in mm."""
     s = 0.0
@@ -59,7 +59,7 @@ def scaled_norm(x):
     return math.sqrt(s)
 
 
-@compiled
+@compiled_in_place
 def residual_norm(g):
     """Size of a generalised force in N, moments divided by the rotation scale."""
     s = 0.0
@@ -68,7 +68,7 @@ def residual_norm(g):
     return math.sqrt(s)
 
 
-@compiled
+@compiled_in_place
 def trust_region_step(g, H, radius, L, minus_g, step):
     """Write the step that minimises the quadratic model within `radius`; return its shift."""
     for i in range(5):

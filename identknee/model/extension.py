@@ -6,8 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from identknee.mechanics.kernel import CONVERGED
-from identknee.mechanics.memory import Equilibria
+from identknee.mechanics.memory import CONVERGED, Equilibria
 from identknee.model.effects.effect import (
     Effect,
     MechanicalEffect,

@@ -26,7 +26,7 @@ from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder, write_atomically
 from identknee.subject.knee import Knee
 
-FIELD_FORMAT = b"field 4"
+FIELD_FORMAT = b"field 6"
 Sheet = tuple[Array, IntArray]
 
 
@@ -116,6 +116,7 @@ def _read_field(path: Path) -> DistanceField | None:
             return DistanceField(
                 coefficients=stored["coefficients"],
                 reach=stored["reach"],
+                near=stored["near"],
                 origin=stored["origin"],
                 spacing=float(stored["spacing"]),
             )
@@ -130,6 +131,7 @@ def _keep_field(path: Path, field: DistanceField) -> None:
         stored,
         coefficients=field.coefficients,
         reach=field.reach,
+        near=field.near,
         origin=field.origin,
         spacing=field.spacing,
     )

@@ -15,9 +15,8 @@ from identknee.mechanics.contact_points import DEFAULT_NUMBER
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
-from identknee.mechanics.kernel import CONVERGED, NO_EQUILIBRIUM
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
-from identknee.mechanics.memory import Equilibria
+from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model import measured_start

@@ -6,9 +6,8 @@ import numpy as np
 
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, solve
-from identknee.mechanics.kernel import CONVERGED
 from identknee.mechanics.load_paths import LoadPaths, loaded_at_once
-from identknee.mechanics.memory import Equilibria, LigamentArrays
+from identknee.mechanics.memory import CONVERGED, Equilibria, LigamentArrays
 from identknee.runs.arrays import Array
 
 

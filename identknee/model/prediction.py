@@ -3,7 +3,7 @@
 import numpy as np
 
 from identknee.mechanics.equilibria import stability_margins
-from identknee.mechanics.kernel import CONVERGED
+from identknee.mechanics.memory import CONVERGED
 from identknee.mechanics.rims import RimDistance, share_near_rims
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry

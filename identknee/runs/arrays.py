@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 ReachArray = NDArray[np.uint16]
+BitArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 # A kilometre: squares and cubes of anything larger may overflow.
 FARTHEST_MM = 1e6

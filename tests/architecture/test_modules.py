@@ -19,10 +19,7 @@ ATTACHED = [
     "from lazy_loader import attach_stub",
     "__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)",
 ]
-LONG_FUNCTIONS = {
-    "mechanics/elements.py:sum_elements": "sums in scalars, which the compiler keeps in registers",
-    "mechanics/kernel.py:find_minimum": "compiled: one loop with its own memory",
-}
+LONG_FUNCTIONS: dict[str, str] = {}
 
 
 def _name(path: Path) -> str:

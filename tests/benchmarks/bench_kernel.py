@@ -9,7 +9,7 @@ import numpy as np
 from knees import DEFAULT, model
 from rows import Measure, Row, median_of
 
-from identknee.mechanics import kernel
+from identknee.mechanics import kernel, states
 from identknee.mechanics.branch_threads import branch_threads
 from identknee.mechanics.memory import N_EVALUATIONS, N_LISTINGS
 from identknee.model.laxity_model import LaxityModel
@@ -101,7 +101,7 @@ def times(subject: LaxityModel, runs: int = RUNS) -> tuple[np.ndarray, np.ndarra
 def work_in(subject: LaxityModel) -> tuple[int, int, int]:
     """Searches, evaluations and listings of candidates in one prediction."""
     made: list[Any] = []
-    allocate = kernel.workspace
+    allocate = states.workspace
 
     def remembered(*sizes: int) -> Any:
         made.append(allocate(*sizes))

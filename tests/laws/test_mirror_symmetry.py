@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from small_knee import small_knee, small_protocol
 from tolerances import DERIVATIVE, SAME_POSE
 
-from identknee.mechanics.distance_field import DistanceField, _reach
+from identknee.mechanics.distance_field import DistanceField, _near, _reach
 from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.model import joint as module
 from identknee.model.joint import Joint
@@ -35,6 +35,7 @@ def mirrored(reference_model: LaxityModel) -> Joint:
         field=DistanceField(
             coefficients=coefficients,
             reach=_reach(coefficients),
+            near=_near(_reach(coefficients)),
             origin=np.r_[field.origin[:2], -last[2]],
             spacing=field.spacing,
         ),

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, Lines, solve
-from identknee.mechanics.kernel import CONVERGED
 from identknee.mechanics.load_paths import load_paths
-from identknee.mechanics.memory import Equilibria, LigamentArrays
+from identknee.mechanics.memory import CONVERGED, Equilibria, LigamentArrays
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -74,6 +73,7 @@ def test_a_larger_knee_under_larger_loads_turns_by_the_same_angles(
         field=DistanceField(
             coefficients=factor * here.field.coefficients,
             reach=here.field.reach,
+            near=here.field.near,
             origin=factor * here.field.origin,
             spacing=factor * here.field.spacing,
         ),

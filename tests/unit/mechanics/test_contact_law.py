@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from identknee.mechanics.contact_elements import felt_depth
 from identknee.mechanics.contact_law import (
     MOST_ROUNDING,
     PRESSURE_MODULUS,
     REFERENCE_DEPTH,
     ContactLaw,
 )
-from identknee.mechanics.elements import felt_depth
 
 DEPTHS = np.array([-0.3, -0.15, -0.1, -1e-6, 0.0, 1e-6, 0.05, 0.15, 0.2, 0.6])
 

@@ -10,10 +10,10 @@ from evaluation import (
     field_values,
     ligaments_of,
 )
-from tolerances import CLOSED_FORM, DERIVATIVE
+from tolerances import DERIVATIVE
 
+from identknee.mechanics.contact_elements import contact_centres
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
-from identknee.mechanics.elements import contact_centres, spline_weights
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
@@ -90,19 +90,6 @@ def test_a_slow_approach_keeps_one_list_until_it_must_not(
         _compare(reference_model, evaluate, 0.0, base + height * UP)
     # A list lasts for one cell's width of motion.
     assert 4 <= evaluate.n_listings <= 8
-
-
-def test_spline_weights_are_a_partition_of_one() -> None:
-    weights = np.zeros((1, 36))
-    for u in (0.0, 0.2, 0.5, 0.999):
-        spline_weights(u, weights, 0, 12)
-        value, slope, curvature = weights[0, 12:24].reshape(3, 4)
-        assert value.sum() == pytest.approx(1.0, rel=CLOSED_FORM)
-        assert slope.sum() == pytest.approx(0.0, abs=CLOSED_FORM)
-        assert curvature.sum() == pytest.approx(0.0, abs=CLOSED_FORM)
-        # They reproduce the place itself.
-        assert value @ [-1, 0, 1, 2] == pytest.approx(u, abs=CLOSED_FORM)
-        assert slope @ [-1, 0, 1, 2] == pytest.approx(1.0, rel=CLOSED_FORM)
 
 
 def test_centres_are_the_means_of_the_forces(

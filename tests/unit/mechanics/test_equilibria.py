@@ -13,8 +13,7 @@ from identknee.mechanics.equilibria import (
     solve,
     stability_margins,
 )
-from identknee.mechanics.kernel import CONVERGED
-from identknee.mechanics.memory import Equilibria, LigamentArrays
+from identknee.mechanics.memory import CONVERGED, Equilibria, LigamentArrays
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 

@@ -7,18 +7,17 @@ from evaluation import SCALE, Evaluator, ligaments_of, oracle_of, random_paramet
 from tolerances import RESIDUAL_N, SAME_POSE
 
 from identknee.mechanics import kernel
-from identknee.mechanics.kernel import (
+from identknee.mechanics.kernel import off_branch, sensitivities, tangent
+from identknee.mechanics.memory import (
     CONVERGED,
     FOLD,
     NO_EQUILIBRIUM,
     UNCONSTRAINED,
-    find_minimum,
-    off_branch,
-    sensitivities,
-    tangent,
-    workspace,
+    Segment,
+    State,
 )
-from identknee.mechanics.memory import Segment, State
+from identknee.mechanics.minimum import find_minimum
+from identknee.mechanics.states import workspace
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
@@ -50,7 +49,7 @@ class Search:
         self.load = np.array(model.paths.loads[model.paths.trial_node[trial]])
         self.ligaments = ligaments_of(model, theta)
         self.arrays = (model.joint.contact.arrays(), model.joint.field.arrays(), self.ligaments)
-        self.work = workspace(len(model.joint.contact.points), len(self.ligaments[0]))
+        self.work = workspace(len(model.joint.contact.points))
         self.state, self.g = self.work.path.here, np.zeros(5)
 
     def minimum(self, start: Array, farthest: float = 1e9) -> tuple[int, float, Array]:

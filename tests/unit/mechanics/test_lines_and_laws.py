@@ -10,7 +10,6 @@ from identknee.mechanics.contact_law import MOST_ROUNDING
 from identknee.mechanics.elements import line_force, line_shape
 from identknee.mechanics.ligament_law import tension
 from identknee.mechanics.ligament_wrench import line_tensions
-from identknee.mechanics.memory import N_TOUCHING
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 
@@ -115,9 +114,8 @@ def test_the_exponent_leaves_the_pressure_at_three_tenths_alone(
         evaluate = Evaluator(reference_model.joint)
         evaluate._contact = evaluate._contact._replace(exponent=np.array([exponent]))
         evaluate(flexion, pose, ligaments)
-        elements, n = evaluate.work.elements, evaluate.work.counts[N_TOUCHING]
-        forces[exponent] = np.linalg.norm(elements[3:6, :n], axis=0)
-        depths[exponent] = np.array(elements[12, :n])
+        forces[exponent] = np.linalg.norm(evaluate.contact_forces(), axis=1)
+        depths[exponent] = evaluate.contact_depths()
     depth = depths[1.0]
     inside = depth > 1e-6
     assert inside.sum() > 20

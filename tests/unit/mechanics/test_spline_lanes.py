@@ -6,7 +6,6 @@ from scipy.ndimage import map_coordinates
 from tolerances import DERIVATIVE
 
 from identknee.mechanics.compiled import compiled
-from identknee.mechanics.elements import spline_weights
 from identknee.mechanics.spline_lanes import spline_at
 from identknee.runs.arrays import Array
 
@@ -14,17 +13,14 @@ SHAPE = (9, 8, 7)
 
 
 @compiled
-def _at(coefficients, first, weights):  # type: ignore[no-untyped-def]
-    return spline_at(coefficients, first, 56, 7, weights, 0)
+def _at(coefficients, first, x, y, z, memory):  # type: ignore[no-untyped-def]
+    return spline_at(coefficients, first, 56, 7, x, y, z, memory)
 
 
 def _found(coefficients: Array, place: Array) -> Array:
     cell = np.floor(place).astype(int)
-    weights = np.zeros((1, 36))
-    for axis in range(3):
-        spline_weights(place[axis] - cell[axis], weights, 0, 12 * axis)
     first = int((cell - 1) @ [56, 7, 1])
-    return np.array(_at(coefficients.reshape(-1), first, weights))
+    return np.array(_at(coefficients.reshape(-1), first, *(place - cell), np.zeros(24)))
 
 
 def _value(coefficients: Array, place: Array) -> float:

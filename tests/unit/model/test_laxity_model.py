@@ -15,7 +15,6 @@ from tolerances import DIFFERENCE, RESIDUAL_N, SAME_MARGIN, SAME_POSE
 
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.mechanics.grood_suntay import coordinates_from_pose
-from identknee.mechanics.memory import N_TOUCHING
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model import joint
 from identknee.model.effects.loads import compression
@@ -253,8 +252,7 @@ def test_contact_forces_are_those_of_the_pose(reference_model: LaxityModel) -> N
     flexion = np.radians(reference_model.protocol.flexion_deg)
     for angle, pose, centres in zip(flexion, found.poses, found.centres, strict=True):
         evaluate(angle, pose, ligaments)
-        elements, n = evaluate.work.elements, evaluate.work.counts[N_TOUCHING]
-        forces = np.linalg.norm(elements[3:6, :n], axis=0)
+        forces = np.linalg.norm(evaluate.contact_forces(), axis=1)
         assert centres[:, 0].sum() == pytest.approx(forces.sum(), abs=CONTACT_N)
 
 
