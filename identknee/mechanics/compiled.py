@@ -11,6 +11,7 @@ come out different in their last bits. A run begun by the one and resumed by the
 repeat itself, so what Python calls is compiled in a process of its own and then always loaded.
 """
 
+import gc
 import hashlib
 import importlib
 import os
@@ -121,6 +122,8 @@ def _have_compiled(function: Function, signature: tuple[Any, ...]) -> None:
 
 
 def _compile_here() -> None:
+    # Short-lived, and all that the compiler makes hangs together: nothing is worth collecting.
+    gc.disable()
     module, name, signature = pickle.loads(sys.stdin.buffer.read())
     getattr(importlib.import_module(module), name).compile(signature)
 
