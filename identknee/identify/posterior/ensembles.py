@@ -29,9 +29,9 @@ from identknee.runs.declare import declared
 OVERDISPERSION = (2.0, 1.0, 0.5, 0.25)
 TRIES = 5
 START_DRAWS = 20
-# Simulations of the fit to a place to start from, for each parameter; most need a sixth of them. One
-# that goes on creeps along a kink, and walkers spread from where it has come as well as from its end.
-FIT_EACH = 25
+# Simulations of the fit to a place to start from, for each parameter; most need a third of them. A
+# fit that goes on creeps along a kink, and walkers spread as well from where it has come.
+FIT_EACH = 12
 # Share of a typical step: the logarithm of a bound and back may come out beyond it.
 EDGE = 1e-9
 Block = Mapping[str, Any]
