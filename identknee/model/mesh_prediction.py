@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 
 from identknee.mechanics.grood_suntay import coordinates_from_pose
-from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM
 from identknee.mechanics.load_paths import LoadPaths
+from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model.joint import joint_of, sheets_of
