@@ -71,6 +71,7 @@ def compiled_into_callers(function: Function) -> Function:
 
 def _compiled(function: Function, **options: Any) -> Function:
     options |= {"nogil": True, "fastmath": FAST_MATH, "error_model": "numpy"}
+    options |= {"no_cfunc_wrapper": True}  # C calls none of them.
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_compiled_folder())
     try:
