@@ -1,7 +1,6 @@
 """What the data say of nuisances: how far each is from the middle of its prior."""
 
 import numpy as np
-from scipy.special import chdtrc
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
@@ -91,6 +90,9 @@ def nuisance_groups(problem: Problem, theta: Array) -> tuple[NuisanceGroup, ...]
     Estimates scatter by what the data have taken from the variance of the prior. Parameters as in
     `nuisance_estimates`.
     """
+    # Loaded late: it takes longer than a simulation.
+    from scipy.special import chdtrc
+
     p = problem.parameters
     covariance = _covariance(problem, theta)
     made = []

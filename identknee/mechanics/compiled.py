@@ -11,6 +11,7 @@ come out different in their last bits. A run begun by the one and resumed by the
 repeat itself, so what Python calls is compiled in a process of its own and then always loaded.
 """
 
+import gc
 import hashlib
 import importlib
 import os
@@ -70,6 +71,7 @@ def compiled_into_callers(function: Function) -> Function:
 
 def _compiled(function: Function, **options: Any) -> Function:
     options |= {"nogil": True, "fastmath": FAST_MATH, "error_model": "numpy"}
+    options |= {"no_cfunc_wrapper": True}  # C calls none of them.
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_compiled_folder())
     try:
@@ -121,6 +123,8 @@ def _have_compiled(function: Function, signature: tuple[Any, ...]) -> None:
 
 
 def _compile_here() -> None:
+    # Short-lived, and all that the compiler makes hangs together: nothing is worth collecting.
+    gc.disable()
     module, name, signature = pickle.loads(sys.stdin.buffer.read())
     getattr(importlib.import_module(module), name).compile(signature)
 

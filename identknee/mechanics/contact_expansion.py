@@ -102,7 +102,7 @@ def expand_contact(R, t, rounding, field, work):
         cells[j] = ix * stride_x + iy * stride_y + iz
         x, y, z = 2.0 * (x - ix), 2.0 * (y - iy), 2.0 * (z - iz)
         eighths[j] = first + 4 * np.int32(x) + 2 * np.int32(y) + np.int32(z)
-    n = 0
+    n = np.int64(0)
     # Without branches: whether a point may touch cannot be predicted.
     for j in range(n_listed):
         touching[n] = j

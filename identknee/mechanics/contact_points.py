@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from identknee.mechanics.equilibria import ContactPoints
 from identknee.runs.arrays import Array, IntArray
@@ -72,6 +71,9 @@ def _vertex_areas(vertices: Array, faces: IntArray) -> Array:
 
 def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Array]:
     """Centroids and areas of `number` patches of nearly equal size."""
+    # It loads most of scipy, which surfaces of few vertices do without.
+    from scipy.spatial import cKDTree
+
     corner = vertices[faces]
     while len(corner) < MOST_PIECES * number:
         corner = _quartered(corner)

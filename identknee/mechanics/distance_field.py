@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
 from identknee.mechanics.contact_expansion import FIRST_ROUNDED, NEAR_CELLS
 from identknee.mechanics.contact_law import MOST_ROUNDING
@@ -82,6 +81,9 @@ def build_field(
     distance
         Gives the signed distance [mm] of points, shape ``(n, 3)``, negative inside.
     """
+    # Loaded late: most fields are read from the cache.
+    from scipy.ndimage import spline_filter
+
     origin = np.asarray(lower, float) - PADDING * spacing
     shape = np.ceil((np.asarray(upper) - origin) / spacing).astype(int) + PADDING + 1
     axes = [origin[i] + spacing * np.arange(shape[i]) for i in range(3)]
@@ -104,6 +106,8 @@ def build_field(
 
 def _reach(coefficients: Array) -> ReachArray:
     """What each cell can hold; the outermost cells, which lack support, hold nothing."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
     support = np.lib.stride_tricks.sliding_window_view(coefficients, (4, 4, 4))
     inner = (slice(1, -2),) * 3
     # A spline lies within the hull of its coefficients; only where the gap is among them is it
@@ -126,6 +130,8 @@ def _reach(coefficients: Array) -> ReachArray:
 
 def _near(reach: ReachArray) -> BitArray:
     """Which cells are near one that may hold contact; the outermost are not."""
+    from scipy.ndimage import maximum_filter
+
     near = np.zeros(reach.shape, bool)
     inner = (slice(1, -2),) * 3
     near[inner] = maximum_filter(reach > 0, size=2 * NEAR_CELLS + 1)[inner]

@@ -10,6 +10,8 @@ axes that turn with flexion: ``x_femur = R x_tibia + Rz(-flexion) (x, y, z)`` wi
 
 import math
 
+import numpy as np
+
 from identknee.mechanics.compiled import compiled_in_place
 from identknee.mechanics.contact_elements import law_of, sum_contact
 from identknee.mechanics.contact_expansion import (
@@ -92,6 +94,10 @@ def dot(a, i, b, j):
 @compiled_in_place
 def generalised(sums, axes, g, H, h):
     """Turn the sums over elements into gradient g, Hessian H and d g / d flexion."""
+    # Where the matrices begin in the sums, and rows of the axes. Plain constants would have the
+    # compiler make another version of `bilinear` for each.
+    moment, stiffness, turning, swinging = np.int64(3), np.int64(12), np.int64(21), np.int64(30)
+    flexed, carried = np.int64(5), np.int64(6)
     axes[7, 0], axes[7, 1], axes[7, 2] = sums[0], sums[1], sums[2]
     axes[8, 0], axes[8, 1], axes[8, 2] = sums[10] - sums[8], sums[5] - sums[9], sums[6] - sums[4]
     trace = sums[3] + sums[7] + sums[11]
@@ -100,26 +106,28 @@ def generalised(sums, axes, g, H, h):
         for j in range(i, 2):
             # d2 p / d a d b = a x (b x p), with a the outer of the two axes.
             H[i, j] = (
-                bilinear(axes, i, sums, 30, axes, j)
-                + bilinear(axes, j, sums, 3, axes, i)
+                bilinear(axes, i, sums, swinging, axes, j)
+                + bilinear(axes, j, sums, moment, axes, i)
                 - trace * dot(axes, i, axes, j)
             )
             H[j, i] = H[i, j]
         for j in range(2, 5):
-            H[j, i] = bilinear(axes, j, sums, 21, axes, i)
+            H[j, i] = bilinear(axes, j, sums, turning, axes, i)
             H[i, j] = H[j, i]
         h[i] = (
-            bilinear(axes, i, sums, 30, axes, 5)
-            + bilinear(axes, 6, sums, 21, axes, i)
-            + bilinear(axes, i, sums, 3, axes, 5)
-            - trace * dot(axes, i, axes, 5)
+            bilinear(axes, i, sums, swinging, axes, flexed)
+            + bilinear(axes, carried, sums, turning, axes, i)
+            + bilinear(axes, i, sums, moment, axes, flexed)
+            - trace * dot(axes, i, axes, flexed)
         )
     for i in range(2, 5):
         g[i] = dot(axes, i, axes, 7)
         for j in range(i, 5):
-            H[i, j] = bilinear(axes, i, sums, 12, axes, j)
+            H[i, j] = bilinear(axes, i, sums, stiffness, axes, j)
             H[j, i] = H[i, j]
-        h[i] = bilinear(axes, i, sums, 21, axes, 5) + bilinear(axes, i, sums, 12, axes, 6)
+        h[i] = bilinear(axes, i, sums, turning, axes, flexed) + bilinear(
+            axes, i, sums, stiffness, axes, carried
+        )
     h[2] += sums[0] * axes[2, 1] - sums[1] * axes[2, 0]
     h[3] += sums[0] * axes[3, 1] - sums[1] * axes[3, 0]
 
@@ -163,6 +171,8 @@ def evaluate(flexion, load, contact, field, ligaments, work, at):
     if field.is_apart[0]:
         turn_expansion(work.counts[N_TOUCHING], field.turn, work.expansion)
     work.counts[N_EVALUATIONS] += 1
+    for i in range(5):
+        work.expanded[i] = at.pose[i]
     return sum_up(load, contact, ligaments, work, at)
 
 

@@ -17,7 +17,7 @@ from identknee.mechanics.memory import (
     LigamentArrays,
     NodeArrays,
 )
-from identknee.mechanics.small_matrices import scale_of
+from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
 
@@ -129,7 +129,8 @@ def solve(
     )
     nodes = (paths.flexion, paths.loads, paths.parent, np.array([paths.farthest]))
     arguments = (
-        np.array(np.broadcast_to(start, (n, 5)), float),
+        # In one order always: the compiler makes another version of its code for another.
+        np.array(np.broadcast_to(start, (n, 5)), float, order="C"),
         np.zeros((n, 5)) if guesses is None else np.array(guesses),
         guesses is not None,
         ContactArrays(*map(_read_only, contact.arrays())),
@@ -157,5 +158,5 @@ def _read_only(array: Any) -> Any:
 
 def stability_margins(hessians: Array) -> Array:
     """Smallest eigenvalue of each Hessian [N/mm], rotations scaled by 40 mm; shape ``(n,)``."""
-    scale = np.array([scale_of(i) for i in range(5)])
+    scale = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
     return np.linalg.eigvalsh(hessians / scale[:, None] / scale)[:, 0]

@@ -91,7 +91,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work, g):
     flexion_change = segment.flexion_after - segment.flexion_before
     for i in range(5):
         change[i] = segment.load_after[i] - segment.load_before[i]
-    reached, share, n_far, residual, solves = 0.0, 1.0, 0, 0.0, 0
+    reached, share, n_far, residual, solves = 0.0, 1.0, np.int64(0), 0.0, 0
     tangent(here, change, flexion_change, L, right)
     while reached < 1.0:
         share = min(share, 1.0 - reached)
@@ -170,15 +170,17 @@ def simulate_path(
     written to.
     """
     work = workspace(contact.points.shape[1])
-    g, here, far = np.zeros(5), work.path.here, nodes.farthest[0]
+    g, here, load, far = np.zeros(5), work.path.here, work.path.load, nodes.farthest[0]
     columns = np.zeros((5, results.sensitivities.shape[2]))
     for n in chosen:
         before = nodes.parent[n]
+        for i in range(5):
+            load[i] = nodes.loads[n, i]
         if before < 0:
             for i in range(5):
                 here.pose[i] = starts[n, i]
             outcome, results.residuals[n] = find_minimum(
-                nodes.flexion[n], here, nodes.loads[n], far, contact, field, ligaments, work, g
+                nodes.flexion[n], here, load, far, contact, field, ligaments, work, g
             )
             results.reached[n] = 1.0
             results.solves[n] = 1
@@ -202,13 +204,13 @@ def simulate_path(
         angle = nodes.flexion[n]
         if before >= 0 and outcome != CONVERGED:
             angle += (1.0 - results.reached[n]) * (nodes.flexion[before] - angle)
-        evaluate_there(angle, here.pose, nodes.loads[n], contact, field, ligaments, work)
+        evaluate_there(angle, here.pose, load, contact, field, ligaments, work)
         contact_centres(contact, work.evaluation, results.centres[n])
         if derivatives and outcome == CONVERGED:
             sensitivities(
                 nodes.flexion[n],
                 here.pose,
-                nodes.loads[n],
+                load,
                 here.hessian,
                 contact,
                 field,

@@ -241,8 +241,8 @@ class EvaluationMemory(NamedTuple):
         Rotation (9) and translation (3) for which the points were listed.
     cells, eighths
         First spline coefficient of each point's cell, and the eighth of the cell, shape ``(n,)``.
-    pose
-        The pose evaluated last, shape ``(5,)``.
+    pose, expanded
+        The pose evaluated last, and that where the contact was expanded, shape ``(5,)``.
     rotation, translation
         Placement of the tibia, shapes ``(9,)`` and ``(3,)``.
     field_rotation, field_translation
@@ -272,6 +272,7 @@ class EvaluationMemory(NamedTuple):
     cells: IntArray
     eighths: IntArray
     pose: Array
+    expanded: Array
     rotation: Array
     translation: Array
     field_rotation: Array

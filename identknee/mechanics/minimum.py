@@ -65,16 +65,17 @@ def rounding_of(energy):
 
 
 @compiled_in_place
-def descend(flexion, point, energy, radius, is_expanded, load, contact, field, ligaments, work):
+def descend(flexion, point, energy, radius, load, contact, field, ligaments, work):
     """Move the trial point to the minimum within `radius` of a point, as seen from there.
 
-    That is of the energy with the contact expanded there, if `is_expanded` and as far as an
-    expansion reaches; beyond, of the quadratic model.
+    That is of the energy with the contact expanded there, if it was and as far as an expansion
+    reaches; else of the quadratic model.
 
     Returns (how much lower the energy should be, how far away it is, whether it is the minimum).
     """
     trial, candidate = work.solver.trial, work.solver.candidate
     L, right, step = work.solver.factor, work.solver.right, work.solver.step
+    is_expanded = distance_between(point.pose, work.evaluation.expanded) == 0.0
     copy_point(point, trial)
     lowest, away, within = energy, 0.0, radius
     for k in range(MOST_NEAR_STEPS):
@@ -117,12 +118,12 @@ def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work
         start[i] = point.pose[i]
     energy = evaluate(flexion, load, contact, field, ligaments, evaluation, point)
     residual = residual_norm(g)
-    radius, is_expanded = 3.0, True
+    radius = 3.0
     for _ in range(MOST_ITERATIONS):
         if residual < SLACK_RESIDUAL and not factorise(point.hessian, -FLOOR_MARGIN, L):
             return UNCONSTRAINED, residual
         promised, length, is_lowest = descend(
-            flexion, point, energy, radius, is_expanded, load, contact, field, ligaments, work
+            flexion, point, energy, radius, load, contact, field, ligaments, work
         )
         if residual < RESIDUAL_TOLERANCE or (is_lowest and length < LAST_STEP):
             copy_point(trial, point)
@@ -134,12 +135,11 @@ def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work
         if gained > 0.1 * promised - rounding and (promised > rounding or residual_new < residual):
             if gained > 0.75 * promised and length > 0.6 * radius:
                 radius = min(2.0 * radius, 10.0)
-            energy, residual, is_expanded = energy_new, residual_new, True
+            energy, residual = energy_new, residual_new
             copy_point(trial, point)
             if distance_between(point.pose, start) > farthest:
                 return NO_EQUILIBRIUM, residual
         else:
-            is_expanded = False
             radius = 0.25 * min(length, radius)
             # Rounding hides any further gain, or there is none.
             if promised <= rounding or radius < 1e-12:

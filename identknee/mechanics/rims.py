@@ -1,44 +1,59 @@
 """How far a place on an open sheet is from the sheet's rim."""
 
-from dataclasses import field
-
 import numpy as np
-from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared
 
 RIM_MARGIN = 3.0  # mm
+FEW = 100  # places that are looked up faster by themselves than scipy is loaded
 
 
 @declared
 class RimDistance:
-    """Distance from the rim of a sheet, known at its vertices."""
+    """Distance of the vertices of a sheet from its rim."""
 
     vertices: Array = array("Vertices of the sheet", "vertex", "axis", unit="mm")
-    distances: Array = array(
-        "Straight distance of each to the nearest vertex of the rim; infinite where the surface is "
-        "closed",
-        "vertex",
-        unit="mm",
+    rim: Array = array(
+        "Those on the rim; none where the surface is closed", "rim vertex", "axis", unit="mm"
     )
-    _tree: cKDTree = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_tree", cKDTree(self.vertices))
+    @property
+    def distances(self) -> Array:
+        """Straight distance of each vertex to the nearest of the rim [mm]; infinite without one."""
+        return self._from_rim(self.vertices)
 
     def at(self, places: Array) -> Array:
         """Distance from the rim [mm] of the vertex nearest each of `places` (n, 3) [mm]."""
-        found: Array = self.distances[self._tree.query(places)[1]]
-        return found
+        return self._from_rim(self.vertices[_nearest(self.vertices, places)])
+
+    def _from_rim(self, places: Array) -> Array:
+        if not len(self.rim):
+            return np.full(len(places), np.inf)
+        return np.asarray(np.linalg.norm(places - self.rim[_nearest(self.rim, places)], axis=1))
+
+
+def _nearest(vertices: Array, places: Array) -> IntArray:
+    """Which of the vertices is nearest each place, shape ``(n,)``."""
+    if len(places) > FEW:
+        # It loads most of scipy.
+        from scipy.spatial import cKDTree
+
+        return np.asarray(cKDTree(vertices).query(places)[1])
+    middle = vertices.mean(axis=0)
+    around = vertices - middle
+    halves = 0.5 * np.sum(around**2, axis=1)
+    return np.asarray(np.argmin(halves - (places - middle) @ around.T, axis=1))
 
 
 def rim_distance(vertices: Array, faces: IntArray) -> RimDistance:
     """Distance from the rim of a triangle mesh: vertices ``(n, 3)`` [mm], faces ``(m, 3)``."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    rim = vertices[np.unique(unique[count == 1])]
-    return RimDistance(vertices=vertices, distances=cKDTree(rim).query(vertices)[0])
+    # Whole numbers sort ten times as fast as pairs of them.
+    named, count = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
+    once = named[count == 1]
+    rim = np.unique([once // len(vertices), once % len(vertices)])
+    return RimDistance(vertices=vertices, rim=vertices[rim.astype(int)])
 
 
 def share_near_rims(centres: Array, femoral: RimDistance, tibial: tuple[RimDistance, ...]) -> Array:

@@ -90,6 +90,7 @@ def workspace(n_points):
         cells=np.zeros(n, np.int64),
         eighths=np.zeros(n, np.int64),
         pose=np.full(5, np.inf),
+        expanded=np.full(5, np.inf),
         rotation=np.zeros(9),
         translation=np.zeros(3),
         field_rotation=np.zeros(9),

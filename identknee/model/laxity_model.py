@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -16,13 +15,11 @@ from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
-from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
-from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
-from identknee.mechanics.mesh_equilibrium import mesh_equilibria
+from identknee.mechanics.memory import CONVERGED, Equilibria
 from identknee.model import measured_start
 from identknee.model.effects.effect import Effect, Tests
 from identknee.model.extension import Extension
-from identknee.model.joint import Joint, joint_of, sheets_of
+from identknee.model.joint import Joint, joint_of
 from identknee.model.knee_parameters import knee_parameters
 from identknee.model.own_effects import StoredWithKnee, own_effects
 from identknee.model.parameters import Parameters
@@ -31,7 +28,6 @@ from identknee.model.prediction import Prediction
 from identknee.model.setting import PER_KN, PER_PCT, Setting
 from identknee.model.tied import Tied, tied
 from identknee.runs.arrays import Array, IntArray
-from identknee.runs.outcome import Outcome
 from identknee.runs.short_repr import short_repr
 from identknee.subject.knee import Knee
 
@@ -198,7 +194,16 @@ class LaxityModel:
             -100 % or less. A trial without equilibrium is not an error: it has an outcome.
         """
         if self.contact == "mesh":
-            return self._predict_on_meshes(theta, derivatives=derivatives)
+            if derivatives:
+                raise ValueError(
+                    "mesh contact has no derivatives, its force jumps; ask for derivatives=False, "
+                    'or use contact="field"'
+                )
+            # It loads a library for collisions and most of scipy.
+            from identknee.model.mesh_prediction import predict_on_meshes
+
+            its_own = (self.knee, self.paths, self.poses)
+            return predict_on_meshes(*its_own, self._unpacked(theta), theta)
         setting = self.setting(theta)
         lines = setting.measured_lines.arrays(setting.stiffness, setting.reference_strain)
         found = solve_past_folds(
@@ -361,35 +366,3 @@ class LaxityModel:
     def amplitudes(self, theta: Array) -> Array:
         """The amplitudes of the effects in theta."""
         return np.asarray(theta, float)[self.n_ligament_parameters :]
-
-    def _predict_on_meshes(self, theta: Array, *, derivatives: bool) -> Prediction:
-        if derivatives:
-            raise ValueError(
-                "mesh contact has no derivatives, its force jumps; ask for derivatives=False, or "
-                'use contact="field"'
-            )
-        contact = _mesh_contact(self.knee)
-        lines = self.joint.lines
-        start = self.joint.start if self.poses is None else self.poses
-        found = mesh_equilibria(self.paths, start, contact, lines, *self._unpacked(theta))
-        n = self.protocol.n
-        converged = np.array([x is Outcome.CONVERGED for x in found.outcomes])
-        return Prediction(
-            theta=np.array(theta, float),
-            coordinates=np.where(converged[:, None], coordinates_from_pose(found.poses), np.nan),
-            jacobian=None,
-            pose_jacobian=None,
-            codes=np.where(converged, CONVERGED, NO_EQUILIBRIUM),
-            poses=found.poses,
-            hessians=None,
-            reached=np.ones(n),
-            centres=np.zeros((n, 0, 7)),
-            rims=None,
-            node_poses=found.poses,
-        )
-
-
-@lru_cache(maxsize=4)
-def _mesh_contact(knee: Knee) -> MeshContact:
-    femur, tibia = sheets_of(knee)
-    return mesh_contact(femur, tibia)

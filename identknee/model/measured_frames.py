@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, Lines
@@ -85,6 +84,9 @@ def placements(values: Array) -> tuple[Array, Array]:
         As in `frames_at`, shape ``(k, 12)``.
     """
     turns, shifts = np.moveaxis(values.reshape(-1, 2, 2, 3), 2, 0)
+    # Loaded late: it takes longer than a simulation.
+    from scipy.spatial.transform import Rotation
+
     made = Rotation.from_rotvec(np.radians(turns.reshape(-1, 3))).as_matrix()
     return made.reshape(-1, 2, 3, 3), shifts
 
@@ -104,6 +106,8 @@ def motions(turns: Array, shifts: Array) -> Array:
     into_first, into_second = back[::2, 0], back[1::2, 1]
     moved = shifts[1::2] - shifts[::2]
     turned = np.stack([into_first @ turns[1::2, 0], into_second @ turns[::2, 1]])
+    from scipy.spatial.transform import Rotation
+
     femur, tibia = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(2, -1, 3)
     femoral = (into_first @ moved[:, 0, :, None])[..., 0]
     tibial = -(into_second @ moved[:, 1, :, None])[..., 0]

@@ -1,5 +1,7 @@
 """What a laxity model predicts: poses, their Jacobian, and how each trial ended."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from identknee.mechanics.equilibria import stability_margins
@@ -101,9 +103,7 @@ class Prediction:
         NaN for mesh contact. A prediction near a rim is kept: losing it would end a set of
         parameters without any data.
         """
-        if self.rims is None:
-            return np.full(len(self.codes), np.nan)
-        return share_near_rims(self.centres, *self.rims)
+        return _rim_share(self)
 
     @property
     def is_near_rim(self) -> BoolArray:
@@ -119,3 +119,13 @@ class Prediction:
         if self.hessians is None:
             return np.full(len(self.codes), np.nan)
         return stability_margins(self.hessians)
+
+
+# Asked for more than once of the same prediction, and slower to find than a pose.
+@lru_cache(maxsize=2)
+def _rim_share(found: Prediction) -> Array:
+    if found.rims is None:
+        return np.full(len(found.codes), np.nan)
+    share = share_near_rims(found.centres, *found.rims)
+    share.flags.writeable = False
+    return share

@@ -1,8 +1,8 @@
 """Measures of a surface's soundness, and of how two surfaces lie to each other."""
 
-import fcl
+from typing import Any
+
 import numpy as np
-from scipy.spatial import cKDTree
 
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.runs.arrays import Array
@@ -26,6 +26,9 @@ def count_shared_edges(surface: Surface) -> int:
 
 def count_near_duplicates(surface: Surface, tolerance: float) -> int:
     """How many pairs of vertices lie within `tolerance` [mm] of each other."""
+    # Loaded late: it takes longer than a simulation.
+    from scipy.spatial import cKDTree
+
     return len(cKDTree(surface.vertices).query_pairs(tolerance))
 
 
@@ -43,6 +46,8 @@ def extent(surface: Surface) -> float:
 
 def facing_normals(surface: Surface, other: Surface) -> Array:
     """Mean normal of `surface` where it is closest to `other`, shape ``(3,)``."""
+    from scipy.spatial import cKDTree
+
     centres = surface.vertices[surface.faces].mean(axis=1)
     distance = cKDTree(other.vertices).query(centres)[0]
     is_close = distance <= np.quantile(distance, CLOSEST_SHARE)
@@ -53,6 +58,8 @@ def facing_normals(surface: Surface, other: Surface) -> Array:
 
 def gap_between(one: Surface, other: Surface) -> float:
     """Smallest distance of two surfaces [mm], 0 where they touch or cross."""
+    import fcl
+
     bodies = [fcl.CollisionObject(_hierarchy(x)) for x in (one, other)]
     if fcl.collide(*bodies, fcl.CollisionRequest(), fcl.CollisionResult()) > 0:
         return 0.0
@@ -65,7 +72,9 @@ def overlap_of(surface: Surface, other: Surface) -> float:
     return max(float(-distance.min()), 0.0)
 
 
-def _hierarchy(surface: Surface) -> fcl.BVHModel:
+def _hierarchy(surface: Surface) -> Any:
+    import fcl
+
     model = fcl.BVHModel()
     model.beginModel(len(surface.faces), len(surface.vertices))
     model.addSubModel(surface.vertices, surface.faces)

@@ -25,7 +25,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared, entry
@@ -214,6 +213,9 @@ def _depth_below(knee: Knee, beside: float) -> Callable[[Site], float]:
     Points further than `beside` [mm] past the rim of the surface do not count.
     """
     centres, normals = knee.femur.vertices[knee.femur.faces].mean(axis=1), knee.femur.normals
+    # Loaded late: it takes longer than a simulation.
+    from scipy.spatial import cKDTree
+
     tree = cKDTree(centres)
     share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
 

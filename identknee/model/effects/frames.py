@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
 from identknee.mechanics.pose import angles_of, rotation_matrix
@@ -49,6 +48,9 @@ def _of_turned_tibia(coordinates: Array, values: Array, tests: Tests) -> Array:
 
 def _turns(values: Array) -> Array:
     """Rotation matrices of vectors (3,) or (k, 3) [deg], shape ``(3, 3, k)``."""
+    # Loaded late: it takes longer than a simulation.
+    from scipy.spatial.transform import Rotation
+
     turns = Rotation.from_rotvec(np.radians(np.atleast_2d(values))).as_matrix()
     return np.asarray(np.moveaxis(turns, 0, 2))
 

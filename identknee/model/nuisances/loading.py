@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from identknee.model.effects.changes import SettingChange
 from identknee.model.effects.effect import amplitudes
@@ -38,6 +37,9 @@ def flexion(sd_deg: float) -> SettingChange:
 
 
 def _turned(loads: Array, _flexion: Array, values: Array) -> Array:
+    # Loaded late: it takes longer than a simulation.
+    from scipy.spatial.transform import Rotation
+
     turn = Rotation.from_rotvec(np.radians(values))
     moments = np.column_stack([loads[:, MOMENTS], np.zeros(len(loads))])
     acted = np.array(loads)
