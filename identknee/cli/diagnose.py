@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, MaybeData, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import PROTOCOLS, Json, MaybeData, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Noise, Uncertain
 
 Planned = Annotated[
@@ -14,8 +14,8 @@ Planned = Annotated[
     typer.Option(
         "--protocol",
         metavar="PROTOCOL",
-        help="Without data: find out what the trials of seed63, table2, drawer or a TOML "
-        "file could show, given --noise.",
+        help="Instead of DATA.csv: find out what planned trials could show, given --noise. "
+        f"The trials: {PROTOCOLS}.",
     ),
 ]
 Start = Annotated[

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import identknee as ik
-from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import PROTOCOLS, Data, Json, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 Parameters = Annotated[
@@ -37,8 +37,7 @@ Trials = Annotated[
     str | None,
     typer.Option(
         metavar="PROTOCOL",
-        help="The protocol that holds the trials of --quantity and --forces, if the data do "
-        "not: seed63, table2, drawer or a TOML file.",
+        help=f"Where the trials of --quantity and --forces stand, if not in the data: {PROTOCOLS}.",
     ),
 ]
 Pairs = Annotated[

@@ -6,13 +6,22 @@ from typing import Annotated, Literal
 import typer
 
 import identknee as ik
-from identknee.cli.command import Continuation, Json, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import (
+    PROTOCOLS,
+    Continuation,
+    Json,
+    Out,
+    Seed,
+    Subject,
+    Workers,
+    run_verb,
+)
 
 ProtocolName = Annotated[
     str,
     typer.Option(
-        help="seed63, table2, drawer, the path of a TOML file, or a laxity table ending in .csv, "
-        "whose trials are run as `fit` would run them."
+        metavar="PROTOCOL",
+        help=f"The trials: {PROTOCOLS}. Measured trials are run as `fit` would run them.",
     ),
 ]
 Values = Annotated[

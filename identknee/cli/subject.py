@@ -7,6 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import (
+    PROTOCOLS,
     WRONG_INPUT,
     Json,
     Out,
@@ -31,9 +32,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-ProtocolName = Annotated[
-    str, typer.Option(help="seed63, table2, drawer, or the path of a TOML file.")
-]
+ProtocolName = Annotated[str, typer.Option(metavar="PROTOCOL", help=f"The trials: {PROTOCOLS}.")]
 Within = Annotated[
     float,
     typer.Option(
@@ -76,9 +75,8 @@ Vtk = Annotated[
 PosedTrials = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME",
-        help="The trials of --vtk: seed63, table2, drawer, or a TOML file. If not given, "
-        "those of the result, or drawer.",
+        metavar="PROTOCOL",
+        help=f"The trials of --vtk: {PROTOCOLS}. If not given: those of the result, or drawer.",
     ),
 ]
 Bundles = Annotated[
