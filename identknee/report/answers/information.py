@@ -47,7 +47,7 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
     for path in answer.geodesics:
         involved = listed(map(parameter_words, path.involved))
         yield _known(
-            f"The path along the least known combination ends with {involved}. "
+            f"One way along the least known combination, the path ends at {involved}. "
             f"{path.boundary.sentence}"
         )
 

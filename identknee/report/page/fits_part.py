@@ -44,7 +44,8 @@ def _ends(fits: dict[str, Calibration]) -> Table:
             Column(name="end"),
         ),
         rows=tuple(
-            (name, x.rmse.mm, x.rmse.deg, x.n_simulations, x.sentence) for name, x in fits.items()
+            (name, x.rmse.mm, x.rmse.deg, x.n_simulations, x.outcome.sentence)
+            for name, x in fits.items()
         ),
     )
 
