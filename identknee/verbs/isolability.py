@@ -108,7 +108,13 @@ def isolability(
             f"identknee subject check {run.knee.name}"
         )
     order = [found.distances.rivals.index(x) for x in found.distances.effects]
+    lost = trials.n - found.protocol.n
+    said = (
+        f"{lost} of the {trials.n} trials of {trials.name} have no prediction at the subject's own "
+        f"values and were left out. See: identknee subject check {run.knee.name}"
+    )
     return Isolability(
+        assumptions=(said,) if lost else (),
         protocol=found.protocol.name,
         n_trials=found.protocol.n,
         groups=tuple(_confused(x) for x in found.advice),

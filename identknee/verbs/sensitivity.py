@@ -105,9 +105,8 @@ def sensitivity(
         raise ValueError(
             "the trials are those of DATA.csv or those of --protocol; give one of the two"
         )
-    tests = run.measured
-    if tests is None:
-        tests = read_tests("seed63" if protocol is None else protocol)
+    planned = "seed63" if protocol is None else protocol
+    tests = read_tests(planned) if run.measured is None else run.measured
     outputs = _outputs(run.knee, tests, start, fixed)
     over = _where(run, outputs, posterior, samples)
     warm_up(run.knee, outputs.model.protocol)

@@ -1,12 +1,12 @@
 """Which trials to measure next, and what they would tell."""
 
-from collections import Counter
 from collections.abc import Iterator
 
+from identknee.report.answers.advised import table_of_trials
 from identknee.report.answers.better_known import better_known_statements
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import trial_words
+from identknee.report.words import counted, trial_words
 from identknee.runs.words import capital, label, listed, parameter_words
 from identknee.verbs.design import ADVICE, Design
 
@@ -22,8 +22,7 @@ def design_statements(answer: Design) -> Iterator[Statement]:
     targets = listed(map(parameter_words, choice.targets[:MOST_NAMED]))
     if len(choice.targets) > MOST_NAMED:
         targets = f"all {len(choice.targets)} targets"
-    counts = Counter(trial_words(x) for x in answer.trials)
-    trials = listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
+    trials = counted(map(trial_words, answer.trials))
     yield Statement(
         question=Question.NEXT,
         sentence=f"Next test for {targets}: {trials}. "
@@ -59,11 +58,7 @@ def _targets(answer: Design) -> Table:
 
 
 def _trials(answer: Design) -> Table:
-    return Table(
-        title="Trials to add, the most telling first",
-        columns=(Column(name="trial"), Column(name="what to do")),
-        rows=tuple((str(x["trial"]), trial_words(x)) for x in answer.trials),
-    )
+    return table_of_trials([(str(x["trial"]), trial_words(x)) for x in answer.trials])
 
 
 def _ends(*ends: float | None) -> str:

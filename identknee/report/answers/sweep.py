@@ -32,8 +32,13 @@ def sweep_statements(answer: Sweep) -> Iterator[Statement]:
             f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
             f"{_pct(survey.unseen.upper)} %) would end at a minimum that no search has reached."
         )
-    for name, recovery in survey.recoveries.items():
-        yield _statement(_radius(recovery, SEARCHES[name], survey.within))
+    recoveries = survey.recoveries
+    if len(recoveries) > 1 and all(x.radius.value == 0.0 for x in recoveries.values()):
+        either = " or ".join(SEARCHES[x] for x in recoveries)
+        yield _statement(_radius(next(iter(recoveries.values())), either, survey.within))
+    else:
+        for name, recovery in recoveries.items():
+            yield _statement(_radius(recovery, SEARCHES[name], survey.within))
     if answer.cliffs is not None:
         yield _statement(_cliffs(answer.cliffs))
 
@@ -78,7 +83,7 @@ def _basins(survey: Survey) -> Table:
     rows: tuple[tuple[Cell, ...], ...] = (
         ("objective", *(x["objective"] for x in shown)),
         ("starts", *(x["n_starts"] for x in shown)),
-        (f"{SHARES} [%]", *(f"{100 * x['share']:.0f}" for x in shown)),
+        (f"{SHARES} [%]", *(round(100 * x["share"]) for x in shown)),
         *((label(name), *(x["parameters"][name] for x in shown)) for name in names),
     )
     return Table(

@@ -1,13 +1,12 @@
 """The tests to do next, from every result that advises some."""
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from identknee.model.effects.facts import cause_label
-from identknee.report.words import trial_words
+from identknee.report.words import counted, trial_words
 from identknee.runs.plain_records import summary_of
-from identknee.runs.words import between, listed, parameter_words, unit_of
+from identknee.runs.words import between, capital, listed, parameter_words, unit_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.design import Design
 from identknee.verbs.diagnosis import Diagnosis
@@ -41,6 +40,4 @@ def _advice(answer: Answer) -> Iterator[str]:
 
 
 def _trials(trials: Sequence[Mapping[str, Any]]) -> str:
-    counts = Counter(map(trial_words, trials))
-    told = listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
-    return told[:1].upper() + told[1:]
+    return capital(counted(map(trial_words, trials)))

@@ -272,7 +272,7 @@ def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
             "trial,flexion_deg,varus_moment_Nm,valgus_moment_Nm,varus_deg\na,30,1,-1,2",
             (
                 ", row 1, column valgus_moment_Nm: varus_moment_Nm is there too, of which it is "
-                "the negative. Remove one of both."
+                "the negative. Remove one of the two."
             ),
         ),
         (
