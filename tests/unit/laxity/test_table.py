@@ -44,6 +44,12 @@ def assert_equal(one: Laxity, other: Laxity) -> None:
         assert getattr(one, name) == getattr(other, name), name
 
 
+def test_opposite_coordinates_are_read_with_their_sign(tmp_path: Path) -> None:
+    read = read_laxity(written(tmp_path, "trial,flexion_deg,valgus_deg,external_deg\na,30,1,-2\n"))
+    angles = dict(zip(COORDINATES, read.coordinates[0].tolist(), strict=True))
+    assert (angles["varus_deg"], angles["internal_deg"]) == (-1.0, 2.0)
+
+
 def test_read_what_a_person_writes(tmp_path: Path) -> None:
     path = written(
         tmp_path,
