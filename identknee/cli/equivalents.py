@@ -64,8 +64,8 @@ def equivalents(
 ) -> None:
     """Find other parameter sets that the data cannot tell apart.
 
-    They predict the same laxity as the best fit, and are as different from each other as can
-    be. The answer gives the smallest and largest value of every parameter and ligament force
+    They predict the same laxity as the best fit, and are as different from each other as
+    possible. The answer gives the smallest and largest value of every parameter and ligament force
     among all such sets: what one could wrongly conclude. Every set is simulated. A stopped run
     resumes.
     """

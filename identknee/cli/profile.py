@@ -50,7 +50,10 @@ Pairs = Annotated[
 ]
 Level = Annotated[float, typer.Option(help="Confidence level of the intervals, such as 0.95.")]
 Budget = Annotated[
-    int, typer.Option(min=1, help="Most simulations per profile. Most profiles need 25 to 100.")
+    int,
+    typer.Option(
+        min=1, help="Largest number of simulations per profile. Most profiles need 25 to 100."
+    ),
 ]
 Bootstrap = Annotated[
     int,

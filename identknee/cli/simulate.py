@@ -77,7 +77,7 @@ def simulate(
 ) -> None:
     """Simulate laxity tests of SUBJECT.
 
-    Writes laxity.csv, and how each trial ended to result.json. A trial without a stable pose
-    has blank cells.
+    Writes the laxity to laxity.csv, and how each trial ended to result.json. A trial without a
+    stable pose has blank cells.
     """
     run_verb(context, ik.simulate)

@@ -180,9 +180,9 @@ def export(
 
     With --fitted the knee has the parameters of a result, and parameters.tsv lists them in the
     form of PEtab with their 95 % sets. With --source they are written into a copy of the OpenSim
-    model that the knee was imported from; all else in that model stays. With --osim alone the
-    model holds two bones, their cartilage and the ligaments. With --vtk the knee is written in
-    every trial, with gap and pressure on each face and the force of each ligament.
+    model that the knee was imported from; the rest of that model is unchanged. With --osim alone
+    the model holds two bones, their cartilage and the ligaments. With --vtk the knee is written
+    in every trial, with gap and pressure on each face and the force of each ligament.
     """
     # This loads what draws, which takes longer than most mistakes.
     from identknee.report.export import export_subject
