@@ -43,8 +43,8 @@ class Boundary(Enum):
 
 _SENTENCES = {
     Boundary.NO_INFLUENCE: "These no longer change any prediction, as where a ligament is slack.",
-    Boundary.ZERO: "There the path reaches zero, the smallest value allowed.",
-    Boundary.BOUND: "There the path reaches a bound.",
+    Boundary.ZERO: "Here zero is reached, the least value.",
+    Boundary.BOUND: "Here a bound of the range is reached.",
     Boundary.STANDSTILL: "The predictions stop changing along a combination of these.",
     Boundary.INFINITY: "These go on without end, and the predictions go on changing.",
     Boundary.CLIFF: "Beyond this point the model has no prediction.",
