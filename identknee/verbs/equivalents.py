@@ -38,6 +38,9 @@ from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 Criterion = Literal["noise", "paper"]
 Forces = Literal["largest", "all", "none"]
 GROUP = "equivalent_sets"
+SHORTER = (
+    "For a shorter run: --forces none finds the ranges of parameters alone, --n-sets fewer sets."
+)
 
 
 @declared
@@ -149,7 +152,9 @@ def equivalents(
     if best.outcome is Outcome.START_FAILED:
         raise no_prediction(setup)
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
-    with planned("equivalents", _work(setup.problem.parameters.n, len(quantities), n_sets)):
+    n, q = setup.problem.parameters.n, len(quantities)
+    told = f"finding the ranges of {n} parameters and {q} ligament forces"
+    with planned(told, _work(n, q, n_sets), shorter=SHORTER):
         sets = equivalent_sets(
             region,
             quantities=quantities,
