@@ -6,6 +6,7 @@ from html import escape
 
 from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.report.overview.overview import KNOWN, Overview, Tone, overview
+from identknee.report.page.cautions import told_once
 from identknee.report.page.computed_part import computed_html, further_html
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
@@ -66,7 +67,7 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
     merged = findings.merged
     main = overview([x.answer for x in findings.of_main_data])
     said = all_said(merged.results)
-    cautions = [x.finding.sentence for x in said if x.finding.is_warning]
+    cautions = told_once((x.finding.sentence, x.source) for x in said if x.finding.is_warning)
     figures = _figures(merged, number)
     parts = [("answer", "The answer", overview_html(main, cautions, level))]
     for question in Question:
