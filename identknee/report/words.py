@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from identknee.laxity.protocol import FLEXION, LOADS
-from identknee.runs.words import UNITS, listed
+from identknee.runs.words import UNITS, between, listed
 
 OPPOSITES = {
     "internal_moment_Nm": "external moment",
@@ -54,6 +54,19 @@ def times(n: int) -> str:
     ('once', 'twice', '3 times')
     """
     return {1: "once", 2: "twice"}.get(n, f"{n} times")
+
+
+def interval_words(lower: float | None, upper: float | None, unit: str) -> str:
+    """An interval as what a quantity is, open ends included.
+
+    Examples
+    --------
+    >>> interval_words(9.5, 10.5, "kN"), interval_words(None, None, "kN")
+    ('9.5 to 10.5 kN', 'open on both sides')
+    """
+    if lower is None and upper is None:
+        return "open on both sides"
+    return between((lower, upper), unit).removeprefix("from ")
 
 
 def _load_name(name: str, value: float) -> str:

@@ -7,8 +7,8 @@ from identknee.runs.findings import Severity
 
 # Results of the same data say the same with slightly other numbers. The numbers in names stay.
 _NUMBER = re.compile(r"(?<!\w)[\u2212-]?\d[\d.]*(?:e[\u2212-]?\d+)?(?!\w)")
-# The beginning that several sentences may share, up to a colon: severity, then what it is about.
-_BEGINNING = re.compile(r"(?:Warning|Error): [^:.]{15,}: ")
+# The beginning that several sentences may share.
+_BEGINNING = re.compile(r"(?:Warning|Error): The fit is not believable here: ")
 ERROR = Severity.ERROR.prefix
 
 
