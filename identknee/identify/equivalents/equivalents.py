@@ -35,7 +35,7 @@ class Completeness(Enum):
 
 _SENTENCES = {
     Completeness.COMPLETE: "All the sets asked for were found.",
-    Completeness.FEWER: "Fewer sets than asked for were found that differ enough.",
+    Completeness.FEWER: "The region holds fewer sets that differ enough than were asked for.",
 }
 
 
