@@ -99,6 +99,11 @@ MaybeData = Annotated[
         callback=_data_word,
     ),
 ]
+# What every option that takes trials knows.
+PROTOCOLS = (
+    "seed63, table2, drawer, a protocol (TOML file), or the trials of a laxity table (CSV file, "
+    "or the name of a subject that comes with one)"
+)
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
 Seed = Annotated[
     int, typer.Option(min=0, help="Seed of all random numbers. It is stored with the result.")

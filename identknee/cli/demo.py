@@ -10,7 +10,7 @@ from identknee.cli.command import Json, Out, Seed, Workers, run_verb
 from identknee.cli.report import PAGE
 
 Runs = Annotated[int, typer.Option(min=1, help="Runs of the Complex method from each start.")]
-Budget = Annotated[int, typer.Option(min=1, help="Most simulations per run.")]
+Budget = Annotated[int, typer.Option(min=1, help="Largest number of simulations per run.")]
 BEGINNING = (
     "Reference knee, 63 trials, noise-free. Short settings.\n"
     "Fitting from the paper's four starts: Complex ({} runs each), least squares. Then profiles "

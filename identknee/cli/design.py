@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 import identknee as ik
-from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import PROTOCOLS, Data, Json, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 NTrials = Annotated[int, typer.Option(min=1, help="Number of trials to add.")]
@@ -32,9 +32,8 @@ CandidateTrials = Annotated[
     str | None,
     typer.Option(
         metavar="PROTOCOL",
-        help="Trials to choose from: seed63, table2, drawer or a TOML file. If not given: "
-        "drawer, varus-valgus and rotation tests, compression and pairs of loads at 0 "
-        "to 120 deg, and repeats.",
+        help=f"Trials to choose from: {PROTOCOLS}. If not given: drawer, varus-valgus and "
+        "rotation tests, compression and pairs of loads at 0 to 120 deg, and repeats.",
     ),
 ]
 Level = Annotated[float, typer.Option(help="Confidence level of the intervals, such as 0.95.")]

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, MaybeData, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import PROTOCOLS, Json, MaybeData, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Noise, Uncertain
 
 Planned = Annotated[
@@ -14,8 +14,8 @@ Planned = Annotated[
     typer.Option(
         "--protocol",
         metavar="PROTOCOL",
-        help="Without data: find out what the trials of seed63, table2, drawer or a TOML "
-        "file could show, given --noise.",
+        help="Instead of DATA.csv: find out what planned trials could show, given --noise. "
+        f"The trials: {PROTOCOLS}.",
     ),
 ]
 Start = Annotated[
@@ -44,9 +44,9 @@ def diagnose(
 
     The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the
     other causes that would fit, and the trials that would tell them apart. The folder extended
-    is the subject with the causes found, for every other command. With --protocol instead of
-    DATA.csv it says which causes such trials could show and tell apart. The load paths of each
-    simulation are shared among the workers.
+    holds the subject with the causes found, for use with every other command. With --protocol
+    instead of DATA.csv, it says which causes such trials could show and tell apart. The load
+    paths of each simulation are shared among the workers.
     """
     answer = run_verb(context, ik.diagnose)
     # This loads matplotlib.

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 import identknee as ik
-from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import PROTOCOLS, Data, Json, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 NumberOfSets = Annotated[
@@ -38,8 +38,7 @@ Trials = Annotated[
     str | None,
     typer.Option(
         metavar="PROTOCOL",
-        help="Take the forces in these trials instead of those of the data: seed63, table2, "
-        "drawer or a TOML file.",
+        help=f"Take the forces in these trials instead of those of the data: {PROTOCOLS}.",
     ),
 ]
 
@@ -65,8 +64,8 @@ def equivalents(
 ) -> None:
     """Find other parameter sets that the data cannot tell apart.
 
-    They predict the same laxity as the best fit, and are as different from each other as can
-    be. The answer gives the smallest and largest value of every parameter and ligament force
+    They predict the same laxity as the best fit, and are as different from each other as
+    possible. The answer gives the smallest and largest value of every parameter and ligament force
     among all such sets: what one could wrongly conclude. Every set is simulated. A stopped run
     resumes.
     """

@@ -18,12 +18,22 @@ from identknee.cli.command import (
 )
 from identknee.cli.identification import Noise, Uncertain
 
-Start = Annotated[str, typer.Option(help="IG1, IG2, IG3, IG4, subject, or a file ending in .toml.")]
+Start = Annotated[
+    str,
+    typer.Option(
+        help="Where the search starts: subject (its own values), IG1 to IG4 of the paper, or a "
+        "file ending in .toml."
+    ),
+]
 Method = Annotated[
     str,
-    typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
+    typer.Option(
+        help="The optimizer: least-squares, complex, genetic, particle-swarm, cma-es or annealing."
+    ),
 ]
-Budget = Annotated[int | None, typer.Option(help="Most simulations; 2,500 if not given.")]
+Budget = Annotated[
+    int | None, typer.Option(help="Largest number of simulations; 2,500 if not given.")
+]
 Weighting = Annotated[
     Literal["unit", "noise"],
     typer.Option(
@@ -47,7 +57,11 @@ Fixed = Annotated[
 ]
 Bounds = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME=LOW:HIGH", help="Bounds of a parameter. May be repeated."),
+    typer.Option(
+        metavar="NAME=LOW:HIGH",
+        help="Bounds of a parameter, such as ACL.stiffness_kN=5:15, in place of the subject's own "
+        "or of 0 to 40 kN and -15 to 15 %. May be repeated.",
+    ),
 ]
 Likelihood = Annotated[
     Literal["normal", "student"],

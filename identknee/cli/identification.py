@@ -39,7 +39,7 @@ Bounds = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME=LOW:HIGH",
-        help="Bounds of a parameter, such as ACL.stiffness_kN=5:15, in place of 0 to 40 kN "
-        "and -15 to 15 %. May be repeated.",
+        help="Bounds of a parameter, such as ACL.stiffness_kN=5:15, in place of the subject's own "
+        "or of 0 to 40 kN and -15 to 15 %. May be repeated.",
     ),
 ]

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import identknee as ik
-from identknee.cli.command import Data, Json, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import PROTOCOLS, Data, Json, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 
 Parameters = Annotated[
@@ -37,8 +37,7 @@ Trials = Annotated[
     str | None,
     typer.Option(
         metavar="PROTOCOL",
-        help="The protocol that holds the trials of --quantity and --forces, if the data do "
-        "not: seed63, table2, drawer or a TOML file.",
+        help=f"Where the trials of --quantity and --forces stand, if not in the data: {PROTOCOLS}.",
     ),
 ]
 Pairs = Annotated[
@@ -51,7 +50,10 @@ Pairs = Annotated[
 ]
 Level = Annotated[float, typer.Option(help="Confidence level of the intervals, such as 0.95.")]
 Budget = Annotated[
-    int, typer.Option(min=1, help="Most simulations per profile. Most profiles need 25 to 100.")
+    int,
+    typer.Option(
+        min=1, help="Largest number of simulations per profile. Most profiles need 25 to 100."
+    ),
 ]
 Bootstrap = Annotated[
     int,

@@ -23,7 +23,8 @@ NEnsembles = Annotated[
 Budget = Annotated[
     int,
     typer.Option(
-        min=1, help="Most simulations. With a larger number and the same --out the run goes on."
+        min=1,
+        help="Largest number of simulations. With a larger one and the same --out the run goes on.",
     ),
 ]
 Nested = Annotated[
@@ -64,8 +65,8 @@ def sample(
 ) -> None:
     """Sample the posterior of the parameters given the data.
 
-    Walkers go on until they pass the checks of convergence, whose numbers are in result.json.
-    All draws are in result.nc, with the laxity and the ligament forces at some of them. A
-    stopped run resumes.
+    Walkers run until they pass the convergence checks, whose numbers are in result.json. All
+    draws are in result.nc, with the laxity and the ligament forces at some of them. A stopped
+    run resumes.
     """
     run_verb(context, ik.sample)

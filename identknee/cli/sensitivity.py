@@ -6,15 +6,15 @@ from typing import Annotated, Literal
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, MaybeData, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import PROTOCOLS, Json, MaybeData, Out, Seed, Subject, Workers, run_verb
 from identknee.cli.identification import Fixed, Start
 
 MethodName = Literal["morris", "sobol", "delta", "pawn", "hdmr", "shapley"]
 ProtocolName = Annotated[
     str | None,
     typer.Option(
-        help="The trials, if there is no DATA.csv: seed63 (the default), table2, drawer or "
-        "a TOML file."
+        metavar="PROTOCOL",
+        help=f"The trials, if there is no DATA.csv: {PROTOCOLS}. If not given: seed63.",
     ),
 ]
 Method = Annotated[

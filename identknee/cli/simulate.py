@@ -6,13 +6,22 @@ from typing import Annotated, Literal
 import typer
 
 import identknee as ik
-from identknee.cli.command import Continuation, Json, Out, Seed, Subject, Workers, run_verb
+from identknee.cli.command import (
+    PROTOCOLS,
+    Continuation,
+    Json,
+    Out,
+    Seed,
+    Subject,
+    Workers,
+    run_verb,
+)
 
 ProtocolName = Annotated[
     str,
     typer.Option(
-        help="seed63, table2, drawer, the path of a TOML file, or a laxity table ending in .csv, "
-        "whose trials are run as `fit` would run them."
+        metavar="PROTOCOL",
+        help=f"The trials: {PROTOCOLS}. Measured trials are run as `fit` would run them.",
     ),
 ]
 Values = Annotated[
@@ -68,7 +77,7 @@ def simulate(
 ) -> None:
     """Simulate laxity tests of SUBJECT.
 
-    Writes laxity.csv, and how each trial ended to result.json. A trial without a stable pose
-    has blank cells.
+    Writes the laxity to laxity.csv, and how each trial ended to result.json. A trial without a
+    stable pose has blank cells.
     """
     run_verb(context, ik.simulate)

@@ -7,6 +7,7 @@ import typer
 
 import identknee as ik
 from identknee.cli.command import (
+    PROTOCOLS,
     WRONG_INPUT,
     Json,
     Out,
@@ -31,9 +32,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-ProtocolName = Annotated[
-    str, typer.Option(help="seed63, table2, drawer, or the path of a TOML file.")
-]
+ProtocolName = Annotated[str, typer.Option(metavar="PROTOCOL", help=f"The trials: {PROTOCOLS}.")]
 Within = Annotated[
     float,
     typer.Option(
@@ -76,9 +75,8 @@ Vtk = Annotated[
 PosedTrials = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME",
-        help="The trials of --vtk: seed63, table2, drawer, or a TOML file. If not given, "
-        "those of the result, or drawer.",
+        metavar="PROTOCOL",
+        help=f"The trials of --vtk: {PROTOCOLS}. If not given: those of the result, or drawer.",
     ),
 ]
 Bundles = Annotated[
@@ -182,9 +180,9 @@ def export(
 
     With --fitted the knee has the parameters of a result, and parameters.tsv lists them in the
     form of PEtab with their 95 % sets. With --source they are written into a copy of the OpenSim
-    model that the knee was imported from; all else in that model stays. With --osim alone the
-    model holds two bones, their cartilage and the ligaments. With --vtk the knee is written in
-    every trial, with gap and pressure on each face and the force of each ligament.
+    model that the knee was imported from; the rest of that model is unchanged. With --osim alone
+    the model holds two bones, their cartilage and the ligaments. With --vtk the knee is written
+    in every trial, with gap and pressure on each face and the force of each ligament.
     """
     # This loads what draws, which takes longer than most mistakes.
     from identknee.report.export import export_subject

@@ -12,10 +12,12 @@ from identknee.cli.identification import Bounds, Fixed, Noise, Start, Uncertain
 Starts = Annotated[int, typer.Option("--n-starts", min=1, help="Number of starts.")]
 Method = Annotated[
     str,
-    typer.Option(help="least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
+    typer.Option(
+        help="The optimizer: least-squares, complex, genetic, particle-swarm, cma-es or annealing."
+    ),
 ]
 Budget = Annotated[
-    int | None, typer.Option(help="Most simulations per search; 2,500 if not given.")
+    int | None, typer.Option(help="Largest number of simulations per search; 2,500 if not given.")
 ]
 Design = Annotated[
     Literal["sobol", "shells"],

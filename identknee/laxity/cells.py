@@ -94,7 +94,7 @@ class CellFile:
                 )
 
     def take_opposites(self, opposites: Mapping[str, str]) -> None:
-        """Read columns whose values count the other way round, such as a valgus moment.
+        """Read columns whose values count the other way round, such as a valgus moment or valgus.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class CellFile:
                 continue
             if other in self.columns:
                 why = f"{other} is there too, of which it is the negative"
-                self.refuse(self.header_line, name, why, "Remove one of both.")
+                self.refuse(self.header_line, name, why, "Remove one of the two.")
             self._read_as(other, name, -1.0)
 
     def take_named(self) -> None:
@@ -137,7 +137,7 @@ class CellFile:
                     line, "", f"there is no column {source}", suggestion(source, self.columns)
                 )
             if name in self.columns and name != source:
-                self.refuse(line, "", f"{name} is there already", "Remove one of both.")
+                self.refuse(line, "", f"{name} is there already", "Remove one of the two.")
             self._read_as(name, source, float(found[2] or 1.0) * (-1.0 if found[3] else 1.0))
 
         if self._is_storage and "time" in self.columns:

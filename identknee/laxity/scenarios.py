@@ -1,6 +1,8 @@
 """Trials and their coordinates by kind of load."""
 
-from identknee.laxity.dominant import DIRECTIONS
+from dataclasses import replace
+
+from identknee.laxity.dominant import DIRECTIONS, nominal_flexion, told_loads
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 
@@ -29,15 +31,18 @@ def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
 def laxity_groups(protocol: Protocol) -> tuple[str, ...]:
     """Group of every coordinate of every trial: coordinate, flexion angle and kind of load.
 
+    Where a rig reads its own angle in each trial, angles close together are one. Stray loads are
+    left out, and a load that all trials hold.
+
     Examples
     --------
     >>> from identknee.laxity.protocol import load_protocol
     >>> laxity_groups(load_protocol("seed63"))[3]
     'varus_deg, 0 deg, valgus moment'
     """
-    scenarios = load_scenarios(protocol)
+    scenarios = load_scenarios(replace(protocol, loads=told_loads(protocol)))
     return tuple(
         SEPARATOR.join((coordinate, f"{flexion:g} deg", scenario))
-        for flexion, scenario in zip(protocol.flexion_deg, scenarios, strict=True)
+        for flexion, scenario in zip(nominal_flexion(protocol), scenarios, strict=True)
         for coordinate in COORDINATES
     )

@@ -38,6 +38,14 @@ OPPOSITE_LOADS = {
     "medial_force_N": "lateral_force_N",
 }
 """Columns of loads that count the other way round, and the column each is the negative of."""
+OPPOSITE_COORDINATES = {
+    "medial_shift_mm": "lateral_shift_mm",
+    "posterior_drawer_mm": "anterior_drawer_mm",
+    "valgus_deg": "varus_deg",
+    "external_deg": "internal_deg",
+}
+"""The same of coordinates."""
+OPPOSITES = {**OPPOSITE_LOADS, **OPPOSITE_COORDINATES}
 # Smaller or larger than any measurement in mm or deg; squares of these keep their digits.
 NOISE_LIMITS = (1e-9, 1e6)
 # Beyond these a table is in other units or of other axes.
@@ -145,7 +153,7 @@ def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
     """Laxity of a CSV file with one row a trial, or of a named subject such as ``"s192803"``.
 
     Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing) or of the opposite
-    ones in `OPPOSITE_LOADS`, such as ``valgus_moment_Nm``, any of `COORDINATES`, ``sd_`` and the
+    ones in `OPPOSITES`, such as ``valgus_moment_Nm``, any of `COORDINATES`, ``sd_`` and the
     name of a coordinate, ``order`` and ``phase``. A blank coordinate was not measured. Cells are
     separated by commas; where the header has semicolons or tabs instead, by those, and then numbers
     may have decimal commas. Comment lines start with ``#``; some of them state something:
@@ -163,7 +171,7 @@ def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
     """
     with CellFile.open(laxity_file(path)) as file:
         file.take_named()
-        file.take_opposites(OPPOSITE_LOADS)
+        file.take_opposites(OPPOSITES)
         is_series = TIME in file.columns
         names, table, extra = _curves(file) if is_series else _trials(file, is_measured=is_measured)
     loads, coordinates = 1 + len(LOADS), 1 + len(LOADS) + len(COORDINATES)
@@ -232,7 +240,7 @@ def noise_fault(sd: float) -> tuple[str, str] | None:
 
 def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
     """Names of trials, their numbers, order and phase, from a file with one row a trial."""
-    file.check_columns((*_COLUMNS, *OPPOSITE_LOADS), ("trial", FLEXION))
+    file.check_columns((*_COLUMNS, *OPPOSITES), ("trial", FLEXION))
     if is_measured:
         _check_coordinates(file)
     names: dict[str, int] = {}
@@ -256,7 +264,7 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
 
 def _curves(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
     """The same from a time series: points of the mean loading curve of each ramp."""
-    file.check_columns((TIME, "trial", FLEXION, *LOADS, *COORDINATES, *OPPOSITE_LOADS), (FLEXION,))
+    file.check_columns((TIME, "trial", FLEXION, *LOADS, *COORDINATES, *OPPOSITES), (FLEXION,))
     _check_coordinates(file)
     ramps: list[str] = []
     samples: list[tuple[float, ...]] = []

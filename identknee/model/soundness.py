@@ -25,7 +25,7 @@ def stability_findings(model: LaxityModel) -> tuple[Finding, ...]:
         sentence = (
             f"The subject fails its stability check: at its own parameters {lost.size} of {n} "
             f"trials have no equilibrium ({counted_outcomes(found.outcomes)}; the first is "
-            f"{first}). See: identknee subject check"
+            f"{first}). See: identknee subject check SUBJECT --protocol DATA.csv"
         )
         return (Finding(severity=Severity.WARNING, sentence=sentence, where="subject"),)
     lowest = float(np.nanmin(found.margins, initial=np.inf))

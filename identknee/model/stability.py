@@ -270,7 +270,8 @@ def _lost(report: StabilityReport) -> list[str]:
     for outcome, trials in by_outcome.items():
         named = ", ".join(trials[:MOST_LISTED])
         more = f" and {len(trials) - MOST_LISTED} more" if len(trials) > MOST_LISTED else ""
-        sentences.append(f"{outcome.value} {len(trials)} ({named}{more}): {outcome.sentence}")
+        many = "1 trial" if len(trials) == 1 else f"{len(trials)} trials"
+        sentences.append(f"{many} ({named}{more}): {outcome.sentence}")
     return sentences
 
 
@@ -337,10 +338,18 @@ def _points_finding(report: StabilityReport) -> GeometryFinding:
     )
 
 
+_ENDED = {
+    Outcome.CONVERGED: "with a stable pose",
+    Outcome.FOLD: "at a fold",
+    Outcome.NO_EQUILIBRIUM: "without equilibrium",
+    Outcome.UNCONSTRAINED: "with a free direction",
+}
+
+
 def counted_outcomes(outcomes: Sequence[Outcome]) -> str:
     """How many trials ended in each way but the good one, in words."""
     return _counted(Counter(x for x in outcomes if x is not Outcome.CONVERGED))
 
 
 def _counted(outcomes: Mapping[Outcome, int]) -> str:
-    return ", ".join(f"{outcome.value} {count}" for outcome, count in outcomes.items())
+    return ", ".join(f"{count} {_ENDED[outcome]}" for outcome, count in outcomes.items())

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.named_trials import TrialsLike, read_tests
+from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.of_tests import model_of_tests
 from identknee.report.overview.ranges import ranges_of
 from identknee.report.page.results import Result, found_results
 from identknee.report.parameter_table import parameter_table
@@ -51,7 +53,7 @@ def export_knee(
     osim: bool = False,
     source: PathLike | None = None,
     vtk: bool = False,
-    protocol: str | Protocol | None = None,
+    protocol: TrialsLike | None = None,
 ) -> Exported:
     """The knee written as a subject folder, and for other tools.
 
@@ -100,7 +102,7 @@ def export_subject(
     osim: bool = False,
     source: PathLike | None = None,
     vtk: bool = False,
-    protocol: str | Protocol | None = None,
+    protocol: TrialsLike | None = None,
     out: PathLike,
 ) -> SubjectFacts:
     """What was written of a subject, as `export_knee` does, with the record of how it was made.
@@ -171,14 +173,14 @@ def _write_table(knee: Knee, results: list[Result], folder: Path) -> Path:
 
 
 def _write_trials(
-    knee: Knee, results: list[Result], protocol: str | Protocol | None, folder: Path
+    knee: Knee, results: list[Result], protocol: TrialsLike | None, folder: Path
 ) -> Path:
     answer = _latest(results).answer if results else None
     if protocol is None and isinstance(answer, SimulatedLaxity):
         protocol = answer.protocol
-    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol or "drawer")
-    model = LaxityModel(knee=knee, protocol=trials)
-    if isinstance(answer, Calibration) and trials is answer.protocol:
+    tests = read_tests("drawer" if protocol is None else protocol)
+    model = model_of_tests(knee, tests)
+    if isinstance(answer, Calibration) and tests is answer.protocol:
         # The search of a measured trial begins at its measured pose.
         model = model.with_tests(answer.data)
     return write_poses(model, model.parameters.start, folder / POSES)

@@ -73,7 +73,7 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
     """
     n = len(names)
     known = None if truth is None else np.asarray(truth, float)
-    figure = Figure(figsize=(1.0 + 1.25 * n, 1.0 + 1.2 * n), layout="constrained")
+    figure = Figure(figsize=(1.0 + 1.06 * n, 1.0 + 0.96 * n), layout="constrained")
     grid = figure.subplots(n, n, squeeze=False, sharex="col")
     for row in range(n):
         for column in range(n):

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from identknee.report.comparison import Spread
 
@@ -74,6 +74,19 @@ class Table:
             for row in self.rows
         ]
 
+    @property
+    def told(self) -> "Table":
+        """The same without columns of text, such as remarks, that are blank in every row."""
+        n = len(self.columns)
+        kept = [i for i in range(n) if i == 0 or any(row[i] != "" for row in self.rows)]
+        if len(kept) == n or not self.rows:
+            return self
+        return replace(
+            self,
+            columns=tuple(self.columns[i] for i in kept),
+            rows=tuple(tuple(row[i] for i in kept) for row in self.rows),
+        )
+
     def markdown(self) -> str:
         """The table as Markdown, its title above it in bold."""
         heads = [column.head for column in self.columns]
@@ -84,6 +97,8 @@ class Table:
     # typing.override came with Python 3.12.
     def __str__(self) -> str:  # type: ignore[explicit-override]
         """The table in columns of even width, for a terminal."""
+        if self.told is not self:
+            return str(self.told)
         rows = [[column.head for column in self.columns], *self.texts()[: self.most]]
         widths = [max(len(row[i]) for row in rows) for i in range(len(self.columns))]
         lines = [

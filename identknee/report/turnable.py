@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from identknee.calibrate.starts import load_start
-from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.model.laxity_model import LaxityModel
+from identknee.laxity.named_trials import TrialsLike, read_tests
+from identknee.model.of_tests import model_of_tests
 from identknee.report.notebook import result_of
 from identknee.report.page.knee_scene import KneeScene, model_scene
 from identknee.report.page.markup import element
@@ -49,7 +49,7 @@ class Scene3D:
 
 
 def scene_3d(
-    knee: Knee, answer: Answer | None = None, *, protocol: str | Protocol = "seed63"
+    knee: Knee, answer: Answer | None = None, *, protocol: TrialsLike = "seed63"
 ) -> Scene3D:
     """The knee in three dimensions, with ligament forces and contact in every trial.
 
@@ -61,7 +61,8 @@ def scene_3d(
         A fit, a simulation or a diagnosis of it: its parameters are shown. Those of the subject if
         None.
     protocol
-        The trials to show where there is no answer.
+        The trials to show where there is no answer: a protocol, the name of one, its TOML file, or
+        a laxity table.
 
     Raises
     ------
@@ -72,9 +73,8 @@ def scene_3d(
     return Scene3D(html=document(f"Knee {knee.name}", viewer_html(scene), has_viewer=True))
 
 
-def _of_subject(knee: Knee, protocol: str | Protocol) -> KneeScene:
-    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol)
-    model = LaxityModel(knee=knee, protocol=trials)
+def _of_subject(knee: Knee, protocol: TrialsLike) -> KneeScene:
+    model = model_of_tests(knee, read_tests(protocol))
     return model_scene(model, load_start("subject", model.parameters))
 
 

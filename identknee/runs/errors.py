@@ -45,8 +45,8 @@ class InputError(ValueError):
         return "".join(x if x.isprintable() else "?" for x in whole)
 
 
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """Sentence that names the closest of the `known` words, or all where none is close.
+def suggestion(word: str, known: Iterable[str], *, most: int | None = None) -> str:
+    """Sentence that names the closest of the `known` words, or the first `most` if none is close.
 
     Examples
     --------
@@ -60,7 +60,9 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     close = close or [name for name in names if name.startswith(word.casefold())]
     if close:
         return f"Did you mean {names[close[0]]}?"
-    return f"Known are {', '.join(names.values())}."
+    shown = list(names.values())[:most]
+    more = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
+    return f"Known are {', '.join(shown)}{more}."
 
 
 class NotComputed(Exception):  # noqa: N818 - said to a person as a sentence

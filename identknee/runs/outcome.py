@@ -32,7 +32,7 @@ class Outcome(Enum):
 _SENTENCES = {
     Outcome.CONVERGED: "A stable equilibrium was found on the branch that starts unloaded.",
     Outcome.FOLD: "No stable pose at full load: the simulated knee jumps before reaching it.",
-    Outcome.NO_EQUILIBRIUM: "No equilibrium was found from the reference pose.",
+    Outcome.NO_EQUILIBRIUM: "No equilibrium was found near the pose where the search began.",
     Outcome.UNCONSTRAINED: "Nothing resists one direction of motion, so the pose is not unique. Is "
     "a ligament missing or slack?",
     Outcome.MINIMUM: "Exact derivatives confirm a local minimum.",

@@ -8,13 +8,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from identknee.runs.progress_lines import Lines
+from identknee.runs.time_left import in_words, time_left
+
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
 
 Item = TypeVar("Item")
 DELAY_S = 2.0
-# Less of the work says too little of the rest.
-LEAST_SHARE = 0.02
+# Work that takes longer is told how it could be shortened.
+LONG_S = 300.0
 _one_bar = threading.Lock()
 _plans: list["_Plan"] = []
 
@@ -28,13 +31,17 @@ class Advance(Protocol):
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
         """A share of all is done; `note` says more, `left_s` the time left where known [s]."""
 
+    def say(self, sentence: str, /) -> None:
+        """Say a sentence beside the bar."""
+
 
 def progress(
     items: Iterable[Item], *, total: int | None = None, description: str
 ) -> Iterator[Item]:
     """The same items, counted on a bar on standard error.
 
-    The bar shows after two seconds and only on a terminal.
+    The bar shows after two seconds on a terminal. Elsewhere, as in a log, a line says how far long
+    work is after 30 seconds and then ever more rarely.
 
     Parameters
     ----------
@@ -106,7 +113,9 @@ def progress_bar(
 
 
 @contextmanager
-def planned(description: str, work: Mapping[str, Sequence[float]]) -> Iterator[None]:
+def planned(
+    description: str, work: Mapping[str, Sequence[float]], *, shorter: str = ""
+) -> Iterator[None]:
     """One bar over several maps that follow one another, so that it knows when all are done.
 
     Parameters
@@ -117,58 +126,18 @@ def planned(description: str, work: Mapping[str, Sequence[float]]) -> Iterator[N
         By the description of a map what each of the items expected in all its rounds costs,
         relative to those of the other maps. Items beyond cost as much as the last; maps not named
         cost nothing.
+    shorter
+        How the work could be shortened, said once if it turns out to take minutes.
     """
     if _plans:
         yield
         return
     with _bar(description, None, 0, is_counted=False) as advance:
-        _plans.append(_Plan(work, advance))
+        _plans.append(_Plan(work, advance, shorter))
         try:
             yield
         finally:
             _plans.clear()
-
-
-def time_left(elapsed_s: float, share: float, before: float = 0.0) -> float | None:
-    """Seconds until all is done, at the speed so far; None while that is not known.
-
-    Parameters
-    ----------
-    elapsed_s
-        Time since the work began, or was resumed.
-    share
-        Share of the work that is done.
-    before
-        Share that was done when it began.
-
-    Examples
-    --------
-    >>> time_left(30.0, 0.25)
-    90.0
-    >>> time_left(30.0, 0.75, before=0.5)
-    30.0
-    """
-    if share - before < LEAST_SHARE:
-        return None
-    return elapsed_s * max(1.0 - share, 0.0) / (share - before)
-
-
-def in_words(seconds: float | None) -> str:
-    """Time left as a person says it.
-
-    Examples
-    --------
-    >>> [in_words(x) for x in (None, 4.0, 87.0, 150.0, 4000.0)]
-    ['', 'about 4 s left', 'about 90 s left', 'about 2 min left', 'about 1.1 h left']
-    """
-    if seconds is None:
-        return ""
-    if seconds < 120.0:
-        rounded = round(seconds, -1) if seconds > 60.0 else round(max(seconds, 1.0))
-        return f"about {rounded:.0f} s left"
-    if seconds < 3600.0:
-        return f"about {seconds / 60.0:.0f} min left"
-    return f"about {seconds / 3600.0:.1f} h left"
 
 
 @contextmanager
@@ -176,8 +145,14 @@ def _bar(
     description: str, total: int | None, before: int, *, is_counted: bool
 ) -> Iterator[Advance]:
     is_worker = multiprocessing.parent_process() is not None
-    if is_worker or not sys.stderr.isatty() or not _one_bar.acquire(blocking=False):
+    if is_worker or not _one_bar.acquire(blocking=False):
         yield _Silent()
+        return
+    if not sys.stderr.isatty():
+        try:
+            yield Lines(description, total, before)
+        finally:
+            _one_bar.release()
         return
     bar = _DelayedBar(description, total, before, is_counted=is_counted)
     # A timer, so that a first step of a minute does not leave the terminal blank.
@@ -200,6 +175,9 @@ class _Silent:
         return
 
     def to(self, _share: float, _note: str = "", _left_s: float | None = None) -> None:
+        return
+
+    def say(self, _sentence: str, /) -> None:
         return
 
 
@@ -245,6 +223,11 @@ class _DelayedBar:
             self._share, self._note, self._left = share, note, _Left(left_s)
             self._update()
 
+    def say(self, sentence: str, /) -> None:
+        with self._lock:
+            if self._shown is not None:
+                self._shown[0].console.print(f"identknee: {sentence}", markup=False)
+
     def _update(self) -> None:
         if self._shown is None:
             return
@@ -273,7 +256,10 @@ class _Left:
 class _Plan:
     """Adds up what the maps of a plan have done."""
 
-    def __init__(self, work: Mapping[str, Sequence[float]], advance: Advance) -> None:
+    def __init__(
+        self, work: Mapping[str, Sequence[float]], advance: Advance, shorter: str = ""
+    ) -> None:
+        self._shorter = shorter
         self._costs = {name: list(costs) for name, costs in work.items()}
         self._done = dict.fromkeys(work, 0)
         self._before = 0.0
@@ -300,7 +286,11 @@ class _Plan:
         done = sum(sum(costs[: self._done[name]]) for name, costs in self._costs.items())
         share, before = done / whole, self._before / whole
         elapsed = time.monotonic() - self._began
-        self._advance.to(share, description, time_left(elapsed, share, before))
+        left = time_left(elapsed, share, before)
+        if self._shorter and left is not None and left > LONG_S:
+            self._advance.say(f"{in_words(left)}. {self._shorter}")
+            self._shorter = ""
+        self._advance.to(share, description, left)
 
 
 class _Part:
@@ -314,6 +304,9 @@ class _Part:
         self._plan.add(self._description, count)
 
     def to(self, _share: float, _note: str = "", _left_s: float | None = None) -> None:
+        return
+
+    def say(self, _sentence: str, /) -> None:
         return
 
 

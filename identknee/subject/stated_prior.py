@@ -28,7 +28,7 @@ class StatedPrior:
 
     def __post_init__(self) -> None:
         if (self.sd is None) == (self.log_sd is None):
-            raise ValueError("a prior has either sd or log_sd; give one of both")
+            raise ValueError("a prior has either sd or log_sd; give one of the two")
         if not 0.0 < self.spread < float("inf"):
             raise ValueError(f"the spread of a prior must be greater than 0, got {self.spread:g}")
         if self.is_log and self.center is not None and not self.center > 0.0:

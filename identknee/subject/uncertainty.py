@@ -200,11 +200,11 @@ def _one(text: str) -> dict[str, float]:
     names = [f"{name}_{unit}"] if unit in ("mm", "deg") else [name]
     known = [x.name for x in fields(Uncertainty)]
     if names[0] not in known:
-        raise ValueError(f"--uncertain {text}: {_refusal(name)}")
+        raise ValueError(f"--uncertain {text}: {_refusal(name, found[1])}")
     return {names[0]: number / 100.0 if unit == "%" else number}
 
 
-def _refusal(name: str) -> str:
+def _refusal(name: str, number: str) -> str:
     """Why a name with that unit is not known."""
     units = [
         known.removeprefix(f"{name}_")
@@ -212,7 +212,8 @@ def _refusal(name: str) -> str:
         if known.startswith(f"{name}_") and known.removeprefix(f"{name}_") in ("mm", "deg")
     ]
     if units:
-        return f"{name} is stated in {' or '.join(units)}; write {name}=1{units[0]}"
+        written = " or ".join(f"{name}={number}{unit}" for unit in units)
+        return f"{name} is stated in {' or '.join(units)}; write {written}"
     if name in (x.name for x in fields(Uncertainty)):
         return f"{name} has no unit; write {name}=0.1 or {name}=10%"
     return f"there is no such part. {_known(name)}"

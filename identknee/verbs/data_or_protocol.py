@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import overload
 
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.named_trials import TrialsLike
 from identknee.model.effects.effect import Effect
 from identknee.runs.files import PathLike
 from identknee.runs.workers import Workers
@@ -34,7 +34,7 @@ def diagnose(
     subject: SubjectLike,
     data: None = None,
     *,
-    protocol: Protocol | PathLike,
+    protocol: TrialsLike,
     noise: str | tuple[float, float],
     uncertain: UncertainLike = None,
     out: PathLike | None = None,
@@ -45,7 +45,7 @@ def diagnose(
     subject: SubjectLike,
     data: LaxityLike | None = None,
     *,
-    protocol: Protocol | PathLike | None = None,
+    protocol: TrialsLike | None = None,
     noise: NoiseLike = None,
     uncertain: UncertainLike = None,
     start: str = "subject",
@@ -68,7 +68,7 @@ def diagnose(
     data
         Measured laxity, its CSV file, or the name of a subject that comes with one.
     protocol
-        Instead of data: the trials, the name of a protocol, or its file.
+        Instead of data: a protocol, the name of one, its TOML file, or a laxity table.
     noise
         Standard deviations of lengths and angles [mm, deg], in place of those of the data.
     uncertain
@@ -96,7 +96,7 @@ def diagnose(
     """
     if (data is None) == (protocol is None):
         raise ValueError(
-            "diagnose needs either DATA.csv or --protocol; give one of both, for example "
+            "diagnose needs either DATA.csv or --protocol; give one of the two, for example "
             "identknee diagnose reference --protocol seed63 --noise 0.3mm,0.3deg"
         )
     if data is not None:

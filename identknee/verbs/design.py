@@ -15,7 +15,8 @@ from identknee.identify.design.design import design as choose_trials
 from identknee.identify.design.straight import straight
 from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
 from identknee.laxity.candidates import repeated
-from identknee.laxity.protocol import FLEXION, LOADS, Protocol, load_protocol
+from identknee.laxity.named_trials import TrialsLike, read_trials
+from identknee.laxity.protocol import FLEXION, LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity, write_laxity
 from identknee.laxity.zeros import zero_of_more
 from identknee.model.candidate_laxity import CandidateLaxity, offered_trials, typical_errors
@@ -123,7 +124,7 @@ def design(
     n_trials: int = 4,
     targets: Sequence[str] | None = None,
     criterion: Criterion = "width",
-    candidates: str | None = None,
+    candidates: TrialsLike | None = None,
     level: float = 0.95,
     noise: NoiseLike = None,
     uncertain: UncertainLike = None,
@@ -155,8 +156,9 @@ def design(
         variances at the best fit; ``"D"``, ``"A"``, ``"E"``: volume, mean and largest axis of the
         confidence ellipsoid of all ligament parameters.
     candidates
-        Protocol of the trials to choose from; drawer, varus-valgus and rotation tests,
-        compression and pairs of loads at 0 to 120 deg, and repeats, if None.
+        Trials to choose from: a protocol, the name of one, its TOML file, or a laxity table. If
+        None: drawer, varus-valgus and rotation tests, compression and pairs of loads at 0 to
+        120 deg, and repeats.
     level
         Confidence level of the intervals.
     uncertain
@@ -180,10 +182,11 @@ def design(
     NotComputed
         If no parameters near the start have a prediction in every measured trial.
     """
+    asked = None if candidates is None else read_trials(candidates)
     setup = identification(
         run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
     )
-    offered = _offered(setup, candidates)
+    offered = _offered(setup, asked)
     wanted = [_target(setup, name) for name in targets or ()]
     degrees = setup.degrees_of_freedom
     run.start_clock()
@@ -238,9 +241,9 @@ def _about_errors(setup: Identification, targets: Sequence[Quantity]) -> tuple[s
     return (sentence,)
 
 
-def _offered(setup: Identification, name: str | None) -> CandidateLaxity:
+def _offered(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
     made = setup.laxity.protocol
-    protocol = offered_trials(setup.model, made) if name is None else load_protocol(name)
+    protocol = offered_trials(setup.model, made) if asked is None else asked
     return CandidateLaxity(
         model=setup.model,
         laxity=setup.laxity,

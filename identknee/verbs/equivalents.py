@@ -11,7 +11,8 @@ from identknee.calibrate.quantity import Quantity, RestrictedQuantity
 from identknee.identify.equivalents.equivalents import EquivalentSets
 from identknee.identify.equivalents.equivalents import equivalents as equivalent_sets
 from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
-from identknee.laxity.protocol import load_protocol
+from identknee.laxity.named_trials import TrialsLike, read_trials
+from identknee.laxity.protocol import Protocol
 from identknee.model.equivalence import largest_loads, rms_blocks
 from identknee.model.quantities import ligament_forces
 from identknee.model.residuals import LaxityResiduals
@@ -37,6 +38,9 @@ from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 Criterion = Literal["noise", "paper"]
 Forces = Literal["largest", "all", "none"]
 GROUP = "equivalent_sets"
+SHORTER = (
+    "For a shorter run: --forces none finds the ranges of parameters alone, --n-sets fewer sets."
+)
 
 
 @declared
@@ -82,7 +86,7 @@ def equivalents(
     criterion: Criterion = "noise",
     limit: float = 1.0,
     forces: Forces = "largest",
-    trials: str | None = None,
+    trials: TrialsLike | None = None,
     noise: NoiseLike = None,
     uncertain: UncertainLike = None,
     start: str = "subject",
@@ -111,7 +115,8 @@ def equivalents(
         Ligament forces to bound: under the ``"largest"`` load of each kind at each angle, in
         ``"all"`` trials, or ``"none"``.
     trials
-        Protocol in whose trials forces are bounded, if not in those of the data.
+        Trials in which forces are bounded, if not those of the data: a protocol, the name of one,
+        its TOML file, or a laxity table.
     uncertain
         How well geometry, frames and loads are known, as in
         ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
@@ -135,18 +140,21 @@ def equivalents(
     """
     check_word("--criterion", criterion, get_args(Criterion))
     check_word("--forces", forces, get_args(Forces))
+    asked = None if trials is None else read_trials(trials)
     setup = identification(
         run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
     )
     setup, _ = averaged(setup, seed=seed, executor=run.executor)
     check_start(setup)
-    quantities = _forces(setup, forces, trials)
+    quantities = _forces(setup, forces, asked)
     run.start_clock()
     best = fit(setup.problem, setup.start)
     if best.outcome is Outcome.START_FAILED:
         raise no_prediction(setup)
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
-    with planned("equivalents", _work(setup.problem.parameters.n, len(quantities), n_sets)):
+    n, q = setup.problem.parameters.n, len(quantities)
+    told = f"finding the ranges of {n} parameters and {q} ligament forces"
+    with planned(told, _work(n, q, n_sets), shorter=SHORTER):
         sets = equivalent_sets(
             region,
             quantities=quantities,
@@ -200,14 +208,13 @@ def _region(
     )
 
 
-def _forces(setup: Identification, forces: Forces, trials: str | None) -> list[Quantity]:
+def _forces(setup: Identification, forces: Forces, asked: Protocol | None) -> list[Quantity]:
     if forces == "none":
         return []
-    if trials is None:
+    protocol = asked
+    if protocol is None:
         # A blank trial may have no equilibrium, and then no forces.
         protocol = setup.laxity.protocol.select(setup.laxity.is_measured.any(axis=1))
-    else:
-        protocol = load_protocol(trials)
     if forces == "largest":
         protocol = protocol.select(largest_loads(protocol))
     return [

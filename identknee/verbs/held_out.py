@@ -19,6 +19,7 @@ from identknee.runs.errors import suggestion
 from identknee.subject.knee import Knee
 
 LEVEL = 0.9
+MOST_NAMED = 6
 ROUNDS = 20
 
 
@@ -108,7 +109,8 @@ def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
         own = np.array([fnmatch.fnmatchcase(x, name) for x in trials])
         if not own.any():
             raise ValueError(
-                f"--hold-out {name}: no trial is called so. {suggestion(name, trials)}"
+                f"--hold-out {name}: there is no such trial. "
+                f"{suggestion(name, trials, most=MOST_NAMED)}"
             )
         held |= own
     if not (laxity.is_measured.any(axis=1) & ~held).any():

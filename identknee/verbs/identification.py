@@ -168,7 +168,9 @@ class Identification:
         """
         index = self.model.parameters.index(name)
         if index not in self.free.free_indices:
-            raise ValueError(f"{option} {name}: --fix holds this parameter; leave out one of both")
+            raise ValueError(
+                f"{option} {name}: --fix holds this parameter; leave out one of the two"
+            )
         return self.free.free_indices.index(index)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from identknee.diagnosis.advice.isolability import LEAST_DISTANCE
 from identknee.diagnosis.advice.protocol import ROOT, GroupAdvice, protocol_isolability
 from identknee.diagnosis.explanations.candidates import Visibility
-from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.named_trials import TrialsLike, read_trials
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputed
@@ -61,7 +61,7 @@ class Isolability(Answer):
 def isolability(
     run: Run,
     subject: SubjectLike,
-    protocol: Protocol | PathLike,
+    protocol: TrialsLike,
     noise: str | tuple[float, float],
     *,
     uncertain: UncertainLike = None,
@@ -76,7 +76,7 @@ def isolability(
     subject
         A knee, its folder, or the name of one that comes with identknee.
     protocol
-        The trials, the name of a protocol, or its file.
+        A protocol, the name of one, its TOML file, or a laxity table.
     noise
         Standard deviations of lengths and angles [mm, deg].
     uncertain
@@ -97,7 +97,7 @@ def isolability(
     NotComputed
         If the subject has no prediction in any trial.
     """
-    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol)
+    trials = read_trials(protocol)
     mm, deg = noise_of(noise)
     warm_up(run.knee, trials)
     run.start_clock()
@@ -108,7 +108,13 @@ def isolability(
             f"identknee subject check {run.knee.name}"
         )
     order = [found.distances.rivals.index(x) for x in found.distances.effects]
+    lost = trials.n - found.protocol.n
+    said = (
+        f"{lost} of the {trials.n} trials of {trials.name} have no prediction at the subject's own "
+        f"values and were left out. See: identknee subject check {run.knee.name}"
+    )
     return Isolability(
+        assumptions=(said,) if lost else (),
         protocol=found.protocol.name,
         n_trials=found.protocol.n,
         groups=tuple(_confused(x) for x in found.advice),

@@ -15,7 +15,8 @@ from identknee.identify.profile.thresholds import (
     f_threshold,
     resimulated,
 )
-from identknee.laxity.protocol import load_protocol
+from identknee.laxity.named_trials import TrialsLike, read_trials
+from identknee.laxity.protocol import Protocol
 from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
@@ -82,7 +83,7 @@ def profile(
     parameters: Sequence[str] | None = None,
     quantities: Sequence[str] | None = None,
     forces: Sequence[str] | None = None,
-    trials: str | None = None,
+    trials: TrialsLike | None = None,
     pairs: Sequence[Pair] | None = None,
     level: float = 0.95,
     budget: int = 1000,
@@ -111,7 +112,8 @@ def profile(
     forces
         Trials in which the forces of all ligaments are profiled.
     trials
-        Protocol with the trials of `quantities` and `forces`, if they are not those of the data.
+        Trials of `quantities` and `forces`, if not those of the data: a protocol, the name of one,
+        its TOML file, or a laxity table.
     pairs
         Pairs of parameters whose joint set is wanted.
     level
@@ -141,6 +143,7 @@ def profile(
     NotComputed
         If no parameters near the start have a prediction in every measured trial.
     """
+    asked = None if trials is None else read_trials(trials)
     setup = identification(
         run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
     )
@@ -153,7 +156,7 @@ def profile(
     threshold = _threshold(setup, level)
     wanted = [
         *_parameters(setup, parameters),
-        *_predictions(setup, quantities or (), forces or (), trials),
+        *_predictions(setup, quantities or (), forces or (), asked),
     ]
     couples = [_couple(setup, x) for x in pairs or ()]
     run.start_clock()
@@ -198,11 +201,11 @@ def _parameters(setup: Identification, chosen: Sequence[str] | None) -> list[Qua
 
 
 def _predictions(
-    setup: Identification, names: Sequence[str], forces: Sequence[str], trials: str | None
+    setup: Identification, names: Sequence[str], forces: Sequence[str], trials: Protocol | None
 ) -> list[Quantity]:
     model = setup.model
     if trials is not None:
-        model = model.with_protocol(load_protocol(trials))
+        model = model.with_protocol(trials)
     ligaments = [x.name for x in setup.knee.ligaments]
     texts = [*names, *(f"{x}.tension_N@{trial}" for trial in forces for x in ligaments)]
     return [

@@ -8,11 +8,12 @@ from identknee.calibrate.starts import load_start
 from identknee.identify.sensitivity.designs import Box, box_around
 from identknee.identify.sensitivity.sensitivity import DEFAULT_DRAWS, Method, Sensitivity
 from identknee.identify.sensitivity.sensitivity import sensitivity as analysed
-from identknee.laxity.protocol import load_protocol
+from identknee.laxity.named_trials import TrialsLike, read_tests
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.scenarios import laxity_groups
 from identknee.laxity.table import Laxity
-from identknee.model.laxity_model import LaxityModel
 from identknee.model.laxity_outputs import LaxityOutputs
+from identknee.model.of_tests import model_of_tests
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike, digest
@@ -49,7 +50,7 @@ def sensitivity(
     subject: SubjectLike,
     data: LaxityLike | None = None,
     *,
-    protocol: str | None = None,
+    protocol: TrialsLike | None = None,
     method: Method = "sobol",
     samples: int | None = None,
     posterior: PathLike | None = None,
@@ -72,8 +73,8 @@ def sensitivity(
         Measured laxity whose trials are meant, its CSV file, or the name of a subject that comes
         with one.
     protocol
-        The trials where there are no data: ``"seed63"`` (also if None), ``"table2"``, ``"drawer"``
-        or a TOML file.
+        The trials where there are no data: a protocol, the name of one, its TOML file, or a laxity
+        table; ``"seed63"`` if None.
     method
         ``"morris"`` and ``"sobol"`` vary parameters independently in a box around the start; the
         others take draws of a posterior, or draws from the box.
@@ -102,9 +103,11 @@ def sensitivity(
     """
     if run.measured is not None and protocol is not None:
         raise ValueError(
-            "the trials are those of DATA.csv or those of --protocol: leave out one of both"
+            "the trials are those of DATA.csv or those of --protocol; give one of the two"
         )
-    outputs = _outputs(run.knee, run.measured, protocol or "seed63", start, fixed)
+    planned = "seed63" if protocol is None else protocol
+    tests = read_tests(planned) if run.measured is None else run.measured
+    outputs = _outputs(run.knee, tests, start, fixed)
     over = _where(run, outputs, posterior, samples)
     warm_up(run.knee, outputs.model.protocol)
     run.start_clock()
@@ -123,14 +126,9 @@ def sensitivity(
 
 
 def _outputs(
-    knee: Knee,
-    laxity: Laxity | None,
-    protocol: str,
-    start: str,
-    fixed: Sequence[str] | None,
+    knee: Knee, tests: Protocol | Laxity, start: str, fixed: Sequence[str] | None
 ) -> LaxityOutputs:
-    trials = load_protocol(protocol) if laxity is None else laxity.protocol
-    model = LaxityModel(knee=knee, protocol=trials)
+    model = model_of_tests(knee, tests)
     held = {*(fixed or ()), *model.parameters.nuisance_names}
     free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
     if free.parameters.n < 2:
@@ -139,9 +137,9 @@ def _outputs(
         )
     return LaxityOutputs(
         model=model,
-        groups=laxity_groups(trials),
+        groups=laxity_groups(model.protocol),
         free=free,
-        zero="absolute" if laxity is None else laxity.zero,
+        zero=tests.zero if isinstance(tests, Laxity) else "absolute",
     )
 
 

@@ -1,16 +1,14 @@
 """The laxity of a knee under a protocol, and how each trial ended."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, get_args
 
 from identknee.calibrate.starts import load_start
-from identknee.laxity.cells import OPENSIM
-from identknee.laxity.named_tables import TABLES
+from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.noise import add_noise
-from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.rmse import LaxityError, laxity_rmse
-from identknee.laxity.table import Laxity, read_laxity, write_laxity
+from identknee.laxity.table import Laxity, write_laxity
 from identknee.mechanics.load_paths import Continuation
 from identknee.model.laxity_model import Contact, LaxityModel
 from identknee.model.own_poses import at_own_poses
@@ -134,7 +132,7 @@ class Simulation(SimulatedLaxity):
 def simulate(
     run: Run,
     subject: SubjectLike,
-    protocol: str | Protocol = "seed63",
+    protocol: TrialsLike = "seed63",
     values: ValuesLike = None,
     *,
     start: str = "subject",
@@ -190,7 +188,7 @@ def simulate(
     check_word("continuation", continuation, get_args(Continuation))
     check_word("contact", contact, get_args(Contact))
     sizes = None if noise is None else noise_of(noise)
-    tests = _tests(protocol)
+    tests = read_tests(protocol)
     chosen = values_of(values)
     trials = tests.protocol if isinstance(tests, Laxity) else tests
     model = LaxityModel(knee=run.knee, protocol=trials, continuation=continuation, contact=contact)
@@ -225,13 +223,6 @@ def simulate(
     if run.out is not None:
         write_laxity(answer.laxity if noisy is None else noisy, run.out / LAXITY_FILE)
     return answer
-
-
-def _tests(protocol: str | Protocol) -> Protocol | Laxity:
-    if isinstance(protocol, Protocol):
-        return protocol
-    is_table = protocol in TABLES or Path(protocol).suffix.lower() in (".csv", *OPENSIM)
-    return read_laxity(protocol, is_measured=False) if is_table else load_protocol(protocol)
 
 
 def _error(prediction: Prediction, tests: Laxity) -> LaxityError | None:

@@ -1,8 +1,8 @@
 """Whether a subject is sound, and whether its trials are stable."""
 
-from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.model.insertion_moves import WITHIN
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.of_tests import model_of_tests
 from identknee.model.stability import StabilityReport, check_stability
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import threads
@@ -55,7 +55,7 @@ def check_subject(
     run: Run,
     subject: SubjectLike,
     *,
-    protocol: Protocol | PathLike = "seed63",
+    protocol: TrialsLike = "seed63",
     samples: int = 200,
     within: float = WITHIN,
     out: PathLike | None = None,
@@ -73,7 +73,7 @@ def check_subject(
     subject
         A knee, a subject folder, or the name of one that comes with identknee.
     protocol
-        The trials, or the name or file of a protocol.
+        A protocol, the name of one, its TOML file, or a laxity table.
     samples
         Parameter vectors drawn from the box; 0 for none.
     within
@@ -91,12 +91,12 @@ def check_subject(
         If subject or protocol cannot be read. What can be read but is wrong is a finding.
     """
     knee = run.knee
-    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol)
+    tests = read_tests(protocol)
     findings, stability = check_geometry(knee), None
     if not any(x.severity is Severity.ERROR for x in findings):
-        warm_up(knee, trials)
+        model = model_of_tests(knee, tests)
+        warm_up(knee, model.protocol)
         run.start_clock()
-        model = LaxityModel(knee=knee, protocol=trials)
         with executor_of(workers, threads) as executor:
             stability = check_stability(
                 model, n_samples=samples, within_mm=within, seed=seed, executor=executor

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.named_trials import TrialsLike
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.files import PathLike
@@ -97,7 +97,7 @@ def exported_subject(
     osim: bool,
     source: PathLike | None,
     vtk: bool,
-    protocol: str | Protocol | None,
+    protocol: TrialsLike | None,
     written: Sequence[PathLike],
     out: PathLike,
 ) -> SubjectFacts:

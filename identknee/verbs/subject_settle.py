@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.model.insertion_moves import WITHIN, MovedInsertion, settle
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.of_tests import model_of_tests
 from identknee.runs.declare import declared, entry
 from identknee.runs.executors import threads
 from identknee.runs.files import PathLike
@@ -60,7 +60,7 @@ def settle_subject(
     run: Run,
     subject: SubjectLike,
     *,
-    protocol: Protocol | PathLike = "seed63",
+    protocol: TrialsLike = "seed63",
     within: float = WITHIN,
     out: PathLike | None = None,
     workers: Workers = 1,
@@ -74,7 +74,7 @@ def settle_subject(
     subject
         A knee, a subject folder, or the name of one that comes with identknee.
     protocol
-        The trials, or the name or file of a protocol.
+        A protocol, the name of one, its TOML file, or a laxity table.
     within
         Uncertainty of the insertions [mm], up to 8.
     out
@@ -87,10 +87,9 @@ def settle_subject(
     ValueError
         If the distance is not between 0 and 8 mm.
     """
-    trials = protocol if isinstance(protocol, Protocol) else load_protocol(protocol)
-    warm_up(run.knee, trials)
+    model = model_of_tests(run.knee, read_tests(protocol))
+    warm_up(run.knee, model.protocol)
     run.start_clock()
-    model = LaxityModel(knee=run.knee, protocol=trials)
     with executor_of(workers, threads) as executor:
         found = settle(model, within_mm=within, executor=executor)
     settled = replace(found.knee, name=f"{run.knee.name}_settled")

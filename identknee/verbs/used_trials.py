@@ -27,6 +27,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import strains_as_measured
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.progress import progress
 from identknee.subject.knee import Knee
 from identknee.verbs.barred import BarredSearch
 from identknee.verbs.trial_sentences import about_paths, trial_names
@@ -97,7 +98,11 @@ class TrialSearch:
         used = self._past_bars(UsedTrials(laxity=self.laxity, start=start, sentences=said))
         if not lost.any() or (used.start is not start and len(used.names) == self.measured.sum()):
             return used
-        made = {x: self._regained(y) for x, y in self._beginnings(start).items()}
+        beginnings = progress(
+            self._beginnings(start).items(),
+            description="looking for a start at which all trials have an equilibrium",
+        )
+        made = {x: self._regained(y) for x, y in beginnings}
         if not made:
             return UsedTrials(laxity=self.laxity, start=start, sentences=said)
         best = max(made, key=lambda x: self._worth(made[x].theta))

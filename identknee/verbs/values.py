@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 
+STIFFNESS, LARGEST_STIFFNESS_KN = ".stiffness_kN", 1000.0
 _NOISE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg)\s*")
 
 
@@ -32,10 +33,24 @@ def noise_of(noise: str | tuple[float, float]) -> tuple[float, float]:
 
 
 def values_of(values: ValuesLike) -> dict[str, float]:
-    """Values by parameter name, however they were given."""
+    """Values by parameter name, however they were given.
+
+    Raises
+    ------
+    ValueError
+        If a text has another form, or a stiffness can only be N per unit strain.
+    """
     if isinstance(values, Mapping):
-        return {name: float(value) for name, value in values.items()}
-    return named_values(values or [], "--set")
+        found = {name: float(value) for name, value in values.items()}
+    else:
+        found = named_values(values or [], "--set")
+    for name, value in found.items():
+        if name.endswith(STIFFNESS) and value > LARGEST_STIFFNESS_KN:
+            raise ValueError(
+                f"--set {name}={value:g}: no ligament has a stiffness of {value:g} kN per unit "
+                "strain. If this is N per unit strain, divide it by 1000"
+            )
+    return found
 
 
 def by_ligament(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
@@ -177,6 +192,7 @@ def _number(text: str, where: str) -> float:
 
 def _noise_remedy(text: str) -> str:
     return (
-        f"--noise {text}: this is not a size of noise. Write the standard deviations of "
-        "translations and of rotations with their units, for example --noise 0.3mm,0.3deg"
+        f"--noise {text}: this is not a size of noise. Write two standard deviations with their "
+        "units, the first of translations and the second of rotations, for example "
+        "--noise 0.3mm,0.3deg"
     )

@@ -33,7 +33,7 @@ WORK = "work.sqlite"
 NOT_DECIDING = frozenset({"out", "workers", "subject", "data"})
 BESIDE, RECORDED = "__not_deciding__", "__recorded_as__"
 # Files that a name is read from, and what a folder of results is known by.
-READ, SUMMARY = (".toml", ".json", ".osim"), "result.json"
+READ, SUMMARY = (".toml", ".json", ".osim", ".csv", ".sto", ".mot"), "result.json"
 # Kept by their names in the record of a call.
 _NAMED = (Knee, Protocol, MechanicalEffect, ObservationEffect)
 SubjectLike = Knee | PathLike

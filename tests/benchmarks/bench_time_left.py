@@ -13,6 +13,7 @@ from rows import Measure, Row
 
 import identknee as ik
 from identknee.runs import progress
+from identknee.runs.time_left import time_left
 
 QUARTER, MOST_AWAY = 0.25, 0.30
 NOISE = "0.3mm,0.3deg"
@@ -38,7 +39,7 @@ class _Bar:
     def to(self, share: float, _note: str = "", left_s: float | None = None) -> None:
         now = time.process_time()
         if left_s is None:
-            left_s = progress.time_left(now - self._began, share)
+            left_s = time_left(now - self._began, share)
         if left_s is not None:
             self.told.append((now, now + left_s))
 

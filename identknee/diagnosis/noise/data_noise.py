@@ -141,8 +141,8 @@ class NoiseSource(StrEnum):
     def sentence(self) -> str:
         """How it shows it, for a person, the sizes to follow."""
         return {
-            NoiseSource.REPLICATES: "Trials under equal loads show a noise of",
-            NoiseSource.CURVES: "The scatter along the load curves shows a noise of",
+            NoiseSource.REPLICATES: "Repeated trials imply a noise of",
+            NoiseSource.CURVES: "The scatter along the load curves implies a noise of",
             NoiseSource.STATED: "The noise is taken as stated: the load curves are too short to "
             "show it.",
         }[self]

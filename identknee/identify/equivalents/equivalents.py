@@ -34,8 +34,8 @@ class Completeness(Enum):
 
 
 _SENTENCES = {
-    Completeness.COMPLETE: "As many different sets were found as asked for.",
-    Completeness.FEWER: "The region was found to hold fewer sets as different as asked for.",
+    Completeness.COMPLETE: "All the sets asked for were found.",
+    Completeness.FEWER: "The region holds fewer sets that differ enough than were asked for.",
 }
 
 

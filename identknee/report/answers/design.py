@@ -1,12 +1,13 @@
 """Which trials to measure next, and what they would tell."""
 
-from collections import Counter
 from collections.abc import Iterator
 
+from identknee.identify.profile.result import Profile
+from identknee.report.answers.advised import table_of_trials
 from identknee.report.answers.better_known import better_known_statements
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import trial_words
+from identknee.report.words import counted, interval_words, trial_words
 from identknee.runs.words import capital, label, listed, parameter_words
 from identknee.verbs.design import ADVICE, Design
 
@@ -22,14 +23,11 @@ def design_statements(answer: Design) -> Iterator[Statement]:
     targets = listed(map(parameter_words, choice.targets[:MOST_NAMED]))
     if len(choice.targets) > MOST_NAMED:
         targets = f"all {len(choice.targets)} targets"
-    counts = Counter(trial_words(x) for x in answer.trials)
-    trials = listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
+    trials = counted(map(trial_words, answer.trials))
     yield Statement(
         question=Question.NEXT,
         sentence=f"Next test for {targets}: {trials}. "
-        f"{capital(parameter_words(name))} would then lie within "
-        f"{_ends(after.lower, after.upper)} {before.unit} instead of "
-        f"{_ends(before.lower, before.upper)} {before.unit}. {ADVICE} lists the "
+        f"{_brings(name, before, after)} {ADVICE} lists the "
         "trials, to be filled in and appended to the data.",
         tables=(_targets(answer), _trials(answer)),
         is_answer=True,
@@ -41,6 +39,14 @@ def design_statements(answer: Design) -> Iterator[Statement]:
             sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were not "
             f"offered; for example, {choice.excluded[0].sentence}",
         )
+
+
+def _brings(name: str, before: Profile, after: Profile) -> str:
+    words = capital(parameter_words(name))
+    now, then = (interval_words(x.lower, x.upper, before.unit) for x in (before, after))
+    return f"{words} {'stays' if now == then else 'would then be'} {then}" + (
+        "." if now == then else f"; it is {now} now."
+    )
 
 
 def _targets(answer: Design) -> Table:
@@ -59,11 +65,7 @@ def _targets(answer: Design) -> Table:
 
 
 def _trials(answer: Design) -> Table:
-    return Table(
-        title="Trials to add, the most telling first",
-        columns=(Column(name="trial"), Column(name="what to do")),
-        rows=tuple((str(x["trial"]), trial_words(x)) for x in answer.trials),
-    )
+    return table_of_trials([(str(x["trial"]), trial_words(x)) for x in answer.trials])
 
 
 def _ends(*ends: float | None) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from identknee.calibrate.doubts import AT_END
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.findings import Severity
@@ -37,7 +38,7 @@ def fit_statements(answer: Calibration) -> Iterator[Statement]:
         question=Question.SEARCH,
         sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
         f"(RMSE over {answer.rmse.n_compared} measured value{plural}). {answer.sentence}{caution}",
-        tables=(_table(answer), *_nuisances(answer)),
+        tables=(_table(answer), *nuisance_tables(answer)),
         is_answer=True,
     )
     if answer.held_out is not None:
@@ -76,7 +77,8 @@ def _held_out(held: HeldOut) -> Statement:
 
 def _table(answer: Calibration) -> Table:
     search = answer.search
-    notes = dict.fromkeys(answer.at_bounds, "at its bound") | dict.fromkeys(search.fixed, "fixed")
+    notes = dict.fromkeys(at_their_bounds(answer), "at its bound")
+    notes |= dict.fromkeys(search.fixed, "fixed")
     nuisances = {x.name for x in answer.nuisances}
     rows = zip(answer.parameter_names, search.start.tolist(), search.theta.tolist(), strict=True)
     return Table(
@@ -95,7 +97,19 @@ def _table(answer: Calibration) -> Table:
     )
 
 
-def _nuisances(answer: Calibration) -> Iterator[Table]:
+def at_their_bounds(answer: Calibration) -> tuple[str, ...]:
+    """Names of the parameters that the fit's own warning says to stand at a bound."""
+    search, own = answer.search, answer.search.parameters
+    margin = AT_END * (own.upper - own.lower)
+    stands = (np.abs(search.theta - own.lower) <= margin) | (
+        np.abs(search.theta - own.upper) <= margin
+    )
+    named = zip(own.names, stands & (own.lower < own.upper), strict=True)
+    return tuple(name for name, is_there in named if is_there and name not in search.fixed)
+
+
+def nuisance_tables(answer: Calibration) -> Iterator[Table]:
+    """What a fit says of stated errors; nothing where none are stated."""
     if answer.nuisances:
         moved = sorted(answer.nuisances, key=lambda x: -abs(x.away))
         yield Table(

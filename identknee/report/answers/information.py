@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
+from identknee.identify.information.geodesic import Boundary
 from identknee.identify.information.information import Information
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
@@ -45,11 +46,27 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
         _parameters(found),
     )
     for path in answer.geodesics:
-        involved = listed(map(parameter_words, path.involved))
         yield _known(
-            f"The path along the least known combination ends with {involved}. "
-            f"{path.boundary.sentence}"
+            "Followed one way, the path along the least known combination ends "
+            f"{_end(path.boundary, path.involved)}."
         )
+
+
+def _end(boundary: Boundary, involved: Sequence[str]) -> str:
+    """What ended a path, as the end of a sentence."""
+    words = listed(map(parameter_words, involved))
+    s = "s" if len(involved) == 1 else ""
+    return {
+        Boundary.NO_INFLUENCE: f"where {words} no longer change{s} any prediction, as where a "
+        "ligament is slack",
+        Boundary.ZERO: f"where {words} reach{s and 'es'} zero",
+        Boundary.BOUND: f"where {words} reach{s and 'es'} a bound",
+        Boundary.STANDSTILL: f"where predictions stop changing along {words}",
+        Boundary.INFINITY: f"nowhere: {words} go{s and 'es'} on without end, and the predictions "
+        "keep changing",
+        Boundary.CLIFF: f"at {words}: beyond this point the model has no prediction",
+        Boundary.BUDGET: f"at {words}, because the budget of simulations was used up",
+    }[boundary]
 
 
 def _known(sentence: str, *tables: Table) -> Statement:

@@ -116,8 +116,12 @@ def _width(profile: Profile) -> float:
 def _how_many(profiles: Sequence[Profile]) -> str:
     n, level = len(profiles), 100 * profiles[0].level
     k = sum(x.lower is not None and x.upper is not None for x in profiles)
-    said = f"ligament parameter{'' if n == 1 else 's'} on both sides"
-    which = ("both" if n == 2 else f"all {n}") if k == n and n > 1 else f"{k or 'none'} of the {n}"
+    said = "ligament parameters on both sides"
+    if n == 1:
+        bound = "bound" if k else "do not bound"
+        name = parameter_words(profiles[0].name)
+        return f"at {level:g} % confidence the data {bound} {name} on both sides."
+    which = ("both" if n == 2 else f"all {n}") if k == n else f"{k or 'none'} of the {n}"
     return f"at {level:g} % confidence the data bound {which} {said}."
 
 

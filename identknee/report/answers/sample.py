@@ -35,7 +35,7 @@ def sample_statements(answer: Sample) -> Iterator[Statement]:
     )
     check = answer.last_check
     yield _statement(
-        f"Each walker made {check.steps} steps, of which the first {check.burn_in} are left out; "
+        f"Each walker made {check.steps} steps, of which the first {check.burn_in} were discarded; "
         f"{100 * check.acceptance.mean():.0f} % of the proposals were accepted.",
         _conditions(answer),
     )
@@ -51,7 +51,7 @@ def _statement(sentence: str, *tables: Table) -> Statement:
 def _trusted(answer: Sample) -> str:
     """Whether the sample may be relied on."""
     if answer.outcome is SampleOutcome.CONVERGED:
-        return "Independent samplers agree."
+        return "The independent ensembles of walkers agree."
     unmet = sum(not x["met"] for x in answer.gate.values())
     count = f" {unmet} of {len(answer.gate)} conditions of convergence are not met." * bool(unmet)
     is_short = answer.outcome is SampleOutcome.BUDGET

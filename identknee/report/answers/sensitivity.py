@@ -31,18 +31,42 @@ MEANINGS = {
 def sensitivity_statements(answer: GlobalSensitivity) -> Iterator[Statement]:
     """Which parameter moves which laxity most, and how well that is known."""
     found = answer.analysis
+    if answer.failure:
+        # Indices of means alone would be numbers about nothing.
+        yield _statement(
+            f"None of the {found.n_simulations} simulations has a prediction in every trial, so no "
+            "index can be given."
+        )
+        return
     yield _statement(
         f"{_most_influential(found)} The largest index of each parameter is "
         f"{MEANINGS[found.method]}.",
         _table(found),
     )
-    missing = found.missing_simulations
-    more = f"{missing:.0f} more simulations" if math.isfinite(missing) else "other trials"
     yield _statement(
-        f"Of {found.n_simulations} simulations {100 * found.share_failed:.2g} % had a trial "
-        f"without prediction. The rule for these: {found.rule}."
-        + (f" Half-widths of 0.02 in every group would take about {more}." if missing > 0 else "")
+        f"Of {found.n_simulations} simulations, {100 * found.share_failed:.3g} % had a trial "
+        f"without a prediction. The rule for these: {_rule(found)}.{_missing(found)}"
     )
+
+
+def _rule(found: Sensitivity) -> str:
+    """The rule for lost trials, without its words on columns that only the file has."""
+    return found.rule.partition("; `")[0]
+
+
+def _missing(found: Sensitivity) -> str:
+    """What half-widths of 0.02 would take; empty where they are reached."""
+    missing = found.missing_simulations
+    if missing <= 0:
+        return ""
+    if not math.isfinite(missing):
+        return (
+            " Some indices are unknown whatever the number of simulations; trials that always have "
+            "a prediction would show them."
+        )
+    # Two digits: the estimate is no better.
+    rounded = f"{float(f'{missing:.2g}'):,.0f}"
+    return f" Half-widths of 0.02 in every group would take about {rounded} more simulations."
 
 
 def _statement(sentence: str, *tables: Table) -> Statement:
@@ -61,9 +85,15 @@ def _most_influential(found: Sensitivity) -> str:
     coordinate, _, where = str(entries[name]["largest"]["group"]).partition(", ")
     measure = METHODS.get(found.method, f"the {found.method} index")
     return (
-        f"By {measure} laxity depends most on {parameter_words(name)}: "
+        f"By {measure}, laxity depends most on {parameter_words(name)}: "
         f"{coordinate_words(coordinate)} at {_place(where)}."
     )
+
+
+def _group(name: str) -> str:
+    """A group of outputs as a cell of a table has it."""
+    coordinate, _, where = name.partition(", ")
+    return f"{coordinate_words(coordinate)}, {where}" if where else coordinate_words(name)
 
 
 def _place(where: str) -> str:
@@ -84,14 +114,14 @@ def _table(found: Sensitivity) -> Table:
             Column(name=f"index {name}", decimals=3),
             Column(name="half-width", decimals=3),
             Column(name="laxity it moves most"),
-            Column(name="index of failure", decimals=3),
+            Column(name="index for lost trials", decimals=3),
         ),
         rows=tuple(
             (
                 label(parameter),
                 float(index.final[top, i]),
                 float(index.final_half_widths[top, i]),
-                found.groups[top],
+                _group(found.groups[top]),
                 float(index.final[-1, i]),
             )
             for i, (parameter, top) in enumerate(zip(found.parameters.names, tops, strict=True))

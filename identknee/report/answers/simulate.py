@@ -20,8 +20,10 @@ def simulate_statements(answer: Simulation) -> Iterator[Statement]:
     rows = tuple((x.trial, x.reason) for x in lost)
     table = Table(title="Trials without prediction", columns=columns, rows=rows)
     blank = " The cells of the others are blank." if lost else ""
-    margins = [x.margin_N_per_mm for x in answer.trials if np.isfinite(x.margin_N_per_mm)]
-    # The mesh law has no second derivatives and no margins.
+    # A lost trial has the margin of the pose where its search ended, which no knee can hold. The
+    # mesh law has no second derivatives and no margins.
+    stable = [x for x in answer.trials if x.outcome is Outcome.CONVERGED]
+    margins = [x.margin_N_per_mm for x in stable if np.isfinite(x.margin_N_per_mm)]
     lowest = f" The least stable has a margin of {min(margins):.3g} N/mm." if margins else ""
     yield Statement(
         question=Question.LAXITY,

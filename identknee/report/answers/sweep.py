@@ -7,13 +7,13 @@ from identknee.identify.sweep.cliffs import CliffMap
 from identknee.identify.sweep.recovery import Recovery
 from identknee.identify.sweep.survey import END, POLISHED, Survey
 from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.tables import Cell, Column, Table
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import label, listed
 from identknee.verbs.sweep import Sweep
 
 SHARES = "share of all starts"
-MOST_LOST = 3
+MOST_LOST, MOST_BASINS = 3, 6
 ENDED = {
     "minimum": "ended at a minimum",
     "valley": "stopped early in a valley",
@@ -30,10 +30,15 @@ def sweep_statements(answer: Sweep) -> Iterator[Statement]:
     if survey.unseen.n:
         yield _statement(
             f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
-            f"{_pct(survey.unseen.upper)} %) would end at a minimum that no search has found."
+            f"{_pct(survey.unseen.upper)} %) would end at a minimum that no search has reached."
         )
-    for name, recovery in survey.recoveries.items():
-        yield _statement(_radius(recovery, SEARCHES[name], survey.within))
+    recoveries = survey.recoveries
+    if len(recoveries) > 1 and all(x.radius.value == 0.0 for x in recoveries.values()):
+        either = " or ".join(SEARCHES[x] for x in recoveries)
+        yield _statement(_radius(next(iter(recoveries.values())), either, survey.within))
+    else:
+        for name, recovery in recoveries.items():
+            yield _statement(_radius(recovery, SEARCHES[name], survey.within))
     if answer.cliffs is not None:
         yield _statement(_cliffs(answer.cliffs))
 
@@ -70,26 +75,24 @@ def _kinds(survey: Survey) -> Table:
 
 
 def _basins(survey: Survey) -> Table:
+    """A column a basin, the first ones: a row for each would be wider than any screen."""
     names = survey.searches.parameters.names_of_interest
+    listed_basins = survey.basins.listed
+    shown = listed_basins[:MOST_BASINS]
+    left = len(listed_basins) - len(shown)
+    rows: tuple[tuple[Cell, ...], ...] = (
+        ("objective", *(x["objective"] for x in shown)),
+        ("starts", *(x["n_starts"] for x in shown)),
+        (f"{SHARES} [%]", *(round(100 * x["share"]) for x in shown)),
+        *((label(name), *(x["parameters"][name] for x in shown)) for name in names),
+    )
     return Table(
-        title="Where searches ended",
+        title=f"Where searches ended{f' (the first {len(shown)} basins)' * bool(left)}",
         columns=(
-            Column(name="basin"),
-            Column(name="objective", decimals=None),
-            Column(name="starts"),
-            Column(name=SHARES, unit="%", decimals=0),
-            *(Column(name=label(x), decimals=None) for x in names),
+            Column(name="quantity"),
+            *(Column(name=f"basin {k}", decimals=None) for k, _ in enumerate(shown, 1)),
         ),
-        rows=tuple(
-            (
-                f"{k}",
-                x["objective"],
-                x["n_starts"],
-                100 * x["share"],
-                *(x["parameters"][name] for name in names),
-            )
-            for k, x in enumerate(survey.basins.listed, 1)
-        ),
+        rows=rows,
     )
 
 
@@ -97,8 +100,9 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
     radius = recovery.radius
     if radius.value == 0.0:
         return (
-            f"At no distance from the best fit do nine in ten starts lead {searches} back to it "
-            f"(to within {_kN_and_pct(within)}). More starts might show such a distance."
+            f"No distance from the best fit is known to be safe for {searches}: at every one, "
+            "fewer than nine in ten starts led back to it "
+            f"(to within {_kN_and_pct(within)}). More starts may show one."
         )
     return (
         f"Nine in ten starts within {_kN_and_pct(radius.value)} of the best fit lead {searches} "

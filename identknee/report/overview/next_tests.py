@@ -1,13 +1,12 @@
 """The tests to do next, from every result that advises some."""
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from identknee.model.effects.facts import cause_label
-from identknee.report.words import trial_words
+from identknee.report.words import counted, interval_words, trial_words
 from identknee.runs.plain_records import summary_of
-from identknee.runs.words import between, listed, parameter_words, unit_of
+from identknee.runs.words import capital, listed, parameter_words, unit_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.design import Design
 from identknee.verbs.diagnosis import Diagnosis
@@ -24,11 +23,12 @@ def _advice(answer: Answer) -> Iterator[str]:
         choice = answer.choice
         name = choice.targets[0]
         before, after = choice.before[name], choice.after[name]
-        now, then = (between((x.lower, x.upper), unit_of(name)) for x in (before, after))
-        yield (
-            f"{_trials(answer.trials)}. This would narrow {parameter_words(name)} to "
-            f"{then.removeprefix('from ')}; it is {now.removeprefix('from ')} now."
-        )
+        now, then = (interval_words(x.lower, x.upper, unit_of(name)) for x in (before, after))
+        words = parameter_words(name)
+        brings = f"This would narrow {words} to {then}; it is {now} now."
+        if now == then:
+            brings = f"{capital(words)} stays {then}."
+        yield f"{_trials(answer.trials)}. {brings}"
     elif isinstance(answer, Diagnosis) and answer.advised_trials:
         said = "" if answer.advice is None else f" {answer.advice.sentence}"
         yield f"{_trials([summary_of(x) for x in answer.advised_trials])}.{said}"
@@ -41,6 +41,4 @@ def _advice(answer: Answer) -> Iterator[str]:
 
 
 def _trials(trials: Sequence[Mapping[str, Any]]) -> str:
-    counts = Counter(map(trial_words, trials))
-    told = listed(x if n == 1 else f"{x} ({n} times)" for x, n in counts.items())
-    return told[:1].upper() + told[1:]
+    return capital(counted(map(trial_words, trials)))

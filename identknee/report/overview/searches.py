@@ -1,5 +1,6 @@
 """What all fits say together: how well they fit, and whether they end at the same parameters."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -28,8 +29,10 @@ ENDED = {
 
 def searches_sentences(answers: Sequence[Answer]) -> tuple[str, ...]:
     """Fits and sweeps in a few sentences; none without a search."""
-    fits = {x: y for x, y in _fits(answers).items() if y.outcome is not Outcome.START_FAILED}
-    failed = [x for x in _fits(answers).values() if x.outcome is Outcome.START_FAILED]
+    fits = {
+        x: y for x, y in fits_by_start(answers).items() if y.outcome is not Outcome.START_FAILED
+    }
+    failed = [x for x in fits_by_start(answers).values() if x.outcome is Outcome.START_FAILED]
     sweeps = [x for x in answers if isinstance(x, Sweep)]
     return (
         *(_several(fits) if len(fits) > 1 else _each(fits.values())),
@@ -41,7 +44,7 @@ def searches_sentences(answers: Sequence[Answer]) -> tuple[str, ...]:
 def disagreement(answers: Sequence[Answer]) -> str:
     """That fits from different starts end at different parameters; empty where they do not."""
     return _disagreement(
-        {x: y for x, y in _fits(answers).items() if y.outcome is not Outcome.START_FAILED}
+        {x: y for x, y in fits_by_start(answers).items() if y.outcome is not Outcome.START_FAILED}
     )
 
 
@@ -58,11 +61,18 @@ def is_beaten(fit: Calibration, others: Iterable[Calibration]) -> bool:
     )
 
 
-def _fits(answers: Sequence[Answer]) -> dict[str, Calibration]:
+def fits_by_start(answers: Sequence[Answer]) -> dict[str, Calibration]:
     """Fits by their start, and by their method too where several began there."""
     found = [x for x in answers if isinstance(x, Calibration)]
-    starts = [x.start for x in found]
-    return {x.start if starts.count(x.start) == 1 else f"{x.start} ({x.method})": x for x in found}
+    starts = Counter(x.start for x in found)
+    names = [x.start if starts[x.start] == 1 else f"{x.start} ({_method(x)})" for x in found]
+    # Fits alike in both, as with other settings, are told apart by their number.
+    seen: Counter[str] = Counter()
+    by_start = {}
+    for name, fit in zip(names, found, strict=True):
+        seen[name] += 1
+        by_start[name if seen[name] == 1 else f"{name}, fit {seen[name]}"] = fit
+    return by_start
 
 
 def _each(fits: Iterable[Calibration]) -> Iterator[str]:
@@ -70,10 +80,12 @@ def _each(fits: Iterable[Calibration]) -> Iterator[str]:
 
 
 def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
-    if len(fits) <= MOST_TOLD:
+    if told := _alike(fits):
+        yield told
+    elif len(fits) <= MOST_TOLD:
         told = "; ".join(
-            f"from {name} by {x.method} to {_errors(x)} ({ENDED.get(x.outcome, x.outcome.value)}, "
-            f"{x.n_simulations} simulations)"
+            f"from {name} by {_method(x)} to {_errors(x)} "
+            f"({_end(x)}, {x.n_simulations} simulations)"
             for name, x in fits.items()
         )
         yield f"{len(fits)} fits reproduce the measured laxity (RMSE): {told}."
@@ -89,6 +101,29 @@ def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
     else:
         yield f"They end at the same parameters, to within {WITHIN:g} kN and {WITHIN:g} %."
     yield "That a model fits does not show that its parameters are right."
+
+
+def _alike(fits: Mapping[str, Calibration]) -> str:
+    """Fits that ended alike, in one sentence; empty where they did not or are many."""
+    one = next(iter(fits.values()))
+    alike = {(_errors(x), x.outcome, x.method) for x in fits.values()}
+    if len(alike) > 1 or len(fits) > MOST_TOLD:
+        return ""
+    counts = sorted({x.n_simulations for x in fits.values()})
+    many = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
+    return (
+        f"The {len(fits)} fits from {listed(fits)} by {_method(one)} all reproduce the measured "
+        f"laxity to {_errors(one)} (RMSE; {_end(one)} after "
+        f"{many} simulations)."
+    )
+
+
+def _end(fit: Calibration) -> str:
+    return ENDED.get(fit.outcome, fit.outcome.value)
+
+
+def _method(fit: Calibration) -> str:
+    return fit.method.replace("-", " ")
 
 
 def _errors(fit: Calibration) -> str:

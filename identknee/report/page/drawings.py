@@ -180,11 +180,15 @@ def _equivalents(result: Result) -> Iterator[Drawing]:
     if widest := forces[:MOST_FORCES]:
         shown = [label_without_unit(x.name) for x in widest]
         ends = np.array([(x.smallest, x.largest) for x in widest])
+        # Forces of hundreds of N that differ by a few would all be ticks on one axis.
         at_fit = np.array([x.at_fit for x in widest])
+        apart = {"equivalent sets": ends - at_fit[:, None]}
+        named = [f"{x}, {y:.0f} N" for x, y in zip(shown, at_fit, strict=True)]
         yield Drawing(
             name="force-ranges",
-            figure=ranges_figure(shown, at_fit, {"equivalent sets": ends}, unit="tension [N]"),
-            caption="Smallest and largest ligament force among these sets, where they differ most.",
+            figure=ranges_figure(named, 0.0 * at_fit, apart, unit="tension minus the fit's [N]"),
+            caption="Smallest and largest ligament force among these sets, where they differ most, "
+            "beside that of the fit (its name and size on the left).",
             description=f"Force ranges; the widest is {shown[0]}, {ends[0, 0]:.0f} to "
             f"{ends[0, 1]:.0f} N.",
         )

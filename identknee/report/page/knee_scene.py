@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from identknee.laxity.dominant import told_loads
 from identknee.laxity.protocol import LOADS
 from identknee.mechanics.contact_places import distances
 from identknee.mechanics.distance_field import DistanceField
@@ -129,18 +130,19 @@ def load_words(flexion_deg: float, loads: Array) -> str:
     'Flexion 30°, valgus moment 4 N·m'
     """
     parts = [
-        f"{DIRECTIONS[i][0 if value > 0 else 1]} {abs(value):g} "
+        f"{DIRECTIONS[i][0 if value > 0 else 1]} {abs(value):.4g} "
         f"{'N·m' if LOADS[i].endswith('_Nm') else 'N'}"
         for i, value in enumerate(loads)
         if value != 0.0
     ]
-    return f"Flexion {flexion_deg:g}°, " + (" and ".join(parts) or "unloaded")
+    return f"Flexion {round(flexion_deg, 1):g}°, " + (" and ".join(parts) or "unloaded")
 
 
 def _trials(
     model: LaxityModel, prediction: Prediction, setting: Setting, tensions: Array, tibia: Mesh
 ) -> tuple[SceneTrial, ...]:
     protocol, trials = model.protocol, []
+    told = told_loads(protocol)
     flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
@@ -148,7 +150,7 @@ def _trials(
         trials.append(
             SceneTrial(
                 name=protocol.trials[i],
-                loads=load_words(float(protocol.flexion_deg[i]), protocol.loads[i]),
+                loads=load_words(float(protocol.flexion_deg[i]), told[i]),
                 outcome=outcome,
                 placement=placement,
                 coordinates=coordinates_from_pose(pose),

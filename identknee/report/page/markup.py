@@ -7,6 +7,8 @@ from html import escape
 from identknee.report.tables import Table
 
 # A number and its unit stay on one line.
+ONE_LINE = 28  # letters of the longest cell of a column whose cells are not broken
+OPTION = re.compile(r"(?<!\S)--[a-z][a-z-]*")
 UNIT = re.compile(r"(\d) (?=(?:kN|N·m|N|mm|deg|%)(?![\w·]))")
 
 
@@ -37,14 +39,14 @@ def paragraph(text: str, **attributes: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Plain text as HTML, a number and its unit on one line.
+    """Plain text as HTML, a number and its unit on one line, as an option of a command.
 
     Examples
     --------
     >>> escaped("at most 2 kN")
     'at most 2&nbsp;kN'
     """
-    return UNIT.sub(r"\1&nbsp;", escape(text))
+    return OPTION.sub(r'<code class="option">\g<0></code>', UNIT.sub(r"\1&nbsp;", escape(text)))
 
 
 def bullets(items: Iterable[str]) -> str:
@@ -66,13 +68,19 @@ def section(identity: str, heading: str, content: str, *, level: int = 2) -> str
 
 def table_html(table: Table) -> str:
     """A table with its title, units in the heads, that scrolls by itself where it is too wide."""
-    columns = range(len(table.columns))
-    is_text = [i == 0 or any(isinstance(row[i], str) for row in table.rows) for i in columns]
+    table = table.told
+    texts = table.texts()
+    classes = [
+        _class(
+            [row[i] for row in texts], is_text=any(isinstance(row[i], str) for row in table.rows)
+        )
+        for i in range(len(table.columns))
+    ]
     heads = "".join(
-        element("th", escape(column.head), scope="col", class_="text" if is_text[i] else "number")
+        element("th", escape(column.head), scope="col", class_="text" if i == 0 else classes[i])
         for i, column in enumerate(table.columns)
     )
-    body = "".join(element("tr", _cells(row, is_text)) for row in table.texts())
+    body = "".join(element("tr", _cells(row, classes)) for row in texts)
     whole = element("caption", escape(table.title))
     whole += element("thead", element("tr", heads)) + element("tbody", body)
     return scrolling(element("table", whole), table.title)
@@ -90,10 +98,17 @@ def figure_html(svg: str, caption: str) -> str:
     )
 
 
-def _cells(row: Sequence[str], is_text: Sequence[bool]) -> str:
+def _class(cells: Sequence[str], *, is_text: bool) -> str:
+    """How a column is set: numbers, words that stay on one line, or sentences."""
+    if not is_text:
+        return "number"
+    return "text" if max(map(len, cells), default=0) <= ONE_LINE else "text long"
+
+
+def _cells(row: Sequence[str], classes: Sequence[str]) -> str:
     first, *others = row
     cells = "".join(
-        element("td", escape(cell), class_="text" if text else "number")
-        for cell, text in zip(others, is_text[1:], strict=True)
+        element("td", escape(cell), class_=name)
+        for cell, name in zip(others, classes[1:], strict=True)
     )
     return element("th", escape(first), scope="row") + cells

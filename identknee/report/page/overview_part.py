@@ -1,15 +1,17 @@
 """The head of the page as HTML: verdict, table, fits, next tests."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from identknee.report.overview.overview import Overview, Row
-from identknee.report.page.markup import bullets, element, escaped, paragraph, scrolling
+from identknee.report.page.cautions import ERROR
+from identknee.report.page.markup import bullets, disclosed, element, escaped, paragraph, scrolling
 
 HEADS = ("quantity", "estimate", "95 % set", "status", "methods")
+MOST_OPEN = 3
 TITLE = "What is known of each parameter and force"
 
 
-def overview_html(found: Overview, cautions: Iterable[str], level: int) -> str:
+def overview_html(found: Overview, cautions: Sequence[str], level: int) -> str:
     """Verdict, warnings, table, fits, next tests; what there is nothing of is left out.
 
     Parameters
@@ -17,7 +19,8 @@ def overview_html(found: Overview, cautions: Iterable[str], level: int) -> str:
     found
         From `identknee.report.overview.overview.overview`.
     cautions
-        What results say against themselves, as sentences.
+        What results say against themselves, as sentences, errors first. All errors stand in the
+        open, and as many warnings as leave the table on the first screens.
     level
         Level of the heading above.
     """
@@ -27,13 +30,22 @@ def overview_html(found: Overview, cautions: Iterable[str], level: int) -> str:
     return "".join(
         (
             verdict if found.verdict else "",
-            element("div", "".join(map(paragraph, cautions)), class_="cautions") * bool(cautions),
+            _cautions(cautions) if cautions else "",
             _table(found.rows) if found.rows else "",
             paragraph(found.reasons, class_="note") if found.reasons else "",
             element(f"h{level + 1}", "Fits") + searches if found.searches else "",
             tests if found.next_tests else "",
         )
     )
+
+
+def _cautions(sentences: Sequence[str]) -> str:
+    n = max(MOST_OPEN, sum(x.startswith(ERROR) for x in sentences))
+    # One more takes no more room than the words that would hide it.
+    n = len(sentences) if len(sentences) == n + 1 else n
+    rest = sentences[n:]
+    folded = disclosed(f"{len(rest)} more warnings", "".join(map(paragraph, rest)))
+    return element("div", "".join(map(paragraph, sentences[:n])) + folded, class_="cautions")
 
 
 def _table(rows: Iterable[Row]) -> str:

@@ -10,7 +10,7 @@ from identknee.report.page.drawings import drawings
 from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import element, paragraph, section
-from identknee.report.page.results import Result, by_subject
+from identknee.report.page.results import Findings, Result, by_subject
 from identknee.report.page.subject_part import subject_html
 from identknee.runs.progress import progress
 from identknee.runs.record import versions
@@ -39,12 +39,12 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
         subject_html(x, k, level, shown.get(x.results[0].subject_digest))
         for k, x in enumerate(subjects, 1)
     ]
+    names = _names(subjects)
     main = "".join(
-        content if level == 2 else section(f"subject-{k}", f"Subject {x.title}", content)
-        for k, (x, content) in enumerate(zip(subjects, parts, strict=True), 1)
+        content if level == 2 else section(f"subject-{k}", f"Subject {name}", content)
+        for k, (name, content) in enumerate(zip(names, parts, strict=True), 1)
     )
-    names = ", ".join(x.title for x in subjects)
-    title = f"Knee report: {names}"
+    title = f"Knee report: {', '.join(dict.fromkeys(x.title for x in subjects))}"
     head = element("h1", escape(title)) + paragraph(_lead(results), class_="lead")
     body = (
         '<a class="skip" href="#main">Skip to the answer</a>'
@@ -90,6 +90,22 @@ def document(title: str, body: str, *, has_viewer: bool) -> str:
         f'<!doctype html>\n<html lang="en">{element("head", head)}'
         f"{element('body', body + element('script', code))}</html>\n"
     )
+
+
+def _names(subjects: Sequence[Findings]) -> list[str]:
+    """Names of the subjects; of one knee that was taken in several ways also which is meant."""
+    titles = [x.title for x in subjects]
+    names = []
+    for k, x in enumerate(subjects):
+        if titles.count(x.title) == 1:
+            names.append(x.title)
+            continue
+        stated = x.results[0].record["settings"].get("uncertain")
+        given = [stated] if isinstance(stated, str) else stated or ()
+        words = ", ".join(",".join(given).replace(" ", "").split(","))
+        number = titles[: k + 1].count(x.title)
+        names.append(f"{x.title} ({f'uncertain {words}' if words else f'number {number}'})")
+    return names
 
 
 def _maker() -> str:

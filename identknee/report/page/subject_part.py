@@ -1,15 +1,13 @@
 """All there is to say of one subject: the answer, then its parts, then how it was computed."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 
 from identknee.diagnosis.explanations.verdict import Verdict
-from identknee.report.answers.statements import statements_of
-from identknee.report.answers.taken import taken_for_granted
 from identknee.report.overview.overview import KNOWN, Overview, Tone, overview
-from identknee.report.overview.searches import is_beaten
-from identknee.report.page.computed_part import computed_html, further_html, short_path
+from identknee.report.page.cautions import told_once
+from identknee.report.page.computed_part import computed_html, further_html
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
 from identknee.report.page.knee_scene import KneeScene
@@ -25,13 +23,12 @@ from identknee.report.page.markup import (
 )
 from identknee.report.page.overview_part import overview_html
 from identknee.report.page.results import Findings, Result
+from identknee.report.page.said import Said, all_said
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
-from identknee.report.page.warnings import warnings
-from identknee.report.statement import Question, Statement
+from identknee.report.statement import Question
 from identknee.runs.progress import progress
 from identknee.verbs.diagnosis import Diagnosis
-from identknee.verbs.fit import Calibration
 
 PLACES = dict.fromkeys(("diagnose", "isolability"), Question.WRONG)
 PLACES |= {"design": Question.NEXT, "sweep": Question.SEARCH}
@@ -43,14 +40,6 @@ VERDICT_HEADINGS = {
     Verdict.ADEQUATE: RIGHT,
     Verdict.NOT_TESTABLE: "Why the model could not be tested",
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Said:
-    """A finding with where it is from."""
-
-    finding: Statement
-    source: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,13 +66,8 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
     """
     merged = findings.merged
     main = overview([x.answer for x in findings.of_main_data])
-    fits = [x.answer for x in merged.results if isinstance(x.answer, Calibration)]
-    said = [
-        _Said(finding=x, source=_source(result))
-        for result in merged.results
-        for x in (*_warnings(result, fits), *_statements(result))
-    ]
-    cautions = [x.finding.sentence for x in said if x.finding.is_warning]
+    said = all_said(merged.results)
+    cautions = told_once((x.finding.sentence, x.source) for x in said if x.finding.is_warning)
     figures = _figures(merged, number)
     parts = [("answer", "The answer", overview_html(main, cautions, level))]
     for question in Question:
@@ -103,20 +87,6 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
     return first + contents + "".join(others)
 
 
-def _warnings(result: Result, fits: Sequence[Calibration]) -> Iterator[Statement]:
-    """What a result says against itself; of a fit that another beats, none leads the page."""
-    answer = result.answer
-    is_past = isinstance(answer, Calibration) and is_beaten(answer, fits)
-    for x in warnings(result):
-        yield replace(x, question=Question.SEARCH, is_warning=False) if is_past else x
-
-
-def _statements(result: Result) -> Iterable[Statement]:
-    taken = taken_for_granted(result.answer)
-    assumed = [Statement(question=Question.KNOWN, sentence=" ".join(taken))] if taken else []
-    return [*statements_of(result.answer), *assumed]
-
-
 def _heading(question: Question, main: Overview, findings: Findings) -> str:
     """The heading of a part, as the verdict has it."""
     if question is Question.KNOWN and main.tone is Tone.WRONG:
@@ -131,7 +101,7 @@ def _heading(question: Question, main: Overview, findings: Findings) -> str:
     return question.heading
 
 
-def _part(said: Sequence[_Said], figures: Sequence[_Figure]) -> str:
+def _part(said: Sequence[Said], figures: Sequence[_Figure]) -> str:
     """What matters most in the open, the rest one click away."""
     leading = [x for x in said if x.finding.is_answer] or said[:1]
     rest = [x for x in said if x not in leading]
@@ -145,15 +115,11 @@ def _part(said: Sequence[_Said], figures: Sequence[_Figure]) -> str:
     )
 
 
-def _item(said: _Said) -> str:
+def _item(said: Said) -> str:
     """A sentence, and its numbers with their source one click away."""
     finding = said.finding
     tables = "".join(map(table_html, finding.tables))
     return paragraph(finding.sentence) + disclosed(f"The numbers behind it ({said.source})", tables)
-
-
-def _source(result: Result) -> str:
-    return f"{result.verb} of {short_path(result.data)}" if result.data else result.verb
 
 
 def _figures(findings: Findings, number: int) -> Mapping[Question, list[_Figure]]:

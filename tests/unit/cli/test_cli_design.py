@@ -81,7 +81,7 @@ def test_noise_that_is_not_stated_is_estimated(noisy: Path, tmp_path: Path) -> N
     [
         (("--target", "LCL.stifness"), "there is no parameter 'LCL.stifness'"),
         (("--target", "LCL.tension_N@nowhere"), "there is no trial 'nowhere'"),
-        (("--candidates", "table3"), "no built-in protocol"),
+        (("--candidates", "table3"), "no protocol and no file of this name"),
     ],
 )
 def test_wrong_words_are_refused(

@@ -87,7 +87,7 @@ def test_mistakes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         ik.simulate(ik.reference_knee(), ik.load_protocol("table2")).laxity, tmp_path / "data.csv"
     )
     both = (*WORDS, data, *short)
-    assert "those of DATA.csv or those of --protocol: leave out one" in refused(*both)
+    assert "those of DATA.csv or those of --protocol; give one" in refused(*both)
     # As a run that was killed leaves it.
     monkeypatch.setattr("identknee.verbs.verb.finish_work", lambda _: None)
     run(*WORDS, *short, "--samples", 2)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from identknee.verbs.values import named_bounds, named_values, noise_sizes
+from identknee.verbs.values import named_bounds, named_values, noise_sizes, values_of
 
 
 def test_values_come_by_name() -> None:
@@ -67,3 +67,9 @@ def test_a_noise_that_is_none_is_refused(text: str) -> None:
 def test_a_size_of_noise_is_a_number() -> None:
     with pytest.raises(ValueError, match="'3e' is not a number"):
         noise_sizes("3emm,1deg")
+
+
+def test_a_stiffness_in_newtons_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"If this is N per unit strain, divide it by 1000"):
+        values_of(["ACL.stiffness_kN=9500"])
+    assert values_of({"ACL.stiffness_kN": 9.5}) == {"ACL.stiffness_kN": 9.5}

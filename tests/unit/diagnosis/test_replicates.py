@@ -83,7 +83,7 @@ def test_it_is_weighed_with_what_is_stated() -> None:
     stated = found(measured(4, seed=3, stated=1.25))
     assert stated.factors is not None
     assert silent.sd[0, 0] < stated.sd[0, 0] < 1.25 * SD[0]
-    assert "Trials under equal loads" in stated.sentence
+    assert "Repeated trials imply a noise" in stated.sentence
     assert "times what the data state" in stated.sentence
     # Five times too much cannot be meant.
     mistaken = found(measured(4, seed=3, stated=5.0))

@@ -44,6 +44,12 @@ def assert_equal(one: Laxity, other: Laxity) -> None:
         assert getattr(one, name) == getattr(other, name), name
 
 
+def test_opposite_coordinates_are_read_with_their_sign(tmp_path: Path) -> None:
+    read = read_laxity(written(tmp_path, "trial,flexion_deg,valgus_deg,external_deg\na,30,1,-2\n"))
+    angles = dict(zip(COORDINATES, read.coordinates[0].tolist(), strict=True))
+    assert (angles["varus_deg"], angles["internal_deg"]) == (-1.0, 2.0)
+
+
 def test_read_what_a_person_writes(tmp_path: Path) -> None:
     path = written(
         tmp_path,
@@ -272,7 +278,7 @@ def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
             "trial,flexion_deg,varus_moment_Nm,valgus_moment_Nm,varus_deg\na,30,1,-1,2",
             (
                 ", row 1, column valgus_moment_Nm: varus_moment_Nm is there too, of which it is "
-                "the negative. Remove one of both."
+                "the negative. Remove one of the two."
             ),
         ),
         (

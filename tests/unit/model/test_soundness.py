@@ -19,7 +19,7 @@ def test_a_subject_that_folds_is_named_with_its_trials() -> None:
     (finding,) = stability_findings(named_model("lenhart2015"))
     assert finding.severity is Severity.WARNING
     assert "fails its stability check" in finding.sentence
-    assert "11 of 63 trials have no equilibrium (fold 11;" in finding.sentence
+    assert "11 of 63 trials have no equilibrium (11 at a fold;" in finding.sentence
 
 
 def test_a_subject_hardly_stable_is_named_with_its_weakest_trial(

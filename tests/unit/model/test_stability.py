@@ -81,7 +81,7 @@ def test_a_knee_without_ligament_forces_is_an_error() -> None:
     first, last = report.findings
     assert first.severity is Severity.ERROR
     assert first.sentence.startswith("2 of the 2 trials of seed63 do not converge")
-    assert "unconstrained 2 (flexion0_varus-10Nm, flexion0_varus-8Nm): Nothing" in first.sentence
+    assert "2 trials (flexion0_varus-10Nm, flexion0_varus-8Nm): Nothing" in first.sentence
     assert "No single insertion moved by 3 mm restores a trial" in first.remedy
     assert len(report.moves) == 4 * 2 * 6
     assert last.severity is Severity.WARNING

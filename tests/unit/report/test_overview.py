@@ -172,7 +172,10 @@ def test_fits_that_end_elsewhere_are_said_to_disagree(fitted: Calibration) -> No
     one = replace(fitted, start="IG1")
     agreeing = [one, moved(fitted, near, "IG2")]
     assert disagreement(agreeing) == ""
-    assert "They end at the same parameters" in " ".join(searches_sentences(agreeing))
+    told = " ".join(searches_sentences(agreeing))
+    assert "They end at the same parameters" in told
+    # Alike in all that is said of them: one clause for both.
+    assert told.startswith("The 2 fits from IG1 and IG2 by least squares all reproduce")
     said = disagreement([one, moved(fitted, far, "IG2")])
     value = float(fitted.search.theta[1])
     assert f"is {value:.3g} kN from IG1 but {value - 3.0:.3g} kN from IG2" in said

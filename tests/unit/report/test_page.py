@@ -179,6 +179,20 @@ def test_the_answer_is_a_verdict_and_a_table(page: str) -> None:
     assert answer.count('<th scope="row">') == len(set(re.findall(r'row">([^<]+)', answer))) > 2
 
 
+def test_fits_of_one_table_stand_side_by_side(reference: Knee, tmp_path: Path) -> None:
+    for name in "ab":
+        fit_folder(tmp_path / name, reference)
+    page = report_html(found_results(tmp_path))
+    assert page.count("The tables set the 2 fits side by side.") == 1
+    assert page.count("<caption>Fitted parameters by start</caption>") == 1
+    assert "<caption>Fitted parameters</caption>" not in page
+    # What both take for granted is said once, and whose it is where there is another result.
+    assert page.count("The result rests on") == 1
+    profile_folder(tmp_path / "c")
+    page = report_html(found_results(tmp_path))
+    assert page.count("The result rests on") == 1
+
+
 def test_numbers_stand_behind_what_is_said(page: str) -> None:
     said = page[page.index("<nav") :]
     assert said.count("<summary>The numbers behind it") >= 5

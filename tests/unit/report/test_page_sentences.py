@@ -94,7 +94,7 @@ def test_an_end_that_only_the_model_makes_is_said_to_be_open() -> None:
     )
     (statement,) = parameter_statements([cut])
     assert "has no upper limit (at least 14.9 kN; the model ends at 25.4 kN)" in statement.sentence
-    assert "bound none of the 1" in statement.sentence
+    assert "do not bound the PCL's stiffness on both sides" in statement.sentence
     (table,) = statement.tables
     assert table.rows[0][3] == "open, the model ends at 25.44"
 

@@ -43,6 +43,16 @@ def test_text_is_in_columns() -> None:
     ]
 
 
+def test_remarks_that_nobody_made_are_not_shown() -> None:
+    columns = tuple(Column(name=x) for x in ("parameter", "remark"))
+    blank = Table(title="t", columns=columns, rows=(("a", ""), ("b", "")))
+    assert [x.name for x in blank.told.columns] == ["parameter"]
+    assert "remark" not in str(blank)
+    said = Table(title="t", columns=columns, rows=(("a", ""), ("b", "at its bound")))
+    assert said.told is said
+    assert "remark" in str(said)
+
+
 def test_a_row_of_another_length_is_refused() -> None:
     with pytest.raises(ValueError, match="needs 1 cells, got 2"):
         Table(title="t", columns=(Column(name="a"),), rows=((1, 2),))

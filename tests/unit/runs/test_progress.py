@@ -7,7 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from identknee.runs import progress as module
-from identknee.runs.progress import counted, planned, progress, progress_bar, stage, time_left
+from identknee.runs import progress_lines
+from identknee.runs.progress import counted, planned, progress, progress_bar, stage
+from identknee.runs.time_left import time_left
 
 
 class Terminal(io.StringIO):
@@ -29,6 +31,33 @@ def test_nothing_is_shown_away_from_a_terminal(
         time.sleep(0.05)
         advance(2)
     assert capsys.readouterr() == ("", "")
+
+
+def test_long_work_away_from_a_terminal_says_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(progress_lines, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with progress_bar("simulating", 100) as advance:
+        for now[0] in (29.0, 31.0, 40.0, 70.0):
+            advance(10)
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "identknee: simulating: 20 of 100, about 2 min left",
+        "identknee: simulating: 40 of 100, about 100 s left",
+    ]
+
+
+def test_how_to_shorten_long_work_is_said_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    work = {"first": [1.0] * 100}
+    with planned("all", work, shorter="Ask for less."), progress_bar("first", 100) as advance:
+        for now[0] in (10.0, 20.0, 30.0):
+            advance(2)
+    assert capsys.readouterr().err.count("identknee: about 8 min left. Ask for less.") == 1
 
 
 def test_nothing_is_shown_for_short_work(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,6 +119,9 @@ class Recorded:
 
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
         self.told.append((share, note, left_s))
+
+    def say(self, sentence: str, /) -> None:
+        raise AssertionError(sentence)
 
 
 def test_a_plan_knows_the_maps_to_come(monkeypatch: pytest.MonkeyPatch) -> None:

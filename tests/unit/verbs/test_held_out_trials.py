@@ -29,7 +29,10 @@ def test_trials_are_held_out_by_name_or_pattern() -> None:
 
 @pytest.mark.parametrize(
     ("names", "said"),
-    [(["trail 2"], "--hold-out trail 2: no trial is called so"), (["*"], "leaves no trial to fit")],
+    [
+        (["trail 2"], "--hold-out trail 2: there is no such trial"),
+        (["*"], "leaves no trial to fit"),
+    ],
 )
 def test_names_that_hold_out_nothing_or_all(names: list[str], said: str) -> None:
     with pytest.raises(ValueError, match=said):
