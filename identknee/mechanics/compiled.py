@@ -36,6 +36,9 @@ Function = Callable[..., Any]
 # Sums may be reordered and fused; NaN and infinity keep their meaning.
 FAST_MATH = {"reassoc", "contract", "arcp", "nsz"}
 
+# Whether this process compiles for others to load.
+_for_others = False
+
 
 @cache
 def cache_folder() -> Path:
@@ -53,7 +56,7 @@ def _compiled_folder() -> Path:
 
 def compiled(function: Function) -> Function:
     """`function` compiled on first call, without the interpreter's lock, and kept on disk."""
-    return _compiled(function)
+    return _part(function)
 
 
 def compiled_in_place(function: Function) -> Function:
@@ -61,12 +64,23 @@ def compiled_in_place(function: Function) -> Function:
 
     It counts no references to arrays, on which a simulation would spend a fifth of its time.
     """
-    return _compiled(function, _nrt=False)
+    return _part(function, _nrt=False)
 
 
 def compiled_into_callers(function: Function) -> Function:
     """The same, put into its callers as if it stood there: what a loop does with each element."""
-    return _compiled(function, _nrt=False, forceinline=True)
+    return _part(function, _nrt=False, forceinline=True)
+
+
+def _part(function: Function, **options: Any) -> Function:
+    """A function that compiled ones call, and tests from Python.
+
+    A process that compiles for others makes nothing for Python to call, which would take it twice
+    as long, and keeps only the whole.
+    """
+    if _for_others:
+        return _compiled(function, no_cpython_wrapper=True, **options)
+    return _compiled(function, cache=True, **options)
 
 
 def _compiled(function: Function, **options: Any) -> Function:
@@ -75,9 +89,9 @@ def _compiled(function: Function, **options: Any) -> Function:
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_compiled_folder())
     try:
-        result: Function = numba.njit(cache=True, **options)(function)
+        result: Function = numba.njit(**options)(function)
     except RuntimeError:  # No writable cache: compile every time rather than fail.
-        result = numba.njit(**options)(function)
+        result = numba.njit(**{**options, "cache": False})(function)
     finally:
         numba.config.CACHE_DIR = previous
     return result
@@ -89,7 +103,7 @@ def compiled_apart(function: Function) -> Function:
     The first process that calls it has another one compile it and loads the result. Where that is
     not possible, because no cache can be written, every process compiles for itself.
     """
-    dispatcher: Any = compiled(function)
+    dispatcher: Any = _compiled(function, cache=True)
 
     @wraps(function)
     def call(*arguments: Any) -> Any:
@@ -123,6 +137,8 @@ def _have_compiled(function: Function, signature: tuple[Any, ...]) -> None:
 
 
 def _compile_here() -> None:
+    global _for_others
+    _for_others = True
     # Short-lived, and all that the compiler makes hangs together: nothing is worth collecting.
     gc.disable()
     module, name, signature = pickle.loads(sys.stdin.buffer.read())
