@@ -131,18 +131,17 @@ def follow(segment, guess, guessed, contact, field, ligaments, work, g):
 
 
 @compiled_in_place
-def sensitivities(flexion, q, load, H, contact, field, ligaments, work, columns, S, contact_sums):
+def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_sums):
     """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
 
     The parameters are stiffness and reference strain of m ligaments, then the logarithm of the
-    contact modulus and the exponent of the contact law. With contact, the sums over its elements
-    are written to `contact_sums`.
+    contact modulus and the exponent of the contact law. With contact, which is that of the pose
+    evaluated last, the sums over its elements are written to `contact_sums`.
     """
     evaluation, solver, m = work.evaluation, work.solver, ligaments.femoral.shape[0]
     R, t, axes = evaluation.rotation, evaluation.translation, evaluation.axes
     L, right, step = solver.factor, solver.right, solver.step
     if S.shape[1] > 2 * m:
-        evaluate_there(flexion, q, load, contact, field, ligaments, work)
         contact_columns(contact, evaluation, columns, 2 * m)
         n_touching, law = evaluation.counts[N_TOUCHING], law_of(contact)
         total, _ = sum_contact(n_touching, R, t, law, evaluation)
@@ -170,53 +169,39 @@ def simulate_path(
     written to.
     """
     work = workspace(contact.points.shape[1])
-    g, here, load, far = np.zeros(5), work.path.here, work.path.load, nodes.farthest[0]
+    g, here, load = np.zeros(5), work.path.here, work.path.load
     columns = np.zeros((5, results.sensitivities.shape[2]))
     for n in chosen:
-        before = nodes.parent[n]
+        before, angle = nodes.parent[n], nodes.flexion[n]
         for i in range(5):
             load[i] = nodes.loads[n, i]
         if before < 0:
             for i in range(5):
                 here.pose[i] = starts[n, i]
             outcome, results.residuals[n] = find_minimum(
-                nodes.flexion[n], here, load, far, contact, field, ligaments, work, g
+                angle, here, load, nodes.farthest[0], contact, field, ligaments, work, g
             )
             results.reached[n] = 1.0
             results.solves[n] = 1
         else:
             read_state(results, before, here)
-            segment = Segment(
-                flexion_before=nodes.flexion[before],
-                flexion_after=nodes.flexion[n],
-                load_before=nodes.loads[before],
-                load_after=nodes.loads[n],
-            )
             outcome = results.codes[before]
             results.reached[n] = 0.0
             if outcome == CONVERGED:
+                segment = Segment(nodes.flexion[before], angle, nodes.loads[before], nodes.loads[n])
                 outcome, results.reached[n], results.residuals[n], results.solves[n] = follow(
                     segment, guesses[n], has_guess, contact, field, ligaments, work, g
                 )
+            if outcome != CONVERGED:
+                angle += (1.0 - results.reached[n]) * (nodes.flexion[before] - angle)
         results.codes[n] = outcome
         write_state(here, results, n)
-        # The last pose evaluated may be one that was searched on the way, or not kept.
-        angle = nodes.flexion[n]
-        if before >= 0 and outcome != CONVERGED:
-            angle += (1.0 - results.reached[n]) * (nodes.flexion[before] - angle)
+        # The last pose evaluated may be one that was searched on the way, or not kept. Whatever the
+        # load, contact is that of the pose.
         evaluate_there(angle, here.pose, load, contact, field, ligaments, work)
         contact_centres(contact, work.evaluation, results.centres[n])
         if derivatives and outcome == CONVERGED:
+            slopes, sums = results.sensitivities[n], results.contact_sums[n]
             sensitivities(
-                nodes.flexion[n],
-                here.pose,
-                load,
-                here.hessian,
-                contact,
-                field,
-                ligaments,
-                work,
-                columns,
-                results.sensitivities[n],
-                results.contact_sums[n],
+                angle, here.pose, here.hessian, contact, ligaments, work, columns, slopes, sums
             )

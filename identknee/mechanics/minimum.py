@@ -17,10 +17,10 @@ from identknee.mechanics.small_matrices import (
 # expanded there. What that leaves out is far below what a difference between two ways of solving
 # may be (1e-9 mm), and the Hessian is right to 1e-6.
 RESIDUAL_TOLERANCE = 3e-6
-LAST_STEP = 1e-6
+LAST_STEP = 3e-7
 EXPANSION_REACH = 1.0  # mm; farther away contact is not what its expansion says
 EXPANSION_ERROR = 0.01  # 1/mm; of a minimum found so far from where the expansion is exact, squared
-SETTLED = 1e-7  # mm; a Newton step as short leaves nothing above rounding
+SETTLED = 1e-8  # mm; a Newton step as short leaves nothing above rounding
 MOST_NEAR_STEPS = 12
 FLOOR_MARGIN = 1e-3  # N/mm; below this stiffness a pose is not unique
 SLACK_RESIDUAL = 1e-3  # N; with less than this and no stiffness, the search would creep on for ever

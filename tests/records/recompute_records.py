@@ -34,6 +34,10 @@ RELATIVE = 1e-5
 # Errors of a fit that found the truth are rounding [kN, %, mm, deg, N]; nothing smaller matters.
 ABSOLUTE = 1e-6
 NOT_COMPARED = {"seconds"}
+# How long a search went on may hang on its last bits, and so on the processor: where it ended does
+# not, which is compared beside it.
+WORK = {"n_simulations", "n_polishing"}
+WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
 # Records older than a change of what they record: causes that were not refitted to their end are
 # refitted again (10), and predictions that agree to 1e-11 still lead single searches to another end
 # (03, 09). Differences are shown and fail nothing until the study is computed again. Nothing else
@@ -150,8 +154,15 @@ def differences(recorded: Any, found: Any) -> list[str]:
     return [
         f"{place or 'value'} was {old.get(place, 'absent')}, is {new.get(place, 'absent')}"
         for place in {**old, **new}
-        if place not in old or place not in new or not is_same(old[place], new[place])
+        if place not in old or place not in new or not is_same_at(place, old[place], new[place])
     ]
+
+
+def is_same_at(place: str, old: Any, new: Any) -> bool:
+    """Whether two values are one; how much work there was need not be the same to the last step."""
+    if place.split(".")[-1].split("[")[0] in WORK and is_number(old) and is_number(new):
+        return bool(abs(old - new) <= max(WORK_ABSOLUTE, WORK_RELATIVE * max(old, new)))
+    return is_same(old, new)
 
 
 def is_same(old: Any, new: Any) -> bool:

@@ -50,6 +50,20 @@ def test_the_last_digit_and_what_is_not_a_number_are_compared_as_a_record_keeps_
     assert differences({"a": True}, {"a": False}) == ["a was True, is False"]
 
 
+def test_a_search_may_take_a_little_longer_if_it_ends_there() -> None:
+    """By a twentieth, or by two simulations where there are few."""
+    recorded = {"fits": [{"n_simulations": 307, "end": 1.0}], "n_simulations": [10, 400]}
+    near = {"fits": [{"n_simulations": 308, "end": 1.0}], "n_simulations": [12, 385]}
+    far = {"fits": [{"n_simulations": 330, "end": 1.001}], "n_simulations": [13, 400]}
+    assert differences(recorded, near) == []
+    assert differences(recorded, far) == [
+        "fits[0].n_simulations was 307, is 330",
+        "fits[0].end was 1.0, is 1.001",
+        "n_simulations[0] was 10, is 13",
+    ]
+    assert differences({"n_trials": 63}, {"n_trials": 62}) == ["n_trials was 63, is 62"]
+
+
 def test_entries_are_drawn_by_seed_until_there_are_enough() -> None:
     pool = [_entry(str(i), 1.0, 2.0, 3.0) for i in range(50)]
     names = [[x.name for x in draw(pool, 7, seed)] for seed in (1, 1, 2)]

@@ -128,9 +128,9 @@ def test_sensitivities_are_the_oracles(
     sensitivities(
         search.flexion,
         pose,
-        search.load,
         evaluation.hessian,
-        *search.arrays,
+        search.arrays[0],
+        search.ligaments,
         search.work,
         columns,
         slopes,
