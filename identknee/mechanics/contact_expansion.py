@@ -86,7 +86,7 @@ def expand_contact(R, t, rounding, field, work):
     """Expand the distance of every point that may touch the femur; return their number.
 
     Around the present pose the distance of a point is known from its value, gradient and Hessian
-    here: to 1e-9 mm within some 0.01 mm, and to 1e-4 mm within some 0.3 mm.
+    here, with an error that grows with the cube of how far it moves.
     """
     reach, listed, moved = field.reach, work.listed, work.moved
     touching = work.touching

@@ -178,7 +178,7 @@ def evaluate(flexion, load, contact, field, ligaments, work, at):
 
 @compiled_in_place
 def evaluate_near(flexion, load, contact, field, ligaments, work, at):
-    """The same from the contact as expanded last, at a tenth of the cost.
+    """The same from the contact as expanded last, at a fifth of the cost.
 
     Exact but for the third derivatives of the distance to the femur, and for points that came near
     it since.
