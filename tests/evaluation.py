@@ -14,7 +14,7 @@ from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.energy import evaluate
 from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, LigamentArrays, Point
 from identknee.mechanics.pose import rotation_matrix
-from identknee.mechanics.states import workspace
+from identknee.mechanics.workspace import workspace
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array

@@ -1,35 +1,24 @@
-"""The decorator that compiles a function, with a disk cache keyed by the sources' content.
+"""The decorators that compile functions, and the process that compiles one for others to load.
 
-numba's own cache looks at one file only: a caller of an edited function in another file is not
-recompiled and may crash the interpreter. Here the cache folder's name is a digest of every source
-in this package, of where it lies and since when, which numba asks for as well, and of the versions
-involved, so an edit, an upgrade or another installation starts a fresh folder.
-
-A process that compiles also runs other machine code than one that loads what was kept: its linker
-takes an inner function from where that was compiled alone, not from the optimised whole, and sums
-come out different in their last bits. A run begun by the one and resumed by the other would not
-repeat itself, so what Python calls is compiled in a process of its own and then always loaded.
+What Python calls is reached through `identknee.mechanics.machine_code`. Only that process, and
+tests of the compiled parts, import this module and with it the compiler.
 """
 
 import gc
-import hashlib
 import importlib
-import os
 import pickle
-import subprocess
 import sys
-from collections.abc import Callable
-from functools import cache, wraps
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any
 
-import llvmlite.binding
 import numba
 import numpy as np
-from platformdirs import user_cache_path
+from llvmlite import binding, ir
+from numba import types
+from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
-from identknee.runs.errors import InputError
-from identknee.runs.files import write_atomically
+from identknee.mechanics.compiled_folder import compiled_folder
 
 Function = Callable[..., Any]
 
@@ -38,20 +27,6 @@ FAST_MATH = {"reassoc", "contract", "arcp", "nsz"}
 
 # Whether this process compiles for others to load.
 _for_others = False
-
-
-@cache
-def cache_folder() -> Path:
-    """The folder for everything that can be computed again, ``IDENTKNEE_CACHE`` if that is set."""
-    return Path(os.environ.get("IDENTKNEE_CACHE") or user_cache_path("identknee"))
-
-
-@cache
-def _compiled_folder() -> Path:
-    digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(f"{source} {source.stat().st_mtime_ns}".encode() + source.read_bytes())
-    return cache_folder() / "compiled" / digest.hexdigest()[:16]
 
 
 def compiled(function: Function) -> Function:
@@ -87,7 +62,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     options |= {"nogil": True, "fastmath": FAST_MATH, "error_model": "numpy"}
     options |= {"no_cfunc_wrapper": True}  # C calls none of them.
     previous = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_compiled_folder())
+    numba.config.CACHE_DIR = str(compiled_folder())
     try:
         result: Function = numba.njit(**options)(function)
     except RuntimeError:  # No writable cache: compile every time rather than fail.
@@ -97,56 +72,101 @@ def _compiled(function: Function, **options: Any) -> Function:
     return result
 
 
-def compiled_apart(function: Function) -> Function:
-    """`function` compiled for Python to call: the same machine code in every process.
-
-    The first process that calls it has another one compile it and loads the result. Where that is
-    not possible, because no cache can be written, every process compiles for itself.
-    """
-    dispatcher: Any = _compiled(function, cache=True)
-
-    @wraps(function)
-    def call(*arguments: Any) -> Any:
-        if not dispatcher.overloads:
-            _have_compiled(function, tuple(numba.typeof(x) for x in arguments))
-        return dispatcher(*arguments)
-
-    call.compile = dispatcher.compile  # type: ignore[attr-defined]
-    return call
-
-
-def _have_compiled(function: Function, signature: tuple[Any, ...]) -> None:
-    """Compile in another process, unless that was done before."""
-    place = _compiled_folder() / f"{_name_of(function, signature)}.done"
-    if place.exists():
-        return
-    code = "from identknee.mechanics.compiled import _compile_here as f; f()"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    try:
-        _compiled_folder().mkdir(parents=True, exist_ok=True)
-        subprocess.run(
-            [sys.executable, "-c", code],
-            input=pickle.dumps((function.__module__, function.__name__, signature)),
-            env=environment,
-            check=True,
-            capture_output=True,
-        )
-        write_atomically(place, "")
-    except (OSError, InputError, subprocess.SubprocessError):
-        return  # Then it is compiled here.
-
-
-def _compile_here() -> None:
+def make_object() -> None:
+    """Write the object file of the function asked for on standard input to standard output."""
     global _for_others
     _for_others = True
     # Short-lived, and all that the compiler makes hangs together: nothing is worth collecting.
     gc.disable()
-    module, name, signature = pickle.loads(sys.stdin.buffer.read())
-    getattr(importlib.import_module(module), name).compile(signature)
+    sys.stdout.buffer.write(object_file(sys.stdin.buffer.read()))
 
 
-def _name_of(function: Function, signature: tuple[Any, ...]) -> str:
-    """Name of what is compiled, by its argument types and the processor."""
-    processor = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features()
-    text = f"{signature} {processor[0]} {processor[1].flatten()}"
-    return f"{function.__name__}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+def object_file(request: bytes) -> bytes:
+    """The object file of a function, under its name, that takes its arguments from a table.
+
+    Parameters
+    ----------
+    request
+        The pickled name of its module, its own name and what its arguments are.
+    """
+    module_name, name, kinds = pickle.loads(request)
+    function = getattr(importlib.import_module(module_name), name)
+    unpacked = _unpacking(types.Tuple([_type_of(x) for x in kinds]))
+
+    def entry(table):  # type: ignore[no-untyped-def]
+        function(*unpacked(table))
+
+    dispatcher: Any = _compiled(entry, no_cpython_wrapper=True, _nrt=False)
+    dispatcher.compile((types.int64,))
+    (compilation,) = dispatcher.overloads.values()
+    (text,) = dispatcher.inspect_llvm().values()
+    module = binding.parse_assembly(text)
+    module.get_function(compilation.fndesc.llvm_func_name).name = name
+    target = binding.Target.from_default_triple().create_target_machine(
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=3,
+        jit=True,
+    )
+    return bytes(target.emit_object(module))
+
+
+def _type_of(kind: tuple[Any, ...]) -> Any:
+    """Numba's type of an argument."""
+    what = kind[0]
+    if isinstance(what, str):
+        return types.Array(numba.from_dtype(np.dtype(what)), kind[1], "C")
+    if issubclass(what, tuple):
+        parts = [_type_of(x) for x in kind[1:]]
+        return types.Tuple(parts) if what is tuple else types.NamedTuple(parts, what)
+    return numba.typeof(what())
+
+
+def _unpacking(wanted: Any) -> Any:
+    """A function of the address of a table that gives the arguments it describes."""
+
+    @intrinsic
+    def unpacked(_typing, table):  # type: ignore[no-untyped-def]
+        def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            pointer = builder.inttoptr(arguments[0], ir.IntType(64).as_pointer())
+            numbers = _numbers(builder, pointer)
+            return _value(context, builder, wanted, numbers)
+
+        return wanted(table), generate
+
+    return unpacked
+
+
+def _numbers(builder: Any, pointer: Any) -> Iterator[Any]:
+    """The numbers of a table, one after the other."""
+    k = 0
+    while True:
+        yield builder.load(builder.gep(pointer, [ir.Constant(ir.IntType(64), k)]))
+        k += 1
+
+
+def _value(context: Any, builder: Any, wanted: Any, numbers: Iterator[Any]) -> Any:
+    """An argument made of the next numbers of a table."""
+    if isinstance(wanted, types.BaseTuple):
+        parts = [_value(context, builder, x, numbers) for x in wanted.types]
+        return context.make_tuple(builder, wanted, parts)
+    if not isinstance(wanted, types.Array):
+        number = next(numbers)
+        return context.cast(builder, number, types.int64, wanted)
+    array = context.make_array(wanted)(context, builder)
+    address = next(numbers)
+    shape = [next(numbers) for _ in range(wanted.ndim)]
+    size = context.get_abi_sizeof(context.get_data_type(wanted.dtype))
+    itemsize = ir.Constant(ir.IntType(64), size)
+    strides = [itemsize]
+    for n in shape[:0:-1]:
+        strides.insert(0, builder.mul(strides[0], n))
+    populate_array(
+        array,
+        data=builder.inttoptr(address, array.data.type),
+        shape=shape,
+        strides=strides,
+        itemsize=itemsize,
+        meminfo=None,
+    )
+    return array._getvalue()  # noqa: SLF001 - numba's name for the value of a structure

@@ -5,13 +5,9 @@ import math
 import numpy as np
 
 from identknee.mechanics.compiled import compiled_in_place
-from identknee.mechanics.memory import N_LISTED, N_LISTINGS
+from identknee.mechanics.memory import FIRST_ROUNDED, N_LISTED, N_LISTINGS, NEAR_CELLS
 from identknee.mechanics.spline_lanes import spline_at
 
-# Bits 0-7 of the `reach` of a cell of the distance field: each eighth that may hold contact where
-# the law has no rounding; from this bit on the same where it has.
-FIRST_ROUNDED = 8
-NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
 KEPT_GAP = 0.1  # mm; points farther from contact are no part of an expansion
 
 

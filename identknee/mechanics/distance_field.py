@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.mechanics.contact_expansion import FIRST_ROUNDED, NEAR_CELLS
 from identknee.mechanics.contact_law import MOST_ROUNDING
-from identknee.mechanics.memory import FieldArrays
+from identknee.mechanics.memory import FIRST_ROUNDED, NEAR_CELLS, FieldArrays
 from identknee.runs.arrays import Array, BitArray, ReachArray
 from identknee.runs.declare import declared, entry
 

@@ -1,27 +1,28 @@
 """Equilibria of a set of trials: the kernel's door for the rest of the package."""
 
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
 
-from identknee.mechanics import kernel
 from identknee.mechanics.branch_threads import on_branches
 from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.load_paths import LoadPaths
+from identknee.mechanics.machine_code import MachineCode, Packed
 from identknee.mechanics.memory import (
     NO_EQUILIBRIUM,
+    ROTATION_SCALE,
     ContactArrays,
     Equilibria,
-    FieldArrays,
     LigamentArrays,
     NodeArrays,
 )
-from identknee.mechanics.small_matrices import ROTATION_SCALE
+from identknee.mechanics.workspace import kept_workspace
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
 
 TRANSITION_STRAIN = 0.03
+simulate_path = MachineCode("identknee.mechanics.kernel", "simulate_path")
 
 
 @declared
@@ -127,33 +128,35 @@ def solve(
         centres=np.zeros((n, contact.n_compartments, 7)),
         solves=np.zeros(n, np.int64),
     )
-    nodes = (paths.flexion, paths.loads, paths.parent, np.array([paths.farthest]))
+    nodes = NodeArrays(paths.flexion, paths.loads, paths.parent, np.array([paths.farthest]))
     arguments = (
-        # In one order always: the compiler makes another version of its code for another.
         np.array(np.broadcast_to(start, (n, 5)), float, order="C"),
         np.zeros((n, 5)) if guesses is None else np.array(guesses),
         guesses is not None,
-        ContactArrays(*map(_read_only, contact.arrays())),
-        FieldArrays(*map(_read_only, field.arrays())),
-        LigamentArrays(*map(_read_only, ligaments)),
+        _packed_contact(contact),
+        _packed_field(field),
+        ligaments,
         derivatives,
-        found,
     )
-    tree = NodeArrays(*map(_read_only, nodes))
-    on_branches(paths.parent, lambda x: kernel.simulate_path(tree, _read_only(x), *arguments))
+
+    def solve_nodes(chosen: IntArray) -> None:
+        work = kept_workspace(len(contact.points), found.sensitivities.shape[2])
+        simulate_path(nodes, chosen, *arguments, work, found)
+
+    on_branches(paths.parent, solve_nodes)
     return found
 
 
-def _read_only(array: Any) -> Any:
-    """The same array as a view that cannot be written to.
+@lru_cache(maxsize=8)
+def _packed_contact(contact: ContactPoints) -> Packed:
+    """The contact points as the kernel takes them, packed once for many simulations."""
+    return Packed(contact.arrays())
 
-    The compiler takes arrays that can be written to for another type, and pickling makes read-only
-    arrays writable: without this a model sent to another process would be compiled once more, and
-    might differ in the last bit.
-    """
-    view = array.view()
-    view.flags.writeable = False
-    return view
+
+@lru_cache(maxsize=4)
+def _packed_field(field: DistanceField) -> Packed:
+    """The same of the distance field."""
+    return Packed(field.arrays())
 
 
 def stability_margins(hessians: Array) -> Array:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled_apart, compiled_in_place
+from identknee.mechanics.compiled import compiled_in_place
 from identknee.mechanics.contact_elements import (
     contact_centres,
     contact_columns,
@@ -21,6 +21,7 @@ from identknee.mechanics.energy import (
 from identknee.mechanics.memory import (
     CONVERGED,
     FOLD,
+    MOST_HALVINGS,
     N_TOUCHING,
     UNCONSTRAINED,
     Segment,
@@ -28,12 +29,10 @@ from identknee.mechanics.memory import (
 from identknee.mechanics.minimum import FLOOR_MARGIN, find_minimum
 from identknee.mechanics.small_matrices import factorise, scale_of, substitute
 from identknee.mechanics.states import (
-    MOST_HALVINGS,
     copy_state,
     keep_state,
     read_state,
     take_state,
-    workspace,
     write_state,
 )
 
@@ -75,7 +74,7 @@ def off_branch(before, after, share, tolerance):
 
 
 @compiled_in_place
-def follow(segment, guess, guessed, contact, field, ligaments, work, g):
+def follow(segment, guess, guessed, contact, field, ligaments, work):
     """Follow the path of equilibria from one end of a segment to the other.
 
     ``work.path.here`` is the state before and becomes the state after, or the last stable one
@@ -106,7 +105,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work, g):
                 load[i] = segment.load_before[i] + goal * change[i]
             angle = segment.flexion_before + goal * flexion_change
             outcome, residual = find_minimum(
-                angle, there, load, LARGEST_MOVE, contact, field, ligaments, work, g
+                angle, there, load, LARGEST_MOVE, contact, field, ligaments, work
             )
             solves += 1
             tangent(there, change, flexion_change, L, right)
@@ -158,19 +157,17 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
             S[i, j] = step[i]
 
 
-@compiled_apart
+@compiled_in_place
 def simulate_path(
-    nodes, chosen, starts, guesses, has_guess, contact, field, ligaments, derivatives, results
+    nodes, chosen, starts, guesses, has_guess, contact, field, ligaments, derivatives, work, results
 ):
     """Solve the chosen nodes of a tree of load paths, each from its parent's state.
 
     Parents come first, or were solved before. A node n without parent starts the search at the
     pose ``starts[n]``. `results` are the arrays of `identknee.mechanics.memory.Equilibria`, to be
-    written to.
+    written to. `work` holds no list and no evaluation.
     """
-    work = workspace(contact.points.shape[1])
-    g, here, load = np.zeros(5), work.path.here, work.path.load
-    columns = np.zeros((5, results.sensitivities.shape[2]))
+    here, load, columns = work.path.here, work.path.load, work.solver.columns
     for n in chosen:
         before, angle = nodes.parent[n], nodes.flexion[n]
         for i in range(5):
@@ -179,7 +176,7 @@ def simulate_path(
             for i in range(5):
                 here.pose[i] = starts[n, i]
             outcome, results.residuals[n] = find_minimum(
-                angle, here, load, nodes.farthest[0], contact, field, ligaments, work, g
+                angle, here, load, nodes.farthest[0], contact, field, ligaments, work
             )
             results.reached[n] = 1.0
             results.solves[n] = 1
@@ -190,7 +187,7 @@ def simulate_path(
             if outcome == CONVERGED:
                 segment = Segment(nodes.flexion[before], angle, nodes.loads[before], nodes.loads[n])
                 outcome, results.reached[n], results.residuals[n], results.solves[n] = follow(
-                    segment, guesses[n], has_guess, contact, field, ligaments, work, g
+                    segment, guesses[n], has_guess, contact, field, ligaments, work
                 )
             if outcome != CONVERGED:
                 angle += (1.0 - results.reached[n]) * (nodes.flexion[before] - angle)

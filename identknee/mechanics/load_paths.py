@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from identknee.mechanics.small_matrices import ROTATION_SCALE
+from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 from identknee.runs.declare import declared, entry
 

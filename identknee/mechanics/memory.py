@@ -13,6 +13,14 @@ CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = range(4)
 # Places in the counters of an evaluation.
 N_LISTED, N_TOUCHING, N_EVALUATIONS, N_LISTINGS, N_EXPANDED = range(5)
 
+# One radian of rotation weighs as much as so many millimetres wherever the two are compared.
+ROTATION_SCALE = 40.0
+# Bits 0-7 of the `reach` of a cell of the distance field: each eighth that may hold contact where
+# the law has no rounding; from this bit on the same where it has.
+FIRST_ROUNDED = 8
+MOST_HALVINGS = 10  # of the way from one node of the load path to the next
+NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
+
 
 class ContactArrays(NamedTuple):
     """The contact points, in tibial axes.
@@ -186,6 +194,10 @@ class SolverMemory(NamedTuple):
         The point looked at next on the way to it.
     start
         The pose the search began at, shape ``(5,)``.
+    gradient
+        The energy's gradient where the search is, shape ``(5,)``.
+    columns
+        How the gradient changes with each parameter, a column each.
     """
 
     factor: Array
@@ -194,6 +206,8 @@ class SolverMemory(NamedTuple):
     trial: Point
     candidate: Point
     start: Array
+    gradient: Array
+    columns: Array
 
 
 class PathMemory(NamedTuple):

@@ -12,9 +12,9 @@ import numpy as np
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_wrench import ligament_wrench
 from identknee.mechanics.load_paths import LoadPaths
+from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.mechanics.mesh_contact import MeshContact
 from identknee.mechanics.placement import place
-from identknee.mechanics.small_matrices import ROTATION_SCALE
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.outcome import Outcome

@@ -104,16 +104,16 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
 
 
 @compiled_in_place
-def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work, g):
+def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work):
     """Move the pose of a state to a minimum of the energy; return (outcome, residual).
 
     Each step goes to the minimum of the energy with the contact expanded where the last one ended,
     inside a trust region on the energy itself. `farthest` [mm] ends the search when the pose moves
-    farther than that from where it began. `g` becomes the gradient.
+    farther than that from where it began.
     """
+    evaluation, solver = work.evaluation, work.solver
+    L, trial, start, g = solver.factor, solver.trial, solver.start, solver.gradient
     point = Point(state.pose, g, state.hessian, state.gradient_by_flexion)
-    evaluation, L, trial = work.evaluation, work.solver.factor, work.solver.trial
-    start = work.solver.start
     for i in range(5):
         start[i] = point.pose[i]
     energy = evaluate(flexion, load, contact, field, ligaments, evaluation, point)

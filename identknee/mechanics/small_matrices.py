@@ -1,13 +1,9 @@
-"""Linear algebra of the five coordinates, without memory of its own.
-
-One radian of rotation weighs as much as `ROTATION_SCALE` millimetres wherever the two are compared.
-"""
+"""Linear algebra of the five coordinates, without memory of its own."""
 
 import math
 
 from identknee.mechanics.compiled import compiled_in_place
-
-ROTATION_SCALE = 40.0
+from identknee.mechanics.memory import ROTATION_SCALE
 
 
 @compiled_in_place

@@ -1,19 +1,6 @@
-"""Equilibria as they are copied, kept and read again, and the memory of one thread."""
+"""Equilibria as they are copied, kept and read again."""
 
-import numpy as np
-
-from identknee.mechanics.compiled import compiled, compiled_in_place
-from identknee.mechanics.memory import (
-    N_LISTED,
-    EvaluationMemory,
-    PathMemory,
-    Point,
-    SolverMemory,
-    State,
-    Workspace,
-)
-
-MOST_HALVINGS = 10  # of the way from one node of the load path to the next
+from identknee.mechanics.compiled import compiled_in_place
 
 
 @compiled_in_place
@@ -44,66 +31,6 @@ def take_state(states, n, state):
         state.gradient_by_flexion[i] = states.gradient_by_flexion[n, i]
         for j in range(5):
             state.hessian[i, j] = states.hessian[n, i, j]
-
-
-@compiled
-def row_of(states, n):
-    """State n of several, to be read and written."""
-    return State(
-        states.pose[n], states.hessian[n], states.gradient_by_flexion[n], states.tangent[n]
-    )
-
-
-@compiled
-def empty_states(n):
-    """States to be written to."""
-    return State(np.zeros((n, 5)), np.zeros((n, 5, 5)), np.zeros((n, 5)), np.zeros((n, 5)))
-
-
-@compiled
-def workspace(n_points):
-    """Memory for one thread's work, allocated once a simulation."""
-    n = n_points + 1
-    counts = np.zeros(5, np.int64)
-    counts[N_LISTED] = -1
-    solver = SolverMemory(
-        factor=np.zeros((5, 5)),
-        right=np.zeros(5),
-        step=np.zeros(5),
-        trial=Point(np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5)),
-        candidate=Point(np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5)),
-        start=np.zeros(5),
-    )
-    path = PathMemory(
-        here=row_of(empty_states(1), 0),
-        there=row_of(empty_states(1), 0),
-        far=empty_states(MOST_HALVINGS + 1),
-        goals=np.zeros(MOST_HALVINGS + 1),
-        load=np.zeros(5),
-        change=np.zeros(5),
-    )
-    evaluation = EvaluationMemory(
-        expansion=np.zeros((17, n)),
-        listed=np.zeros((4, n)),
-        counts=counts,
-        listed_pose=np.zeros(12),
-        cells=np.zeros(n, np.int64),
-        eighths=np.zeros(n, np.int64),
-        pose=np.full(5, np.inf),
-        expanded=np.full(5, np.inf),
-        rotation=np.zeros(9),
-        translation=np.zeros(3),
-        field_rotation=np.zeros(9),
-        field_translation=np.zeros(3),
-        sums=np.zeros(39),
-        axes=np.zeros((9, 3)),
-        touching=np.zeros(n, np.int64),
-        which=np.zeros(n, np.int64),
-        moved=np.zeros((3, n)),
-        weights=np.zeros(24),
-        line=np.zeros(10),
-    )
-    return Workspace(evaluation=evaluation, solver=solver, path=path)
 
 
 @compiled_in_place

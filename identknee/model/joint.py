@@ -12,7 +12,6 @@ from zipfile import BadZipFile
 import numpy as np
 
 from identknee.mechanics.closest_point import mesh_distance
-from identknee.mechanics.compiled import cache_folder
 from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.contact_points import DEFAULT_NUMBER, contact_points
 from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
@@ -21,6 +20,7 @@ from identknee.mechanics.pose import start_pose
 from identknee.mechanics.rims import RimDistance, rim_distance
 from identknee.model.nuisances.library import contact_rounding
 from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.cache_folder import cache_folder
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder, write_atomically

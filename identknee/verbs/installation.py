@@ -6,12 +6,11 @@ import sys
 from collections.abc import Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
 from itertools import groupby
-from pathlib import Path
-from typing import Any
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
+from identknee.runs.cache_folder import cache_folder
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import BYTES_PER_MB, prepare_folder
@@ -119,10 +118,6 @@ def machine() -> Iterator[Check]:
 
 def cache() -> Iterator[Check]:
     """The folder of compiled code and distance fields: writable, how large, and what is in it."""
-    try:
-        from identknee.mechanics.compiled import cache_folder
-    except ImportError:  # Which package it is stands among the versions.
-        return
     folder = cache_folder()
     try:
         prepare_folder(folder)
@@ -216,8 +211,6 @@ def _version_of(requirement: Requirement) -> Check:
 
 def _n_compiled() -> int:
     """How many functions that Python calls are kept compiled for this version of the sources."""
-    from identknee.mechanics.small_matrices import scale_of
+    from identknee.mechanics.compiled_folder import compiled_folder
 
-    dispatcher: Any = scale_of
-    kept_at = dispatcher.stats.cache_path
-    return len(list(Path(kept_at).parent.glob("*.done"))) if kept_at else 0
+    return len(list(compiled_folder().glob("*.o")))

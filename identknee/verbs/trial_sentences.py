@@ -4,7 +4,7 @@ import numpy as np
 
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.load_paths import NEAR
-from identknee.mechanics.small_matrices import ROTATION_SCALE
+from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import POSE_EVERY_DEG, known_poses
 from identknee.runs.findings import Finding, Severity

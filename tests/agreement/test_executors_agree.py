@@ -1,7 +1,6 @@
 """Fits of a knee are the same bits whoever makes them: this process, others, or a cluster.
 
-They are made in a fresh process, as users make them: the compiled parts of the kernel that other
-tests call one by one would take the place of those inside the whole (see `mechanics.compiled`).
+They are made in a fresh process, as users make them.
 """
 
 import importlib.util

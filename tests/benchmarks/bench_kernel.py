@@ -9,7 +9,7 @@ import numpy as np
 from knees import DEFAULT, model
 from rows import Measure, Row, median_of
 
-from identknee.mechanics import kernel, states
+from identknee.mechanics import equilibria
 from identknee.mechanics.branch_threads import branch_threads
 from identknee.mechanics.memory import N_EVALUATIONS, N_LISTINGS
 from identknee.model.laxity_model import LaxityModel
@@ -100,25 +100,15 @@ def times(subject: LaxityModel, runs: int = RUNS) -> tuple[np.ndarray, np.ndarra
 
 def work_in(subject: LaxityModel) -> tuple[int, int, int]:
     """Searches, evaluations and listings of candidates in one prediction."""
-    made: list[Any] = []
-    allocate = states.workspace
+    seen: list[Any] = []
+    simulate_path = equilibria.simulate_path
 
-    def remembered(*sizes: int) -> Any:
-        made.append(allocate(*sizes))
-        return made[-1]
+    def remembered(*arguments: Any) -> None:
+        simulate_path(*arguments)
+        seen.append(arguments)
 
-    # The outermost function as plain Python; all it calls stays compiled.
-    plain = kernel.simulate_path.__wrapped__  # type: ignore[attr-defined]
-    seen = []
-
-    def solved(*arguments: Any) -> None:
-        plain(*arguments)
-        seen.append(int(arguments[-1].solves.sum()))
-
-    with (
-        mock.patch.object(kernel, "workspace", remembered),
-        mock.patch.object(kernel, "simulate_path", solved),
-    ):
+    with mock.patch.object(equilibria, "simulate_path", remembered):
         subject.predict(subject.parameters.center)
-    counts = made[-1].evaluation.counts
-    return seen[-1], int(counts[N_EVALUATIONS]), int(counts[N_LISTINGS])
+    *_, work, found = seen[-1]
+    counts = work.arrays.evaluation.counts
+    return int(found.solves.sum()), int(counts[N_EVALUATIONS]), int(counts[N_LISTINGS])

@@ -12,7 +12,6 @@ from cli_runs import run
 from typer.testing import Result
 
 import identknee as ik
-from identknee.mechanics import compiled
 from identknee.verbs import installation, self_test
 
 ROOT = Path(__file__).parents[3]
@@ -113,7 +112,7 @@ def test_a_cache_that_cannot_be_written_is_told(
     _installed(monkeypatch)
     place = tmp_path / "cache"
     place.write_text("a file", encoding="utf-8")
-    monkeypatch.setattr(compiled, "cache_folder", lambda: place)
+    monkeypatch.setattr(installation, "cache_folder", lambda: place)
     result = run("doctor")
     assert result.exit_code == 1
     line = _lines(result, "folder")

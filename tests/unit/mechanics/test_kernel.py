@@ -17,7 +17,7 @@ from identknee.mechanics.memory import (
     State,
 )
 from identknee.mechanics.minimum import find_minimum
-from identknee.mechanics.states import workspace
+from identknee.mechanics.workspace import workspace
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
@@ -50,12 +50,12 @@ class Search:
         self.ligaments = ligaments_of(model, theta)
         self.arrays = (model.joint.contact.arrays(), model.joint.field.arrays(), self.ligaments)
         self.work = workspace(len(model.joint.contact.points))
-        self.state, self.g = self.work.path.here, np.zeros(5)
+        self.state = self.work.path.here
 
     def minimum(self, start: Array, farthest: float = 1e9) -> tuple[int, float, Array]:
         self.state.pose[:] = start
         outcome, residual = find_minimum(
-            self.flexion, self.state, self.load, farthest, *self.arrays, self.work, self.g
+            self.flexion, self.state, self.load, farthest, *self.arrays, self.work
         )
         return outcome, residual, np.array(self.state.pose)
 
@@ -73,9 +73,7 @@ class Search:
             load_before=np.zeros(5),
             load_after=load,
         )
-        outcome, reached, _, _ = kernel.follow(
-            segment, pose, False, *self.arrays, self.work, self.g
-        )
+        outcome, reached, _, _ = kernel.follow(segment, pose, False, *self.arrays, self.work)
         return outcome, reached, np.array(self.state.pose)
 
 

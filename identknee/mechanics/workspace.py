@@ -1,0 +1,97 @@
+"""The memory of one thread for one simulation."""
+
+import threading
+
+import numpy as np
+
+from identknee.mechanics.machine_code import Packed
+from identknee.mechanics.memory import (
+    MOST_HALVINGS,
+    N_LISTED,
+    EvaluationMemory,
+    PathMemory,
+    Point,
+    SolverMemory,
+    State,
+    Workspace,
+)
+
+
+class _Kept(threading.local):
+    """The memory that each thread used last, and for what."""
+
+    size = (-1, -1)
+    packed: Packed
+
+
+_KEPT = _Kept()
+
+
+def kept_workspace(n_points: int, n_columns: int) -> Packed:
+    """The memory of this thread, which forgets what its last simulation evaluated."""
+    if _KEPT.size == (n_points, n_columns):
+        _forget(_KEPT.packed.arrays.evaluation)
+    else:
+        _KEPT.packed, _KEPT.size = Packed(workspace(n_points, n_columns)), (n_points, n_columns)
+    return _KEPT.packed
+
+
+def workspace(n_points: int, n_columns: int = 0) -> Workspace:
+    """Memory for the work with so many contact points, and columns of sensitivities."""
+    n = n_points + 1
+    solver = SolverMemory(
+        factor=np.zeros((5, 5)),
+        right=np.zeros(5),
+        step=np.zeros(5),
+        trial=_point(),
+        candidate=_point(),
+        start=np.zeros(5),
+        gradient=np.zeros(5),
+        columns=np.zeros((5, n_columns)),
+    )
+    path = PathMemory(
+        here=_states(),
+        there=_states(),
+        far=_states(MOST_HALVINGS + 1),
+        goals=np.zeros(MOST_HALVINGS + 1),
+        load=np.zeros(5),
+        change=np.zeros(5),
+    )
+    evaluation = EvaluationMemory(
+        expansion=np.zeros((17, n)),
+        listed=np.zeros((4, n)),
+        counts=np.zeros(5, np.int64),
+        listed_pose=np.zeros(12),
+        cells=np.zeros(n, np.int64),
+        eighths=np.zeros(n, np.int64),
+        pose=np.zeros(5),
+        expanded=np.zeros(5),
+        rotation=np.zeros(9),
+        translation=np.zeros(3),
+        field_rotation=np.zeros(9),
+        field_translation=np.zeros(3),
+        sums=np.zeros(39),
+        axes=np.zeros((9, 3)),
+        touching=np.zeros(n, np.int64),
+        which=np.zeros(n, np.int64),
+        moved=np.zeros((3, n)),
+        weights=np.zeros(24),
+        line=np.zeros(10),
+    )
+    _forget(evaluation)
+    return Workspace(evaluation=evaluation, solver=solver, path=path)
+
+
+def _point() -> Point:
+    return Point(np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5))
+
+
+def _states(*n: int) -> State:
+    return State(np.zeros((*n, 5)), np.zeros((*n, 5, 5)), np.zeros((*n, 5)), np.zeros((*n, 5)))
+
+
+def _forget(evaluation: EvaluationMemory) -> None:
+    evaluation.counts[:] = 0
+    evaluation.counts[N_LISTED] = -1
+    evaluation.pose[:] = np.inf
+    evaluation.expanded[:] = np.inf
