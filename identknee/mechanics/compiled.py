@@ -1,22 +1,13 @@
-"""The decorators that compile functions, and the process that compiles one for others to load.
+"""The decorators that compile functions.
 
-What Python calls is reached through `identknee.mechanics.machine_code`. Only that process, and
-tests of the compiled parts, import this module and with it the compiler.
+What Python calls is reached through `identknee.mechanics.machine_code`. Only the process that
+compiles it, and tests of its parts, import this module and with it the compiler.
 """
 
-import gc
-import importlib
-import pickle
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numba
-import numpy as np
-from llvmlite import binding, ir
-from numba import types
-from numba.extending import intrinsic
-from numba.np.arrayobj import populate_array
 
 from identknee.mechanics.compiled_folder import compiled_folder
 
@@ -25,8 +16,8 @@ Function = Callable[..., Any]
 # Sums may be reordered and fused; NaN and infinity keep their meaning.
 FAST_MATH = {"reassoc", "contract", "arcp", "nsz"}
 
-# Whether this process compiles for others to load.
-_for_others = False
+# Whether this process compiles for others to load, as `identknee.mechanics.object_process` does.
+is_for_others = False
 
 
 def compiled(function: Function) -> Function:
@@ -53,12 +44,13 @@ def _part(function: Function, **options: Any) -> Function:
     A process that compiles for others makes nothing for Python to call, which would take it twice
     as long, and keeps only the whole.
     """
-    if _for_others:
-        return _compiled(function, no_cpython_wrapper=True, **options)
-    return _compiled(function, cache=True, **options)
+    if is_for_others:
+        return compiled_with(function, no_cpython_wrapper=True, **options)
+    return compiled_with(function, cache=True, **options)
 
 
-def _compiled(function: Function, **options: Any) -> Function:
+def compiled_with(function: Function, **options: Any) -> Function:
+    """`function` compiled with numba's options and those that all have in common."""
     options |= {"nogil": True, "fastmath": FAST_MATH, "error_model": "numpy"}
     options |= {"no_cfunc_wrapper": True}  # C calls none of them.
     previous = numba.config.CACHE_DIR
@@ -70,103 +62,3 @@ def _compiled(function: Function, **options: Any) -> Function:
     finally:
         numba.config.CACHE_DIR = previous
     return result
-
-
-def make_object() -> None:
-    """Write the object file of the function asked for on standard input to standard output."""
-    global _for_others
-    _for_others = True
-    # Short-lived, and all that the compiler makes hangs together: nothing is worth collecting.
-    gc.disable()
-    sys.stdout.buffer.write(object_file(sys.stdin.buffer.read()))
-
-
-def object_file(request: bytes) -> bytes:
-    """The object file of a function, under its name, that takes its arguments from a table.
-
-    Parameters
-    ----------
-    request
-        The pickled name of its module, its own name and what its arguments are.
-    """
-    module_name, name, kinds = pickle.loads(request)
-    function = getattr(importlib.import_module(module_name), name)
-    unpacked = _unpacking(types.Tuple([_type_of(x) for x in kinds]))
-
-    def entry(table):  # type: ignore[no-untyped-def]
-        function(*unpacked(table))
-
-    dispatcher: Any = _compiled(entry, no_cpython_wrapper=True, _nrt=False)
-    dispatcher.compile((types.int64,))
-    (compilation,) = dispatcher.overloads.values()
-    (text,) = dispatcher.inspect_llvm().values()
-    module = binding.parse_assembly(text)
-    module.get_function(compilation.fndesc.llvm_func_name).name = name
-    target = binding.Target.from_default_triple().create_target_machine(
-        cpu=binding.get_host_cpu_name(),
-        features=binding.get_host_cpu_features().flatten(),
-        opt=3,
-        jit=True,
-    )
-    return bytes(target.emit_object(module))
-
-
-def _type_of(kind: tuple[Any, ...]) -> Any:
-    """Numba's type of an argument."""
-    what = kind[0]
-    if isinstance(what, str):
-        return types.Array(numba.from_dtype(np.dtype(what)), kind[1], "C")
-    if issubclass(what, tuple):
-        parts = [_type_of(x) for x in kind[1:]]
-        return types.Tuple(parts) if what is tuple else types.NamedTuple(parts, what)
-    return numba.typeof(what())
-
-
-def _unpacking(wanted: Any) -> Any:
-    """A function of the address of a table that gives the arguments it describes."""
-
-    @intrinsic
-    def unpacked(_typing, table):  # type: ignore[no-untyped-def]
-        def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-            pointer = builder.inttoptr(arguments[0], ir.IntType(64).as_pointer())
-            numbers = _numbers(builder, pointer)
-            return _value(context, builder, wanted, numbers)
-
-        return wanted(table), generate
-
-    return unpacked
-
-
-def _numbers(builder: Any, pointer: Any) -> Iterator[Any]:
-    """The numbers of a table, one after the other."""
-    k = 0
-    while True:
-        yield builder.load(builder.gep(pointer, [ir.Constant(ir.IntType(64), k)]))
-        k += 1
-
-
-def _value(context: Any, builder: Any, wanted: Any, numbers: Iterator[Any]) -> Any:
-    """An argument made of the next numbers of a table."""
-    if isinstance(wanted, types.BaseTuple):
-        parts = [_value(context, builder, x, numbers) for x in wanted.types]
-        return context.make_tuple(builder, wanted, parts)
-    if not isinstance(wanted, types.Array):
-        number = next(numbers)
-        return context.cast(builder, number, types.int64, wanted)
-    array = context.make_array(wanted)(context, builder)
-    address = next(numbers)
-    shape = [next(numbers) for _ in range(wanted.ndim)]
-    size = context.get_abi_sizeof(context.get_data_type(wanted.dtype))
-    itemsize = ir.Constant(ir.IntType(64), size)
-    strides = [itemsize]
-    for n in shape[:0:-1]:
-        strides.insert(0, builder.mul(strides[0], n))
-    populate_array(
-        array,
-        data=builder.inttoptr(address, array.data.type),
-        shape=shape,
-        strides=strides,
-        itemsize=itemsize,
-        meminfo=None,
-    )
-    return array._getvalue()  # noqa: SLF001 - numba's name for the value of a structure

@@ -29,7 +29,6 @@ Kind = tuple[Any, ...]
 # Numba's calling convention: where to put a result and an error, then the argument; 0 if all went
 # well.
 _SIGNATURE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
-_MAKE = "from identknee.mechanics.compiled import make_object; make_object()"
 
 
 class Packed:
@@ -134,14 +133,14 @@ def _compiled_apart(request: bytes) -> bytes:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     try:
         made = subprocess.run(
-            [sys.executable, "-c", _MAKE],
+            [sys.executable, "-m", "identknee.mechanics.object_process"],
             input=request,
             env=environment,
             check=True,
             capture_output=True,
         )
     except (OSError, subprocess.SubprocessError):
-        from identknee.mechanics.compiled import object_file
+        from identknee.mechanics.object_file import object_file
 
         return object_file(request)
     return made.stdout
