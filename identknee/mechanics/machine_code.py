@@ -133,7 +133,8 @@ def _compiled_apart(request: bytes) -> bytes:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     try:
         made = subprocess.run(
-            [sys.executable, "-m", "identknee.mechanics.object_process"],
+            # Without the folder it is run in, which may hold another version of this package.
+            [sys.executable, "-P", "-m", "identknee.mechanics.object_process"],
             input=request,
             env=environment,
             check=True,

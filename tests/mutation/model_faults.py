@@ -419,7 +419,29 @@ MECHANICS = (
         "translations have the noise of rotations",
         _NOISE,
     ),
+    _fault(
+        "mechanics/workspace.py",
+        "        _forget(_KEPT.packed.arrays.evaluation)",
+        "        pass",
+        "a simulation begins with what the one before evaluated",
+        "tests/unit/mechanics/test_workspace.py",
+    ),
+    _fault(
+        "mechanics/object_file.py",
+        "shape=shape,",
+        "shape=shape[::-1],",
+        "compiled code takes rows for columns",
+        "tests/unit/mechanics/test_machine_code.py",
+    ),
+    _fault(
+        "mechanics/machine_code.py",
+        "if not argument.flags.c_contiguous:",
+        "if argument is None:",
+        "compiled code reads a turned array as it lies in memory",
+        "tests/unit/mechanics/test_machine_code.py",
+    ),
 )
+
 NUISANCES = (
     _fault(
         "model/measured_frames.py",

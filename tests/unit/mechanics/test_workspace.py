@@ -4,7 +4,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from evaluation import ligaments_of
 
+from identknee.mechanics.energy import evaluate
+from identknee.mechanics.memory import N_LISTED, Workspace
 from identknee.mechanics.workspace import kept_workspace
 from identknee.model.laxity_model import LaxityModel
 
@@ -14,6 +17,17 @@ def _arrays(group: Any) -> Iterator[np.ndarray]:
         yield from _arrays(x) if isinstance(x, tuple) else (x,)
 
 
+def _list_nothing(model: LaxityModel, work: Workspace) -> None:
+    """A list of no points that claims to hold where the first search begins, as of another knee."""
+    point = work.solver.trial
+    joint, theta = model.joint, model.parameters.center
+    point.pose[:] = model.setting(theta).first_pose
+    knee = joint.contact.arrays(), joint.field.arrays(), ligaments_of(model, theta)
+    work.evaluation.counts[N_LISTED] = -1
+    evaluate(joint.start_flexion, np.zeros(5), *knee, work.evaluation, point)
+    work.evaluation.counts[N_LISTED] = 0
+
+
 def test_a_simulation_reads_nothing_that_the_one_before_left(reference_model: LaxityModel) -> None:
     theta = reference_model.parameters.center
     before = reference_model.predict(theta)
@@ -21,6 +35,7 @@ def test_a_simulation_reads_nothing_that_the_one_before_left(reference_model: La
     work = kept_workspace(*size)
     for array in _arrays(work.arrays):
         array[...] = np.nan if array.dtype == float else 7
+    _list_nothing(reference_model, work.arrays)
     after = reference_model.predict(theta)
     assert kept_workspace(*size) is work
     assert after.poses.tobytes() == before.poses.tobytes()
