@@ -64,7 +64,7 @@ def bounded_step(
     doi:10.1007/978-0-387-40065-5.
     """
     n = matrix.shape[1]
-    triangle = np.linalg.qr(np.column_stack([matrix, data]), mode="r")[:n]
+    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))[:n]
     return _ActiveSet(triangle[:, :n], triangle[:, n], bounds, constraint).solve()
 
 
