@@ -164,18 +164,34 @@ def fit_from(
     starts: Sequence[Array],
     *,
     most_steps: int = MOST_STEPS,
+    ends: Sequence[Evaluation] = (),
+    is_extended: bool = False,
 ) -> Fitted:
-    """The lowest of the fits from `starts`, each shape ``(p,)``, of so many steps."""
-    problem = weighed(model, laxity, noise)
-    best = min(
-        (_descended(problem, x, most_steps) for x in starts), key=lambda x: x.evaluation.deviance
-    )
+    """The lowest of several fits.
+
+    Parameters
+    ----------
+    model, laxity, noise
+        The model, the data and their errors.
+    starts
+        Where the fits begin, each shape ``(p,)``.
+    most_steps
+        Steps of each at most.
+    ends
+        Where fits ended before: one that joins them, or a minimum of those from the starts before,
+        is not continued.
+    is_extended
+        Whether causes extend the model. Their amplitudes bend its valleys, as when they scale each
+        other.
+    """
+    problem, known, found = weighed(model, laxity, noise), [*ends], list[Constrained]()
+    for start in starts:
+        evaluator = Evaluator(problem, ends=known, learns_curvature=is_extended)
+        found.append(minimise(evaluator, start, tolerance=TOLERANCE, most_steps=most_steps))
+        if found[-1].outcome is Outcome.MINIMUM:
+            known.append(found[-1].evaluation)
+    best = min(found, key=lambda x: x.evaluation.deviance)
     return Fitted(model=model, laxity=laxity, noise=noise, constrained=best)
-
-
-def _descended(problem: WithPriors, start: Array, most_steps: int) -> Constrained:
-    evaluator = Evaluator(problem)
-    return minimise(evaluator, start, tolerance=TOLERANCE, most_steps=most_steps)
 
 
 def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) -> "BaseFit | None":
@@ -265,11 +281,16 @@ class BaseFit:
 
 
 def fitted_to_low_loads(
-    model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array
+    model: LaxityModel,
+    laxity: Laxity,
+    noise: NoiseModel,
+    start: Array,
+    *,
+    is_extended: bool = False,
 ) -> Array:
     """The fit to trials of low loads, shape ``(p,)``: a way past parameters where the knee jumps.
 
-    `start` itself where no trial has low loads.
+    `start` itself where no trial has low loads. The parameters are those of `fit_from`.
     """
     size = np.abs(laxity.protocol.loads)
     largest = size.max(axis=0)
@@ -280,7 +301,8 @@ def fitted_to_low_loads(
     rows = np.broadcast_to(low[:, None], laxity.is_measured.shape)[laxity.is_measured]
     if not part.is_measured.any():
         return start
-    return np.array(fit_from(model.with_tests(part), part, noise.of(rows), [start]).theta)
+    low_model = model.with_tests(part)
+    return fit_from(low_model, part, noise.of(rows), [start], is_extended=is_extended).theta
 
 
 def _around(model: LaxityModel, start: Array, seed: int) -> list[Array]:

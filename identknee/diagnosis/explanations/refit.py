@@ -189,6 +189,7 @@ def refit(
     starts: Sequence[Array],
     *,
     most_steps: int = MOST_STEPS,
+    beside: Sequence[Refit] = (),
 ) -> Refit:
     """The base model with these causes, fitted from `starts`, each of all its parameters.
 
@@ -202,11 +203,19 @@ def refit(
         Each shape ``(p,)``.
     most_steps
         Steps of each fit at most.
+    beside
+        Refits with the same causes: one that joins them is not continued.
     """
     model = base.fitted.model
     extended = model.with_effects([*model.effects, *causes])
     fitted = fit_from(
-        extended, base.fitted.laxity, base.fitted.noise, starts, most_steps=most_steps
+        extended,
+        base.fitted.laxity,
+        base.fitted.noise,
+        starts,
+        most_steps=most_steps,
+        ends=[x.fitted.evaluation for x in beside],
+        is_extended=True,
     )
     return Refit(
         causes=tuple(causes),
@@ -229,7 +238,7 @@ def refit_by_low_loads(base: Refit, stuck: Refit, start: Array) -> Refit:
         Where the fit to low loads begins, shape ``(p,)``.
     """
     fitted = stuck.fitted
-    low = fitted_to_low_loads(fitted.model, fitted.laxity, fitted.noise, start)
+    low = fitted_to_low_loads(fitted.model, fitted.laxity, fitted.noise, start, is_extended=True)
     return refit(base, stuck.causes, [low])
 
 
