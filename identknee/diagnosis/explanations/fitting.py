@@ -40,6 +40,9 @@ REACH = 1.0
 # Tolerance on the deviance; the statistics that follow are known to a thousandth of a unit at best.
 TOLERANCE = 1e-4
 MOST_STEPS = 40
+# Steps that find a valley, after which it is time to learn how it bends. Learned sooner, that leads
+# to other minima.
+STRAIGHT_STEPS = 12
 # Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5
 
@@ -165,7 +168,6 @@ def fit_from(
     *,
     most_steps: int = MOST_STEPS,
     ends: Sequence[Evaluation] = (),
-    is_extended: bool = False,
 ) -> Fitted:
     """The lowest of several fits.
 
@@ -180,18 +182,30 @@ def fit_from(
     ends
         Where fits ended before: one that joins them, or a minimum of those from the starts before,
         is not continued.
-    is_extended
-        Whether causes extend the model. Their amplitudes bend its valleys, as when they scale each
-        other.
     """
     problem, known, found = weighed(model, laxity, noise), [*ends], list[Constrained]()
     for start in starts:
-        evaluator = Evaluator(problem, ends=known, learns_curvature=is_extended)
-        found.append(minimise(evaluator, start, tolerance=TOLERANCE, most_steps=most_steps))
+        found.append(_descended(problem, start, known, most_steps))
         if found[-1].outcome is Outcome.MINIMUM:
             known.append(found[-1].evaluation)
     best = min(found, key=lambda x: x.evaluation.deviance)
     return Fitted(model=model, laxity=laxity, noise=noise, constrained=best)
+
+
+def _descended(
+    problem: WithPriors, start: Array, ends: Sequence[Evaluation], most_steps: int
+) -> Constrained:
+    """The fit from one start: in straight steps, then in some that know how the valley bends."""
+    evaluator = Evaluator(problem, ends=ends)
+    first = minimise(
+        evaluator, start, tolerance=TOLERANCE, most_steps=min(STRAIGHT_STEPS, most_steps)
+    )
+    left = most_steps - STRAIGHT_STEPS
+    if left <= 0 or first.outcome is not Outcome.VALLEY or first.n_simulations <= STRAIGHT_STEPS:
+        return first
+    evaluator = Evaluator(problem, ends=ends, learns_curvature=True)
+    then = minimise(evaluator, first.evaluation.theta, tolerance=TOLERANCE, most_steps=left)
+    return replace(then, n_simulations=first.n_simulations + then.n_simulations)
 
 
 def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) -> "BaseFit | None":
@@ -285,12 +299,10 @@ def fitted_to_low_loads(
     laxity: Laxity,
     noise: NoiseModel,
     start: Array,
-    *,
-    is_extended: bool = False,
 ) -> Array:
     """The fit to trials of low loads, shape ``(p,)``: a way past parameters where the knee jumps.
 
-    `start` itself where no trial has low loads. The parameters are those of `fit_from`.
+    `start` itself where no trial has low loads.
     """
     size = np.abs(laxity.protocol.loads)
     largest = size.max(axis=0)
@@ -301,8 +313,7 @@ def fitted_to_low_loads(
     rows = np.broadcast_to(low[:, None], laxity.is_measured.shape)[laxity.is_measured]
     if not part.is_measured.any():
         return start
-    low_model = model.with_tests(part)
-    return fit_from(low_model, part, noise.of(rows), [start], is_extended=is_extended).theta
+    return np.array(fit_from(model.with_tests(part), part, noise.of(rows), [start]).theta)
 
 
 def _around(model: LaxityModel, start: Array, seed: int) -> list[Array]:

@@ -215,7 +215,6 @@ def refit(
         starts,
         most_steps=most_steps,
         ends=[x.fitted.evaluation for x in beside],
-        is_extended=True,
     )
     return Refit(
         causes=tuple(causes),
@@ -238,7 +237,7 @@ def refit_by_low_loads(base: Refit, stuck: Refit, start: Array) -> Refit:
         Where the fit to low loads begins, shape ``(p,)``.
     """
     fitted = stuck.fitted
-    low = fitted_to_low_loads(fitted.model, fitted.laxity, fitted.noise, start, is_extended=True)
+    low = fitted_to_low_loads(fitted.model, fitted.laxity, fitted.noise, start)
     return refit(base, stuck.causes, [low])
 
 
