@@ -1,7 +1,7 @@
 """The linear least-squares step within bounds and across one linear constraint."""
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, qr, solve_triangular
+from scipy.linalg import qr, solve_triangular
 
 from identknee.calibrate.tolerances import STEP_RANK_TOLERANCE
 from identknee.runs.arrays import Array, BoolArray, IntArray
@@ -11,9 +11,12 @@ from identknee.runs.declare import declared
 SMALLEST = 1e-150
 ROUNDS_PER_PARAMETER = 10
 NEGLIGIBLE = 1e-14
-# Components from which on bounds met one by one and singular values take too long, how often whole
-# blocks of them change sides, and how clear of its tolerance a triangle has to be.
-MANY, MOST_BLOCKS, CLEAR = 64, 20, 1e3
+# How often whole blocks of components change sides, and how clear of its tolerance a triangle has
+# to be.
+MOST_BLOCKS, CLEAR = 20, 1e3
+# Share of its largest that the smallest number on the diagonal of a triangle must have for its
+# square to be solved with.
+LEAST_DIAGONAL = 1e-6
 
 
 @declared
@@ -60,8 +63,9 @@ def bounded_step(
     J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. (2006), algorithm 16.3,
     doi:10.1007/978-0-387-40065-5.
     """
-    orthogonal, triangle = np.linalg.qr(matrix)
-    return _ActiveSet(triangle, orthogonal.T @ data, bounds, constraint).solve()
+    n = matrix.shape[1]
+    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))[:n]
+    return _ActiveSet(triangle[:, :n], triangle[:, n], bounds, constraint).solve()
 
 
 def attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
@@ -108,7 +112,7 @@ class _ActiveSet:
         self._held = np.zeros(n, dtype=np.bool_)
         if constraint is None:
             self._at = np.zeros(n)
-            if n >= MANY:
+            if _is_of_full_rank(matrix):
                 self._at, self._held = _near_the_lowest(matrix, data, bounds)
         else:
             normal, wanted = constraint
@@ -143,17 +147,11 @@ class _ActiveSet:
     def _free_move(self, free: IntArray) -> Array:
         matrix = self._matrix[:, free]
         missing = self._matrix @ self._at + self._data
-        basis = _null_space(None if self._normal is None else self._normal[free], len(free))
-        if basis.shape[1] == 0:
-            return np.zeros(len(free))
         least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
-        if len(free) >= MANY:
-            move = _full_rank_move(matrix @ basis, missing, least)
-            if move is not None:
-                return np.asarray(basis @ move)
-        left, size, right = np.linalg.svd(matrix @ basis, full_matrices=False)
-        known = size > least
-        return np.asarray(basis @ (right[known].T @ (left[:, known].T @ -missing / size[known])))
+        if self._normal is None:
+            return _lowest_move(matrix, missing, least)
+        basis = _null_space(self._normal[free])
+        return np.asarray(basis @ _lowest_move(matrix @ basis, missing, least))
 
     def _let_go(self) -> bool:
         """Free the held component that pulls hardest inward; False if none does."""
@@ -200,11 +198,7 @@ def _near_the_lowest(
     for _ in range(MOST_BLOCKS):
         free = side == 0.0
         tried = np.where(free, 0.0, np.where(side < 0.0, *bounds))
-        try:
-            factor = cho_factor(square[np.ix_(free, free)])
-        except np.linalg.LinAlgError:
-            break
-        tried[free] = cho_solve(factor, -(slope + square @ tried)[free])
+        tried[free] = np.linalg.solve(square[free][:, free], -(slope + square @ tried)[free])
         at, held = np.clip(tried, *bounds), ~free
         pushed = side * (square @ tried + slope) > 0.0
         met = np.sign(tried - at)
@@ -215,19 +209,35 @@ def _near_the_lowest(
     return at, (side != 0.0) & (at == np.where(side < 0.0, *bounds))
 
 
-def _full_rank_move(matrix: Array, missing: Array, least: float) -> Array | None:
-    """The move to where ``matrix d + missing`` is least; None where that may not be one point."""
-    orthogonal, triangle, order = qr(matrix, mode="economic", pivoting=True)
-    if len(triangle) < len(order) or abs(triangle[-1, -1]) <= CLEAR * least:
-        return None
-    move = np.empty(len(order))
-    move[order] = solve_triangular(triangle, orthogonal.T @ -missing)
-    return move
+def _is_of_full_rank(triangle: Array) -> bool:
+    """Whether the square of a triangle can be solved with."""
+    diagonal = np.abs(np.diagonal(triangle))
+    if len(triangle) < triangle.shape[1] or not diagonal.size:
+        return False
+    return bool(diagonal.min() > LEAST_DIAGONAL * diagonal.max())
 
 
-def _null_space(normal: Array | None, n: int) -> Array:
-    """Orthonormal directions across `normal`, as columns; all directions where it is None."""
-    if normal is None or not normal.any():
+def _lowest_move(matrix: Array, missing: Array, least: float) -> Array:
+    """The shortest move to where ``matrix d + missing`` is least.
+
+    Singular values up to `least` count as zero.
+    """
+    if matrix.shape[1] == 0:
+        return np.zeros(0)
+    orthogonal, triangle, order = qr(matrix, mode="economic", pivoting=True, check_finite=False)
+    if len(triangle) == len(order) and abs(triangle[-1, -1]) > CLEAR * least:
+        move = np.empty(len(order))
+        move[order] = solve_triangular(triangle, orthogonal.T @ -missing, check_finite=False)
+        return move
+    left, size, right = np.linalg.svd(matrix, full_matrices=False)
+    known = size > least
+    return np.asarray(right[known].T @ (left[:, known].T @ -missing / size[known]))
+
+
+def _null_space(normal: Array) -> Array:
+    """Orthonormal directions across `normal`, as columns; all directions where it is zero."""
+    n = len(normal)
+    if not normal.any():
         return np.eye(n)
     if np.count_nonzero(normal) == 1:
         return np.delete(np.eye(n), int(np.flatnonzero(normal)[0]), axis=1)

@@ -1,6 +1,6 @@
 """Residuals of a problem and their derivatives, counted, and the best of them remembered."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,8 @@ from identknee.runs.declare import OF_PARAMETER, array, declared
 from identknee.runs.outcome import Outcome
 
 REMEMBERED = 4
+# In units of the noise: a search that comes so near to where another one ended would end there too.
+NEAR = 0.1
 
 
 class Ended(Exception):  # noqa: N818 - not an error: it says how a search ended
@@ -70,6 +72,11 @@ class Evaluator:
         Simulations allowed; one more raises `Ended`. No limit if None.
     on_simulation
         Told of every simulation, for a progress bar.
+    ends
+        Where other searches ended. One that is about to come to such a place, and has seen no lower
+        deviance, is left: it raises `Ended`.
+    learns_curvature
+        Whether searches learn the curvature of the problem although its geometry is exact.
     """
 
     def __init__(
@@ -78,8 +85,11 @@ class Evaluator:
         *,
         budget: int | None = None,
         on_simulation: Callable[[int], None] | None = None,
+        ends: Sequence[Evaluation] = (),
+        learns_curvature: bool = False,
     ) -> None:
         self._problem = problem
+        self._ends = ends
         self._on_simulation = on_simulation
         self._recent: list[_Simulation] = []
         self._best: _Simulation | None = None
@@ -87,9 +97,9 @@ class Evaluator:
         self.n_simulations = 0
         # Number of the simulation and deviance, at each improvement.
         self.history: list[tuple[int, float]] = []
-        # Of searches one after another over uncertain geometry; exact geometry has none.
-        has_nuisances = not problem.parameters.is_of_interest.all()
-        self.curvature = Curvature(problem.parameters.n) if has_nuisances else None
+        # Of searches one after another.
+        is_bent = learns_curvature or not problem.parameters.is_of_interest.all()
+        self.curvature = Curvature(problem.parameters.n) if is_bent else None
 
     @property
     def parameters(self) -> Parameters:
@@ -147,6 +157,8 @@ class Evaluator:
                 return known
         if self.budget is not None and self.n_simulations >= self.budget:
             raise Ended(Outcome.BUDGET)
+        if any(self._joins(x, theta) for x in self._ends):
+            raise Ended(Outcome.VALLEY)
         theta = np.array(theta, dtype=np.float64)
         self.n_simulations += 1
         if self._on_simulation is not None:
@@ -158,6 +170,12 @@ class Evaluator:
             self._best = simulation
             self.history.append((self.n_simulations, deviance))
         return simulation
+
+    def _joins(self, end: Evaluation, theta: Array) -> bool:
+        """Whether a search that comes to `theta` joins one that found as much or more."""
+        if not (self.n_simulations and end.deviance <= self.best_deviance):
+            return False
+        return sum_of_squares(end.jacobian @ (theta - end.theta)) <= NEAR**2
 
 
 @dataclass(slots=True, kw_only=True, eq=False)

@@ -308,7 +308,8 @@ def lower_start(attribution: Attribution) -> Array | None:
     if best is base:
         return None
     n_base = attribution.base.n_base
-    again = fit_from(base.model, base.laxity, base.noise, [best.theta[:n_base]])
+    start, ends = best.theta[:n_base], [base.evaluation]
+    again = fit_from(base.model, base.laxity, base.noise, [start], ends=ends)
     if again.evaluation.deviance > base.evaluation.deviance - LOWER:
         return None
     return again.theta[: base.model.n_ligament_parameters]

@@ -60,20 +60,11 @@ def ligament_tensions(
     reference_strain
         Strain at the reference length [-], shape ``(m,)``.
     """
-    offset, by_varus, by_internal = _offsets(lines, flexion, poses)
-    length, direction = _course(lines, offset)
+    length, lengthening = _lengths(lines, flexion, poses)
     slack_length = lines.reference_length / (1.0 + reference_strain)
     # The law is asked for unit stiffness, since stiffness zero has a slope by stiffness as well.
     per_stiffness, slope = line_tensions(
         length / slack_length - 1.0, np.ones(len(stiffness)), lines.transition
-    )
-    lengthening = np.concatenate(
-        [
-            np.einsum("nmi,nmi->nm", by_varus, direction)[:, :, None],
-            np.einsum("nmi,nmi->nm", by_internal, direction)[:, :, None],
-            direction,
-        ],
-        axis=2,
     )
     return LigamentTensions(
         tensions=stiffness * per_stiffness,
@@ -84,6 +75,19 @@ def ligament_tensions(
     )
 
 
+def line_gradients(
+    lines: Lines, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
+) -> Array:
+    """Gradient of each line's energy by the pose [N mm, N], shape ``(n, m, 5)``.
+
+    Parameters are those of `ligament_tensions`.
+    """
+    length, lengthening = _lengths(lines, flexion, poses)
+    slack_length = lines.reference_length / (1.0 + reference_strain)
+    tensions, _ = line_tensions(length / slack_length - 1.0, stiffness, lines.transition)
+    return np.asarray(tensions[:, :, None] * lengthening)
+
+
 def line_lengths(lines: Lines, flexion: float, pose: Array) -> Array:
     """Lengths of the lines [mm], shape ``(m,)``, at `flexion` [rad] and a `pose` (5,)."""
     offset, _, _ = _offsets(lines, np.array([flexion]), pose[None])
@@ -91,32 +95,47 @@ def line_lengths(lines: Lines, flexion: float, pose: Array) -> Array:
     return length.reshape(-1)
 
 
+def _lengths(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array]:
+    """Lengths [mm], (n, m), and their derivatives by the poses [mm/rad, mm/mm], (n, m, 5)."""
+    offset, tibial, turned_z = _offsets(lines, flexion, poses)
+    length, (x, y, z) = _course(lines, offset)
+    sin, cos = np.sin(poses[:, :1]), np.cos(poses[:, :1])
+    by_varus = tibial[1] * z - tibial[2] * y
+    by_internal = turned_z * x + tibial[0] * (sin * y - cos * z)
+    return length, np.stack([by_varus, by_internal, x, y, z], axis=2)
+
+
 def _course(lines: Lines, offset: Array) -> tuple[Array, Array]:
-    """Length of each line and its gradient by `offset` (n, m, 3), pushed aside where it is."""
-    length, direction = np.zeros(offset.shape[:2]), np.zeros(offset.shape)
+    """Length of each line and its gradient by `offset` (3, n, m), pushed aside where it is."""
     place, offset_z = np.asarray(lines.wrap_place), np.asarray(lines.wrap_offset)
+    if not offset_z.any():
+        length = np.sqrt((offset**2).sum(axis=0))
+        return length, offset / length
+    length, direction = np.zeros(offset.shape[1:]), np.zeros(offset.shape)
     for share, aside in ((place, -offset_z), (1.0 - place, offset_z)):
-        part = share[:, None] * offset
-        part[:, :, 2] += aside
-        size = np.linalg.norm(part, axis=2)
+        part = share * offset
+        part[2] += aside
+        size = np.sqrt((part**2).sum(axis=0))
         length += size
-        direction += share[:, None] * part / size[:, :, None]
+        direction += share * part / size
     return length, direction
 
 
 def _offsets(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array, Array]:
-    """From femoral to tibial insertions [mm], (n, m, 3), and their slopes by the two angles [mm].
+    """From femoral to tibial insertions [mm], (3, n, m), the latter, and their z before varus.
 
-    In femoral axes turned with flexion, where the translation of a pose stands as it is.
+    In femoral axes turned with flexion, where the translation of a pose stands as it is; tibial
+    insertions are turned and not shifted.
     """
     ca, sa = np.cos(flexion)[:, None], np.sin(flexion)[:, None]
     cv, sv = np.cos(poses[:, :1]), np.sin(poses[:, :1])
     ci, si = np.cos(poses[:, 1:2]), np.sin(poses[:, 1:2])
-    x, y, z = lines.femoral.T
-    femoral = np.stack([ca * x - sa * y, sa * x + ca * y, z + 0.0 * ca], axis=2)
     x, y, z = lines.tibial.T
-    turned_x, turned_z = ci * x + si * z, ci * z - si * x
-    tibial = np.stack([turned_x, cv * y - sv * turned_z, sv * y + cv * turned_z], axis=2)
-    by_varus = np.stack([0.0 * turned_x, -tibial[:, :, 2], tibial[:, :, 1]], axis=2)
-    by_internal = np.stack([turned_z, sv * turned_x, -cv * turned_x], axis=2)
-    return tibial + poses[:, None, 2:] - femoral, by_varus, by_internal
+    turned_z = ci * z - si * x
+    tibial = np.stack([ci * x + si * z, cv * y - sv * turned_z, sv * y + cv * turned_z])
+    x, y, z = lines.femoral.T
+    offset = tibial + poses[:, 2:].T[:, :, None]
+    offset[0] -= ca * x - sa * y
+    offset[1] -= sa * x + ca * y
+    offset[2] -= z
+    return offset, tibial, turned_z

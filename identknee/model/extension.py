@@ -56,11 +56,16 @@ class Extension:
         """Amplitudes of all effects; None where there is none."""
         return joined([x.parameters for x in self.effects]) if self.effects else None
 
+    def changes(self, setting: Setting, values: Array) -> list[Setting]:
+        """The setting, then with one effect more each time, all at amplitudes `values`."""
+        settings = [setting]
+        for effect, part in self._mechanical:
+            settings.append(effect.change(settings[-1], values[part]))
+        return settings
+
     def change(self, setting: Setting, values: Array) -> Setting:
         """The setting with all effects at amplitudes `values`."""
-        for effect, part in self._mechanical:
-            setting = effect.change(setting, values[part])
-        return setting
+        return self.changes(setting, values)[-1]
 
     def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
         """What is measured of coordinates, shape ``(n, 5)``."""
@@ -69,14 +74,14 @@ class Extension:
         return coordinates
 
     def pose_columns(
-        self, unchanged: Setting, values: Array, found: Equilibria, nodes: IntArray
+        self, settings: Sequence[Setting], values: Array, found: Equilibria, nodes: IntArray
     ) -> Array:
         """Derivatives of the poses by the amplitudes, shape ``(n, 5, a)``; NaN without a pose.
 
         Parameters
         ----------
-        unchanged
-            The setting without effects, at the nodes of the load paths.
+        settings
+            Those of `changes`, at the nodes of the load paths.
         values
             Amplitudes, shape ``(a,)``.
         found
@@ -84,7 +89,7 @@ class Extension:
         nodes
             The node of each trial, shape ``(n,)``.
         """
-        columns = -gradient_columns(self._mechanical, unchanged, values, self._steps, found, nodes)
+        columns = -gradient_columns(self._mechanical, settings, values, self._steps, found, nodes)
         # Where no equilibrium was found the Hessian may be singular.
         has_pose = found.codes[nodes] == CONVERGED
         columns[~has_pose] = np.nan

@@ -11,7 +11,7 @@ import numpy as np
 
 from identknee.mechanics.contact_motion import contact_motion_columns
 from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.mechanics.ligament_tensions import line_gradients
 from identknee.mechanics.memory import Equilibria
 from identknee.model.effects.effect import (
     MechanicalEffect,
@@ -28,7 +28,7 @@ Placed = tuple[MechanicalEffect, slice]
 
 def gradient_columns(
     effects: Sequence[Placed],
-    unchanged: Setting,
+    settings: Sequence[Setting],
     values: Array,
     steps: Array,
     found: Equilibria,
@@ -40,8 +40,8 @@ def gradient_columns(
     ----------
     effects
         The effects, and where their amplitudes stand among `values`.
-    unchanged
-        The setting without effects, at the nodes of the load paths.
+    settings
+        The setting without effects at the nodes of the load paths, then with one more each time.
     values, steps
         All amplitudes, and a small change of each, shape ``(a,)``.
     found
@@ -49,31 +49,30 @@ def gradient_columns(
     nodes
         The node of each trial, shape ``(n,)``.
     """
-    settings = [unchanged]
-    for effect, part in effects:
-        settings.append(effect.change(settings[-1], values[part]))
     flexion, poses = settings[-1].flexion[nodes], found.poses[nodes]
     columns = np.zeros((len(nodes), 5, len(values)))
-    copies = _Copies(unchanged, len(values))
-    for (effect, part), before in zip(effects, settings, strict=False):
+    copies = _Copies(len(values))
+    for (effect, part), before, after in zip(effects, settings, settings[1:], strict=False):
         if is_self_contained(effect):
             framed = replace(before, frames=settings[-1].frames)
             columns[:, :, part] = effect.gradient_columns(framed, values[part], flexion, poses)
             continue
         copies.change(effect, values[part])
+        each = low_and_high(values[part], steps[part])
         if moves_frames(effect):
-            each = low_and_high(values[part], steps[part])
             moved = _by_frames(*effect.placements(each), settings[-1], found, nodes)
             columns[:, :, part] = moved / (2.0 * steps[part])
         else:
-            copies.add(effect, before, values[part], steps[part], first=part.start)
+            copies.add(effect, before, after, each, first=part.start)
     changes = copies.by_lines(flexion, poses) + copies.by_nodes(found, nodes)
-    return columns + changes / (2.0 * steps)
+    return np.asarray(columns + changes / (2.0 * steps))
 
 
 def low_and_high(values: Array, steps: Array) -> Array:
     """Values (a,) with the first a step smaller, a step larger, then the next, ``(2 a, a)``."""
-    return np.asarray(values + np.kron(np.diag(steps), [[-1.0], [1.0]]))
+    moves = np.repeat(np.diag(steps), 2, axis=0)
+    moves[::2] *= -1.0
+    return np.asarray(values + moves)
 
 
 class _Copies:
@@ -84,65 +83,87 @@ class _Copies:
     exponent, whatever they are.
     """
 
-    def __init__(self, unchanged: Setting, n_values: int) -> None:
-        self._n_nodes, self._n_values = len(unchanged.flexion), n_values
-        self._all = replace(unchanged, copy=np.full(len(unchanged.copy), -1))
+    def __init__(self, n_values: int) -> None:
+        self._n_values = n_values
+        self._all: Setting | None = None
         self._of_nodes: list[int] = []
         self._laws = np.zeros((2, n_values))
 
     def change(self, effect: MechanicalEffect, values: Array) -> None:
         """Change all copies alike."""
-        self._all = effect.change(self._all, values)
+        if self._all is not None:
+            self._all = effect.change(self._all, values)
 
     def add(
-        self, effect: MechanicalEffect, before: Setting, values: Array, steps: Array, *, first: int
+        self, effect: MechanicalEffect, before: Setting, after: Setting, each: Array, *, first: int
     ) -> None:
-        """Add those in which the amplitudes of `effect` are moved, `first` and those after it."""
-        if not values.size:
+        """Add those with amplitudes of `each` row (k, a) of `effect`, `first` and those after it.
+
+        Parameters
+        ----------
+        effect
+            The effect.
+        before, after
+            The setting without it and with it.
+        each
+            Its amplitudes in turn smaller and larger.
+        first
+            Place of the first of them among all.
+        """
+        if not len(each):
             return
-        each = low_and_high(values, steps)
-        copies = 2 * first + np.arange(len(each))
+        copies = range(2 * first, 2 * first + len(each))
         if is_changed_in_copies(effect):
             before = repeated(before, len(each))
             own = effect.change_copies(before, each)
             made = [replace(own, copy=2 * first + own.copy)]
         else:
             made = [effect.change(before, x) for x in each]
-            for k, (low, high) in enumerate(zip(made[::2], made[1::2], strict=True)):
-                self._laws[0, first + k] = np.log(high.law.modulus / low.law.modulus)
-                self._laws[1, first + k] = high.law.exponent - low.law.exponent
-            made = [x.as_copy(i) for x, i in zip(made, copies.tolist(), strict=True)]
+            for k, (low, high) in enumerate(zip(made[::2], made[1::2], strict=True), start=first):
+                self._laws[0, k] = np.log(high.law.modulus / low.law.modulus)
+                self._laws[1, k] = high.law.exponent - low.law.exponent
         others = made[0]
         has_lines = any(
             getattr(others, x) is not getattr(before, x)
             for x in ("lines", "stiffness", "reference_strain")
         )
         has_nodes = others.loads is not before.loads or others.flexion is not before.flexion
+        if not (has_lines or has_nodes):
+            return
         if has_nodes:
-            self._of_nodes += copies.tolist()
-        self._all = with_copies(self._all, made, lines=has_lines, nodes=has_nodes)
+            self._of_nodes += copies
+        if has_lines and not is_changed_in_copies(effect):
+            made = [x.as_copy(i) for x, i in zip(made, copies, strict=True)]
+        whole = after.as_copy(-1) if self._all is None else self._all
+        self._all = with_copies(whole, made, lines=has_lines, nodes=has_nodes)
 
     def by_nodes(self, found: Equilibria, nodes: IntArray) -> Array:
         """What loads, flexion and contact law change in the gradient, shape ``(n, 5, a)``."""
         # The sensitivities are -H^-1 times the columns that are wanted here.
         laws = found.sensitivities[nodes][:, :, -2:] @ self._laws
-        changes = -found.hessians[nodes] @ laws
-        loads = self._all.loads.reshape(-1, self._n_nodes, 5)[1:, nodes]
-        flexion = self._all.flexion.reshape(-1, self._n_nodes)[1:, nodes]
+        changes = np.asarray(-found.hessians[nodes] @ laws)
+        if self._all is None or not self._of_nodes:
+            return changes
+        n_nodes = len(found.poses)
+        loads = self._all.loads.reshape(-1, n_nodes, 5)[1:, nodes]
+        flexion = self._all.flexion.reshape(-1, n_nodes)[1:, nodes]
         by_flexion = (flexion[1::2] - flexion[::2])[:, :, None] * found.gradient_by_flexion[nodes]
-        moved = np.array(self._of_nodes[::2], int) // 2
+        moved = np.array(self._of_nodes[::2]) // 2
         changes[:, :, moved] += np.moveaxis(loads[::2] - loads[1::2] + by_flexion, 0, 2)
-        return np.asarray(changes)
+        return changes
 
     def by_lines(self, flexion: Array, poses: Array) -> Array:
         """What the lines change in it, those alone that are moved, shape ``(n, 5, a)``."""
+        none = np.zeros((len(poses), 5, self._n_values))
+        if self._all is None:
+            return none
         order = np.argsort(self._all.copy, kind="stable")
         order = order[np.searchsorted(self._all.copy[order], 0) :]
         copy, table = self._all.copy[order], _table(self._all)[order]
         low, high = table[copy % 2 == 0], table[copy % 2 == 1]
         changed = np.any(low != high, axis=1)
         if not changed.any():
-            return np.zeros((len(poses), 5, self._n_values))
+            return none
         amplitude = copy[copy % 2 == 0][changed] // 2
         of = (amplitude[:, None] == np.arange(self._n_values)).astype(float)
         changes: Array = _line_changes(low[changed], high[changed], flexion, poses) @ of
@@ -180,8 +201,9 @@ def _line_changes(low: Array, high: Array, flexion: Array, poses: Array) -> Arra
         wrap_offset=table[:, 8],
         wrap_place=table[:, 9],
     )
-    found = ligament_tensions(lines, flexion, poses, table[:, 10], table[:, 11])
-    less, more = np.split(found.tensions[:, :, None] * found.lengthening, 2, axis=1)
+    less, more = np.split(
+        line_gradients(lines, flexion, poses, table[:, 10], table[:, 11]), 2, axis=1
+    )
     return np.asarray(np.swapaxes(more - less, 1, 2))
 
 

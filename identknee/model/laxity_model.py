@@ -204,7 +204,9 @@ class LaxityModel:
 
             its_own = (self.knee, self.paths, self.poses)
             return predict_on_meshes(*its_own, self._unpacked(theta), theta)
-        setting = self.setting(theta)
+        unchanged = self.setting(theta, is_changed=False)
+        settings = self.extension.changes(unchanged, self.amplitudes(theta))
+        setting = settings[-1]
         lines = setting.measured_lines.arrays(setting.stiffness, setting.reference_strain)
         found = solve_past_folds(
             replace(self.paths, flexion=setting.flexion, loads=setting.loads),
@@ -214,7 +216,7 @@ class LaxityModel:
             derivatives=derivatives,
             guesses=None if near is None else near.node_poses,
         )
-        return self._prediction(np.array(theta, float), setting, found, derivatives=derivatives)
+        return self._prediction(np.array(theta, float), settings, found, derivatives=derivatives)
 
     def setting(self, theta: Array, *, is_changed: bool = True) -> Setting:
         """Loads, lines and contact at theta, with the effects (`is_changed`) or without.
@@ -301,9 +303,9 @@ class LaxityModel:
         return self.tied.stiffness(theta[:u]) * PER_KN, strain
 
     def _prediction(
-        self, theta: Array, setting: Setting, found: Equilibria, *, derivatives: bool
+        self, theta: Array, settings: Sequence[Setting], found: Equilibria, *, derivatives: bool
     ) -> Prediction:
-        nodes = self.paths.trial_node
+        nodes, setting = self.paths.trial_node, settings[-1]
         codes = np.array(found.codes[nodes])
         centres = found.centres[nodes]
         if setting.frames is not None:
@@ -315,7 +317,7 @@ class LaxityModel:
         coordinates = np.where(converged[:, None], measured, np.nan)
         pose_jacobian = jacobian = None
         if derivatives:
-            pose_jacobian = self._pose_jacobian(theta, setting, found)
+            pose_jacobian = self._pose_jacobian(theta, settings, found)
             jacobian = self._jacobian(theta, actual, poses, pose_jacobian)
             jacobian[~converged] = np.nan
         return Prediction(
@@ -332,9 +334,9 @@ class LaxityModel:
             node_poses=found.poses,
         )
 
-    def _pose_jacobian(self, theta: Array, setting: Setting, found: Equilibria) -> Array:
+    def _pose_jacobian(self, theta: Array, settings: Sequence[Setting], found: Equilibria) -> Array:
         """D pose [rad, mm] / d theta in its units, shape ``(n, 5, p)``."""
-        nodes = self.paths.trial_node
+        nodes, setting = self.paths.trial_node, settings[-1]
         n_lines = setting.stiffness.size
         by_line = found.sensitivities[nodes]
         # A ligament moves every line that takes a share of it.
@@ -349,9 +351,7 @@ class LaxityModel:
         )
         if not self.effects:
             return by_ligament
-        by_amplitude = self.extension.pose_columns(
-            self.setting(theta, is_changed=False), self.amplitudes(theta), found, nodes
-        )
+        by_amplitude = self.extension.pose_columns(settings, self.amplitudes(theta), found, nodes)
         return np.concatenate([by_ligament, by_amplitude], axis=2)
 
     def _jacobian(self, theta: Array, actual: Array, poses: Array, pose_jacobian: Array) -> Array:

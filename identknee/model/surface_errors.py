@@ -29,17 +29,33 @@ class SurfaceBumps:
 
     def heights(self, places: Array) -> Array:
         """How high each bump of height 1 is at places (n, 3) [mm] of its surface, ``(n, k)``."""
-        squares = ((places[:, None] - self.centres) ** 2).sum(axis=2)
-        bumps = np.exp(-0.5 * squares / self.length**2)
+        at = places @ self.centres.T
+        at -= 0.5 * (self.centres**2).sum(axis=1)
+        # Only differences between bumps count where their heights are normed.
+        at -= at.max(axis=1, keepdims=True)
+        bumps = np.exp(at / self.length**2)
         return np.asarray(bumps / np.linalg.norm(bumps, axis=1, keepdims=True))
 
-    def slopes(self, places: Array) -> Array:
-        """Gradients of `heights` by the places, shape ``(n, 3, k)``."""
-        heights = self.heights(places)
+    def rises(self, heights: Array, moves: Array) -> Array:
+        """How each bump's `heights` (n, k) at n places grow in all, as these are moved.
+
+        Parameters
+        ----------
+        heights
+            At the places.
+        moves
+            Along which each place is moved, m in turn [mm], shape ``(n, m, 3)``.
+
+        Returns
+        -------
+        rises
+            To first order, shape ``(m, k)``.
+        """
         # Normed heights change by what is left of the bumps' own change across them.
         middle = heights**2 @ self.centres
-        away = self.centres.T - middle[:, :, None]
-        return np.asarray(heights[:, None] * away / self.length**2)
+        along = np.einsum("mik,ki->mk", moves.transpose(1, 2, 0) @ heights, self.centres)
+        left = np.einsum("nmi,ni->mn", moves, middle) @ heights
+        return np.asarray((along - left) / self.length**2)
 
 
 def surface_bumps(
@@ -98,11 +114,11 @@ def _gradient_columns(
 ) -> Array:
     """Derivatives of the energy's gradient by the heights at a fixed pose, shape ``(5, k)``."""
     # A bump deepens the contact; one on the femur also pushes the tibia down its slope.
-    heights = np.hstack([on_tibia.heights(tibial), on_femur.heights(contact.femoral)])
+    of_femur = on_femur.heights(contact.femoral)
+    heights = np.hstack([on_tibia.heights(tibial), of_femur])
     columns = (contact.stiffness[:, None] * contact.deepening).T @ heights
     pushes = contact.force[:, None, None] * contact.jacobian
-    slopes = on_femur.slopes(contact.femoral)
-    columns[:, len(on_tibia.centres) :] += np.tensordot(pushes, slopes, axes=([0, 2], [0, 1]))
+    columns[:, len(on_tibia.centres) :] += on_femur.rises(of_femur, pushes)
     return np.asarray(columns)
 
 

@@ -301,12 +301,16 @@ class _Task:
     def finished(self, base: Refit, begun: Refit) -> Refit:
         """A refit taken to its end, by way of low loads where it is stuck."""
         starts = self.starts[1:]
-        begins = [begun.fitted.theta, *starts]
-        if not is_flexible(self.causes[-1]):
+        if is_flexible(self.causes[-1]):
+            found = refit(base, self.causes, [begun.fitted.theta, *starts])
+        else:
             # Few amplitudes have few minima: what is ahead after a few steps ends lowest.
-            tried = [refit(base, self.causes, [x], most_steps=FEW_STEPS) for x in starts]
-            begins = [min([begun, *tried], key=lambda x: x.fitted.deviance).fitted.theta]
-        found = refit(base, self.causes, begins)
+            tried = [begun]
+            for x in starts:
+                tried.append(refit(base, self.causes, [x], most_steps=FEW_STEPS, beside=tried))
+            found = min(tried, key=lambda x: x.fitted.deviance)
+            if found.fitted.outcome is not Outcome.MINIMUM:
+                found = refit(base, self.causes, [found.fitted.theta])
         if found.fitted.outcome is Outcome.MINIMUM:
             return found
         return max(found, refit_by_low_loads(base, found, starts[-1]), key=lambda x: x.log_evidence)

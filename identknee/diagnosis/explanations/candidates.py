@@ -27,7 +27,6 @@ from identknee.model.effects.moved_insertion import MovedInsertion
 from identknee.model.effects.placed import Structure
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.effects.units import PLAIN, unit_of
-from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.setting import PER_KN
 from identknee.runs.arrays import Array, IntArray, frozen
@@ -41,6 +40,10 @@ SHIFTED = (2, 3, 5)
 # Length of the whitened residuals: an amplitude of a prior standard deviation that does less is
 # unseen to first order, and its effect at that amplitude is taken instead.
 UNSEEN = 1e-6
+
+
+# An effect and all of its amplitudes.
+Sized = tuple[Effect, Array]
 
 
 @declared
@@ -83,15 +86,13 @@ def library_variants(fitted: Fitted, effects: Sequence[Effect]) -> tuple[Variant
 def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
     """One variant an effect, or one a strain for structures that stay where they are."""
     tried = [(effect, values) for effect in effects for values in _baselines(effect)]
-    base = fitted.model
-    columns = [_columns(fitted, base, effect, values) for effect, values in tried]
-    for (effect, values), changes in zip(tried, columns, strict=True):
+    for (effect, values), changes in zip(tried, _idle_columns(fitted, tried), strict=True):
         p = effect.parameters
         size = np.linalg.norm(changes, axis=0) * p.prior_sd
         seen = size > UNSEEN
         is_secant = not seen.any()
         if is_secant:
-            changes = _columns(fitted, base, effect, half_way(effect, values))
+            (changes,) = _columns(fitted, [(effect, half_way(effect, values))])
             seen = np.linalg.norm(changes, axis=0) * p.prior_sd > UNSEEN
         if not seen.any():
             continue
@@ -126,14 +127,32 @@ def _baselines(effect: Effect) -> list[Array]:
     return [np.where(is_strain, strain, values) for strain in STRAINS]
 
 
-def _columns(fitted: Fitted, base: LaxityModel, effect: Effect, values: Array) -> Array:
-    """Whitened derivatives by the amplitudes of one effect, shape ``(m, a)``."""
-    model = base.with_effects([*base.effects, effect])
-    prediction = model.predict(np.r_[fitted.theta, values])
+def _idle_columns(fitted: Fitted, tried: Sequence[Sized]) -> list[Array]:
+    """The columns of effects at amplitudes at which none does anything.
+
+    There they do not change each other's either: effects of different names share a prediction.
+    """
+    found: dict[int, Array] = {}
+    while len(found) < len(tried):
+        together: dict[str, int] = {}
+        for i, (effect, _) in enumerate(tried):
+            if i not in found:
+                together.setdefault(effect.name, i)
+        places = list(together.values())
+        found |= zip(places, _columns(fitted, [tried[i] for i in places]), strict=True)
+    return [found[i] for i in range(len(tried))]
+
+
+def _columns(fitted: Fitted, added: Sequence[Sized]) -> list[Array]:
+    """Whitened derivatives by the amplitudes of effects that act together, ``(m, a)`` each."""
+    base, sizes = fitted.model, [len(values) for _, values in added]
+    model = base.with_effects([*base.effects, *(effect for effect, _ in added)])
+    prediction = model.predict(np.concatenate([fitted.theta, *(values for _, values in added)]))
     used = fitted.laxity.is_measured.any(axis=1)
-    if prediction.jacobian is None or not prediction.is_converged[used].all():
-        return np.zeros((fitted.n_data, len(values)))
-    return fitted.columns(prediction.jacobian[:, :, len(fitted.theta) :])
+    columns = np.zeros((fitted.n_data, sum(sizes)))
+    if prediction.jacobian is not None and prediction.is_converged[used].all():
+        columns = fitted.columns(prediction.jacobian[:, :, len(fitted.theta) :])
+    return np.split(columns, np.cumsum(sizes)[:-1], axis=1)
 
 
 def half_way(effect: Effect, values: Array) -> Array:

@@ -40,6 +40,9 @@ REACH = 1.0
 # Tolerance on the deviance; the statistics that follow are known to a thousandth of a unit at best.
 TOLERANCE = 1e-4
 MOST_STEPS = 40
+# Steps that find a valley, after which it is time to learn how it bends. Learned sooner, that leads
+# to other minima.
+STRAIGHT_STEPS = 12
 # Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5
 
@@ -164,18 +167,45 @@ def fit_from(
     starts: Sequence[Array],
     *,
     most_steps: int = MOST_STEPS,
+    ends: Sequence[Evaluation] = (),
 ) -> Fitted:
-    """The lowest of the fits from `starts`, each shape ``(p,)``, of so many steps."""
-    problem = weighed(model, laxity, noise)
-    best = min(
-        (_descended(problem, x, most_steps) for x in starts), key=lambda x: x.evaluation.deviance
-    )
+    """The lowest of several fits.
+
+    Parameters
+    ----------
+    model, laxity, noise
+        The model, the data and their errors.
+    starts
+        Where the fits begin, each shape ``(p,)``.
+    most_steps
+        Steps of each at most.
+    ends
+        Where fits ended before: one that joins them, or a minimum of those from the starts before,
+        is not continued.
+    """
+    problem, known, found = weighed(model, laxity, noise), [*ends], list[Constrained]()
+    for start in starts:
+        found.append(_descended(problem, start, known, most_steps))
+        if found[-1].outcome is Outcome.MINIMUM:
+            known.append(found[-1].evaluation)
+    best = min(found, key=lambda x: x.evaluation.deviance)
     return Fitted(model=model, laxity=laxity, noise=noise, constrained=best)
 
 
-def _descended(problem: WithPriors, start: Array, most_steps: int) -> Constrained:
-    evaluator = Evaluator(problem)
-    return minimise(evaluator, start, tolerance=TOLERANCE, most_steps=most_steps)
+def _descended(
+    problem: WithPriors, start: Array, ends: Sequence[Evaluation], most_steps: int
+) -> Constrained:
+    """The fit from one start: in straight steps, then in some that know how the valley bends."""
+    evaluator = Evaluator(problem, ends=ends)
+    first = minimise(
+        evaluator, start, tolerance=TOLERANCE, most_steps=min(STRAIGHT_STEPS, most_steps)
+    )
+    left = most_steps - STRAIGHT_STEPS
+    if left <= 0 or first.outcome is not Outcome.VALLEY or first.n_simulations <= STRAIGHT_STEPS:
+        return first
+    evaluator = Evaluator(problem, ends=ends, learns_curvature=True)
+    then = minimise(evaluator, first.evaluation.theta, tolerance=TOLERANCE, most_steps=left)
+    return replace(then, n_simulations=first.n_simulations + then.n_simulations)
 
 
 def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) -> "BaseFit | None":
@@ -265,7 +295,10 @@ class BaseFit:
 
 
 def fitted_to_low_loads(
-    model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array
+    model: LaxityModel,
+    laxity: Laxity,
+    noise: NoiseModel,
+    start: Array,
 ) -> Array:
     """The fit to trials of low loads, shape ``(p,)``: a way past parameters where the knee jumps.
 

@@ -189,6 +189,7 @@ def refit(
     starts: Sequence[Array],
     *,
     most_steps: int = MOST_STEPS,
+    beside: Sequence[Refit] = (),
 ) -> Refit:
     """The base model with these causes, fitted from `starts`, each of all its parameters.
 
@@ -202,11 +203,18 @@ def refit(
         Each shape ``(p,)``.
     most_steps
         Steps of each fit at most.
+    beside
+        Refits with the same causes: one that joins them is not continued.
     """
     model = base.fitted.model
     extended = model.with_effects([*model.effects, *causes])
     fitted = fit_from(
-        extended, base.fitted.laxity, base.fitted.noise, starts, most_steps=most_steps
+        extended,
+        base.fitted.laxity,
+        base.fitted.noise,
+        starts,
+        most_steps=most_steps,
+        ends=[x.fitted.evaluation for x in beside],
     )
     return Refit(
         causes=tuple(causes),

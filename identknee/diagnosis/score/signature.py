@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -150,31 +151,44 @@ class ProjectedSignature:
             yield used, found, np.where(wrong, 0.0, value)
 
     def _tabulate(self) -> tuple[Array, Array]:
-        """Roots of the gain and the z-scores as rare: a mixture over the sets that may be free."""
+        """Roots of the gain and the z-scores as rare."""
         weights = [
             np.maximum(np.linalg.eigvals(inverse @ self.gram[np.ix_(used, used)]).real, 0.0)
             for used, inverse in self._solutions
         ]
-        roots = ROOTS * np.sqrt(max(x.max() for x in weights))
-        log_tails = [
-            np.log(share) + log_weighted_tail(roots**2, weight)
-            for share, weight in zip(self._shares(), weights, strict=True)
-            if share > 0
-        ]
-        z_scores = z_score_of_log_tail(np.logaddexp.reduce(log_tails, axis=0))
-        return roots, np.maximum(np.maximum.accumulate(z_scores), 0.0)
+        largest = max(x.max() for x in weights)
+        relative = tuple(tuple((x / largest).tolist()) for x in weights)
+        return ROOTS * np.sqrt(largest), _z_scores_at_roots(tuple(self._shares()), relative)
 
-    def _shares(self) -> Array:
+    def _shares(self) -> list[float]:
         """How often each set of free amplitudes is the best one under no effect."""
         if not self.signature.sign.any():
-            return np.ones(1)
+            return [1.0]
+        if self.n_parameters == 1:
+            return [0.5]
         generator = np.random.default_rng(SIGN_SEED)
         half = generator.standard_normal((SIGN_DRAWS // 2, self.n_parameters))
         size, vectors = np.linalg.eigh(self.gram)
         draws = np.concatenate([half, -half]) @ (vectors * np.sqrt(np.maximum(size, 0.0))).T
         gains = np.array([value for _, _, value in self._feasible(draws)])
         best = gains.argmax(axis=0)[gains.max(axis=0) > 0]
-        return np.asarray(np.bincount(best, minlength=len(gains)) / len(draws))
+        shares: list[float] = (np.bincount(best, minlength=len(gains)) / len(draws)).tolist()
+        return shares
+
+
+# Of all signatures with one amplitude it is one of two.
+@lru_cache(maxsize=8)
+def _z_scores_at_roots(shares: tuple[float, ...], weights: tuple[tuple[float, ...], ...]) -> Array:
+    """The z-scores as rare as the roots: a mixture over the sets that may be free."""
+    log_tails = [
+        np.log(share) + log_weighted_tail(ROOTS**2, np.array(weight))
+        for share, weight in zip(shares, weights, strict=True)
+        if share > 0
+    ]
+    z_scores = z_score_of_log_tail(np.logaddexp.reduce(log_tails, axis=0))
+    z_scores = np.maximum(np.maximum.accumulate(z_scores), 0.0)
+    z_scores.flags.writeable = False
+    return z_scores
 
 
 def _solutions(precision: Array, sign: IntArray) -> list[tuple[IntArray, Array]]:

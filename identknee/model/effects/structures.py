@@ -6,7 +6,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradients
 from identknee.model.effects.effect import amplitudes
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.setting import PER_KN, PER_PCT, Setting, with_lines
@@ -87,15 +87,14 @@ class MissingStructure:
             (tibial + moves[:, None, 3:]).reshape(-1, 3),
         )
         n_lines = len(moves) * m
-        found = ligament_tensions(
+        pulls = line_gradients(
             setting.as_measured(shifted),
             flexion,
             poses,
             np.full(n_lines, PER_KN * values[0]),
             np.full(n_lines, strain),
         )
-        pulls = (found.tensions[:, :, None] * found.lengthening).reshape(len(flexion), -1, m, 5)
-        ends = pulls.sum(axis=2).reshape(len(flexion), 2, 6, 5)
+        ends = pulls.reshape(len(flexion), 2, 6, m, 5).sum(axis=3)
         columns[:, :, 2:] = (ends[:, 0] - ends[:, 1]).transpose(0, 2, 1) / (2.0 * SITE_STEP)
         return columns
 

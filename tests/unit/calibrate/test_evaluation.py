@@ -68,6 +68,21 @@ def test_a_simulation_is_an_evaluation_at_a_new_theta() -> None:
     assert told == [1, 1]
 
 
+def test_a_search_that_joins_one_which_found_as_much_is_left(springs: ClosedForm) -> None:
+    evaluator = Evaluator(springs, ends=[evaluate(springs, springs.minimum)])
+    evaluator(springs.start)
+    with pytest.raises(Ended):
+        evaluator(springs.minimum)
+    assert evaluator.n_simulations == 1
+
+
+def test_a_search_that_found_more_goes_where_it_likes(springs: ClosedForm) -> None:
+    evaluator = Evaluator(springs, ends=[evaluate(springs, springs.start)])
+    evaluator(springs.minimum)
+    evaluator(springs.start)
+    assert evaluator.n_simulations == 2
+
+
 def test_history_holds_the_improvements() -> None:
     problem = linear()
     evaluator = Evaluator(problem, budget=10)

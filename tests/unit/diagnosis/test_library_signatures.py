@@ -79,6 +79,19 @@ def test_amplitudes_of_one_sign_are_those_that_cannot_be_negative(fitted: Fitted
     }
 
 
+def test_effects_at_rest_have_the_signatures_that_each_has_alone(fitted: Fitted) -> None:
+    """They share one prediction, in which lines are split, moved and added."""
+    names = ("bundles", "insertion", "posterior_capsule", "meniscus", "toe_strain", "tibia_frame")
+    effects = [effect_named(fitted.model.knee, x) for x in names]
+    together = library_variants(fitted, effects)
+    alone = [x for effect in effects for x in library_variants(fitted, [effect])]
+    assert [x.signature.name for x in together] == [x.signature.name for x in alone]
+    for one, other in zip(together, alone, strict=True):
+        columns = other.signature.columns
+        close = 1e-6 * np.abs(columns).max()
+        np.testing.assert_allclose(one.signature.columns, columns, rtol=0.0, atol=close)
+
+
 def test_amplitudes_that_cannot_be_positive_have_the_other_sign() -> None:
     made = amplitudes(
         "less", ["a_mm", "b_mm", "c_mm"], [1.0] * 3, lower=[-2, 0, -2], upper=[0, 2, 2]

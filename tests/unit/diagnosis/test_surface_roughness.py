@@ -50,13 +50,16 @@ def test_bumps_of_random_heights_are_a_surface_of_unit_roughness() -> None:
     np.testing.assert_allclose((heights @ heights[middle])[near], expected[near], atol=0.05)
 
 
-def test_slopes_are_the_gradients_of_heights() -> None:
+def test_rises_are_the_changes_of_heights() -> None:
     generator = np.random.default_rng(1)
     bumps = SurfaceBumps(centres=generator.uniform(-6.0, 6.0, (9, 3)), length=ROUGHNESS_LENGTH)
     places, step = generator.uniform(-5.0, 5.0, (4, 3)), 1e-5
     for axis, move in enumerate(step * np.eye(3)):
         difference = (bumps.heights(places + move) - bumps.heights(places - move)) / (2.0 * step)
-        np.testing.assert_allclose(bumps.slopes(places)[:, axis], difference, atol=1e-9)
+        along = np.zeros((len(places), 1, 3))
+        along[:, 0, axis] = 1.0
+        rises = bumps.rises(bumps.heights(places), along)
+        np.testing.assert_allclose(rises[0], difference.sum(axis=0), atol=1e-8)
 
 
 def test_contact_carries_the_force_of_the_kernel(soft_model: LaxityModel) -> None:

@@ -1,0 +1,48 @@
+"""Fits of a laxity model that a diagnosis rests on."""
+
+import numpy as np
+import pytest
+from small_knee import small_protocol
+
+from identknee.diagnosis.explanations.fitting import Fitted, base_model, fit_from
+from identknee.diagnosis.noise.noise_model import build_noise_model
+from identknee.runs.arrays import Array
+from identknee.runs.outcome import Outcome
+from identknee.subject.knee import Knee
+
+SD = 0.3
+# A fit ends where a step promises less than its tolerance of the deviance.
+SAME_FIT = 1e-3
+
+
+@pytest.fixture(scope="module")
+def fitted(reference: Knee) -> Fitted:
+    """The base model at its own laxity."""
+    model = base_model(reference, small_protocol())
+    laxity = model.simulate(model.parameters.center)
+    noise = build_noise_model(np.full((laxity.n, 5), SD), laxity.is_measured, correlation=0.3)
+    return fit_from(model, laxity, noise, [_beside(model.parameters.center)])
+
+
+def _beside(theta: Array) -> Array:
+    """Ligaments a tenth stiffer."""
+    return np.concatenate([1.1 * theta[:4], theta[4:]])
+
+
+def test_steps_that_know_how_a_valley_bends_end_at_the_same_minimum(
+    fitted: Fitted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("identknee.diagnosis.explanations.fitting.STRAIGHT_STEPS", 1)
+    start = _beside(fitted.model.parameters.center)
+    again = fit_from(fitted.model, fitted.laxity, fitted.noise, [start])
+    assert fitted.outcome is again.outcome is Outcome.MINIMUM
+    assert again.deviance == pytest.approx(fitted.deviance, abs=SAME_FIT)
+    assert again.constrained.n_simulations > 2
+
+
+def test_a_fit_that_joins_another_is_not_continued(fitted: Fitted) -> None:
+    start = _beside(fitted.model.parameters.center)
+    ends = [fitted.evaluation]
+    again = fit_from(fitted.model, fitted.laxity, fitted.noise, [start], ends=ends)
+    assert again.deviance > fitted.deviance
+    assert again.constrained.n_simulations < fitted.constrained.n_simulations
