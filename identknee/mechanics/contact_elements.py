@@ -90,27 +90,45 @@ def sum_contact(n, R, t, law, work):
 
 
 @compiled_in_place
+def push_apart(contact, work):
+    """Write what every expanded point feels at the pose evaluated last into `work.pushed`."""
+    R, t, pushed = work.rotation, work.translation, work.pushed
+    exponent, rounding = law_of(contact)
+    # Written twice, as above.
+    if exponent == 1.0:
+        for i in range(work.counts[N_TOUCHING]):
+            first, _, _, felt, _ = contact_element(work.expansion, i, R, t, 1.0, rounding)
+            for k in range(6):
+                pushed[k, i] = first[k]
+            pushed[6, i] = felt
+    else:
+        for i in range(work.counts[N_TOUCHING]):
+            first, _, _, felt, _ = contact_element(work.expansion, i, R, t, exponent, rounding)
+            for k in range(6):
+                pushed[k, i] = first[k]
+            pushed[6, i] = felt
+
+
+@compiled_in_place
 def contact_centres(contact, work, centres):
     """Write force [N] and centre of force in tibial and femoral axes (7) of every compartment.
 
-    It is that of the pose evaluated last.
+    It is that of what was last pushed apart.
     """
-    R, t, expansion, touching = work.rotation, work.translation, work.expansion, work.touching
-    exponent, rounding = law_of(contact)
+    t, expansion, touching, pushed = work.translation, work.expansion, work.touching, work.pushed
     for c in range(centres.shape[0]):
         total, y0, y1, y2, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(work.counts[N_TOUCHING]):
-            first, _, _, _, _ = contact_element(expansion, i, R, t, exponent, rounding)
-            p0, p1, p2, f0, f1, f2 = first
+            f0, f1, f2 = pushed[3, i], pushed[4, i], pushed[5, i]
             is_here = contact.compartment[touching[i]] == c
             force = math.sqrt(f0 * f0 + f1 * f1 + f2 * f2) if is_here else 0.0
             total += force
             y0 += force * expansion[0, i]
             y1 += force * expansion[1, i]
             y2 += force * expansion[2, i]
-            x0 += force * p0
-            x1 += force * p1
-            x2 += force * p2
+            x0 += force * pushed[0, i]
+            x1 += force * pushed[1, i]
+            x2 += force * pushed[2, i]
         share = 1.0 / total if total > 0.0 else 0.0
         centres[c, 0] = total
         centres[c, 1], centres[c, 2], centres[c, 3] = share * y0, share * y1, share * y2
@@ -122,27 +140,26 @@ def contact_centres(contact, work, centres):
 
 
 @compiled_in_place
-def contact_columns(contact, work, columns, first):
+def contact_columns(work, columns, first):
     """Write d gradient / d (ln modulus, exponent) of the contact into `columns`, from `first` on.
 
-    It is that of the pose evaluated last.
+    It is that of what was last pushed apart.
     """
-    R, t, axes = work.rotation, work.translation, work.axes
-    exponent, rounding = law_of(contact)
+    axes, pushed = work.axes, work.pushed
     for k in range(2):
         f0, f1, f2, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(work.counts[N_TOUCHING]):
-            point, _, _, felt, _ = contact_element(work.expansion, i, R, t, exponent, rounding)
-            if felt <= 0.0:
-                continue
-            w = math.log(felt / REFERENCE_DEPTH) if k == 1 else 1.0
-            p0, p1, p2, a0, a1, a2 = point
-            f0 += w * a0
-            f1 += w * a1
-            f2 += w * a2
-            m0 += w * (p1 * a2 - p2 * a1)
-            m1 += w * (p2 * a0 - p0 * a2)
-            m2 += w * (p0 * a1 - p1 * a0)
+            felt, w = pushed[6, i], 1.0
+            if k == 1:
+                w = math.log(felt / REFERENCE_DEPTH) if felt > 0.0 else 0.0
+            p0, p1, p2 = pushed[0, i], pushed[1, i], pushed[2, i]
+            a0, a1, a2 = w * pushed[3, i], w * pushed[4, i], w * pushed[5, i]
+            f0 += a0
+            f1 += a1
+            f2 += a2
+            m0 += p1 * a2 - p2 * a1
+            m1 += p2 * a0 - p0 * a2
+            m2 += p0 * a1 - p1 * a0
         for a in range(5):
             x, y, z = axes[a, 0], axes[a, 1], axes[a, 2]
             along = x * m0 + y * m1 + z * m2 if a < 2 else x * f0 + y * f1 + z * f2

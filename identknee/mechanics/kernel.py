@@ -9,6 +9,7 @@ from identknee.mechanics.contact_elements import (
     contact_centres,
     contact_columns,
     law_of,
+    push_apart,
     sum_contact,
 )
 from identknee.mechanics.elements import write_sums
@@ -134,14 +135,14 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
     """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
 
     The parameters are stiffness and reference strain of m ligaments, then the logarithm of the
-    contact modulus and the exponent of the contact law. With contact, which is that of the pose
-    evaluated last, the sums over its elements are written to `contact_sums`.
+    contact modulus and the exponent of the contact law. With contact, which is what was last pushed
+    apart, the sums over its elements are written to `contact_sums`.
     """
     evaluation, solver, m = work.evaluation, work.solver, ligaments.femoral.shape[0]
     R, t, axes = evaluation.rotation, evaluation.translation, evaluation.axes
     L, right, step = solver.factor, solver.right, solver.step
     if S.shape[1] > 2 * m:
-        contact_columns(contact, evaluation, columns, 2 * m)
+        contact_columns(evaluation, columns, 2 * m)
         n_touching, law = evaluation.counts[N_TOUCHING], law_of(contact)
         total, _ = sum_contact(n_touching, R, t, law, evaluation)
         write_sums(total, contact_sums)
@@ -196,6 +197,7 @@ def simulate_path(
         # The last pose evaluated may be one that was searched on the way, or not kept. Whatever the
         # load, contact is that of the pose.
         evaluate_there(angle, here.pose, load, contact, field, ligaments, work)
+        push_apart(contact, work.evaluation)
         contact_centres(contact, work.evaluation, results.centres[n])
         if derivatives and outcome == CONVERGED:
             slopes, sums = results.sensitivities[n], results.contact_sums[n]

@@ -269,6 +269,9 @@ class EvaluationMemory(NamedTuple):
         shape ``(9, 3)``.
     touching
         Contact point of each contact element, shape ``(n,)``.
+    pushed
+        Of each contact element at one pose: its place relative to the tibial origin (3), the
+        gradient of its energy by that (3) [N], and the depth that the law feels [mm], ``(7, n)``.
     which
         Contact point of each listed one, shape ``(n,)``.
     moved
@@ -294,6 +297,7 @@ class EvaluationMemory(NamedTuple):
     sums: Array
     axes: Array
     touching: IntArray
+    pushed: Array
     which: IntArray
     moved: Array
     weights: Array

@@ -73,6 +73,7 @@ def workspace(n_points: int, n_columns: int = 0) -> Workspace:
         sums=np.zeros(39),
         axes=np.zeros((9, 3)),
         touching=np.zeros(n, np.int64),
+        pushed=np.zeros((7, n)),
         which=np.zeros(n, np.int64),
         moved=np.zeros((3, n)),
         weights=np.zeros(24),
