@@ -214,7 +214,7 @@ def _is_of_full_rank(triangle: Array) -> bool:
     diagonal = np.abs(np.diagonal(triangle))
     if len(triangle) < triangle.shape[1] or not diagonal.size:
         return False
-    return bool(diagonal.min() > LEAST_DIAGONAL * diagonal.max())
+    return bool(diagonal.min() > max(LEAST_DIAGONAL * diagonal.max(), SMALLEST))
 
 
 def _lowest_move(matrix: Array, missing: Array, least: float) -> Array:

@@ -87,3 +87,9 @@ def test_unbounded_components_are_welcome() -> None:
     infinite = (np.full(2, -np.inf), np.full(2, np.inf))
     found = bounded_step(np.eye(2), np.zeros(2), infinite, (np.array([0.0, 1.0]), 3.0))
     np.testing.assert_allclose(found.step, [0.0, 3.0])
+
+
+def test_a_matrix_whose_square_vanishes_moves_nothing() -> None:
+    """A model that hardly changes at all, as a decay that is over long before the data."""
+    step = bounded_step(1e-180 * np.eye(2), np.ones(2), (-np.ones(2), np.ones(2)), None)
+    assert step.step == pytest.approx(np.zeros(2))
