@@ -1,9 +1,12 @@
 """The best fit among the parameter sets that give a quantity a wanted value."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from identknee.calibrate.bounded_step import Step, attainable, bounded_step
 from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
+from identknee.calibrate.kinks import lowest_of_the_highest, models_around
 from identknee.calibrate.quantity import Quantity
 from identknee.calibrate.scales import typical_steps
 from identknee.model.parameters import Parameters
@@ -21,10 +24,19 @@ MAX_STEPS = 60
 # Share of the promised decrease that a step must keep, and that lets the next one be longer.
 ENOUGH, GOOD = 1e-4, 0.75
 SHORTER, LONGER = 0.25, 2.0
+# Of a step across a kink that was not taken, whose end is heeded from then on.
+HALF = 0.5
+# Share that a step must have kept for the next one's aim to be believed.
+BELIEVED = 0.5
+# How many points a search remembers for what lies on the other side of a kink, and how far below
+# its height, in tolerances, the promise of a step that heeds them may put the deviance.
+REMEMBERED, GAP = 12, 0.2
 # In conditional standard deviations: a step below this is none.
 SHORTEST = 1e-7
 # The price of a missed target, in multiples of what hitting it costs.
 PENALTY = 2.0
+
+Foreseen = Callable[[Array], bool]
 
 
 @declared
@@ -50,6 +62,10 @@ class Constrained:
     is_on_target
         Whether the quantity has the wanted value. A `MINIMUM` that is not on target is the end of
         the quantity's range: no small change within the bounds brings it closer.
+    aim
+        Where one more step would lead, shape ``(n,)``; NaN where none was planned.
+    left
+        How much lower that step promises the deviance; infinite where none was planned.
     n_simulations
         Simulations made.
     """
@@ -61,6 +77,8 @@ class Constrained:
     is_held: BoolArray
     outcome: Outcome
     is_on_target: bool
+    aim: Array
+    left: float
     n_simulations: int
 
 
@@ -72,6 +90,7 @@ def solve_constrained(
     target: float,
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
+    is_foreseen: Foreseen | None = None,
 ) -> Constrained:
     """The parameter set of least deviance within the bounds at which the quantity is `target`.
 
@@ -92,8 +111,11 @@ def solve_constrained(
         in conditional standard deviations.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
+    is_foreseen
+        Asked of the aim of each step after one that kept its promise; where it says yes the search
+        ends before that step, as a `VALLEY`. It goes all the way if None.
     """
-    search = _Search(evaluator, quantity, target, tolerance)
+    search = _Search(evaluator, quantity, target, tolerance, is_foreseen)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
@@ -103,6 +125,7 @@ def minimise(
     *,
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
+    is_foreseen: Foreseen | None = None,
 ) -> Constrained:
     """The parameter set of least deviance within the bounds, reached downhill from `start`.
 
@@ -116,8 +139,11 @@ def minimise(
         Tolerance on the deviance: what one more step may still promise.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
+    is_foreseen
+        Asked of the aim of each step after one that kept its promise; where it says yes the search
+        ends before that step, as a `VALLEY`. It goes all the way if None.
     """
-    search = _Search(evaluator, None, np.nan, tolerance)
+    search = _Search(evaluator, None, np.nan, tolerance, is_foreseen)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
@@ -166,18 +192,25 @@ class _Search:
     """One search: its settings, its trust region and the price of missing the target."""
 
     def __init__(
-        self, evaluator: Evaluator, quantity: Quantity | None, target: float, tolerance: float
+        self,
+        evaluator: Evaluator,
+        quantity: Quantity | None,
+        target: float,
+        tolerance: float,
+        is_foreseen: Foreseen | None,
     ) -> None:
         self._evaluator = evaluator
         self._quantity = quantity
         self._target = target
         self._tolerance = tolerance
+        self._is_foreseen = is_foreseen
         parameters = evaluator.parameters
         self._lower, self._upper = parameters.lower, parameters.upper
         self._radius = np.inf
         self._price = 0.0
-        self._met_cliff = False
+        self._met_cliff = self._is_believed = False
         self._curvature = evaluator.curvature
+        self._behind: list[Evaluation] = []
 
     def run(self, start: Array, most_steps: int) -> Constrained:
         before = self._evaluator.n_simulations
@@ -194,6 +227,12 @@ class _Search:
                 met_cliff = plan.is_boxed and self._met_cliff
                 outcome = Outcome.CLIFF if met_cliff else Outcome.MINIMUM
                 return self._result(point, plan, outcome, before)
+            if (
+                self._is_believed
+                and self._is_foreseen is not None
+                and self._is_foreseen(plan.theta)
+            ):
+                break
             try:
                 point = self._next(point, plan)
             except Ended as end:
@@ -239,6 +278,12 @@ class _Search:
             remaining = abs(wanted - reachable)
         step = bounded_step(matrix, data, box, constraint)
         reduction = linear_reduction = _reduction(matrix, data, step)
+        if self._behind:
+            whole = bounded_step(matrix, data, (low, high), constraint)
+            models = models_around(at, self._behind, scales, _length(whole))
+            if len(models) > 1:
+                step, height = lowest_of_the_highest(models, box, constraint, GAP * self._tolerance)
+                reduction = linear_reduction = at.deviance - height
         if self._curvature is not None and self._curvature.is_known:
             linear = at.jacobian * scales
             by_it = bounded_step(linear, at.residuals, box, constraint)
@@ -246,7 +291,7 @@ class _Search:
         theta = np.clip(at.theta + scales * step.step, self._lower, self._upper)
         theta = np.where(step.step == low, self._lower, theta)
         theta = np.where(step.step == high, self._upper, theta)
-        length = float(np.max(np.abs(step.step), initial=0.0))
+        length = _length(step)
         return _Plan(
             theta=theta,
             step=step,
@@ -271,6 +316,7 @@ class _Search:
     def _next(self, point: _Point, plan: _Plan) -> _Point:
         """The next point: the planned one if it keeps enough of its promise."""
         new = self._point(plan.theta)
+        self._is_believed = False
         if not new.is_finite:
             self._met_cliff = True
             self._radius = SHORTER * plan.length
@@ -282,13 +328,22 @@ class _Search:
         promised = plan.reduction + self._price * (missing - plan.remaining)
         kept = self._merit(point) - self._merit(new)
         rounding = ROUNDING * point.evaluation.deviance
+        self._is_believed = kept > BELIEVED * promised
         if promised > 0 and kept < ENOUGH * promised - rounding:
-            self._radius = SHORTER * plan.length
+            self._left_behind(new)
+            self._radius = (HALF if self._behind else SHORTER) * plan.length
             return point
-        if kept > GOOD * promised and plan.is_boxed:
+        if kept <= GOOD * promised:
+            self._left_behind(point)
+        elif plan.is_boxed:
             self._radius *= LONGER
         self._met_cliff = self._met_cliff and np.isfinite(self._radius)
         return new
+
+    def _left_behind(self, point: _Point) -> None:
+        """Remember a point from which, or to which, a step did not keep its promise."""
+        if self._curvature is None:
+            self._behind = [point.evaluation, *self._behind[: REMEMBERED - 1]]
 
     def _model(self, at: Evaluation, scales: Array) -> tuple[Array, Array]:
         """Matrix and data of the model of the deviance around a point."""
@@ -320,6 +375,8 @@ class _Search:
             is_held=held,
             outcome=outcome,
             is_on_target=plan is not None and plan.gap <= self._tolerance,
+            aim=np.full(n, np.nan) if plan is None else plan.theta,
+            left=np.inf if plan is None else plan.reduction,
             n_simulations=self._evaluator.n_simulations - before,
         )
 
@@ -348,6 +405,10 @@ def _reduction(matrix: Array, data: Array, step: Step) -> float:
     return float(-2.0 * data @ change - change @ change)
 
 
+def _length(step: Step) -> float:
+    return float(np.max(np.abs(step.step), initial=0.0))
+
+
 def _unsolved(start: Array, outcome: Outcome) -> Constrained:
     n = start.size
     evaluation = Evaluation(
@@ -361,5 +422,7 @@ def _unsolved(start: Array, outcome: Outcome) -> Constrained:
         is_held=np.zeros(n, dtype=np.bool_),
         outcome=outcome,
         is_on_target=False,
+        aim=np.full(n, np.nan),
+        left=np.inf,
         n_simulations=0,
     )

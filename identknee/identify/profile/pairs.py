@@ -137,7 +137,8 @@ def profile_pair(
     n_simulations = 0
     for round_ in range(MOST_ROUNDS):
         evaluator = Evaluator(problem)
-        optimum = minimise(evaluator, theta, tolerance=OPTIMUM_TOLERANCE).evaluation
+        tolerance = OPTIMUM_TOLERANCE * threshold
+        optimum = minimise(evaluator, theta, tolerance=tolerance).evaluation
         if not optimum.is_finite:
             raise ValueError("the model has no prediction at the optimum given; fit it first")
         shape = _shape(optimum.jacobian, parameters, pair)
