@@ -6,10 +6,9 @@ import numpy as np
 
 from identknee.calibrate.bounded_step import Step, attainable, bounded_step
 from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
-from identknee.calibrate.kinks import lowest_of_the_highest, models_around
+from identknee.calibrate.kinks import Kinks, lowest_of_the_highest
 from identknee.calibrate.quantity import Quantity
-from identknee.calibrate.scales import typical_steps
-from identknee.model.parameters import Parameters
+from identknee.calibrate.scales import conditional_sds
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared
 from identknee.runs.outcome import Outcome
@@ -17,20 +16,16 @@ from identknee.runs.outcome import Outcome
 # Tolerance on the deviance: at a signed root of 2 this is 2.5e-9 of the root.
 TOLERANCE = 1e-8
 ROUNDING = 1e-13
-# A typical step that changes the residuals by less than this changes nothing: the squares of one
-# over it would overflow.
-UNSEEN = 1e-100
 MAX_STEPS = 60
 # Share of the promised decrease that a step must keep, and that lets the next one be longer.
 ENOUGH, GOOD = 1e-4, 0.75
 SHORTER, LONGER = 0.25, 2.0
-# Of a step across a kink that was not taken, whose end is heeded from then on.
+# Of a step across a kink that is not taken: its end is heeded in the next one.
 HALF = 0.5
 # Share that a step must have kept for the next one's aim to be believed.
 BELIEVED = 0.5
-# How many points a search remembers for what lies on the other side of a kink, and how far below
-# its height, in tolerances, the promise of a step that heeds them may put the deviance.
-REMEMBERED, GAP = 12, 0.2
+# In tolerances: how far below its height a step that heeds kinks may be said to lead.
+GAP = 0.2
 # In conditional standard deviations: a step below this is none.
 SHORTEST = 1e-7
 # The price of a missed target, in multiples of what hitting it costs.
@@ -147,18 +142,6 @@ def minimise(
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
-def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
-    """Standard deviation of each parameter where all others are known, shape ``(n,)``.
-
-    Its typical step where that says nothing: where the residuals do not change with it.
-    """
-    typical = typical_steps(parameters)
-    size = np.linalg.norm(jacobian, axis=0)
-    changes = size * typical
-    known = changes > max(ROUNDING * np.max(changes, initial=0.0), UNSEEN)
-    return np.where(known, 1.0 / np.where(known, size, 1.0), typical)
-
-
 @declared
 class _Point:
     """An evaluation with the quantity there."""
@@ -203,14 +186,14 @@ class _Search:
         self._quantity = quantity
         self._target = target
         self._tolerance = tolerance
-        self._is_foreseen = is_foreseen
+        self._is_foreseen = is_foreseen or (lambda _: False)
         parameters = evaluator.parameters
         self._lower, self._upper = parameters.lower, parameters.upper
         self._radius = np.inf
         self._price = 0.0
         self._met_cliff = self._is_believed = False
         self._curvature = evaluator.curvature
-        self._behind: list[Evaluation] = []
+        self._kinks = Kinks()
 
     def run(self, start: Array, most_steps: int) -> Constrained:
         before = self._evaluator.n_simulations
@@ -227,11 +210,7 @@ class _Search:
                 met_cliff = plan.is_boxed and self._met_cliff
                 outcome = Outcome.CLIFF if met_cliff else Outcome.MINIMUM
                 return self._result(point, plan, outcome, before)
-            if (
-                self._is_believed
-                and self._is_foreseen is not None
-                and self._is_foreseen(plan.theta)
-            ):
+            if self._is_believed and self._is_foreseen(plan.theta):
                 break
             try:
                 point = self._next(point, plan)
@@ -278,9 +257,10 @@ class _Search:
             remaining = abs(wanted - reachable)
         step = bounded_step(matrix, data, box, constraint)
         reduction = linear_reduction = _reduction(matrix, data, step)
-        if self._behind:
+        if self._kinks.is_met:
             whole = bounded_step(matrix, data, (low, high), constraint)
-            models = models_around(at, self._behind, scales, _length(whole))
+            length = float(np.max(np.abs(whole.step), initial=0.0))
+            models = self._kinks.models(at, scales, length=length, slack=self._tolerance)
             if len(models) > 1:
                 step, height = lowest_of_the_highest(models, box, constraint, GAP * self._tolerance)
                 reduction = linear_reduction = at.deviance - height
@@ -291,7 +271,7 @@ class _Search:
         theta = np.clip(at.theta + scales * step.step, self._lower, self._upper)
         theta = np.where(step.step == low, self._lower, theta)
         theta = np.where(step.step == high, self._upper, theta)
-        length = _length(step)
+        length = float(np.max(np.abs(step.step), initial=0.0))
         return _Plan(
             theta=theta,
             step=step,
@@ -328,22 +308,18 @@ class _Search:
         promised = plan.reduction + self._price * (missing - plan.remaining)
         kept = self._merit(point) - self._merit(new)
         rounding = ROUNDING * point.evaluation.deviance
+        is_taken = promised <= 0 or kept >= ENOUGH * promised - rounding
         self._is_believed = kept > BELIEVED * promised
-        if promised > 0 and kept < ENOUGH * promised - rounding:
-            self._left_behind(new)
-            self._radius = (HALF if self._behind else SHORTER) * plan.length
+        # Over uncertain geometry contact is rounded, and its bends are learned instead.
+        if self._curvature is None and kept <= GOOD * promised:
+            self._kinks.remember((point if is_taken else new).evaluation)
+        if not is_taken:
+            self._radius = (HALF if self._curvature is None else SHORTER) * plan.length
             return point
-        if kept <= GOOD * promised:
-            self._left_behind(point)
-        elif plan.is_boxed:
+        if kept > GOOD * promised and plan.is_boxed:
             self._radius *= LONGER
         self._met_cliff = self._met_cliff and np.isfinite(self._radius)
         return new
-
-    def _left_behind(self, point: _Point) -> None:
-        """Remember a point from which, or to which, a step did not keep its promise."""
-        if self._curvature is None:
-            self._behind = [point.evaluation, *self._behind[: REMEMBERED - 1]]
 
     def _model(self, at: Evaluation, scales: Array) -> tuple[Array, Array]:
         """Matrix and data of the model of the deviance around a point."""
@@ -403,10 +379,6 @@ def _reduction(matrix: Array, data: Array, step: Step) -> float:
     """How much lower a model has the deviance after its step."""
     change = matrix @ step.step
     return float(-2.0 * data @ change - change @ change)
-
-
-def _length(step: Step) -> float:
-    return float(np.max(np.abs(step.step), initial=0.0))
 
 
 def _unsolved(start: Array, outcome: Outcome) -> Constrained:
