@@ -139,12 +139,17 @@ def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
     """
     branches, met = [main], []
     for leg, direction in ((main.lower, -1), (main.upper, 1)):
-        far = _beyond(walk, leg, direction)
-        if far is not None:
-            met.append(far)
-            branch = _from_outside(walk, leg, far)
-            if branch is not None and not _is_known(walk, branches, branch.origin.evaluation.theta):
-                branches.append(branch)
+        end = leg.side.end
+        if end is None:
+            continue
+        last = leg.points[int(np.argmin([abs(x.value - end) for x in leg.points]))]
+        far = _beyond(walk, last, direction * abs(last.value - main.origin.value))
+        if far is None:
+            continue
+        met.append(far)
+        branch = _from_outside(walk, last, far)
+        if branch is not None and not _is_known(walk, branches, branch.origin.evaluation.theta):
+            branches.append(branch)
     regions = _beside(main, walk.limits)
     while regions and len(branches) < MOST_BRANCHES:
         region = regions.pop(0)
@@ -197,19 +202,26 @@ def _into(walk: Walk, main: Branch, region: Region, met: Sequence[Point]) -> Arr
     return solved.evaluation.theta if solved.evaluation.is_finite else None
 
 
-def _beyond(walk: Walk, leg: Leg, direction: int) -> Point | None:
-    """A rough fit beyond a closed end; None where there is none."""
-    end = leg.side.end
-    if end is None:
-        return None
-    last = _last(leg)
+def _beyond(walk: Walk, last: Point, distance: float) -> Point | None:
+    """A rough fit beyond the end that `last` is at; None where there is none.
+
+    Parameters
+    ----------
+    walk
+        The quantity and the threshold.
+    last
+        The point nearest the end.
+    distance
+        From the optimum to it, signed.
+    """
+    direction = np.sign(distance)
     step = step_to(RISE * walk.threshold, direction * last.slope, last.curvature)
-    farthest = OUTSIDE * abs(end - leg.points[0].value)
-    value = float(np.clip(end + direction * min(step, farthest), *walk.limits))
-    return None if value == end else _glance(walk, value, walk.start(value, last, None))
+    value = last.value + direction * min(step, OUTSIDE * abs(distance))
+    value = float(np.clip(value, *walk.limits))
+    return None if value == last.value else _glance(walk, value, walk.start(value, last, None))
 
 
-def _from_outside(walk: Walk, leg: Leg, far: Point) -> Branch | None:
+def _from_outside(walk: Walk, last: Point, far: Point) -> Branch | None:
     """The branch met by coming back to a closed end from beyond it; None if it is the same one.
 
     Where the path folds, the fits beyond its end lie on another part of it, which may be lower at
@@ -217,7 +229,6 @@ def _from_outside(walk: Walk, leg: Leg, far: Point) -> Branch | None:
     """
     if walk.delta(far) < walk.threshold:
         return walk_branch(walk, far)
-    last = _last(leg)
 
     def is_at_end(theta: Array) -> bool:
         moved = last.evaluation.jacobian @ (theta - last.evaluation.theta)
@@ -234,11 +245,6 @@ def _from_outside(walk: Walk, leg: Leg, far: Point) -> Branch | None:
         if back is not None and walk.delta(back) < (1.0 - GLANCE_TOLERANCE) * walk.threshold:
             return walk_branch(walk, back)
     return None
-
-
-def _last(leg: Leg) -> Point:
-    """The point nearest a closed end."""
-    return min(leg.points, key=lambda x: abs(x.value - (leg.side.end or 0.0)))
 
 
 def _glance(
