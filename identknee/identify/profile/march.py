@@ -11,7 +11,7 @@ from identknee.identify.profile.walk import Point, Walk, step_to
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
-POINTS_PER_SIDE = 4
+POINTS_PER_SIDE = 5
 MOST_POINTS = 80
 LONGER = 2.5
 # A side of the box is crossed in at least so many steps, lest one jumps over what stands there.
@@ -314,9 +314,12 @@ class _March:
         if outside is not None and self._is_raised_by_boundary(outside):
             return self._open(SideStatus.OPEN_AT_FEASIBILITY)
         for point in (outside, at):
-            if point is not None and self._leads_to_end(point):
+            if point is not None and self._is_at_end(point):
                 missing = self._walk.threshold - self._walk.delta(point)
-                return self._closed(point, point.value + missing / point.slope, self._error(point))
+                end = point.value + missing / point.slope
+                # Past the bound it is none: the next step goes to the bound.
+                if self._direction * (self._bound - end) > 0:
+                    return self._closed(point, end, self._error(point))
         if outside is not None:
             width = abs(outside.value - at.value)
             if width <= END_TOLERANCE * self._distance():
@@ -330,7 +333,7 @@ class _March:
             return self._open(SideStatus.OPEN_FLAT)
         return None
 
-    def _leads_to_end(self, point: Point) -> bool:
+    def _is_at_end(self, point: Point) -> bool:
         is_tight = point.left <= AT_END * self._walk.threshold
         missing = abs(self._z(point) - self._root)
         return is_tight and missing <= CLOSE * self._root and self._direction * point.slope > 0

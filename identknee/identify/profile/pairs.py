@@ -14,7 +14,6 @@ from identknee.calibrate.quantity import ParameterQuantity
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.profile.hermite import crossings
 from identknee.identify.profile.march import march
-from identknee.identify.profile.profile import OPTIMUM_TOLERANCE
 from identknee.identify.profile.result import SideStatus
 from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
 from identknee.identify.profile.walk import BetterFound, Walk
@@ -30,6 +29,8 @@ BUDGET = 4000
 N_RAYS = 24
 RADIUS = "radius"
 MOST_ROUNDS = 4
+# Of the deviance: what the optimum may still promise.
+OPTIMUM_TOLERANCE = 1e-6
 # Of the largest: a variance below this is that of a combination the data fix, or none at all.
 SMALLEST = 1e-12
 
@@ -137,8 +138,7 @@ def profile_pair(
     n_simulations = 0
     for round_ in range(MOST_ROUNDS):
         evaluator = Evaluator(problem)
-        tolerance = OPTIMUM_TOLERANCE * threshold
-        optimum = minimise(evaluator, theta, tolerance=tolerance).evaluation
+        optimum = minimise(evaluator, theta, tolerance=OPTIMUM_TOLERANCE).evaluation
         if not optimum.is_finite:
             raise ValueError("the model has no prediction at the optimum given; fit it first")
         shape = _shape(optimum.jacobian, parameters, pair)

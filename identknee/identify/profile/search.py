@@ -29,7 +29,7 @@ WIDTHS = 1.0
 NARROW = 0.05
 # How far beyond an end to go and come back: until the deviance should have risen by so many more
 # thresholds, and at most so many distances to the optimum.
-RISE, OUTSIDE = 1.5, 1.0
+RISE, OUTSIDE = 3.0, 1.0
 # A place met out there serves to look from where it is so many times nearer or farther at most.
 NEAR_ENOUGH = 2.0
 # Share of the distance to the ends of the confidence set over which a constant is tried.

@@ -84,12 +84,12 @@ def test_the_error_of_an_end_is_within_its_estimate() -> None:
 
 
 def test_the_curve_is_smooth_and_cheap() -> None:
-    """Eight parameters: nine points or more, thirty simulations or fewer, z growing throughout."""
+    """Eight parameters: ten points or more, thirty simulations or fewer, z growing throughout."""
     problem, best = _springs()
     for name in problem.parameters.names:
         found = profile(problem, best, ParameterQuantity(parameters=problem.parameters, name=name))
         assert found.n_simulations <= 30
-        assert len(found.values) >= 9
+        assert len(found.values) >= 10
         assert np.all(np.diff(found.z) > 0)
         assert np.all(np.diff(found.values) > 0)
 
@@ -322,7 +322,7 @@ def test_a_path_along_a_kink_is_followed_and_costs_little() -> None:
     half = np.sqrt(found.threshold / 1.5)
     assert found.lower == pytest.approx(problem.minimum[0] - half, abs=1e-3 * half)
     assert found.upper == pytest.approx(problem.minimum[0] + half, abs=1e-3 * half)
-    assert found.n_simulations <= 60
+    assert found.n_simulations <= 80
 
 
 def test_lower_levels_are_read_off_the_curve() -> None:
