@@ -314,12 +314,9 @@ class _March:
         if outside is not None and self._is_raised_by_boundary(outside):
             return self._open(SideStatus.OPEN_AT_FEASIBILITY)
         for point in (outside, at):
-            if point is not None and self._is_at_end(point):
-                missing = self._walk.threshold - self._walk.delta(point)
-                end = point.value + missing / point.slope
-                # Past the bound it is none: the next step goes to the bound.
-                if self._direction * (self._bound - end) > 0:
-                    return self._closed(point, end, self._error(point))
+            end = None if point is None else self._end_seen_from(point)
+            if point is not None and end is not None:
+                return self._closed(point, end, self._error(point))
         if outside is not None:
             width = abs(outside.value - at.value)
             if width <= END_TOLERANCE * self._distance():
@@ -333,10 +330,14 @@ class _March:
             return self._open(SideStatus.OPEN_FLAT)
         return None
 
-    def _is_at_end(self, point: Point) -> bool:
+    def _end_seen_from(self, point: Point) -> float | None:
+        """Where the slope of a point leads to the end; None from afar or past the bound."""
         is_tight = point.left <= AT_END * self._walk.threshold
-        missing = abs(self._z(point) - self._root)
-        return is_tight and missing <= CLOSE * self._root and self._direction * point.slope > 0
+        is_close = abs(self._z(point) - self._root) <= CLOSE * self._root
+        if not is_tight or not is_close or self._direction * point.slope <= 0:
+            return None
+        end = point.value + (self._walk.threshold - self._walk.delta(point)) / point.slope
+        return end if self._direction * (self._bound - end) > 0 else None
 
     def _is_raised_by_boundary(self, point: Point) -> bool:
         """Whether a fit is excluded only because the way to a better one has no prediction."""
