@@ -209,4 +209,27 @@ def springs_with_a_ball(start: Array) -> Cliff:
     return Cliff(problem=problem, beyond=beyond)
 
 
+def kinked() -> ClosedForm:
+    """Three distances and a residual that grows on either side of a plane: least on that plane.
+
+    There the derivatives of each side promise a decrease on the other.
+    """
+    away, normal = np.array([0.2, 0.2, 0.0]), np.full(3, 1.0 / np.sqrt(3.0))
+    share = 0.18
+
+    def jacobian(x: Array) -> Array:
+        side = 1.0 if normal @ x >= 0.0 else -1.0
+        return np.vstack([np.eye(3), share * side * normal])
+
+    return ClosedForm(
+        name="kinked",
+        parameters=plain_parameters(3),
+        start=np.array([-1.0, 1.0, 1.5]),
+        minimum=away - normal * (normal @ away),
+        lowest=0.5 * (100.0 + float(normal @ away) ** 2),
+        residuals_at=lambda x: np.append(x - away, 10.0 + share * abs(normal @ x)),
+        jacobian_at=jacobian,
+    )
+
+
 EASY = (linear(), rosenbrock(), active_bounds(), sloppy_springs())

@@ -1,12 +1,14 @@
 """The best fit among the parameter sets that give a quantity a wanted value."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from identknee.calibrate.bounded_step import Step, attainable, bounded_step
 from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
+from identknee.calibrate.kinks import Kinks, lowest_of_the_highest
 from identknee.calibrate.quantity import Quantity
-from identknee.calibrate.scales import typical_steps
-from identknee.model.parameters import Parameters
+from identknee.calibrate.scales import conditional_sds
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared
 from identknee.runs.outcome import Outcome
@@ -14,17 +16,22 @@ from identknee.runs.outcome import Outcome
 # Tolerance on the deviance: at a signed root of 2 this is 2.5e-9 of the root.
 TOLERANCE = 1e-8
 ROUNDING = 1e-13
-# A typical step that changes the residuals by less than this changes nothing: the squares of one
-# over it would overflow.
-UNSEEN = 1e-100
 MAX_STEPS = 60
 # Share of the promised decrease that a step must keep, and that lets the next one be longer.
 ENOUGH, GOOD = 1e-4, 0.75
 SHORTER, LONGER = 0.25, 2.0
+# Of a step across a kink that is not taken: its end is heeded in the next one.
+HALF = 0.5
+# Share that a step must have kept for the next one's aim to be believed.
+BELIEVED = 0.5
+# In tolerances: how far below its height a step that heeds kinks may be said to lead.
+GAP = 0.2
 # In conditional standard deviations: a step below this is none.
 SHORTEST = 1e-7
 # The price of a missed target, in multiples of what hitting it costs.
 PENALTY = 2.0
+
+Foreseen = Callable[[Array], bool]
 
 
 @declared
@@ -50,6 +57,10 @@ class Constrained:
     is_on_target
         Whether the quantity has the wanted value. A `MINIMUM` that is not on target is the end of
         the quantity's range: no small change within the bounds brings it closer.
+    aim
+        Where one more step would lead, shape ``(n,)``; NaN where none was planned.
+    left
+        How much lower that step promises the deviance; infinite where none was planned.
     n_simulations
         Simulations made.
     """
@@ -61,6 +72,8 @@ class Constrained:
     is_held: BoolArray
     outcome: Outcome
     is_on_target: bool
+    aim: Array
+    left: float
     n_simulations: int
 
 
@@ -72,6 +85,7 @@ def solve_constrained(
     target: float,
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
+    is_foreseen: Foreseen | None = None,
 ) -> Constrained:
     """The parameter set of least deviance within the bounds at which the quantity is `target`.
 
@@ -92,8 +106,11 @@ def solve_constrained(
         in conditional standard deviations.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
+    is_foreseen
+        Asked of the aim of each step after one that kept its promise; where it says yes the search
+        ends before that step, as a `VALLEY`. It goes all the way if None.
     """
-    search = _Search(evaluator, quantity, target, tolerance)
+    search = _Search(evaluator, quantity, target, tolerance, is_foreseen)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
@@ -103,6 +120,7 @@ def minimise(
     *,
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
+    is_foreseen: Foreseen | None = None,
 ) -> Constrained:
     """The parameter set of least deviance within the bounds, reached downhill from `start`.
 
@@ -116,21 +134,12 @@ def minimise(
         Tolerance on the deviance: what one more step may still promise.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
+    is_foreseen
+        Asked of the aim of each step after one that kept its promise; where it says yes the search
+        ends before that step, as a `VALLEY`. It goes all the way if None.
     """
-    search = _Search(evaluator, None, np.nan, tolerance)
+    search = _Search(evaluator, None, np.nan, tolerance, is_foreseen)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
-
-
-def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
-    """Standard deviation of each parameter where all others are known, shape ``(n,)``.
-
-    Its typical step where that says nothing: where the residuals do not change with it.
-    """
-    typical = typical_steps(parameters)
-    size = np.linalg.norm(jacobian, axis=0)
-    changes = size * typical
-    known = changes > max(ROUNDING * np.max(changes, initial=0.0), UNSEEN)
-    return np.where(known, 1.0 / np.where(known, size, 1.0), typical)
 
 
 @declared
@@ -166,18 +175,25 @@ class _Search:
     """One search: its settings, its trust region and the price of missing the target."""
 
     def __init__(
-        self, evaluator: Evaluator, quantity: Quantity | None, target: float, tolerance: float
+        self,
+        evaluator: Evaluator,
+        quantity: Quantity | None,
+        target: float,
+        tolerance: float,
+        is_foreseen: Foreseen | None,
     ) -> None:
         self._evaluator = evaluator
         self._quantity = quantity
         self._target = target
         self._tolerance = tolerance
+        self._is_foreseen = is_foreseen or (lambda _: False)
         parameters = evaluator.parameters
         self._lower, self._upper = parameters.lower, parameters.upper
         self._radius = np.inf
         self._price = 0.0
-        self._met_cliff = False
+        self._met_cliff = self._is_believed = False
         self._curvature = evaluator.curvature
+        self._kinks = Kinks()
 
     def run(self, start: Array, most_steps: int) -> Constrained:
         before = self._evaluator.n_simulations
@@ -194,6 +210,8 @@ class _Search:
                 met_cliff = plan.is_boxed and self._met_cliff
                 outcome = Outcome.CLIFF if met_cliff else Outcome.MINIMUM
                 return self._result(point, plan, outcome, before)
+            if self._is_believed and self._is_foreseen(plan.theta):
+                break
             try:
                 point = self._next(point, plan)
             except Ended as end:
@@ -239,6 +257,13 @@ class _Search:
             remaining = abs(wanted - reachable)
         step = bounded_step(matrix, data, box, constraint)
         reduction = linear_reduction = _reduction(matrix, data, step)
+        if self._kinks.is_met:
+            whole = bounded_step(matrix, data, (low, high), constraint)
+            length = float(np.max(np.abs(whole.step), initial=0.0))
+            models = self._kinks.models(at, scales, length=length, slack=self._tolerance)
+            if len(models) > 1:
+                step, height = lowest_of_the_highest(models, box, constraint, GAP * self._tolerance)
+                reduction = linear_reduction = at.deviance - height
         if self._curvature is not None and self._curvature.is_known:
             linear = at.jacobian * scales
             by_it = bounded_step(linear, at.residuals, box, constraint)
@@ -271,6 +296,7 @@ class _Search:
     def _next(self, point: _Point, plan: _Plan) -> _Point:
         """The next point: the planned one if it keeps enough of its promise."""
         new = self._point(plan.theta)
+        self._is_believed = False
         if not new.is_finite:
             self._met_cliff = True
             self._radius = SHORTER * plan.length
@@ -282,8 +308,13 @@ class _Search:
         promised = plan.reduction + self._price * (missing - plan.remaining)
         kept = self._merit(point) - self._merit(new)
         rounding = ROUNDING * point.evaluation.deviance
-        if promised > 0 and kept < ENOUGH * promised - rounding:
-            self._radius = SHORTER * plan.length
+        is_taken = promised <= 0 or kept >= ENOUGH * promised - rounding
+        self._is_believed = kept > BELIEVED * promised
+        # Over uncertain geometry contact is rounded, and its bends are learned instead.
+        if self._curvature is None and kept <= GOOD * promised:
+            self._kinks.remember((point if is_taken else new).evaluation)
+        if not is_taken:
+            self._radius = (HALF if self._curvature is None else SHORTER) * plan.length
             return point
         if kept > GOOD * promised and plan.is_boxed:
             self._radius *= LONGER
@@ -320,6 +351,8 @@ class _Search:
             is_held=held,
             outcome=outcome,
             is_on_target=plan is not None and plan.gap <= self._tolerance,
+            aim=np.full(n, np.nan) if plan is None else plan.theta,
+            left=np.inf if plan is None else plan.reduction,
             n_simulations=self._evaluator.n_simulations - before,
         )
 
@@ -361,5 +394,7 @@ def _unsolved(start: Array, outcome: Outcome) -> Constrained:
         is_held=np.zeros(n, dtype=np.bool_),
         outcome=outcome,
         is_on_target=False,
+        aim=np.full(n, np.nan),
+        left=np.inf,
         n_simulations=0,
     )

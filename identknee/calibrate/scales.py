@@ -8,6 +8,10 @@ from identknee.runs.arrays import Array
 
 STIFFNESS_UNIT = "_kN"
 STRAIN_UNIT = "_pct"
+ROUNDING = 1e-13
+# A typical step that changes the residuals by less than this changes nothing: the squares of one
+# over it would overflow.
+UNSEEN = 1e-100
 
 
 def half_widths(parameters: Parameters) -> Array:
@@ -22,6 +26,18 @@ def half_widths(parameters: Parameters) -> Array:
 def typical_steps(parameters: Parameters) -> Array:
     """A typical uncertainty of each parameter, shape ``(n,)``: 3 kN, 2 % or the prior's sd."""
     return by_unit(parameters, 3.0, 2.0, parameters.prior_sd_in_own_units)
+
+
+def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
+    """Standard deviation of each parameter where all others are known, shape ``(n,)``.
+
+    Its typical step where that says nothing: where the residuals do not change with it.
+    """
+    typical = typical_steps(parameters)
+    size = np.linalg.norm(jacobian, axis=0)
+    changes = size * typical
+    known = changes > max(ROUNDING * np.max(changes, initial=0.0), UNSEEN)
+    return np.where(known, 1.0 / np.where(known, size, 1.0), typical)
 
 
 def floors(parameters: Parameters) -> Array:

@@ -5,12 +5,12 @@ import numpy as np
 from identknee.calibrate.bounded_step import bounded_step
 from identknee.calibrate.constrained import (
     Constrained,
-    conditional_sds,
     minimise,
     solve_constrained,
 )
 from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
 from identknee.calibrate.quantity import Quantity
+from identknee.calibrate.scales import conditional_sds
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 

@@ -16,11 +16,15 @@ MOST_POINTS = 80
 LONGER = 2.5
 # A side of the box is crossed in at least so many steps, lest one jumps over what stands there.
 STEPS_ACROSS = 6
-# Of the deviance, as parts of the threshold: what a fit on the curve and at an end may leave.
-ON_CURVE, AT_END = 1e-3, 1e-4
+# Of the deviance, as parts of the threshold: what a fit on the curve and at an end may leave, and
+# from which height on the next fit is to be the end.
+ON_CURVE, AT_END, NEAR_END = 1e-3, 2e-4, 0.9
 # Of what a fit promises to have left at most: beside a kink it is more than the derivatives say.
 LEFT = 3.0
-# Of the signed root at the threshold, and of the distance to the optimum.
+# Of the signed root at the threshold: from how near the slope leads to the end. A slope beside a
+# kink is right to a part of itself.
+CLOSE, SLOPE_ERROR = 2e-3, 0.1
+# Of the distance to the optimum.
 END_TOLERANCE = 1e-4
 GAP_TOLERANCE = 3e-4
 BESIDE_BOUND = 1e-3
@@ -64,7 +68,8 @@ def march(walk: Walk, origin: Point, direction: int) -> Leg:
     Steps aim at equal rises of the deviance's root, by the parabola through the last point with its
     exact slope and Gauss-Newton curvature; theta is expected along the path's tangent and bend.
     The end is solved for: once a point lies beyond it, the cubic between the two nearest points
-    gives the next, until the root is right to 1e-4 of it.
+    gives the next, until one fitted tightly has a root right to 2e-3 of it, from where its slope
+    leads to the end.
 
     Where the path meets the feasibility boundary, beyond which a trial has no prediction, the fit
     is begun again from other points with the same value, and then farther out. The side ends there
@@ -121,7 +126,9 @@ class _March:
     def _go_on(self) -> Side | None:
         value = self._next_value()
         start = self._walk.start(value, self._inside, self._behind())
-        is_near_end = self._outside is not None or self._is_near_end(value)
+        is_near_end = self._outside is not None or (
+            self._walk.delta(self._inside) > NEAR_END * self._walk.threshold
+        )
         tolerance = self._walk.threshold * (AT_END if is_near_end else ON_CURVE)
         solved = self._solved(value, start, tolerance)
         if solved.outcome is Outcome.BUDGET:
@@ -163,7 +170,8 @@ class _March:
             # What lies beyond is excluded, and what lies between has no prediction.
             self._n_retries += 1
             if self._n_retries > MOST_RETRIES:
-                return self._closed(self._outside, abs(self._outside.value - self._inside.value))
+                outside = self._outside
+                return self._closed(outside, outside.value, abs(outside.value - self._inside.value))
             return None
         if not is_new:
             return None
@@ -188,13 +196,6 @@ class _March:
         if self._outside is not None:
             return self._outside
         return self._points[-2] if len(self._points) > 1 else None
-
-    def _is_near_end(self, value: float) -> bool:
-        step = abs(value - self._inside.value)
-        at = self._inside
-        slope = self._direction * at.slope
-        rise = slope * step + at.curvature * step**2
-        return self._walk.delta(at) + rise > 0.9 * self._walk.threshold
 
     def _next_value(self) -> float:
         if self._outside is not None:
@@ -313,12 +314,13 @@ class _March:
         if outside is not None and self._is_raised_by_boundary(outside):
             return self._open(SideStatus.OPEN_AT_FEASIBILITY)
         for point in (outside, at):
-            if point is not None and abs(self._z(point) - self._root) <= END_TOLERANCE * self._root:
-                return self._closed(point, self._error(point))
+            end = None if point is None else self._end_seen_from(point)
+            if point is not None and end is not None:
+                return self._closed(point, end, self._error(point))
         if outside is not None:
             width = abs(outside.value - at.value)
             if width <= END_TOLERANCE * self._distance():
-                return self._closed(at, width)
+                return self._closed(at, at.value, width)
         elif self._blocked is not None:
             width = abs(self._blocked - at.value)
             if width <= GAP_TOLERANCE * self._distance():
@@ -327,6 +329,15 @@ class _March:
         if not np.isfinite(self._bound) and self._is_flat_far_out():
             return self._open(SideStatus.OPEN_FLAT)
         return None
+
+    def _end_seen_from(self, point: Point) -> float | None:
+        """Where the slope of a point leads to the end; None from afar or past the bound."""
+        is_tight = point.left <= AT_END * self._walk.threshold
+        is_close = abs(self._z(point) - self._root) <= CLOSE * self._root
+        if not is_tight or not is_close or self._direction * point.slope <= 0:
+            return None
+        end = point.value + (self._walk.threshold - self._walk.delta(point)) / point.slope
+        return end if self._direction * (self._bound - end) > 0 else None
 
     def _is_raised_by_boundary(self, point: Point) -> bool:
         """Whether a fit is excluded only because the way to a better one has no prediction."""
@@ -356,26 +367,25 @@ class _March:
         return max(abs(self._inside.value - self._points[0].value), self._unit)
 
     def _error(self, point: Point) -> float:
-        """What the root is off, and what the fit may have left, as a length of the value."""
+        """What the way to the end and the fit may be off, as a length of the value."""
         missing = abs(self._walk.delta(point) - self._walk.threshold)
         slope = max(abs(point.slope), 1e-300)
-        return float((missing + LEFT * AT_END * self._walk.threshold) / slope)
+        return float((SLOPE_ERROR * missing + LEFT * AT_END * self._walk.threshold) / slope)
 
-    def _closed(self, point: Point, error: float) -> Side:
-        return self._side(SideStatus.CLOSED, point, error)
+    def _closed(self, point: Point, end: float, error: float) -> Side:
+        return self._side(SideStatus.CLOSED, point, end, error)
 
     def _open(self, status: SideStatus) -> Side:
-        return self._side(status, self._inside, np.nan)
+        return self._side(status, self._inside, None, np.nan)
 
-    def _side(self, status: SideStatus, point: Point, error: float) -> Side:
+    def _side(self, status: SideStatus, point: Point, end: float | None, error: float) -> Side:
         parameters = self._walk.evaluator.parameters
         theta = point.evaluation.theta
         on_bound = (theta <= parameters.lower) | (theta >= parameters.upper)
         names = np.array(parameters.names)[on_bound].tolist()
-        is_closed = status is SideStatus.CLOSED
         return Side(
             status=status,
-            end=point.value if is_closed else None,
+            end=end,
             error=error,
             reached=point.value,
             max_deviance=max(self._walk.delta(x) for x in self._points),

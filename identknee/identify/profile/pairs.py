@@ -14,7 +14,6 @@ from identknee.calibrate.quantity import ParameterQuantity
 from identknee.calibrate.scales import typical_steps
 from identknee.identify.profile.hermite import crossings
 from identknee.identify.profile.march import march
-from identknee.identify.profile.profile import OPTIMUM_TOLERANCE
 from identknee.identify.profile.result import SideStatus
 from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
 from identknee.identify.profile.walk import BetterFound, Walk
@@ -30,6 +29,8 @@ BUDGET = 4000
 N_RAYS = 24
 RADIUS = "radius"
 MOST_ROUNDS = 4
+# Of the deviance: what the optimum may still promise.
+OPTIMUM_TOLERANCE = 1e-6
 # Of the largest: a variance below this is that of a combination the data fix, or none at all.
 SMALLEST = 1e-12
 

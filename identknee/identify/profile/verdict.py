@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.stats
 
-from identknee.calibrate.constrained import conditional_sds
+from identknee.calibrate.scales import conditional_sds
 from identknee.calibrate.tolerances import UNSEEN_TOLERANCE
 from identknee.identify.profile.hermite import cubic
 from identknee.identify.profile.march import AT_END, FLAT

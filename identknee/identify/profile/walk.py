@@ -4,11 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.calibrate.constrained import MAX_STEPS, TOLERANCE, Constrained, solve_constrained
+from identknee.calibrate.constrained import (
+    MAX_STEPS,
+    TOLERANCE,
+    Constrained,
+    Foreseen,
+    solve_constrained,
+)
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.detours import fit_around, promised_reduction
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.outcome import Outcome
 
 # Of the threshold: a lower deviance than the optimum's by more than this starts a profile over.
 BETTER = 1e-4
@@ -45,6 +52,8 @@ class Point:
     promise
         How much lower the fit could be by its slopes, had every parameter set a prediction; next to
         nothing unless the feasibility boundary of the model stopped the fit.
+    left
+        How much lower the next step of the fit promised to go.
     """
 
     value: float
@@ -53,6 +62,7 @@ class Point:
     tangent: Array
     is_held: BoolArray
     promise: float
+    left: float
 
     @property
     def curvature(self) -> float:
@@ -104,6 +114,7 @@ class Walk:
         *,
         tolerance: float = TOLERANCE,
         most_steps: int = MAX_STEPS,
+        is_foreseen: Foreseen | None = None,
     ) -> Constrained:
         """The constrained fit at a value.
 
@@ -119,6 +130,7 @@ class Walk:
             target=value,
             tolerance=tolerance,
             most_steps=most_steps,
+            is_foreseen=is_foreseen,
         )
         self.note(solved.evaluation)
         return solved
@@ -148,9 +160,9 @@ class Walk:
     def point(self, solved: Constrained) -> Point:
         """The point of a profile that a constrained fit is."""
         at = solved.evaluation
-        promise = np.inf
+        promise = solved.left
         # A budget used up before the first simulation leaves nothing to judge by.
-        if at.is_finite:
+        if at.is_finite and solved.outcome is not Outcome.MINIMUM:
             promise = promised_reduction(self.evaluator, at, self.quantity.evaluate(at.theta)[1])
         return Point(
             value=solved.value,
@@ -159,6 +171,7 @@ class Walk:
             tangent=solved.tangent,
             is_held=solved.is_held,
             promise=promise,
+            left=solved.left,
         )
 
     def is_settled(self, point: Point) -> bool:
