@@ -1,7 +1,5 @@
 """The best fit among the parameter sets that give a quantity a wanted value."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from identknee.calibrate.bounded_step import Step, attainable, bounded_step
@@ -22,16 +20,12 @@ ENOUGH, GOOD = 1e-4, 0.75
 SHORTER, LONGER = 0.25, 2.0
 # Of a step across a kink that is not taken: its end is heeded in the next one.
 HALF = 0.5
-# Share that a step must have kept for the next one's aim to be believed.
-BELIEVED = 0.5
 # In tolerances: how far below its height a step that heeds kinks may be said to lead.
 GAP = 0.2
 # In conditional standard deviations: a step below this is none.
 SHORTEST = 1e-7
 # The price of a missed target, in multiples of what hitting it costs.
 PENALTY = 2.0
-
-Foreseen = Callable[[Array], bool]
 
 
 @declared
@@ -57,10 +51,8 @@ class Constrained:
     is_on_target
         Whether the quantity has the wanted value. A `MINIMUM` that is not on target is the end of
         the quantity's range: no small change within the bounds brings it closer.
-    aim
-        Where one more step would lead, shape ``(n,)``; NaN where none was planned.
     left
-        How much lower that step promises the deviance; infinite where none was planned.
+        How much lower one more step promises the deviance; infinite where none was planned.
     n_simulations
         Simulations made.
     """
@@ -72,7 +64,6 @@ class Constrained:
     is_held: BoolArray
     outcome: Outcome
     is_on_target: bool
-    aim: Array
     left: float
     n_simulations: int
 
@@ -85,7 +76,6 @@ def solve_constrained(
     target: float,
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
-    is_foreseen: Foreseen | None = None,
 ) -> Constrained:
     """The parameter set of least deviance within the bounds at which the quantity is `target`.
 
@@ -106,11 +96,8 @@ def solve_constrained(
         in conditional standard deviations.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
-    is_foreseen
-        Asked of the aim of each step after one that kept its promise; where it says yes the search
-        ends before that step, as a `VALLEY`. It goes all the way if None.
     """
-    search = _Search(evaluator, quantity, target, tolerance, is_foreseen)
+    search = _Search(evaluator, quantity, target, tolerance)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
@@ -120,7 +107,6 @@ def minimise(
     *,
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
-    is_foreseen: Foreseen | None = None,
 ) -> Constrained:
     """The parameter set of least deviance within the bounds, reached downhill from `start`.
 
@@ -134,11 +120,8 @@ def minimise(
         Tolerance on the deviance: what one more step may still promise.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
-    is_foreseen
-        Asked of the aim of each step after one that kept its promise; where it says yes the search
-        ends before that step, as a `VALLEY`. It goes all the way if None.
     """
-    search = _Search(evaluator, None, np.nan, tolerance, is_foreseen)
+    search = _Search(evaluator, None, np.nan, tolerance)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
@@ -175,23 +158,17 @@ class _Search:
     """One search: its settings, its trust region and the price of missing the target."""
 
     def __init__(
-        self,
-        evaluator: Evaluator,
-        quantity: Quantity | None,
-        target: float,
-        tolerance: float,
-        is_foreseen: Foreseen | None,
+        self, evaluator: Evaluator, quantity: Quantity | None, target: float, tolerance: float
     ) -> None:
         self._evaluator = evaluator
         self._quantity = quantity
         self._target = target
         self._tolerance = tolerance
-        self._is_foreseen = is_foreseen or (lambda _: False)
         parameters = evaluator.parameters
         self._lower, self._upper = parameters.lower, parameters.upper
         self._radius = np.inf
         self._price = 0.0
-        self._met_cliff = self._is_believed = False
+        self._met_cliff = False
         self._curvature = evaluator.curvature
         self._kinks = Kinks()
 
@@ -210,8 +187,6 @@ class _Search:
                 met_cliff = plan.is_boxed and self._met_cliff
                 outcome = Outcome.CLIFF if met_cliff else Outcome.MINIMUM
                 return self._result(point, plan, outcome, before)
-            if self._is_believed and self._is_foreseen(plan.theta):
-                break
             try:
                 point = self._next(point, plan)
             except Ended as end:
@@ -296,7 +271,6 @@ class _Search:
     def _next(self, point: _Point, plan: _Plan) -> _Point:
         """The next point: the planned one if it keeps enough of its promise."""
         new = self._point(plan.theta)
-        self._is_believed = False
         if not new.is_finite:
             self._met_cliff = True
             self._radius = SHORTER * plan.length
@@ -309,7 +283,6 @@ class _Search:
         kept = self._merit(point) - self._merit(new)
         rounding = ROUNDING * point.evaluation.deviance
         is_taken = promised <= 0 or kept >= ENOUGH * promised - rounding
-        self._is_believed = kept > BELIEVED * promised
         # Over uncertain geometry contact is rounded, and its bends are learned instead.
         if self._curvature is None and kept <= GOOD * promised:
             self._kinks.remember((point if is_taken else new).evaluation)
@@ -351,7 +324,6 @@ class _Search:
             is_held=held,
             outcome=outcome,
             is_on_target=plan is not None and plan.gap <= self._tolerance,
-            aim=np.full(n, np.nan) if plan is None else plan.theta,
             left=np.inf if plan is None else plan.reduction,
             n_simulations=self._evaluator.n_simulations - before,
         )
@@ -394,7 +366,6 @@ def _unsolved(start: Array, outcome: Outcome) -> Constrained:
         is_held=np.zeros(n, dtype=np.bool_),
         outcome=outcome,
         is_on_target=False,
-        aim=np.full(n, np.nan),
         left=np.inf,
         n_simulations=0,
     )

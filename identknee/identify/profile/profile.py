@@ -26,8 +26,8 @@ from identknee.runs.outcome import Outcome
 LEVEL = 0.95
 BUDGET = 1000
 MOST_RESTARTS = 5
-# Of the threshold: what the optimum may still promise.
-OPTIMUM_TOLERANCE = 1e-5
+# Of the deviance: what the optimum may still promise.
+OPTIMUM_TOLERANCE = 1e-6
 
 
 def profile(
@@ -125,7 +125,7 @@ class _Run:
         raise AssertionError  # pragma: no cover - the last round meets nothing better
 
     def _optimum(self, theta: Array) -> Constrained:
-        optimum = minimise(self.evaluator, theta, tolerance=OPTIMUM_TOLERANCE * self.threshold)
+        optimum = minimise(self.evaluator, theta, tolerance=OPTIMUM_TOLERANCE)
         if optimum.outcome is Outcome.START_FAILED:
             raise ValueError(
                 "the model has no prediction at the optimum given; fit it first, or profile from "
@@ -138,7 +138,7 @@ class _Run:
                 quantity=None,
                 target=np.nan,
                 rise=self.threshold,
-                tolerance=OPTIMUM_TOLERANCE * self.threshold,
+                tolerance=OPTIMUM_TOLERANCE,
             )
             if around is not None and around.evaluation.deviance < optimum.evaluation.deviance:
                 return around

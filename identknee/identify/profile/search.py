@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from identknee.calibrate.constrained import Foreseen, minimise
+from identknee.calibrate.constrained import minimise
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.calibrate.scales import typical_steps
 from identknee.calibrate.tolerances import EIGENVALUE_TOLERANCE
 from identknee.identify.profile.march import AT_END, JUMP, Leg, march
 from identknee.identify.profile.result import Side, SideStatus
-from identknee.identify.profile.walk import Point, Walk, step_to
+from identknee.identify.profile.walk import Point, Walk
 from identknee.runs.arrays import Array
 
 MOST_BRANCHES = 12
@@ -27,11 +26,8 @@ NEAR = 10.0
 WIDTHS = 1.0
 # In widths of the set: a gap narrower than this is not looked into.
 NARROW = 0.05
-# How far beyond an end to go and come back: until the deviance should have risen by so many more
-# thresholds, and at most so many distances to the optimum.
-RISE, OUTSIDE = 3.0, 1.0
-# A place met out there serves to look from where it is so many times nearer or farther at most.
-NEAR_ENOUGH = 2.0
+# How far beyond an end to go and come back, in distances to the optimum.
+OUTSIDE = 1.0
 # Share of the distance to the ends of the confidence set over which a constant is tried.
 ALMOST = 0.9
 
@@ -61,6 +57,10 @@ class Branch:
         """Lower and upper end of the confidence set, infinite where open."""
         low, high = self.lower.side.end, self.upper.side.end
         return (-np.inf if low is None else low), (np.inf if high is None else high)
+
+    def nearest(self, value: float) -> Point:
+        """The point whose value is nearest."""
+        return min(self.points, key=lambda x: abs(x.value - value))
 
 
 def walk_branch(walk: Walk, origin: Point) -> Branch:
@@ -121,12 +121,11 @@ def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
 def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
     """The optimum's branch and those of other likely optima, as far as found.
 
-    Paths that lead to no optimum of their own are looked for by going on beyond each end of the
-    optimum's branch and coming back. Fits without a constraint start from the middle of what lies
-    beyond each closed end, or from a place met beyond it, and from each of `starts`. Where one ends
-    at a likely optimum that is not on a path walked before, its own branch is walked, and the gaps
-    that it leaves are looked into in their turn. A fit whose steps keep their promises ends where
-    the next one leads to a path walked before.
+    Fits without a constraint start from the middle of what lies beyond each closed end, and from
+    each of `starts`. Where one ends at a likely optimum that is not on a path walked before, its
+    own branch is walked, and the gaps that it leaves are looked into in their turn. Paths that lead
+    to no optimum of their own are looked for by coming back to each end of the optimum's branch
+    from outside.
 
     Parameters
     ----------
@@ -137,27 +136,19 @@ def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
     starts
         Where else to look for optima, shape ``(k, n)``.
     """
-    branches, met = [main], []
-    for leg, direction in ((main.lower, -1), (main.upper, 1)):
-        end = leg.side.end
-        if end is None:
-            continue
-        last = leg.points[int(np.argmin([abs(x.value - end) for x in leg.points]))]
-        far = _beyond(walk, last, direction * abs(last.value - main.origin.value))
-        if far is None:
-            continue
-        met.append(far)
-        branch = _from_outside(walk, last, far)
-        if branch is not None and not _is_known(walk, branches, branch.origin.evaluation.theta):
-            branches.append(branch)
+    branches = [main]
     regions = _beside(main, walk.limits)
     while regions and len(branches) < MOST_BRANCHES:
         region = regions.pop(0)
-        start = _into(walk, main, region, met)
+        start = _into(walk, main, region)
         branch = None if start is None else _branch_from(walk, branches, start)
         if branch is not None:
             branches.append(branch)
             regions += _beside(branch, region)
+    for leg, direction in ((main.lower, -1), (main.upper, 1)):
+        branch = _from_outside(walk, leg, direction)
+        if branch is not None and not _is_known(walk, branches, branch.origin):
+            branches.append(branch)
     for start in starts:
         branch = _branch_from(walk, branches, start)
         if branch is not None and len(branches) < MOST_BRANCHES:
@@ -172,11 +163,8 @@ def _beside(branch: Branch, region: Region) -> list[Region]:
     return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]
 
 
-def _into(walk: Walk, main: Branch, region: Region, met: Sequence[Point]) -> Array | None:
-    """Theta in a region, shape ``(n,)``; None if that is too narrow.
-
-    The optimum's moved to its middle, or that of a place met about as far from the branch.
-    """
+def _into(walk: Walk, main: Branch, region: Region) -> Array | None:
+    """The optimum's theta moved into a region, shape ``(n,)``; None if that is too narrow."""
     low, high = main.limits
     reach = [x for x in (low, high) if np.isfinite(x)] + [main.origin.value]
     width = max(reach) - min(reach)
@@ -188,11 +176,6 @@ def _into(walk: Walk, main: Branch, region: Region, met: Sequence[Point]) -> Arr
         value = region[0] + WIDTHS * width
     else:
         value = 0.5 * (region[0] + region[1])
-    for far in met:
-        edge = main.limits[1 if far.value > main.origin.value else 0]
-        times = (value - edge) / (far.value - edge)
-        if 1.0 / NEAR_ENOUGH <= times <= NEAR_ENOUGH:
-            return far.evaluation.theta
     theta = np.array(main.origin.evaluation.theta)
     if isinstance(walk.quantity, ParameterQuantity):
         theta[walk.quantity.index] = value
@@ -202,66 +185,45 @@ def _into(walk: Walk, main: Branch, region: Region, met: Sequence[Point]) -> Arr
     return solved.evaluation.theta if solved.evaluation.is_finite else None
 
 
-def _beyond(walk: Walk, last: Point, distance: float) -> Point | None:
-    """A rough fit beyond the end that `last` is at; None where there is none.
-
-    Parameters
-    ----------
-    walk
-        The quantity and the threshold.
-    last
-        The point nearest the end.
-    distance
-        From the optimum to it, signed.
-    """
-    direction = np.sign(distance)
-    step = step_to(RISE * walk.threshold, direction * last.slope, last.curvature)
-    value = last.value + direction * min(step, OUTSIDE * abs(distance))
-    value = float(np.clip(value, *walk.limits))
-    return None if value == last.value else _glance(walk, value, walk.start(value, last, None))
-
-
-def _from_outside(walk: Walk, last: Point, far: Point) -> Branch | None:
-    """The branch met by coming back to a closed end from beyond it; None if it is the same one.
+def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
+    """The branch met by going on beyond a closed end and coming back; None if it is the same one.
 
     Where the path folds, the fits beyond its end lie on another part of it, which may be lower at
     the end too although no fit without a constraint stays there.
     """
+    end = leg.side.end
+    if end is None:
+        return None
+    last = min(leg.points, key=lambda x: abs(x.value - end))
+    value = end + direction * OUTSIDE * abs(end - leg.points[0].value)
+    value = float(np.clip(value, *walk.limits))
+    if value == end:
+        return None
+    far = _glance(walk, value, walk.start(value, last, None))
+    if far is None:
+        return None
     if walk.delta(far) < walk.threshold:
         return walk_branch(walk, far)
-
-    def is_at_end(theta: Array) -> bool:
-        moved = last.evaluation.jacobian @ (theta - last.evaluation.theta)
-        return float(moved @ moved) < JUMP * walk.threshold
-
-    expected = walk.start(last.value, far, None)
-    if is_at_end(expected):
+    expected = walk.start(end, far, None)
+    moved = last.evaluation.jacobian @ (expected - last.evaluation.theta)
+    if float(moved @ moved) < JUMP * walk.threshold:
         return None
     # At a fold the two parts of the path lie on different sides of the end.
     parameters = walk.evaluator.parameters
     opposite = np.clip(2.0 * last.evaluation.theta - expected, parameters.lower, parameters.upper)
     for start in (expected, opposite):
-        back = _glance(walk, last.value, start, most_steps=RETURN_STEPS, is_foreseen=is_at_end)
+        back = _glance(walk, end, start, most_steps=RETURN_STEPS)
         if back is not None and walk.delta(back) < (1.0 - GLANCE_TOLERANCE) * walk.threshold:
             return walk_branch(walk, back)
     return None
 
 
 def _glance(
-    walk: Walk,
-    value: float,
-    start: Array,
-    *,
-    most_steps: int = GLANCE_STEPS,
-    is_foreseen: Foreseen | None = None,
+    walk: Walk, value: float, start: Array, *, most_steps: int = GLANCE_STEPS
 ) -> Point | None:
     """A rough fit at a value, None where there is none."""
     solved = walk.solve(
-        value,
-        start,
-        tolerance=GLANCE_TOLERANCE * walk.threshold,
-        most_steps=most_steps,
-        is_foreseen=is_foreseen,
+        value, start, tolerance=GLANCE_TOLERANCE * walk.threshold, most_steps=most_steps
     )
     is_there = solved.evaluation.is_finite and solved.is_on_target
     return walk.point(solved) if is_there else None
@@ -274,17 +236,16 @@ def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch
         start,
         tolerance=GLANCE_TOLERANCE * walk.threshold,
         most_steps=GLANCE_STEPS,
-        is_foreseen=partial(_is_known, walk, branches),
     )
-    is_far = glance.evaluation.deviance - walk.lowest > NEAR * walk.threshold
-    if is_far or _is_known(walk, branches, glance.aim):
+    if glance.evaluation.deviance - walk.lowest > NEAR * walk.threshold:
+        return None
+    point = _point(walk, glance.evaluation.theta)
+    if point is None or _is_known(walk, branches, point):
         return None
     found = minimise(walk.evaluator, glance.evaluation.theta, tolerance=AT_END * walk.threshold)
     walk.note(found.evaluation)
     point = _point(walk, found.evaluation.theta)
-    if point is None or walk.delta(point) >= walk.threshold:
-        return None
-    if _is_known(walk, branches, point.evaluation.theta):
+    if point is None or walk.delta(point) >= walk.threshold or _is_known(walk, branches, point):
         return None
     return walk_branch(walk, point)
 
@@ -298,18 +259,15 @@ def _point(walk: Walk, theta: Array) -> Point | None:
     return walk.point(solved) if solved.evaluation.is_finite else None
 
 
-def _is_known(walk: Walk, branches: Sequence[Branch], theta: Array) -> bool:
-    """Whether theta lies on the path of one of the branches, or near its optimum."""
-    return any(_is_on(walk, branch, theta) for branch in branches)
-
-
-def _is_on(walk: Walk, branch: Branch, theta: Array) -> bool:
-    changes = [(x, x.evaluation.jacobian @ (theta - x.evaluation.theta)) for x in branch.points]
-    near, moved = min(changes, key=lambda x: float(x[1] @ x[1]))
-    along = near.evaluation.jacobian @ near.tangent
-    size = float(along @ along)
-    step = float(along @ moved) / size if size > 0 else 0.0
-    low, high = branch.limits
-    across = moved - step * along
-    is_near = float(across @ across) < JUMP * walk.threshold
-    return is_near and low <= near.value + step <= high
+def _is_known(walk: Walk, branches: Sequence[Branch], point: Point) -> bool:
+    """Whether a point lies on the path of one of the branches, or near its optimum."""
+    for branch in branches:
+        low, high = branch.limits
+        if not low <= point.value <= high:
+            continue
+        near = branch.nearest(point.value)
+        expected = walk.start(point.value, near, None)
+        moved = point.evaluation.jacobian @ (point.evaluation.theta - expected)
+        if float(moved @ moved) < JUMP * walk.threshold:
+            return True
+    return False

@@ -4,13 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.calibrate.constrained import (
-    MAX_STEPS,
-    TOLERANCE,
-    Constrained,
-    Foreseen,
-    solve_constrained,
-)
+from identknee.calibrate.constrained import MAX_STEPS, TOLERANCE, Constrained, solve_constrained
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.detours import fit_around, promised_reduction
@@ -114,7 +108,6 @@ class Walk:
         *,
         tolerance: float = TOLERANCE,
         most_steps: int = MAX_STEPS,
-        is_foreseen: Foreseen | None = None,
     ) -> Constrained:
         """The constrained fit at a value.
 
@@ -130,7 +123,6 @@ class Walk:
             target=value,
             tolerance=tolerance,
             most_steps=most_steps,
-            is_foreseen=is_foreseen,
         )
         self.note(solved.evaluation)
         return solved

@@ -11,14 +11,12 @@ from problems import (
     kinked,
     linear,
     plain_parameters,
-    rosenbrock,
     sloppy_springs,
 )
 
 from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
 # The deviance may be off by its tolerance of 1e-8; a difference over 1e-3 by 1e-5 of that.
@@ -139,24 +137,6 @@ def test_a_minimum_on_a_kink_takes_few_simulations() -> None:
     assert found.outcome is Outcome.MINIMUM
     assert found.evaluation.deviance == pytest.approx(2.0 * problem.lowest, abs=1e-4)
     assert found.n_simulations <= 8
-
-
-def test_a_search_ends_where_a_step_leads_to_what_is_foreseen() -> None:
-    """Not by the first step, of which nothing is known, but by the first that may be believed."""
-    problem = rosenbrock()
-    asked: list[Array] = []
-
-    def is_foreseen(theta: Array) -> bool:
-        asked.append(theta)
-        return True
-
-    whole = minimise(Evaluator(problem), problem.start)
-    found = minimise(Evaluator(problem), problem.start, is_foreseen=is_foreseen)
-    assert found.outcome is Outcome.VALLEY
-    assert 2 <= found.n_simulations < whole.n_simulations
-    (aim,) = asked
-    np.testing.assert_array_equal(found.aim, aim)
-    assert found.left > 0.0
 
 
 def test_where_nothing_changes_the_residuals_it_goes_by_typical_steps() -> None:
