@@ -42,12 +42,11 @@ WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
 # refitted again (10). A search for an equilibrium that ends within 5e-12 mm of where it ended leads
 # searches that hang on their last bits to another end (03, 09, 13), bootstraps of ranks to others
 # (07) and single digits across a rounding (11). Fits heed both sides of a kink and learn bent
-# valleys: ends of profiles move in their fifth digit (04, 05), advice built on them prefers another
+# valleys: ends of profiles move in their fifth digit (05), advice built on them prefers another
 # of two trials that are as good (08), and fits take fewer simulations (12, 14). Differences are
 # shown and fail nothing until the study is computed again. Nothing else belongs here.
 SUPERSEDED = {
     "03_basin_of_attraction",
-    "04_profiles",
     "05_posterior",
     "07_global_sensitivity",
     "08_protocol_design",
