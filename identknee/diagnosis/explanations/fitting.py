@@ -295,10 +295,7 @@ class BaseFit:
 
 
 def fitted_to_low_loads(
-    model: LaxityModel,
-    laxity: Laxity,
-    noise: NoiseModel,
-    start: Array,
+    model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array
 ) -> Array:
     """The fit to trials of low loads, shape ``(p,)``: a way past parameters where the knee jumps.
 
