@@ -1,13 +1,14 @@
 """Equilibria of a set of trials: the kernel's door for the rest of the package."""
 
-from functools import lru_cache
+import threading
+from functools import cache, lru_cache
 
 import numpy as np
 
 from identknee.mechanics.branch_threads import on_branches
 from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.load_paths import LoadPaths
+from identknee.mechanics.load_paths import LoadPaths, loaded_at_once
 from identknee.mechanics.machine_code import MachineCode, Packed
 from identknee.mechanics.memory import (
     NO_EQUILIBRIUM,
@@ -145,6 +146,31 @@ def solve(
 
     on_branches(paths.parent, solve_nodes)
     return found
+
+
+@cache
+def begin_compiling() -> None:
+    """Have the compiled code made or loaded while the caller does something that takes longer."""
+    threading.Thread(target=_solve_the_smallest, daemon=True).start()
+
+
+def _solve_the_smallest() -> None:
+    """Solve one trial of a joint that has one contact point and no ligament."""
+    contact = ContactPoints(
+        points=np.zeros((1, 3)), areas=np.ones(1), compartment=np.zeros(1, np.int64)
+    )
+    nowhere = np.zeros((4, 4, 4))
+    field = DistanceField(
+        coefficients=nowhere,
+        reach=nowhere.astype(np.uint16),
+        near=nowhere.astype(np.uint8),
+        origin=np.zeros(3),
+        spacing=1.0,
+    )
+    none = np.zeros((0, 3))
+    lines = Lines(femoral=none, tibial=none, reference_length=np.zeros(0))
+    ligaments = lines.arrays(np.zeros(0), np.zeros(0))
+    solve(loaded_at_once(np.zeros(1), np.zeros((1, 5))), np.zeros(5), contact, field, ligaments)
 
 
 @lru_cache(maxsize=8)

@@ -59,6 +59,7 @@ class MachineCode:
     def __init__(self, module: str, name: str) -> None:
         self._module, self._name = module, name
         self._loaded: dict[tuple[Kind, ...], Callable[[int], None]] = {}
+        self._loading = threading.Lock()
 
     def __call__(self, *arguments: Any) -> None:
         """Run it, once loaded for arguments of these kinds."""
@@ -66,7 +67,10 @@ class MachineCode:
         kinds = tuple([_put(x, table) for x in arguments])
         run = self._loaded.get(kinds)
         if run is None:
-            run = self._loaded[kinds] = _load(self._module, self._name, kinds)
+            with self._loading:
+                if kinds not in self._loaded:
+                    self._loaded[kinds] = _load(self._module, self._name, kinds)
+                run = self._loaded[kinds]
         numbers = np.array(table, np.int64)
         run(numbers.ctypes.data)
 
@@ -88,20 +92,18 @@ def _put(argument: Any, table: list[int]) -> Kind:
     return (type(argument),)
 
 
-_loading = threading.Lock()
 _engines: list[Any] = []  # They own the code.
 
 
 def _load(module: str, name: str, kinds: tuple[Kind, ...]) -> Callable[[int], None]:
     """The machine code for arguments of these kinds, made by another process unless it is kept."""
-    with _loading:
-        content = _made(module, name, kinds)
-        binding.initialize_native_target()
-        binding.initialize_native_asmprinter()
-        machine = binding.Target.from_default_triple().create_target_machine(jit=True)
-        engine = binding.create_mcjit_compiler(binding.parse_assembly(""), machine)
-        engine.add_object_file(binding.ObjectFileRef.from_data(content))
-        engine.finalize_object()
+    content = _made(module, name, kinds)
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    machine = binding.Target.from_default_triple().create_target_machine(jit=True)
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(""), machine)
+    engine.add_object_file(binding.ObjectFileRef.from_data(content))
+    engine.finalize_object()
     native = _SIGNATURE(engine.get_function_address(name))
     _engines.append(engine)
     unused = ctypes.create_string_buffer(8)
@@ -130,7 +132,8 @@ def _made(module: str, name: str, kinds: tuple[Kind, ...]) -> bytes:
 
 def _compiled_apart(request: bytes) -> bytes:
     """The object file made by another process, or by this one where there can be no other."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    # Parts are optimised together, once.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "NUMBA_OPT": "0"}
     try:
         made = subprocess.run(
             # Without the folder it is run in, which may hold another version of this package.

@@ -36,12 +36,25 @@ def object_file(request: bytes) -> bytes:
     (text,) = dispatcher.inspect_llvm().values()
     module = binding.parse_assembly(text)
     module.get_function(compilation.fndesc.llvm_func_name).name = name
+    return _machine_code(module, name)
+
+
+def _machine_code(module: Any, name: str) -> bytes:
+    """The object file of a module of which others call one function, optimised as a whole."""
+    for function in module.functions:
+        if function.name != name and not function.is_declaration:
+            # Nobody else calls it: its checks for errors that cannot happen may go with it.
+            function.linkage = "internal"
     target = binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(),
         features=binding.get_host_cpu_features().flatten(),
         opt=3,
         jit=True,
     )
+    tuning = binding.create_pipeline_tuning_options(speed_level=3)
+    tuning.loop_vectorization = True
+    passes = binding.create_pass_builder(target, tuning)
+    passes.getModulePassManager().run(module, passes)
     return bytes(target.emit_object(module))
 
 

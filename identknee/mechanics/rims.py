@@ -52,8 +52,9 @@ def rim_distance(vertices: Array, faces: IntArray) -> RimDistance:
     # Whole numbers sort ten times as fast as pairs of them.
     named, count = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
     once = named[count == 1]
-    rim = np.unique([once // len(vertices), once % len(vertices)])
-    return RimDistance(vertices=vertices, rim=vertices[rim.astype(int)])
+    is_on_rim = np.zeros(len(vertices), bool)
+    is_on_rim[once // len(vertices)] = is_on_rim[once % len(vertices)] = True
+    return RimDistance(vertices=vertices, rim=vertices[is_on_rim])
 
 
 def share_near_rims(centres: Array, femoral: RimDistance, tibial: tuple[RimDistance, ...]) -> Array:
