@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled_in_place
+from identknee.mechanics.compiled import compiled_in_place, compiled_into_callers
 from identknee.mechanics.memory import FIRST_ROUNDED, N_LISTED, N_LISTINGS, NEAR_CELLS
 from identknee.mechanics.spline_lanes import spline_at
 
@@ -27,6 +27,12 @@ def list_is_valid(R, t, radius, spacing, work):
     return math.sqrt(0.5 * turn) * radius + math.sqrt(move) < NEAR_CELLS * spacing
 
 
+@compiled_into_callers
+def bit(bits, k):
+    """Bit k of some."""
+    return np.uint64((bits >> k) & np.uint32(1))
+
+
 @compiled_in_place
 def list_candidates(R, t, contact, field, work):
     """Copy the points that may touch the femur at this pose or within a cell's width of it."""
@@ -47,12 +53,12 @@ def list_candidates(R, t, contact, field, work):
         iy = np.int32(min(max(y, 0.0), last_y))
         iz = np.int32(min(max(z, 0.0), last_z))
         cells[i] = (ix * ny + iy) * padded + iz
-    n = 0
+    n = np.uint64(0)
     # Without branches: whether a point is near cannot be predicted.
     for i in range(points.shape[1]):
         which[n] = i
-        n += (near[cells[i] >> 3] >> (cells[i] & 7)) & 1
-    for j in range(n):
+        n += bit(near[cells[i] >> np.uint32(3)], cells[i] & np.uint32(7))
+    for j in range(np.int64(n)):
         i = which[j]
         listed[0, j], listed[1, j], listed[2, j] = points[0, i], points[1, i], points[2, i]
         listed[3, j] = stiffness[i]
@@ -96,24 +102,26 @@ def expand_contact(R, t, rounding, field, work):
         x, y, z = moved[0, j], moved[1, j], moved[2, j]
         ix, iy, iz = np.int32(x), np.int32(y), np.int32(z)
         cells[j] = ix * stride_x + iy * stride_y + iz
-        x, y, z = 2.0 * (x - ix), 2.0 * (y - iy), 2.0 * (z - iz)
+        x, y, z = x - ix, y - iy, z - iz
+        moved[0, j], moved[1, j], moved[2, j] = x, y, z
+        x, y, z = 2.0 * x, 2.0 * y, 2.0 * z
         eighths[j] = first + 4 * np.int32(x) + 2 * np.int32(y) + np.int32(z)
-    n = np.int64(0)
+    n = np.uint64(0)
     # Without branches: whether a point may touch cannot be predicted.
     for j in range(n_listed):
         touching[n] = j
-        n += (reach[cells[j]] >> eighths[j]) & 1
-    return expand_spline(n, stride_x, stride_y, rounding + KEPT_GAP, field, work)
+        n += bit(reach[cells[j]], eighths[j])
+    return expand_spline(np.int64(n), stride_x, stride_y, rounding + KEPT_GAP, field, work)
 
 
 @compiled_in_place
 def expand_spline(n, stride_x, stride_y, gap, field, work):
     """Expand the distance of n listed points by the spline; keep those below `gap`, count them."""
-    expansion, moved, listed, weights = work.expansion, work.moved, work.listed, work.weights
+    expansion, moved, listed = work.expansion, work.moved, work.listed
     touching, which, cells = work.touching, work.which, work.cells
     inverse = 1.0 / field.spacing[0]
     square = inverse * inverse
-    kept = 0
+    kept = np.uint64(0)
     for i in range(n):
         j = touching[i]
         x, y, z = moved[0, j], moved[1, j], moved[2, j]
@@ -122,10 +130,9 @@ def expand_spline(n, stride_x, stride_y, gap, field, work):
             cells[j] - stride_x - stride_y - 1,
             stride_x,
             stride_y,
-            x - np.int32(x),
-            y - np.int32(y),
-            z - np.int32(z),
-            weights,
+            x,
+            y,
+            z,
         )
         for k in range(3):
             expansion[k, kept] = listed[k, j]
@@ -136,8 +143,8 @@ def expand_spline(n, stride_x, stride_y, gap, field, work):
         expansion[13, kept], expansion[14, kept] = square * hzz, square * hxy
         expansion[15, kept], expansion[16, kept] = square * hxz, square * hyz
         touching[kept] = which[j]
-        kept += d < gap
-    return kept
+        kept += np.uint64(d < gap)
+    return np.int64(kept)
 
 
 @compiled_in_place

@@ -6,7 +6,7 @@ leaves the machine code, and so the last bits of every sum, as it is.
 
 from typing import NamedTuple
 
-from identknee.runs.arrays import Array, BitArray, IntArray, ReachArray
+from identknee.runs.arrays import Array, BitArray, IndexArray, IntArray, ReachArray
 
 # How the search for an equilibrium ended.
 CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = range(4)
@@ -275,9 +275,7 @@ class EvaluationMemory(NamedTuple):
     which
         Contact point of each listed one, shape ``(n,)``.
     moved
-        Place of listed points in the grid, shape ``(3, n)``.
-    weights
-        Spline weights of one point along x and y, shape ``(24,)``.
+        Place of listed points in their cells, from 0 to 1, shape ``(3, n)``.
     line
         Length, gradient (3) and Hessian (6) of a line, shape ``(10,)``.
     """
@@ -286,8 +284,8 @@ class EvaluationMemory(NamedTuple):
     listed: Array
     counts: IntArray
     listed_pose: Array
-    cells: IntArray
-    eighths: IntArray
+    cells: IndexArray
+    eighths: IndexArray
     pose: Array
     expanded: Array
     rotation: Array
@@ -296,11 +294,10 @@ class EvaluationMemory(NamedTuple):
     field_translation: Array
     sums: Array
     axes: Array
-    touching: IntArray
+    touching: IndexArray
     pushed: Array
-    which: IntArray
+    which: IndexArray
     moved: Array
-    weights: Array
     line: Array
 
 

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 ReachArray = NDArray[np.uint16]
+# Unsigned: compiled code need not ask whether an index counts from the end.
+IndexArray = NDArray[np.uint32]
 BitArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 # A kilometre: squares and cubes of anything larger may overflow.

@@ -13,14 +13,14 @@ SHAPE = (9, 8, 7)
 
 
 @compiled
-def _at(coefficients, first, x, y, z, memory):  # type: ignore[no-untyped-def]
-    return spline_at(coefficients, first, 56, 7, x, y, z, memory)
+def _at(coefficients, first, x, y, z):  # type: ignore[no-untyped-def]
+    return spline_at(coefficients, first, 56, 7, x, y, z)
 
 
 def _found(coefficients: Array, place: Array) -> Array:
     cell = np.floor(place).astype(int)
     first = int((cell - 1) @ [56, 7, 1])
-    return np.array(_at(coefficients.reshape(-1), first, *(place - cell), np.zeros(24)))
+    return np.array(_at(coefficients.reshape(-1), first, *(place - cell)))
 
 
 def _value(coefficients: Array, place: Array) -> float:
