@@ -1,10 +1,15 @@
-"""Equilibria of many trials: what is left of the gradient, slopes, margins."""
+"""Equilibria of many trials: what is left of the gradient, slopes, margins, early compilation."""
+
+from threading import Event
+from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 from evaluation import SCALE, Evaluator, random_parameters
 from tolerances import CLOSED_FORM, DIFFERENCE, RESIDUAL_N
 
+from identknee.mechanics import equilibria
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.equilibria import (
     TRANSITION_STRAIN,
@@ -13,6 +18,7 @@ from identknee.mechanics.equilibria import (
     solve,
     stability_margins,
 )
+from identknee.mechanics.machine_code import Packed
 from identknee.mechanics.memory import CONVERGED, Equilibria, LigamentArrays
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -151,3 +157,26 @@ def test_guesses_change_nothing_but_the_way(reference_model: LaxityModel) -> Non
         warm = solve(*arguments, guesses=guesses)
         assert warm.poses * SCALE == pytest.approx(cold.poses * SCALE, abs=1e-9)
         assert (warm.codes == CONVERGED).all()
+
+
+class _Asked:
+    """What stands for the compiled code: the kinds of arguments it was last called with."""
+
+    def __init__(self) -> None:
+        self.kinds: Any = None
+        self.is_called = Event()
+
+    def __call__(self, *arguments: Any) -> None:
+        self.kinds = Packed(arguments).kind
+        self.is_called.set()
+
+
+def test_what_is_compiled_early_is_what_simulations_call(reference_model: LaxityModel) -> None:
+    begin = equilibria.begin_compiling.__wrapped__  # It begins once a process.
+    early, later = _Asked(), _Asked()
+    with mock.patch.object(equilibria, "simulate_path", early):
+        begin()
+        assert early.is_called.wait(timeout=60.0)
+    with mock.patch.object(equilibria, "simulate_path", later):
+        _solve(reference_model, reference_model.joint.lines.arrays(np.ones(4), np.zeros(4)))
+    assert early.kinds == later.kinds

@@ -8,10 +8,12 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 import pytest
 
+from identknee.mechanics import machine_code
 from identknee.mechanics.compiled import compiled_in_place
 from identknee.mechanics.machine_code import MachineCode, Packed
 from identknee.model.laxity_model import LaxityModel
@@ -91,13 +93,15 @@ def test_only_arrays_in_c_order_are_taken() -> None:
 
 
 def test_threads_may_come_first_together() -> None:
-    function = MachineCode("test_machine_code", "fill")
-    cases = [_arguments(seed) for seed in (1, 3, 5, 7)]
-    expected = [_expected(x)[0] for x in cases]
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(lambda x: function(*x), cases))
-    for case, result in zip(cases, expected, strict=True):
-        assert case[-1] == pytest.approx(result, rel=1e-12)
+    with mock.patch.object(machine_code, "_load", side_effect=machine_code._load) as load:
+        function = MachineCode("test_machine_code", "fill")
+        cases = [_arguments(seed) for seed in (1, 3, 5, 7)]
+        expected = [_expected(x)[0] for x in cases]
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(lambda x: function(*x), cases))
+        for case, result in zip(cases, expected, strict=True):
+            assert case[-1] == pytest.approx(result, rel=1e-12)
+    assert load.call_count == 1
 
 
 RUN = """
@@ -111,6 +115,7 @@ kept = len(list(compiled_folder().glob("add-*.o"))) if compiled_folder().is_dir(
 print(json.dumps([total[0], kept, "numba" in sys.modules]))
 """
 TOY = """
+from identknee.mechanics import machine_code
 from identknee.mechanics.compiled import compiled_in_place
 
 @compiled_in_place
