@@ -130,19 +130,23 @@ def solve(
         solves=np.zeros(n, np.int64),
     )
     nodes = NodeArrays(paths.flexion, paths.loads, paths.parent, np.array([paths.farthest]))
-    arguments = (
-        np.array(np.broadcast_to(start, (n, 5)), float, order="C"),
-        np.zeros((n, 5)) if guesses is None else np.array(guesses),
+    starts = np.array(np.broadcast_to(start, (n, 5)), float, order="C")
+    # Packed once for many branches.
+    before = Packed(nodes)
+    between = (
+        Packed(starts),
+        Packed(np.zeros((n, 5)) if guesses is None else np.array(guesses)),
         guesses is not None,
         _packed_contact(contact),
         _packed_field(field),
-        ligaments,
+        Packed(ligaments),
         derivatives,
     )
+    after = Packed(found)
 
     def solve_nodes(chosen: IntArray) -> None:
         work = kept_workspace(len(contact.points), found.sensitivities.shape[2])
-        simulate_path(nodes, chosen, *arguments, work, found)
+        simulate_path(before, chosen, *between, work, after)
 
     on_branches(paths.parent, solve_nodes)
     return found

@@ -291,9 +291,10 @@ class LaxityModel:
         u = self.tied.n
         is_finite = np.isfinite(theta)
         strain = self.tied.strain(np.where(is_finite, theta, 0.0)[u : 2 * u]) * PER_PCT
-        others = np.ones(theta.size - 2 * u, bool)
         is_taut = ~(self.tied.member.T @ (strain <= -1.0)).astype(bool)
-        allowed = is_finite & np.r_[theta[:u] >= 0.0, is_taut, others]
+        allowed = is_finite.copy()
+        allowed[:u] &= theta[:u] >= 0.0
+        allowed[u : 2 * u] &= is_taut
         if not allowed.all():
             worst = int(np.flatnonzero(~allowed)[0])
             raise ValueError(
