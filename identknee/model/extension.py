@@ -93,7 +93,8 @@ class Extension:
         # Where no equilibrium was found the Hessian may be singular.
         has_pose = found.codes[nodes] == CONVERGED
         columns[~has_pose] = np.nan
-        columns[has_pose] = np.linalg.solve(found.hessians[nodes][has_pose], columns[has_pose])
+        # Inverting matrices as small takes a third of the time that solving with them does.
+        columns[has_pose] = np.linalg.inv(found.hessians[nodes][has_pose]) @ columns[has_pose]
         return columns
 
     def observed_slopes(

@@ -1,7 +1,9 @@
 """How the gradient of the energy at fixed poses changes with the amplitudes of effects.
 
 Settings are smooth functions in closed form, and are differenced. Copies of a setting, each with
-one amplitude moved a little, go through the effects that act later together, as one setting.
+one amplitude moved a little, go through the effects that act later together, as one setting. What
+they do to the lines is a table of differences, and the gradient's slopes by all that is in the
+table are taken once for all amplitudes.
 """
 
 from collections.abc import Sequence
@@ -24,6 +26,8 @@ from identknee.model.setting import Setting, repeated, with_copies
 from identknee.runs.arrays import Array, IntArray
 
 Placed = tuple[MechanicalEffect, slice]
+# Differences as small, relative to what differs, are rounding.
+SMALLEST_DIFFERENCE = 1e-11
 
 
 def gradient_columns(
@@ -52,19 +56,24 @@ def gradient_columns(
     flexion, poses = settings[-1].flexion[nodes], found.poses[nodes]
     columns = np.zeros((len(nodes), 5, len(values)))
     copies = _Copies(len(values))
+    table = _table(settings[-1])
+    moves = np.zeros((len(values), *table.shape))
     for (effect, part), before, after in zip(effects, settings, settings[1:], strict=False):
         if is_self_contained(effect):
             framed = replace(before, frames=settings[-1].frames)
             columns[:, :, part] = effect.gradient_columns(framed, values[part], flexion, poses)
             continue
-        copies.change(effect, values[part])
+        copies.change(effect, values[part], after)
         each = low_and_high(values[part], steps[part])
         if moves_frames(effect):
-            moved = _by_frames(*effect.placements(each), settings[-1], found, nodes)
-            columns[:, :, part] = moved / (2.0 * steps[part])
+            turns, shifts = effect.placements(each)
+            moves[part] = _moves_of_frames(turns, shifts, settings[-1])
+            surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
+            columns[:, :, part] = surfaces @ motions(turns, shifts).T / (2.0 * steps[part])
         else:
             copies.add(effect, before, after, each, first=part.start)
-    changes = copies.by_lines(flexion, poses) + copies.by_nodes(found, nodes)
+    moves += copies.moves(len(table))
+    changes = _by_lines(table, moves, flexion, poses) + copies.by_nodes(found, nodes)
     return np.asarray(columns + changes / (2.0 * steps))
 
 
@@ -89,9 +98,13 @@ class _Copies:
         self._of_nodes: list[int] = []
         self._laws = np.zeros((2, n_values))
 
-    def change(self, effect: MechanicalEffect, values: Array) -> None:
-        """Change all copies alike."""
-        if self._all is not None:
+    def change(self, effect: MechanicalEffect, values: Array, after: Setting) -> None:
+        """Change all copies alike, by an effect that made the setting `after`."""
+        if self._all is None:
+            return
+        if moves_frames(effect):
+            self._all = replace(self._all, frames=after.frames)
+        else:
             self._all = effect.change(self._all, values)
 
     def add(
@@ -152,59 +165,54 @@ class _Copies:
         changes[:, :, moved] += np.moveaxis(loads[::2] - loads[1::2] + by_flexion, 0, 2)
         return changes
 
-    def by_lines(self, flexion: Array, poses: Array) -> Array:
-        """What the lines change in it, those alone that are moved, shape ``(n, 5, a)``."""
-        none = np.zeros((len(poses), 5, self._n_values))
+    def moves(self, n_lines: int) -> Array:
+        """Differences of the table of lines, each amplitude's second copy less its first."""
+        moves = np.zeros((self._n_values, n_lines, 12))
         if self._all is None:
-            return none
+            return moves
         order = np.argsort(self._all.copy, kind="stable")
         order = order[np.searchsorted(self._all.copy[order], 0) :]
         copy, table = self._all.copy[order], _table(self._all)[order]
-        low, high = table[copy % 2 == 0], table[copy % 2 == 1]
-        changed = np.any(low != high, axis=1)
-        if not changed.any():
-            return none
-        amplitude = copy[copy % 2 == 0][changed] // 2
-        of = (amplitude[:, None] == np.arange(self._n_values)).astype(float)
-        changes: Array = _line_changes(low[changed], high[changed], flexion, poses) @ of
-        return changes
+        low, high = copy % 2 == 0, copy % 2 == 1
+        # The lines of a copy are the first of all, those an effect added later being in none.
+        line = np.arange(len(order)) - np.searchsorted(copy, copy)
+        moves[copy[low] // 2, line[low]] = table[high] - table[low]
+        return moves
 
 
-def _by_frames(
-    turns: Array, shifts: Array, setting: Setting, found: Equilibria, nodes: IntArray
-) -> Array:
-    """What moves of the measured frames change in the gradient, shape ``(n, 5, k)``.
-
-    From the first frames of each of k pairs to the second, in turn, as `placements` gives them.
-    """
-    flexion, poses = setting.flexion[nodes], found.poses[nodes]
-    surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
+def _moves_of_frames(turns: Array, shifts: Array, setting: Setting) -> Array:
+    """Differences of the table of lines between frames in turn, as `placements` gives them."""
     unmoved = _table(replace(setting, frames=None))
-    table = np.tile(unmoved, (len(turns), 1, 1))
+    moves = np.zeros((len(turns) // 2, *unmoved.shape))
     for bone in range(2):
         place = slice(3 * bone, 3 * bone + 3)
-        table[:, :, place] = to_measured(unmoved[:, place], turns[:, bone], shifts[:, bone])
-    low, high = (x.reshape(-1, unmoved.shape[1]) for x in (table[::2], table[1::2]))
-    lines = _line_changes(low, high, flexion, poses)
-    changes = lines.reshape(len(nodes), 5, -1, len(unmoved)).sum(axis=3)
-    return np.asarray(changes + surfaces @ motions(turns, shifts).T)
+        moved = to_measured(unmoved[:, place], turns[:, bone], shifts[:, bone])
+        moves[:, :, place] = moved[1::2] - moved[::2]
+    return moves
 
 
-def _line_changes(low: Array, high: Array, flexion: Array, poses: Array) -> Array:
-    """Changes of the gradient between lines of two tables (k, 12), ``(n, 5, k)``."""
-    table = np.concatenate([low, high])
+def _by_lines(table: Array, moves: Array, flexion: Array, poses: Array) -> Array:
+    """What small `moves` (a, m, 12) of a table of lines change in the gradient, ``(n, 5, a)``."""
+    steps = np.abs(moves).max(axis=0, initial=0.0)
+    line, entry = np.nonzero(steps > SMALLEST_DIFFERENCE * (1.0 + np.abs(table)))
+    low, high = table[line], table[line]
+    step, place = steps[line, entry], (np.arange(len(line)), entry)
+    low[place] -= step
+    high[place] += step
+    both = np.concatenate([low, high])
     lines = Lines(
-        femoral=table[:, :3],
-        tibial=table[:, 3:6],
-        reference_length=table[:, 6],
-        transition=table[:, 7],
-        wrap_offset=table[:, 8],
-        wrap_place=table[:, 9],
+        femoral=both[:, :3],
+        tibial=both[:, 3:6],
+        reference_length=both[:, 6],
+        transition=both[:, 7],
+        wrap_offset=both[:, 8],
+        wrap_place=both[:, 9],
     )
     less, more = np.split(
-        line_gradients(lines, flexion, poses, table[:, 10], table[:, 11]), 2, axis=1
+        line_gradients(lines, flexion, poses, both[:, 10], both[:, 11]), 2, axis=1
     )
-    return np.asarray(np.swapaxes(more - less, 1, 2))
+    share = moves[:, line, entry] / (2.0 * step)
+    return np.asarray(np.swapaxes(share @ (more - less), 1, 2))
 
 
 def _table(setting: Setting) -> Array:

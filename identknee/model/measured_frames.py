@@ -106,9 +106,15 @@ def motions(turns: Array, shifts: Array) -> Array:
     into_first, into_second = back[::2, 0], back[1::2, 1]
     moved = shifts[1::2] - shifts[::2]
     turned = np.stack([into_first @ turns[1::2, 0], into_second @ turns[::2, 1]])
-    from scipy.spatial.transform import Rotation
-
-    femur, tibia = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(2, -1, 3)
+    # Turned so little, a rotation is its antisymmetric part.
+    femur, tibia = 0.5 * np.stack(
+        [
+            turned[..., 2, 1] - turned[..., 1, 2],
+            turned[..., 0, 2] - turned[..., 2, 0],
+            turned[..., 1, 0] - turned[..., 0, 1],
+        ],
+        axis=-1,
+    )
     femoral = (into_first @ moved[:, 0, :, None])[..., 0]
     tibial = -(into_second @ moved[:, 1, :, None])[..., 0]
     return np.hstack([femur, femoral, tibia, tibial])

@@ -127,5 +127,20 @@ def with_copies(
 
 def repeated(setting: Setting, n: int) -> Setting:
     """The setting `n` times in one, as copies 0, 1 and so on."""
-    many = with_copies(setting, (n - 1) * [setting], lines=True, nodes=True)
-    return replace(many, copy=np.repeat(np.arange(n), setting.stiffness.size))
+
+    def again(values: Array | IntArray) -> Any:
+        return np.concatenate(n * [values])
+
+    lines = {field.name: again(getattr(setting.lines, field.name)) for field in fields(Lines)}
+    return replace(
+        setting,
+        flexion=again(setting.flexion),
+        loads=again(setting.loads),
+        measured=None if setting.measured is None else again(setting.measured),
+        lines=Lines(**lines),
+        stiffness=again(setting.stiffness),
+        reference_strain=again(setting.reference_strain),
+        owner=again(setting.owner),
+        share=again(setting.share),
+        copy=np.repeat(np.arange(n), setting.stiffness.size),
+    )

@@ -480,9 +480,16 @@ NUISANCES = (
     ),
     _fault(
         "mechanics/contact_motion.py",
-        "about @ (np.swapaxes(moment, 1, 2) - trace * np.eye(3))",
-        "about @ (moment - trace * np.eye(3))",
+        "[swinging + np.swapaxes(moment, 1, 2) - trace, swapped",
+        "[swinging + moment - trace, swapped",
         "slopes by the tibia's measured frame take its turns for the femur's",
+        _NUISANCES,
+    ),
+    _fault(
+        "model/gradient_change.py",
+        "share = moves[:, line, entry]",
+        "share = np.abs(moves[:, line, entry])",
+        "a line that gets shorter changes the gradient as one that gets longer",
         _NUISANCES,
     ),
     _fault(
