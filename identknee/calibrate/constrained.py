@@ -1,5 +1,7 @@
 """The best fit among the parameter sets that give a quantity a wanted value."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from identknee.calibrate.bounded_step import Step, attainable, bounded_step
@@ -26,6 +28,8 @@ GAP = 0.2
 SHORTEST = 1e-7
 # The price of a missed target, in multiples of what hitting it costs.
 PENALTY = 2.0
+
+IsEnough = Callable[[Evaluation], bool]
 
 
 @declared
@@ -76,6 +80,7 @@ def solve_constrained(
     target: float,
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
+    is_enough: IsEnough | None = None,
 ) -> Constrained:
     """The parameter set of least deviance within the bounds at which the quantity is `target`.
 
@@ -96,8 +101,11 @@ def solve_constrained(
         in conditional standard deviations.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
+    is_enough
+        Asked of each simulation with a prediction; where it says yes, the search ends there as a
+        `VALLEY`. It goes all the way if None.
     """
-    search = _Search(evaluator, quantity, target, tolerance)
+    search = _Search(evaluator, quantity, target, tolerance, is_enough)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
@@ -107,6 +115,7 @@ def minimise(
     *,
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
+    is_enough: IsEnough | None = None,
 ) -> Constrained:
     """The parameter set of least deviance within the bounds, reached downhill from `start`.
 
@@ -120,8 +129,11 @@ def minimise(
         Tolerance on the deviance: what one more step may still promise.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
+    is_enough
+        Asked of each simulation with a prediction; where it says yes, the search ends there as a
+        `VALLEY`. It goes all the way if None.
     """
-    search = _Search(evaluator, None, np.nan, tolerance)
+    search = _Search(evaluator, None, np.nan, tolerance, is_enough)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
@@ -158,12 +170,18 @@ class _Search:
     """One search: its settings, its trust region and the price of missing the target."""
 
     def __init__(
-        self, evaluator: Evaluator, quantity: Quantity | None, target: float, tolerance: float
+        self,
+        evaluator: Evaluator,
+        quantity: Quantity | None,
+        target: float,
+        tolerance: float,
+        is_enough: IsEnough | None,
     ) -> None:
         self._evaluator = evaluator
         self._quantity = quantity
         self._target = target
         self._tolerance = tolerance
+        self._is_enough = is_enough or (lambda _: False)
         parameters = evaluator.parameters
         self._lower, self._upper = parameters.lower, parameters.upper
         self._radius = np.inf
@@ -182,6 +200,8 @@ class _Search:
         if not point.is_finite:
             return self._result(point, None, Outcome.START_FAILED, before)
         for _ in range(most_steps):
+            if self._is_enough(point.evaluation):
+                return self._result(point, None, Outcome.VALLEY, before)
             plan = self._plan(point)
             if self._is_done(plan, point):
                 met_cliff = plan.is_boxed and self._met_cliff

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.constrained import Constrained, minimise
-from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.constrained import minimise
+from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.quantity import Quantity
 from identknee.identify.detours import fit_around
@@ -30,9 +30,22 @@ MOST_RESTARTS = 5
 OPTIMUM_TOLERANCE = 1e-6
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Settled:
+    """An optimum polished as profiles want it, from `settled`.
+
+    Attributes
+    ----------
+    theta
+        Where it is, shape ``(n,)``.
+    """
+
+    theta: Array
+
+
 def profile(
     problem: Problem,
-    optimum_theta: ArrayLike,
+    optimum_theta: ArrayLike | Settled,
     quantity: Quantity,
     *,
     level: float = LEVEL,
@@ -55,7 +68,7 @@ def profile(
     problem
         Residuals in units of their noise.
     optimum_theta
-        The best fit known, shape ``(n,)``.
+        The best fit known, shape ``(n,)``. What `settled` makes of it is not polished again.
     quantity
         What to profile: a parameter or any function of theta.
     level
@@ -89,8 +102,29 @@ def profile(
         threshold=threshold,
         starts=np.reshape(np.asarray(starts, dtype=np.float64), (-1, problem.parameters.n)),
     )
+    if isinstance(optimum_theta, Settled):
+        return run.profile(run.evaluator(optimum_theta.theta))
     theta = np.asarray(optimum_theta, dtype=np.float64)
-    return run.profile(theta)
+    return run.profile(_settled(run.evaluator, theta, threshold))
+
+
+def settled(
+    problem: Problem, optimum_theta: ArrayLike, *, threshold: float, budget: int = BUDGET
+) -> Settled:
+    """The optimum polished, as profiles begin from it: once for several of them.
+
+    Parameters
+    ----------
+    problem, optimum_theta, threshold, budget
+        As for `profile`.
+
+    Raises
+    ------
+    ValueError
+        If the model has no prediction at the optimum.
+    """
+    theta = np.asarray(optimum_theta, dtype=np.float64)
+    return Settled(theta=_settled(Evaluator(problem, budget=budget), theta, threshold).theta)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,51 +137,49 @@ class _Run:
     threshold: float
     starts: Array
 
-    def profile(self, theta: Array) -> Profile:
-        better: Array | None = None
+    def profile(self, optimum: Evaluation) -> Profile:
         for n_restarts in range(MOST_RESTARTS + 1):
-            optimum = self._optimum(theta)
-            walk = Walk(self.evaluator, self.quantity, self.threshold, optimum.evaluation)
+            walk = Walk(self.evaluator, self.quantity, self.threshold, optimum)
             is_last = n_restarts == MOST_RESTARTS
             walk.is_final = is_last
             try:
-                branches = self._branches(walk, optimum)
+                branches = self._branches(walk, optimum.theta)
             except BetterFound as found:
-                theta = better = found.theta
+                optimum = _settled(self.evaluator, found.theta, self.threshold)
                 continue
             return assembled(
                 walk,
                 branches,
                 level=self.level,
-                better_optimum=None if better is None else optimum.evaluation.theta,
+                better_optimum=optimum.theta if n_restarts else None,
                 n_restarts=n_restarts,
             )
         raise AssertionError  # pragma: no cover - the last round meets nothing better
 
-    def _optimum(self, theta: Array) -> Constrained:
-        optimum = minimise(self.evaluator, theta, tolerance=OPTIMUM_TOLERANCE)
-        if optimum.outcome is Outcome.START_FAILED:
-            raise ValueError(
-                "the model has no prediction at the optimum given; fit it first, or profile from "
-                "another parameter set"
-            )
-        if optimum.outcome is Outcome.CLIFF:
-            around = fit_around(
-                self.evaluator,
-                optimum.evaluation,
-                quantity=None,
-                target=np.nan,
-                rise=self.threshold,
-                tolerance=OPTIMUM_TOLERANCE,
-            )
-            if around is not None and around.evaluation.deviance < optimum.evaluation.deviance:
-                return around
-        return optimum
-
-    def _branches(self, walk: Walk, optimum: Constrained) -> list[Branch]:
-        theta = optimum.evaluation.theta
+    def _branches(self, walk: Walk, theta: Array) -> list[Branch]:
         value, gradient = self.quantity.evaluate(theta)
         origin = walk.point(walk.solve(value, theta, tolerance=np.inf))
         if not gradient.any():
             return branches_of_a_constant(walk, origin)
         return find_branches(walk, walk_branch(walk, origin), self.starts)
+
+
+def _settled(evaluator: Evaluator, theta: Array, threshold: float) -> Evaluation:
+    optimum = minimise(evaluator, theta, tolerance=OPTIMUM_TOLERANCE)
+    if optimum.outcome is Outcome.START_FAILED:
+        raise ValueError(
+            "the model has no prediction at the optimum given; fit it first, or profile from "
+            "another parameter set"
+        )
+    if optimum.outcome is Outcome.CLIFF:
+        around = fit_around(
+            evaluator,
+            optimum.evaluation,
+            quantity=None,
+            target=np.nan,
+            rise=threshold,
+            tolerance=OPTIMUM_TOLERANCE,
+        )
+        if around is not None and around.evaluation.deviance < optimum.evaluation.deviance:
+            return around.evaluation
+    return optimum.evaluation

@@ -12,7 +12,7 @@ from identknee.calibrate.fit import fit_many
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.profile.march import JUMP
-from identknee.identify.profile.profile import LEVEL, profile
+from identknee.identify.profile.profile import BUDGET, LEVEL, Settled, profile, settled
 from identknee.identify.profile.result import Profile
 from identknee.identify.profile.thresholds import chi2_threshold
 from identknee.identify.sweep.starts_design import sobol_starts
@@ -107,7 +107,8 @@ def profile_quantities(
         Where finished profiles are kept; from `identknee.runs.resume.open_work`.
     settings
         Those of `profile`: ``level, budget, starts``, and ``thresholds``: one for all, or one each.
-        The simulations of the search for other optima are no profile's, and not among theirs.
+        The simulations that polish the optimum and look for other optima are no profile's, and
+        not among theirs.
 
     Raises
     ------
@@ -127,6 +128,15 @@ def profile_quantities(
     asked = list(zip(quantities, each, strict=True))
     found: tuple[Profile, ...] = ()
     for round_ in range(MOST_ROUNDS):
+        (polished,) = resumable_map(
+            partial(_settled, problem, theta, max(each)),
+            [settings.get("budget", BUDGET)],
+            executor=serial,
+            store=store,
+            name=f"optimum round {round_}",
+            description="polishing",
+        )
+        theta = np.array(polished)
         kept = resumable_map(
             partial(_profiled, problem, theta, asked, {**settings, "starts": starts}),
             range(len(asked)),
@@ -186,6 +196,11 @@ def other_optima(
     return np.reshape([x.theta for x in found[1:]], (-1, parameters.n))
 
 
+def _settled(problem: Problem, theta: Array, threshold: float, budget: int) -> list[float]:
+    optimum = settled(problem, theta, threshold=threshold, budget=budget)
+    return [float(x) for x in optimum.theta]
+
+
 def _profiled(
     problem: Problem,
     theta: Array,
@@ -194,7 +209,8 @@ def _profiled(
     which: int,
 ) -> dict[str, Any]:
     quantity, threshold = asked[which]
-    return to_plain(profile(problem, theta, quantity, threshold=threshold, **settings))
+    optimum = Settled(theta=theta)
+    return to_plain(profile(problem, optimum, quantity, threshold=threshold, **settings))
 
 
 def _better_of_all(found: Sequence[Profile]) -> Array | None:

@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from identknee.calibrate.constrained import minimise
+from identknee.calibrate.constrained import IsEnough, minimise
+from identknee.calibrate.evaluation import Evaluation
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.calibrate.scales import typical_steps
 from identknee.calibrate.tolerances import EIGENVALUE_TOLERANCE
@@ -19,7 +21,8 @@ MOST_BRANCHES = 12
 GLANCE_STEPS = 8
 # One that comes back from where the path was lost may take more.
 RETURN_STEPS = 24
-# Of the threshold: what a glance may leave, and how near a fit must have come to be followed.
+# Of the threshold: what a glance may leave or the derivatives at its simulation be off, and how
+# near a fit must have come to be followed.
 GLANCE_TOLERANCE = 2e-2
 NEAR = 10.0
 # In widths of the set: how far out to look where there is no bound.
@@ -212,18 +215,33 @@ def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
     parameters = walk.evaluator.parameters
     opposite = np.clip(2.0 * last.evaluation.theta - expected, parameters.lower, parameters.upper)
     for start in (expected, opposite):
-        back = _glance(walk, end, start, most_steps=RETURN_STEPS)
+        back = _glance(
+            walk,
+            end,
+            start,
+            most_steps=RETURN_STEPS,
+            is_enough=partial(_joins, walk, [last]),
+        )
         if back is not None and walk.delta(back) < (1.0 - GLANCE_TOLERANCE) * walk.threshold:
             return walk_branch(walk, back)
     return None
 
 
 def _glance(
-    walk: Walk, value: float, start: Array, *, most_steps: int = GLANCE_STEPS
+    walk: Walk,
+    value: float,
+    start: Array,
+    *,
+    most_steps: int = GLANCE_STEPS,
+    is_enough: IsEnough | None = None,
 ) -> Point | None:
-    """A rough fit at a value, None where there is none."""
+    """A rough fit at a value, None where there is none or it saw enough on its way."""
     solved = walk.solve(
-        value, start, tolerance=GLANCE_TOLERANCE * walk.threshold, most_steps=most_steps
+        value,
+        start,
+        tolerance=GLANCE_TOLERANCE * walk.threshold,
+        most_steps=most_steps,
+        is_enough=is_enough,
     )
     is_there = solved.evaluation.is_finite and solved.is_on_target
     return walk.point(solved) if is_there else None
@@ -231,13 +249,16 @@ def _glance(
 
 def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch | None:
     """The branch of the optimum that `start` leads to, if that is likely and not known."""
+    is_known = partial(_joins, walk, [x.origin for x in branches])
     glance = minimise(
         walk.evaluator,
         start,
         tolerance=GLANCE_TOLERANCE * walk.threshold,
         most_steps=GLANCE_STEPS,
+        is_enough=is_known,
     )
-    if glance.evaluation.deviance - walk.lowest > NEAR * walk.threshold:
+    is_far = glance.evaluation.deviance - walk.lowest > NEAR * walk.threshold
+    if is_far or is_known(glance.evaluation):
         return None
     point = _point(walk, glance.evaluation.theta)
     if point is None or _is_known(walk, branches, point):
@@ -248,6 +269,22 @@ def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch
     if point is None or walk.delta(point) >= walk.threshold or _is_known(walk, branches, point):
         return None
     return walk_branch(walk, point)
+
+
+def _joins(walk: Walk, ends: Sequence[Point], at: Evaluation) -> bool:
+    """Whether a fit that comes to `at` would go on to one of the fits known.
+
+    It would where the residuals change between both as the derivatives at either say: the next step
+    leads there.
+    """
+    for end in ends:
+        known = end.evaluation
+        way = known.theta - at.theta
+        change = known.residuals - at.residuals
+        missed = (change - at.jacobian @ way, change - known.jacobian @ way)
+        if max(float(x @ x) for x in missed) < GLANCE_TOLERANCE * walk.threshold:
+            return True
+    return False
 
 
 def _point(walk: Walk, theta: Array) -> Point | None:

@@ -4,7 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.calibrate.constrained import MAX_STEPS, TOLERANCE, Constrained, solve_constrained
+from identknee.calibrate.constrained import (
+    MAX_STEPS,
+    TOLERANCE,
+    Constrained,
+    IsEnough,
+    solve_constrained,
+)
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.detours import fit_around, promised_reduction
@@ -108,6 +114,7 @@ class Walk:
         *,
         tolerance: float = TOLERANCE,
         most_steps: int = MAX_STEPS,
+        is_enough: IsEnough | None = None,
     ) -> Constrained:
         """The constrained fit at a value.
 
@@ -123,6 +130,7 @@ class Walk:
             target=value,
             tolerance=tolerance,
             most_steps=most_steps,
+            is_enough=is_enough,
         )
         self.note(solved.evaluation)
         return solved

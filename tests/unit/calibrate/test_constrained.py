@@ -11,11 +11,12 @@ from problems import (
     kinked,
     linear,
     plain_parameters,
+    rosenbrock,
     sloppy_springs,
 )
 
 from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
-from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.outcome import Outcome
 
@@ -137,6 +138,21 @@ def test_a_minimum_on_a_kink_takes_few_simulations() -> None:
     assert found.outcome is Outcome.MINIMUM
     assert found.evaluation.deviance == pytest.approx(2.0 * problem.lowest, abs=1e-4)
     assert found.n_simulations <= 8
+
+
+def test_a_search_ends_at_the_first_simulation_that_is_enough() -> None:
+    problem = rosenbrock()
+    asked: list[float] = []
+
+    def is_enough(at: Evaluation) -> bool:
+        asked.append(at.deviance)
+        return len(asked) == 3
+
+    whole = minimise(Evaluator(problem), problem.start)
+    found = minimise(Evaluator(problem), problem.start, is_enough=is_enough)
+    assert found.outcome is Outcome.VALLEY
+    assert found.n_simulations < whole.n_simulations
+    assert found.evaluation.deviance == asked[-1] > whole.evaluation.deviance
 
 
 def test_where_nothing_changes_the_residuals_it_goes_by_typical_steps() -> None:

@@ -353,6 +353,16 @@ def test_impossible_settings_are_refused(settings: dict[str, float], sentence: s
         profile(problem, problem.minimum, _first(problem), **settings)  # type: ignore[arg-type]
 
 
+def test_a_look_that_joins_the_optimum_ends_with_its_first_simulation() -> None:
+    """Where residuals are linear, the derivatives say from anywhere where a fit ends."""
+    problem = linear()
+    starts = problem.minimum + np.array([[3.0, 1.0, -2.0], [-1.0, 4.0, 2.0]])
+    alone = profile(problem, problem.minimum, _first(problem))
+    found = profile(problem, problem.minimum, _first(problem), starts=starts)
+    assert found.n_simulations == alone.n_simulations + len(starts)
+    assert found.intervals == alone.intervals
+
+
 def test_an_optimum_without_a_prediction_is_refused() -> None:
     nowhere = Cliff(problem=linear(), beyond=lambda _: 1.0)
     with pytest.raises(ValueError, match="no prediction at the optimum"):

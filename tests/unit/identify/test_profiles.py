@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from problems import ClosedForm, Linear, linear, plain_parameters
+from problems import Cliff, ClosedForm, Linear, linear, plain_parameters, rosenbrock
 
 from identknee.calibrate.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
-from identknee.identify.profile.profile import profile
+from identknee.identify.profile.profile import profile, settled
 from identknee.identify.profile.profiles import (
     other_optima,
     profile_parameters,
@@ -82,6 +82,26 @@ def test_a_better_fit_met_by_one_is_the_optimum_of_all() -> None:
     found = profile_parameters(wells, np.array([-1.87, 0.0]))
     for one in found:
         np.testing.assert_allclose(one.optimum, [2.0, 0.0], atol=1e-4)
+
+
+def test_the_optimum_is_polished_once_for_all() -> None:
+    """Each goes on from there, as one alone does that is given the polished optimum."""
+    bent = rosenbrock()
+    found = profile_parameters(bent, bent.start, starts=())
+    optimum = settled(bent, bent.start, threshold=found[0].threshold)
+    np.testing.assert_allclose(optimum.theta, bent.minimum, atol=1e-3)
+    for one in found:
+        quantity = ParameterQuantity(parameters=bent.parameters, name=one.name)
+        assert _same(profile(bent, optimum, quantity), one)
+        alone = profile(bent, bent.start, quantity)
+        assert alone.n_simulations > one.n_simulations + 5
+        assert alone.intervals == one.intervals
+
+
+def test_an_optimum_without_a_prediction_is_refused() -> None:
+    nowhere = Cliff(problem=linear(), beyond=lambda _: 1.0)
+    with pytest.raises(ValueError, match="no prediction at the optimum"):
+        profile_parameters(nowhere, np.zeros(3), starts=())
 
 
 def test_other_optima_are_found_once_each_and_count_unless_declined() -> None:
