@@ -111,4 +111,4 @@ def work_in(subject: LaxityModel) -> tuple[int, int, int]:
         subject.predict(subject.parameters.center)
     *_, work, found = seen[-1]
     counts = work.arrays.evaluation.counts
-    return int(found.solves.sum()), int(counts[N_EVALUATIONS]), int(counts[N_LISTINGS])
+    return int(found.arrays.solves.sum()), int(counts[N_EVALUATIONS]), int(counts[N_LISTINGS])

@@ -17,6 +17,8 @@ def run_fresh(code: str, cache: Path | None = None) -> tuple[dict[str, Any], flo
     Without `cache` the process uses the cache this one uses.
     """
     environment = dict(os.environ)
+    # Nobody compiles the sources at every start.
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     paths = [str(ROOT), str(ROOT / "tests"), environment.get("PYTHONPATH", "")]
     environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
     if cache is not None:
