@@ -46,7 +46,7 @@ def _lines(result: Result, name: str) -> str:
 
 
 def test_all_is_sound_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    _installed(monkeypatch, "numpy>=1.26", "numba>=0.60")
+    _installed(monkeypatch, "numpy>=1.26", "numba>=0.61")
     result = run("doctor")
     assert result.exit_code == 0, result.output
     assert "FAIL" not in result.stdout
