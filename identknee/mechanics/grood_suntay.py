@@ -37,17 +37,14 @@ def coordinates_from_pose(pose: Array) -> Array:
     >>> coordinates_from_pose(np.array([0.0, 0.0, 1.0, -2.0, 3.0])).tolist()
     [3.0, 1.0, 2.0, 0.0, 0.0]
     """
-    varus, internal, x, y, z = np.moveaxis(np.asarray(pose, float), -1, 0)
-    return np.stack(
-        [
-            z - y * np.tan(varus),
-            x,
-            -y / np.cos(varus),
-            np.degrees(varus),
-            np.degrees(internal),
-        ],
-        axis=-1,
-    )
+    pose = np.asarray(pose, float)
+    varus, y = pose[..., 0], pose[..., 3]
+    coordinates = np.empty_like(pose)
+    coordinates[..., 0] = pose[..., 4] - y * np.tan(varus)
+    coordinates[..., 1] = pose[..., 2]
+    coordinates[..., 2] = -y / np.cos(varus)
+    coordinates[..., 3:] = np.degrees(pose[..., :2])
+    return coordinates
 
 
 def pose_from_coordinates(coordinates: Array) -> Array:
@@ -92,7 +89,7 @@ def coordinate_jacobian(pose: Array) -> Array:
     pose
         Varus, internal [rad], x, y, z [mm], shape ``(..., 5)``.
     """
-    varus, _, _, y, _ = np.moveaxis(np.asarray(pose, float), -1, 0)
+    varus, y = pose[..., 0], pose[..., 3]
     secant, tangent = 1.0 / np.cos(varus), np.tan(varus)
     jacobian = np.zeros((*varus.shape, 5, 5))
     jacobian[..., 0, 0] = -y * secant**2

@@ -343,13 +343,11 @@ class LaxityModel:
         # A ligament moves every line that takes a share of it.
         owned = setting.owned(len(self.knee.ligaments))
         shares = (owned * setting.share[:, None]) @ self.tied.by_stiffness
-        by_ligament = np.concatenate(
-            [
-                PER_KN * by_line[:, :, :n_lines] @ shares,
-                PER_PCT * by_line[:, :, n_lines : 2 * n_lines] @ (owned @ self.tied.member),
-            ],
-            axis=2,
-        )
+        u = self.tied.n
+        units = np.zeros((2 * n_lines, 2 * u))
+        units[:n_lines, :u] = PER_KN * shares
+        units[n_lines:, u:] = PER_PCT * (owned @ self.tied.member)
+        by_ligament = by_line[:, :, : 2 * n_lines] @ units
         if not self.effects:
             return by_ligament
         by_amplitude = self.extension.pose_columns(settings, self.amplitudes(theta), found, nodes)
@@ -357,10 +355,13 @@ class LaxityModel:
 
     def _jacobian(self, theta: Array, actual: Array, poses: Array, pose_jacobian: Array) -> Array:
         """D measured coordinates / d theta in their units, shape ``(n, 5, p)``."""
+        jacobian: Array = coordinate_jacobian(poses) @ pose_jacobian
+        if not self.effects:
+            return jacobian
         by_coordinate, by_amplitude = self.extension.observed_slopes(
             actual, self.amplitudes(theta), self.tests
         )
-        jacobian: Array = by_coordinate @ coordinate_jacobian(poses) @ pose_jacobian
+        jacobian = by_coordinate @ jacobian
         jacobian[:, :, self.n_ligament_parameters :] += by_amplitude
         return jacobian
 
