@@ -90,45 +90,45 @@ def sum_contact(n, R, t, law, work):
 
 
 @compiled_in_place
-def push_apart(contact, work):
-    """Write what every expanded point feels at the pose evaluated last into `work.pushed`."""
-    R, t, pushed = work.rotation, work.translation, work.pushed
+def write_pushes(contact, work):
+    """Write how every expanded point is pushed at the pose evaluated last into `work.pushes`."""
+    R, t, pushes = work.rotation, work.translation, work.pushes
     exponent, rounding = law_of(contact)
     # Written twice, as above.
     if exponent == 1.0:
         for i in range(work.counts[N_TOUCHING]):
             first, _, _, felt, _ = contact_element(work.expansion, i, R, t, 1.0, rounding)
             for k in range(6):
-                pushed[k, i] = first[k]
-            pushed[6, i] = felt
+                pushes[k, i] = first[k]
+            pushes[6, i] = felt
     else:
         for i in range(work.counts[N_TOUCHING]):
             first, _, _, felt, _ = contact_element(work.expansion, i, R, t, exponent, rounding)
             for k in range(6):
-                pushed[k, i] = first[k]
-            pushed[6, i] = felt
+                pushes[k, i] = first[k]
+            pushes[6, i] = felt
 
 
 @compiled_in_place
 def contact_centres(contact, work, centres):
     """Write force [N] and centre of force in tibial and femoral axes (7) of every compartment.
 
-    It is that of what was last pushed apart.
+    It is that of the pushes last written.
     """
-    t, expansion, touching, pushed = work.translation, work.expansion, work.touching, work.pushed
+    t, expansion, touching, pushes = work.translation, work.expansion, work.touching, work.pushes
     for c in range(centres.shape[0]):
         total, y0, y1, y2, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(work.counts[N_TOUCHING]):
-            f0, f1, f2 = pushed[3, i], pushed[4, i], pushed[5, i]
+            f0, f1, f2 = pushes[3, i], pushes[4, i], pushes[5, i]
             is_here = contact.compartment[touching[i]] == c
             force = math.sqrt(f0 * f0 + f1 * f1 + f2 * f2) if is_here else 0.0
             total += force
             y0 += force * expansion[0, i]
             y1 += force * expansion[1, i]
             y2 += force * expansion[2, i]
-            x0 += force * pushed[0, i]
-            x1 += force * pushed[1, i]
-            x2 += force * pushed[2, i]
+            x0 += force * pushes[0, i]
+            x1 += force * pushes[1, i]
+            x2 += force * pushes[2, i]
         share = 1.0 / total if total > 0.0 else 0.0
         centres[c, 0] = total
         centres[c, 1], centres[c, 2], centres[c, 3] = share * y0, share * y1, share * y2
@@ -143,17 +143,17 @@ def contact_centres(contact, work, centres):
 def contact_columns(work, columns, first):
     """Write d gradient / d (ln modulus, exponent) of the contact into `columns`, from `first` on.
 
-    It is that of what was last pushed apart.
+    It is that of the pushes last written.
     """
-    axes, pushed = work.axes, work.pushed
+    axes, pushes = work.axes, work.pushes
     for k in range(2):
         f0, f1, f2, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(work.counts[N_TOUCHING]):
-            felt, w = pushed[6, i], 1.0
+            felt, w = pushes[6, i], 1.0
             if k == 1:
                 w = math.log(felt / REFERENCE_DEPTH) if felt > 0.0 else 0.0
-            p0, p1, p2 = pushed[0, i], pushed[1, i], pushed[2, i]
-            a0, a1, a2 = w * pushed[3, i], w * pushed[4, i], w * pushed[5, i]
+            p0, p1, p2 = pushes[0, i], pushes[1, i], pushes[2, i]
+            a0, a1, a2 = w * pushes[3, i], w * pushes[4, i], w * pushes[5, i]
             f0 += a0
             f1 += a1
             f2 += a2

@@ -9,8 +9,8 @@ from identknee.mechanics.contact_elements import (
     contact_centres,
     contact_columns,
     law_of,
-    push_apart,
     sum_contact,
+    write_pushes,
 )
 from identknee.mechanics.elements import write_sums
 from identknee.mechanics.energy import (
@@ -135,8 +135,8 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
     """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
 
     The parameters are stiffness and reference strain of m ligaments, then the logarithm of the
-    contact modulus and the exponent of the contact law. With contact, which is what was last pushed
-    apart, the sums over its elements are written to `contact_sums`.
+    contact modulus and the exponent of the contact law. With contact, that of the pushes last
+    written, the sums over its elements are written to `contact_sums`.
     """
     evaluation, solver, m = work.evaluation, work.solver, ligaments.femoral.shape[0]
     R, t, axes = evaluation.rotation, evaluation.translation, evaluation.axes
@@ -197,7 +197,7 @@ def simulate_path(
         # The last pose evaluated may be one that was searched on the way, or not kept. Whatever the
         # load, contact is that of the pose.
         evaluate_there(angle, here.pose, load, contact, field, ligaments, work)
-        push_apart(contact, work.evaluation)
+        write_pushes(contact, work.evaluation)
         contact_centres(contact, work.evaluation, results.centres[n])
         if derivatives and outcome == CONVERGED:
             slopes, sums = results.sensitivities[n], results.contact_sums[n]

@@ -269,7 +269,7 @@ class EvaluationMemory(NamedTuple):
         shape ``(9, 3)``.
     touching
         Contact point of each contact element, shape ``(n,)``.
-    pushed
+    pushes
         Of each contact element at one pose: its place relative to the tibial origin (3), the
         gradient of its energy by that (3) [N], and the depth that the law feels [mm], ``(7, n)``.
     which
@@ -295,7 +295,7 @@ class EvaluationMemory(NamedTuple):
     sums: Array
     axes: Array
     touching: IndexArray
-    pushed: Array
+    pushes: Array
     which: IndexArray
     moved: Array
     line: Array
