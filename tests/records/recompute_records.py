@@ -47,7 +47,6 @@ WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
 # shown and fail nothing until the study is computed again. Nothing else belongs here.
 SUPERSEDED = {
     "03_basin_of_attraction",
-    "05_posterior",
     "07_global_sensitivity",
     "08_protocol_design",
     "09_optimizers",
