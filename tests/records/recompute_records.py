@@ -54,7 +54,6 @@ SUPERSEDED = {
     "11_reality_gap",
     "12_geometry_uncertainty",
     "13_paper",
-    "14_uncertain_geometry",
 }
 
 
