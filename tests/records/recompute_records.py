@@ -48,12 +48,10 @@ WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
 SUPERSEDED = {
     "03_basin_of_attraction",
     "07_global_sensitivity",
-    "08_protocol_design",
     "09_optimizers",
     "10_diagnosis",
     "11_reality_gap",
     "12_geometry_uncertainty",
-    "13_paper",
 }
 
 
