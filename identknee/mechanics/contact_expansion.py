@@ -29,7 +29,7 @@ def list_is_valid(R, t, radius, spacing, work):
 
 @compiled_into_callers
 def bit(bits, k):
-    """Bit k of some."""
+    """Bit k of `bits`, 0 or 1."""
     return np.uint64((bits >> k) & np.uint32(1))
 
 

@@ -41,15 +41,15 @@ def contact_motion_columns(sums: Array, flexion: Array, poses: Array) -> Array:
     swapped = np.swapaxes(turning, 1, 2)
     carried = np.stack([swapped, stiffness], axis=1) @ lever[:, None]
     # The outer of two turns turns the axis of the other, and pushes that the other turns.
-    by_turn = swinging + moment - trace - carried[:, 0]
-    by_turned = turning + pushing - carried[:, 1]
+    moments_by_turn = swinging + moment - trace - carried[:, 0]
+    forces_by_turn = turning + pushing - carried[:, 1]
     inner = np.stack(
         [swinging + np.swapaxes(moment, 1, 2) - trace, swapped - pushing, turning, stiffness],
         axis=1,
     )
     own = inner @ rotation[:, None]
-    moments = np.concatenate([by_turn, swapped, own[:, 0], own[:, 1]], axis=2)
-    forces = np.concatenate([by_turned, stiffness, own[:, 2], own[:, 3]], axis=2)
+    moments = np.concatenate([moments_by_turn, swapped, own[:, 0], own[:, 1]], axis=2)
+    forces = np.concatenate([forces_by_turn, stiffness, own[:, 2], own[:, 3]], axis=2)
     return np.concatenate([about @ moments, along @ forces], axis=1)
 
 

@@ -1,7 +1,7 @@
 """Value, gradient and Hessian of a cubic spline at one point, four coefficients at a time.
 
-The compiler does not find this form by itself: left to it, a point costs more than twice the time.
-The four coefficients along z stay in one vector until the sums over x and y are done.
+The compiler does not find this form by itself: left to it, a point costs nearly twice the time. The
+four coefficients along z stay in one vector until the sums over x and y are done.
 """
 
 from typing import Any

@@ -93,7 +93,7 @@ class Extension:
         # Where no equilibrium was found the Hessian may be singular.
         has_pose = found.codes[nodes] == CONVERGED
         columns[~has_pose] = np.nan
-        # Inverting matrices as small takes a third of the time that solving with them does.
+        # Inverting matrices so small takes a third of the time that solving with them does.
         columns[has_pose] = np.linalg.inv(found.hessians[nodes][has_pose]) @ columns[has_pose]
         return columns
 

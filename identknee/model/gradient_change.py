@@ -26,7 +26,7 @@ from identknee.model.setting import Setting, repeated, with_copies
 from identknee.runs.arrays import Array, IntArray
 
 Placed = tuple[MechanicalEffect, slice]
-# Differences as small, relative to what differs, are rounding.
+# Smaller differences, relative to what differs, are rounding.
 SMALLEST_DIFFERENCE = 1e-11
 
 
