@@ -2,7 +2,11 @@
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
+
+import numpydoc.docscrape_sphinx
+from jinja2 import FileSystemBytecodeCache
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -15,6 +19,10 @@ from pages.signatures import shortened  # noqa: E402
 from pages.theory import way_back  # noqa: E402
 
 write_pages(HERE)
+# numpydoc compiles its template again for each of thousands of docstrings.
+numpydoc.docscrape_sphinx.SandboxedEnvironment = partial(
+    numpydoc.docscrape_sphinx.SandboxedEnvironment, bytecode_cache=FileSystemBytecodeCache()
+)
 
 project = "identknee"
 author = "The identknee developers"
