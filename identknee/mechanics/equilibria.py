@@ -129,10 +129,9 @@ def solve(
         centres=np.zeros((n, contact.n_compartments, 7)),
         solves=np.zeros(n, np.int64),
     )
-    nodes = NodeArrays(paths.flexion, paths.loads, paths.parent, np.array([paths.farthest]))
     starts = np.array(np.broadcast_to(start, (n, 5)), float, order="C")
     # Packed once for many branches.
-    before = Packed(nodes)
+    before = _packed_nodes(paths)
     between = (
         Packed(starts),
         Packed(np.zeros((n, 5)) if guesses is None else np.array(guesses)),
@@ -177,15 +176,22 @@ def _solve_the_smallest() -> None:
     solve(loaded_at_once(np.zeros(1), np.zeros((1, 5))), np.zeros(5), contact, field, ligaments)
 
 
+@lru_cache(maxsize=4)
+def _packed_nodes(paths: LoadPaths) -> Packed:
+    """The tree of load paths as the kernel takes it, packed once for many simulations."""
+    farthest = np.array([paths.farthest])
+    return Packed(NodeArrays(paths.flexion, paths.loads, paths.parent, farthest))
+
+
 @lru_cache(maxsize=8)
 def _packed_contact(contact: ContactPoints) -> Packed:
-    """The contact points as the kernel takes them, packed once for many simulations."""
+    """The contact points, likewise."""
     return Packed(contact.arrays())
 
 
 @lru_cache(maxsize=4)
 def _packed_field(field: DistanceField) -> Packed:
-    """The same of the distance field."""
+    """The distance field, likewise."""
     return Packed(field.arrays())
 
 

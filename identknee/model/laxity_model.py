@@ -208,8 +208,11 @@ class LaxityModel:
         settings = self.extension.changes(unchanged, self.amplitudes(theta))
         setting = settings[-1]
         lines = setting.measured_lines.arrays(setting.stiffness, setting.reference_strain)
+        paths = self.paths
+        if self.effects:
+            paths = replace(paths, flexion=setting.flexion, loads=setting.loads)
         found = solve_past_folds(
-            replace(self.paths, flexion=setting.flexion, loads=setting.loads),
+            paths,
             setting.first_pose,
             (*self.surfaces(setting), lines),
             self.fallback_poses,

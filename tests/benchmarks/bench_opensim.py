@@ -6,7 +6,7 @@ from dataclasses import replace
 from beside_peer import agreement, compared, peer_record
 from rows import Measure, Row
 
-BAR = 50_000.0
+BAR = 35_000.0
 FLEXION_DEG = 0.0
 
 
@@ -21,8 +21,8 @@ def measure(options: argparse.Namespace) -> Row:
         notes.append(f"OpenSim {name}: {agreement(record, FLEXION_DEG)}")
     return Row(
         line="against OpenSim 4.6 (PyPI, ElasticFoundationForce, medium mesh, side by side in one "
-        "run): >= 50,000 times faster on the trials at 0 deg that OpenSim solves; its failures at "
-        "30 and 60 deg are counted",
+        "run): >= 35,000 times faster, better 50,000, on the trials at 0 deg that OpenSim solves; "
+        "its failures at 30 and 60 deg are counted",
         measures=measures,
         notes=notes,
     )

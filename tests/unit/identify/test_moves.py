@@ -10,7 +10,7 @@ from identknee.identify.posterior.hamiltonian import HamiltonianMove
 from identknee.identify.posterior.moves import MOVES, KernelMixture, NewtonMove, SnookerMove
 from identknee.runs.arrays import Array
 
-STEPS = 4000
+STEPS = 2000
 # Five standard errors, of variances from the effective draws of the squares.
 SIGMAS = 5.0
 
