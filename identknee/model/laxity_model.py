@@ -209,7 +209,7 @@ class LaxityModel:
         setting = settings[-1]
         lines = setting.measured_lines.arrays(setting.stiffness, setting.reference_strain)
         paths = self.paths
-        if self.effects:
+        if setting.flexion is not paths.flexion or setting.loads is not paths.loads:
             paths = replace(paths, flexion=setting.flexion, loads=setting.loads)
         found = solve_past_folds(
             paths,
