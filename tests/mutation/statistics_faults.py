@@ -177,6 +177,13 @@ IDENTIFICATION = (
         "moves::test_moments_are_those_of_the_density",
     ),
     _identify(
+        "posterior/own_kernel.py",
+        "np.log(diagonal) - 0.5 * standard**2",
+        "0.0 * diagonal - 0.5 * standard**2",
+        "steps by a walker's own kernel sample another density",
+        "moves::test_moments_are_those_of_the_density",
+    ),
+    _identify(
         "posterior/hamiltonian.py",
         "log_prob - _kinetic(momentum, mass) - before",
         "log_prob - start.log_prob",

@@ -10,6 +10,7 @@ from emcee.state import State
 from scipy.special import gammaln, logsumexp
 
 from identknee.identify.posterior.hamiltonian import HamiltonianMove
+from identknee.identify.posterior.own_kernel import OwnKernelMove
 from identknee.identify.posterior.surrogate import Surrogate, SurrogateMove
 from identknee.runs.arrays import Array
 
@@ -144,8 +145,8 @@ class SnookerMove(RedBlueMove):  # type: ignore[misc]
 
 
 def newton_moves() -> list[tuple[Move, float]]:
-    """The default: mostly Newton, and one step in ten that needs no derivatives."""
-    return [(NewtonMove(), 0.9), (DEMove(), 0.08), (SnookerMove(), 0.02)]
+    """The default: mostly Newton, now and then what leads in walkers that others do not reach."""
+    return [(NewtonMove(), 0.85), (OwnKernelMove(), 0.05), (DEMove(), 0.08), (SnookerMove(), 0.02)]
 
 
 def hamiltonian_moves() -> list[tuple[Move, float]]:

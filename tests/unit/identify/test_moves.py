@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal, multivariate_t
 
 from identknee.identify.posterior.hamiltonian import HamiltonianMove
 from identknee.identify.posterior.moves import MOVES, KernelMixture, NewtonMove, SnookerMove
+from identknee.identify.posterior.own_kernel import OwnKernelMove
 from identknee.runs.arrays import Array
 
 STEPS = 2000
@@ -38,7 +39,14 @@ def sampled(move: emcee.moves.Move, n: int = 2, seed: int = 1) -> Array:
 
 
 @pytest.mark.parametrize(
-    "move", [NewtonMove(), HamiltonianMove(), SnookerMove(), *[m() for m in MOVES.values()]]
+    "move",
+    [
+        NewtonMove(),
+        OwnKernelMove(),
+        HamiltonianMove(),
+        SnookerMove(),
+        *[m() for m in MOVES.values()],
+    ],
 )
 def test_moments_are_those_of_the_density(move: emcee.moves.Move) -> None:
     chain = sampled(move)
@@ -75,6 +83,34 @@ def test_trajectories_follow_the_gradient_in_many_dimensions() -> None:
     error = np.sqrt(3.0 / (walkers * (steps - 10)))
     assert np.all(np.abs(chain.mean(axis=(0, 1))) < SIGMAS * error)
     assert np.all(np.abs(chain.var(axis=(0, 1)) - 1.0) < SIGMAS * np.sqrt(2.0) * error)
+
+
+def bent(points: Array) -> Array:
+    """Log density of a ridge along y = x^2 / 4, with the Gauss-Newton kernel."""
+    x, y = points.T
+    residuals = np.column_stack([x, 20.0 * (y - 0.25 * x**2)])
+    rows = []
+    for place, own, slope in zip(points, residuals, -10.0 * x, strict=True):
+        jacobian = np.array([[1.0, 0.0], [slope, 20.0]])
+        precision = jacobian.T @ jacobian
+        center = place - np.linalg.solve(precision, jacobian.T @ own)
+        factor = np.linalg.cholesky(precision)
+        rows.append(np.concatenate([[-0.5 * own @ own], center, factor.ravel()]))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_walker_far_out_on_a_bent_ridge_moves(seed: int) -> None:
+    """Of 16 walkers one starts 4 sds out, where the kernels of the others do not reach."""
+    places = np.random.default_rng(seed).normal(size=(16, 2))
+    places[0, 0] = 4.0
+    places[:, 1] = 0.25 * places[:, 0] ** 2
+    sampler = emcee.EnsembleSampler(
+        16, 2, bent, moves=MOVES["newton"](), vectorize=True, blobs_dtype=np.float64
+    )
+    random = np.random.RandomState(seed).get_state()
+    sampler.run_mcmc(emcee.State(places, random_state=random), 200)
+    assert np.ptp(sampler.get_chain()[:, 0, 0]) > 0.0
 
 
 def test_the_snooker_move_of_emcee_is_not_used() -> None:
