@@ -50,6 +50,7 @@ autodoc_member_order = "bysource"
 # Its signature cannot be read where a module has imported it.
 autodoc_default_options = {"exclude-members": "cKDTree"}
 autodoc_typehints_format = "short"
+autodoc_use_type_comments = False
 autosummary_generate = False
 numpydoc_show_class_members = False
 numpydoc_attributes_as_param_list = True

@@ -22,6 +22,7 @@ from llvmlite import binding
 from identknee.mechanics.compiled_folder import compiled_folder
 from identknee.runs.errors import InputError
 from identknee.runs.files import write_atomically
+from identknee.runs.turns import in_turn
 
 # What an argument is: the letter of an array's type and its number of axes, the class of a tuple
 # with what is in it, or the type of a number.
@@ -123,10 +124,14 @@ def _made(module: str, name: str, kinds: tuple[Kind, ...]) -> bytes:
     )
     with suppress(OSError):
         return place.read_bytes()
-    content = _compiled_apart(request)
-    with suppress(OSError, InputError):  # Where nothing can be kept, every process compiles.
+    with suppress(OSError):  # Where nothing can be kept, every process compiles.
         place.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(place, content)
+    with in_turn(place):
+        with suppress(OSError):
+            return place.read_bytes()
+        content = _compiled_apart(request)
+        with suppress(InputError):
+            write_atomically(place, content)
     return content
 
 

@@ -214,7 +214,7 @@ def plain(value: Any, *, keep_nonfinite: bool = False) -> Any:
 def _remove_stale_parts(folder: Path) -> None:
     for path in folder.glob(".*.part"):
         found = _PART.search(path.name)
-        if found is None or _is_running(int(found[1])):
+        if found is None or is_running(int(found[1])):
             continue
         with suppress(OSError):
             if path.is_dir():
@@ -223,8 +223,8 @@ def _remove_stale_parts(folder: Path) -> None:
                 path.unlink()
 
 
-def _is_running(process: int) -> bool:
-    # On Windows a file that is in use cannot be removed, so there is nothing to ask.
+def is_running(process: int) -> bool:
+    """Whether a process of this machine is running; not known on Windows, and False there."""
     if os.name == "nt":
         return False
     try:

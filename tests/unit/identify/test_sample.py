@@ -92,7 +92,7 @@ def test_every_kind_of_moves_samples_a_bent_posterior(moves: str) -> None:
     )
     mean = first / total
     rule = StopRule(drift=0.05, autocorrelation_times=20.0)
-    found = sample(problem, ensembles=Ensembles(moves=moves), rule=rule, seed=2)
+    found = sample(problem, ensembles=Ensembles(n_ensembles=2, moves=moves), rule=rule, seed=2)
     assert found.outcome is SampleOutcome.CONVERGED
     assert_mean_and_sd(found, np.array([mean]), np.sqrt(np.array([second / total - mean**2])))
 
