@@ -2,10 +2,11 @@
 
 import threading
 from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 
-from identknee.mechanics.branch_threads import on_branches
+from identknee.mechanics.branch_threads import run_shared
 from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.load_paths import LoadPaths, loaded_at_once
@@ -18,7 +19,7 @@ from identknee.mechanics.memory import (
     LigamentArrays,
     NodeArrays,
 )
-from identknee.mechanics.workspace import kept_workspace
+from identknee.mechanics.workspace import KeptWorkspace
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
 
@@ -90,8 +91,9 @@ class Lines:
     def arrays(self, stiffness: Array, reference_strain: Array) -> LigamentArrays:
         """The ligaments with stiffness [N] and reference strain, as the kernel takes them."""
         course = (self.reference_length, self.transition, self.wrap_offset, self.wrap_place)
-        columns = [np.asarray(x, float) for x in (stiffness, reference_strain, *course)]
-        properties = np.stack(columns, axis=1)
+        properties = np.empty((len(self.femoral), 6))
+        for i, column in enumerate((stiffness, reference_strain, *course)):
+            properties[:, i] = column
         return LigamentArrays(femoral=self.femoral, tibial=self.tibial, properties=properties)
 
 
@@ -129,9 +131,10 @@ def solve(
         centres=np.zeros((n, contact.n_compartments, 7)),
         solves=np.zeros(n, np.int64),
     )
-    starts = np.array(np.broadcast_to(start, (n, 5)), float, order="C")
-    # Packed once for many branches.
-    before = _packed_nodes(paths)
+    starts = np.empty((n, 5))
+    starts[:] = start
+    before, n_columns = _packed_nodes(paths), found.sensitivities.shape[2]
+    # Packed once for all threads.
     between = (
         Packed(starts),
         Packed(np.zeros((n, 5)) if guesses is None else np.array(guesses)),
@@ -143,11 +146,10 @@ def solve(
     )
     after = Packed(found)
 
-    def solve_nodes(chosen: IntArray) -> None:
-        work = kept_workspace(len(contact.points), found.sensitivities.shape[2])
-        simulate_path(before, chosen, *between, work, after)
+    def arguments_of(share: Packed, kept: KeptWorkspace) -> tuple[Any, ...]:
+        return before, share, *between, kept.fitting(len(contact.points), n_columns), after
 
-    on_branches(paths.parent, solve_nodes)
+    run_shared(simulate_path, paths.parent, arguments_of)
     return found
 
 

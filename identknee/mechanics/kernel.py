@@ -25,9 +25,11 @@ from identknee.mechanics.memory import (
     MOST_HALVINGS,
     N_TOUCHING,
     UNCONSTRAINED,
+    WORD,
     Segment,
 )
 from identknee.mechanics.minimum import FLOOR_MARGIN, find_minimum
+from identknee.mechanics.shared_calls import count_up, offer, read, replace, take_back
 from identknee.mechanics.small_matrices import factorise, scale_of, substitute
 from identknee.mechanics.states import (
     copy_state,
@@ -159,17 +161,15 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
 
 
 @compiled_in_place
-def simulate_path(
-    nodes, chosen, starts, guesses, has_guess, contact, field, ligaments, derivatives, work, results
-):
-    """Solve the chosen nodes of a tree of load paths, each from its parent's state.
+def solve_pieces(first, last, share, task):
+    """Solve the nodes of some pieces, each from its parent's state, which was solved before.
 
-    Parents come first, or were solved before. A node n without parent starts the search at the
-    pose ``starts[n]``. `results` are the arrays of `identknee.mechanics.memory.Equilibria`, to be
-    written to. `work` holds no list and no evaluation.
+    A node n without parent starts the search at the pose ``starts[n]``.
     """
+    nodes, starts, guesses, has_guess, contact, field, ligaments, derivatives, work, results = task
     here, load, columns = work.path.here, work.path.load, work.solver.columns
-    for n in chosen:
+    for place in range(share.ends[first - 1] if first else 0, share.ends[last - 1]):
+        n = share.nodes[place]
         before, angle = nodes.parent[n], nodes.flexion[n]
         for i in range(5):
             load[i] = nodes.loads[n, i]
@@ -204,3 +204,56 @@ def simulate_path(
             sensitivities(
                 angle, here.pose, here.hessian, contact, ligaments, work, columns, slopes, sums
             )
+
+
+@compiled_in_place
+def take_branches(first, last, begun, share, task):
+    """Solve pieces that no other thread has begun, until none is left."""
+    piece = first + count_up(begun)
+    while piece < last:
+        solve_pieces(piece, piece + 1, share, task)
+        piece = first + count_up(begun)
+
+
+@compiled_in_place
+def simulate_path(
+    nodes, share, starts, guesses, has_guess, contact, field, ligaments, derivatives, work, results
+):
+    """Solve this thread's share of the nodes of a tree of load paths.
+
+    `results` are the arrays of `identknee.mechanics.memory.Equilibria`, to be written to. `work`
+    holds no list and no evaluation.
+    """
+    task = (
+        nodes,
+        starts,
+        guesses,
+        has_guess,
+        contact,
+        field,
+        ligaments,
+        derivatives,
+        work,
+        results,
+    )
+    early = share.begun.ctypes.data
+    late, trunk = early + WORD, early + 2 * WORD
+    n_pieces = len(share.ends)
+    first_late = 2 + share.n_early[0]
+    if share.is_helper[0]:
+        take_branches(2, first_late, early, share, task)
+        while not read(trunk):
+            pass
+        take_branches(first_late, n_pieces, late, share, task)
+        return
+    solve_pieces(0, 1, share, task)
+    for helper in share.helpers:
+        offer(helper)
+    solve_pieces(1, 2, share, task)
+    replace(trunk, 0, 1)
+    for helper in share.helpers:
+        offer(helper)
+    take_branches(first_late, n_pieces, late, share, task)
+    take_branches(2, first_late, early, share, task)
+    for helper in share.helpers:
+        take_back(helper)

@@ -20,6 +20,7 @@ import numpy as np
 from llvmlite import binding
 
 from identknee.mechanics.compiled_folder import compiled_folder
+from identknee.mechanics.memory import ALONE
 from identknee.runs.errors import InputError
 from identknee.runs.files import write_atomically
 from identknee.runs.turns import in_turn
@@ -64,7 +65,13 @@ class MachineCode:
 
     def __call__(self, *arguments: Any) -> None:
         """Run it, once loaded for arguments of these kinds."""
-        table: list[int] = []
+        run, table = self.prepared(*arguments)
+        numbers = np.array(table, np.int64)
+        run(numbers.ctypes.data)
+
+    def prepared(self, *arguments: Any) -> tuple[Callable[[int], None], list[int]]:
+        """The code for arguments of these kinds, loaded, and the table of a call with them."""
+        table = [ALONE, 0]
         kinds = tuple([_put(x, table) for x in arguments])
         run = self._loaded.get(kinds)
         if run is None:
@@ -72,8 +79,7 @@ class MachineCode:
                 if kinds not in self._loaded:
                     self._loaded[kinds] = _load(self._module, self._name, kinds)
                 run = self._loaded[kinds]
-        numbers = np.array(table, np.int64)
-        run(numbers.ctypes.data)
+        return run, table
 
 
 def _put(argument: Any, table: list[int]) -> Kind:

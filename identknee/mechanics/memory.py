@@ -13,6 +13,13 @@ CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = range(4)
 # Places in the counters of an evaluation.
 N_LISTED, N_TOUCHING, N_EVALUATIONS, N_LISTINGS, N_EXPANDED = range(5)
 
+# What stands at the head of a call's table, in words of so many bytes: the state of the call, then
+# whether its helper is to leave.
+WORD, HEAD = 8, 2
+# An ordinary call before and after it ran; a helper that is away, looks for an offer, has one, took
+# it.
+ALONE, ENDED, ASLEEP, AWAKE, OFFERED, TAKEN = range(6)
+
 # One radian of rotation weighs as much as so many millimetres wherever the two are compared.
 ROTATION_SCALE = 40.0
 # Bits 0-7 of the `reach` of a cell of the distance field: each eighth that may hold contact where
@@ -20,6 +27,34 @@ ROTATION_SCALE = 40.0
 FIRST_ROUNDED = 8
 MOST_HALVINGS = 10  # of the way from one node of the load path to the next
 NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
+
+
+class Share(NamedTuple):
+    """What one thread is to do of the nodes of the load paths.
+
+    Attributes
+    ----------
+    nodes
+        The nodes, piece after piece: the root, the trunk, early branches, late ones.
+    ends
+        Where each piece ends, shape ``(pieces,)``.
+    n_early
+        How many of the pieces are early branches, shape ``(1,)``.
+    begun
+        Of all threads: how many early branches and how many late ones are begun, and whether the
+        trunk is solved, shape ``(3,)``.
+    helpers
+        Addresses of the helpers' tables, shape ``(helpers,)``.
+    is_helper
+        Whether this thread is a helper, shape ``(1,)``.
+    """
+
+    nodes: IntArray
+    ends: IntArray
+    n_early: IntArray
+    begun: IntArray
+    helpers: IntArray
+    is_helper: IntArray
 
 
 class ContactArrays(NamedTuple):

@@ -13,6 +13,8 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 from identknee.mechanics import compiled
+from identknee.mechanics.memory import HEAD, WORD
+from identknee.mechanics.shared_calls import begins
 
 
 def object_file(request: bytes) -> bytes:
@@ -28,7 +30,8 @@ def object_file(request: bytes) -> bytes:
     unpacked = _unpacking(types.Tuple([_type_of(x) for x in kinds]))
 
     def entry(table):  # type: ignore[no-untyped-def]
-        function(*unpacked(table))
+        while begins(table):
+            function(*unpacked(table + HEAD * WORD))
 
     dispatcher: Any = compiled.compiled_with(entry, no_cpython_wrapper=True, _nrt=False)
     dispatcher.compile((types.int64,))

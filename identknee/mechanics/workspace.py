@@ -17,23 +17,33 @@ from identknee.mechanics.memory import (
 )
 
 
-class _Kept(threading.local):
-    """The memory that each thread used last, and for what."""
+class KeptWorkspace:
+    """The memory that one thread used last, used again where it fits."""
 
-    size = (-1, -1)
-    packed: Packed
+    def __init__(self) -> None:
+        self._size = (-1, -1)
+        self.packed: Packed | None = None
+
+    def fitting(self, n_points: int, n_columns: int) -> Packed:
+        """Memory that has forgotten what the last simulation evaluated."""
+        if self.packed is None or self._size != (n_points, n_columns):
+            self.packed, self._size = Packed(workspace(n_points, n_columns)), (n_points, n_columns)
+        else:
+            _forget(self.packed.arrays.evaluation)
+        return self.packed
 
 
-_KEPT = _Kept()
+class _OfThread(threading.local):
+    def __init__(self) -> None:
+        self.kept = KeptWorkspace()
 
 
-def kept_workspace(n_points: int, n_columns: int) -> Packed:
-    """The memory of this thread, which forgets what its last simulation evaluated."""
-    if _KEPT.size == (n_points, n_columns):
-        _forget(_KEPT.packed.arrays.evaluation)
-    else:
-        _KEPT.packed, _KEPT.size = Packed(workspace(n_points, n_columns)), (n_points, n_columns)
-    return _KEPT.packed
+_OF_THREAD = _OfThread()
+
+
+def kept_by_thread() -> KeptWorkspace:
+    """That of the calling thread."""
+    return _OF_THREAD.kept
 
 
 def workspace(n_points: int, n_columns: int = 0) -> Workspace:

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -292,19 +293,26 @@ class LaxityModel:
                 f"{', '.join(self.parameters.names)}; got shape {theta.shape}"
             )
         u = self.tied.n
+        if not (np.isfinite(theta).all() and (theta[:u] >= 0.0).all()):
+            raise self._unsound(theta)
+        strain = self.tied.strain(theta[u : 2 * u]) * PER_PCT
+        if not (strain > -1.0).all():
+            raise self._unsound(theta)
+        return self.tied.stiffness(theta[:u]) * PER_KN, strain
+
+    def _unsound(self, theta: Array) -> ValueError:
+        """The error that names the first value that no ligament has."""
+        u = self.tied.n
         is_finite = np.isfinite(theta)
         strain = self.tied.strain(np.where(is_finite, theta, 0.0)[u : 2 * u]) * PER_PCT
-        is_taut = ~(self.tied.member.T @ (strain <= -1.0)).astype(bool)
         allowed = is_finite.copy()
         allowed[:u] &= theta[:u] >= 0.0
-        allowed[u : 2 * u] &= is_taut
-        if not allowed.all():
-            worst = int(np.flatnonzero(~allowed)[0])
-            raise ValueError(
-                f"{self.parameters.names[worst]} is {theta[worst]:g}: stiffness must be finite and "
-                "at least 0 kN, reference strain finite and above -100 %"
-            )
-        return self.tied.stiffness(theta[:u]) * PER_KN, strain
+        allowed[u : 2 * u] &= ~(self.tied.member.T @ (strain <= -1.0)).astype(bool)
+        worst = int(np.flatnonzero(~allowed)[0])
+        return ValueError(
+            f"{self.parameters.names[worst]} is {theta[worst]:g}: stiffness must be finite and "
+            "at least 0 kN, reference strain finite and above -100 %"
+        )
 
     def _prediction(
         self, theta: Array, settings: Sequence[Setting], found: Equilibria, *, derivatives: bool
@@ -342,17 +350,12 @@ class LaxityModel:
         """D pose [rad, mm] / d theta in its units, shape ``(n, 5, p)``."""
         nodes, setting = self.paths.trial_node, settings[-1]
         n_lines = setting.stiffness.size
-        by_line = found.sensitivities[nodes]
+        by_line = found.sensitivities[nodes][:, :, : 2 * n_lines]
+        if not self.effects:
+            return np.asarray(by_line @ _units_alone(self.tied))
         # A ligament moves every line that takes a share of it.
         owned = setting.owned(len(self.knee.ligaments))
-        shares = (owned * setting.share[:, None]) @ self.tied.by_stiffness
-        u = self.tied.n
-        units = np.zeros((2 * n_lines, 2 * u))
-        units[:n_lines, :u] = PER_KN * shares
-        units[n_lines:, u:] = PER_PCT * (owned @ self.tied.member)
-        by_ligament = by_line[:, :, : 2 * n_lines] @ units
-        if not self.effects:
-            return by_ligament
+        by_ligament = by_line @ _units(owned, setting.share, self.tied)
         by_amplitude = self.extension.pose_columns(settings, self.amplitudes(theta), found, nodes)
         return np.concatenate([by_ligament, by_amplitude], axis=2)
 
@@ -371,3 +374,19 @@ class LaxityModel:
     def amplitudes(self, theta: Array) -> Array:
         """The amplitudes of the effects in theta."""
         return np.asarray(theta, float)[self.n_ligament_parameters :]
+
+
+def _units(owned: Array, share: Array, tied: Tied) -> Array:
+    """Parameters of the lines by those of the units in their units, shape ``(2m, 2u)``."""
+    m, u = len(owned), tied.n
+    units = np.zeros((2 * m, 2 * u))
+    units[:m, :u] = PER_KN * ((owned * share[:, None]) @ tied.by_stiffness)
+    units[m:, u:] = PER_PCT * (owned @ tied.member)
+    return units
+
+
+@lru_cache(maxsize=8)
+def _units_alone(tied: Tied) -> Array:
+    """The same where each ligament is one line."""
+    m = len(tied.member)
+    return _units(np.eye(m), np.ones(m), tied)

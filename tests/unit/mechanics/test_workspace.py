@@ -8,7 +8,7 @@ from evaluation import ligaments_of
 
 from identknee.mechanics.energy import evaluate
 from identknee.mechanics.memory import N_LISTED, Workspace
-from identknee.mechanics.workspace import kept_workspace
+from identknee.mechanics.workspace import kept_by_thread
 from identknee.model.laxity_model import LaxityModel
 
 
@@ -32,12 +32,12 @@ def test_a_simulation_reads_nothing_that_the_one_before_left(reference_model: La
     theta = reference_model.parameters.center
     before = reference_model.predict(theta)
     size = len(reference_model.joint.contact.points), 2 * len(reference_model.knee.ligaments)
-    work = kept_workspace(*size)
+    work = kept_by_thread().fitting(*size)
     for array in _arrays(work.arrays):
         array[...] = np.nan if array.dtype == float else 7
     _list_nothing(reference_model, work.arrays)
     after = reference_model.predict(theta)
-    assert kept_workspace(*size) is work
+    assert kept_by_thread().fitting(*size) is work
     assert after.poses.tobytes() == before.poses.tobytes()
     assert np.asarray(after.hessians).tobytes() == np.asarray(before.hessians).tobytes()
     assert np.asarray(after.jacobian).tobytes() == np.asarray(before.jacobian).tobytes()
