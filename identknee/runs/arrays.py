@@ -1,6 +1,7 @@
 """Array types, and the copy every frozen dataclass keeps of what it was given."""
 
 from collections.abc import Iterable
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,7 @@ FARTHEST_MM = 1e6
 
 
 def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
-    """A read-only float64 copy of `values`, its shape checked.
+    """A read-only float64 copy of `values`, its shape checked; what is one already stays as it is.
 
     Parameters
     ----------
@@ -38,6 +39,8 @@ def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
     >>> frozen([1, 2, 3], 3, name="femur").flags.writeable
     False
     """
+    if _is_frozen(values) and values.ndim == len(shape) and _fits(values.shape, shape):
+        return values
     try:
         array = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
@@ -68,6 +71,14 @@ def too_far(points: ArrayLike) -> str:
     if largest <= FARTHEST_MM:
         return ""
     return f"{largest:g} mm away, which no measurement is; check the units and the export"
+
+
+def _is_frozen(values: ArrayLike) -> TypeGuard[Array]:
+    """Whether this is an array as `frozen` gives it, whose numbers nobody else can change."""
+    if type(values) is not np.ndarray or values.base is not None:
+        return False
+    flags = values.flags
+    return values.dtype.char == "d" and flags.c_contiguous and not flags.writeable
 
 
 def _fits(actual: Iterable[int], wanted: Iterable[int | None]) -> bool:

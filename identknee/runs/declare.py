@@ -211,7 +211,7 @@ def _freeze(record: Any) -> None:
     kind: Any = type(record)
     # Settings of the mechanics, made dozens of times a simulation, have no arrays over axes.
     if not _has_axes(kind):
-        for name, _, _ in _given(kind):
+        for name in _mappings(kind):
             value = getattr(record, name)
             if type(value) is dict:
                 object.__setattr__(record, name, MappingProxyType(value.copy()))
@@ -231,6 +231,13 @@ def _freeze(record: Any) -> None:
         elif type(value) is dict:
             object.__setattr__(record, name, MappingProxyType(value.copy()))
         lengths |= {dim: len(x) for dim, x in names_within(about, value)}
+
+
+@cache
+def _mappings(cls: Any) -> tuple[str, ...]:
+    """Names of the fields that a record is made with and that may hold a mapping."""
+    hints = ("dict", "Mapping", "Any")
+    return tuple(x.name for x in fields(cls) if x.init and any(y in str(x.type) for y in hints))
 
 
 @cache

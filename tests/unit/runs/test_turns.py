@@ -11,8 +11,8 @@ import pytest
 from identknee.runs import turns
 from identknee.runs.turns import in_turn
 
-# Of no process: numbers end at 2**22.
-ENDED = 2**22 + 1
+# Of no process, as numbers end at 2**22, and of the first one.
+ENDED, RUNNING = 2**22 + 1, 1
 
 
 def test_a_second_one_waits_and_finds_what_the_first_made(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_the_turn_ends_with_an_error(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("process", "machine", "age_s"),
-    [(ENDED, platform.node(), 0.0), (os.getpid(), "elsewhere", 2 * turns.PATIENCE_S)],
+    [(ENDED, platform.node(), 0.0), (RUNNING, "elsewhere", 2 * turns.PATIENCE_S)],
 )
 def test_a_killed_process_is_not_waited_for(
     process: int, machine: str, age_s: float, tmp_path: Path
