@@ -1,6 +1,5 @@
 """Array types, and the copy every frozen dataclass keeps of what it was given."""
 
-from collections.abc import Iterable
 from typing import TypeGuard
 
 import numpy as np
@@ -39,13 +38,13 @@ def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
     >>> frozen([1, 2, 3], 3, name="femur").flags.writeable
     False
     """
-    if _is_frozen(values) and values.ndim == len(shape) and _fits(values.shape, shape):
+    if _is_frozen(values) and _fits(values.shape, shape):
         return values
     try:
         array = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must hold numbers only, got {values!r}") from error
-    if array.ndim != len(shape) or not _fits(array.shape, shape):
+    if not _fits(array.shape, shape):
         wanted = " x ".join("any" if length is None else str(length) for length in shape)
         raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
     array.flags.writeable = False
@@ -81,5 +80,9 @@ def _is_frozen(values: ArrayLike) -> TypeGuard[Array]:
     return values.dtype.char == "d" and flags.c_contiguous and not flags.writeable
 
 
-def _fits(actual: Iterable[int], wanted: Iterable[int | None]) -> bool:
-    return all(want is None or have == want for have, want in zip(actual, wanted, strict=True))
+def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    # Most shapes are wanted to the last length.
+    return actual == wanted or (
+        len(actual) == len(wanted)
+        and all(want is None or have == want for have, want in zip(actual, wanted, strict=True))
+    )
