@@ -442,10 +442,31 @@ MECHANICS = (
     ),
     _fault(
         "mechanics/workspace.py",
-        "        _forget(_KEPT.packed.arrays.evaluation)",
-        "        pass",
+        "            _forget(self.packed.arrays.evaluation)",
+        "            pass",
         "a simulation begins with what the one before evaluated",
         "tests/unit/mechanics/test_workspace.py",
+    ),
+    _fault(
+        "mechanics/kernel.py",
+        "        while not read(trunk):\n            pass\n",
+        "",
+        "helpers begin branches before the trunk that they hang on is solved",
+        "tests/unit/mechanics/test_branch_threads.py",
+    ),
+    _fault(
+        "mechanics/branch_threads.py",
+        "if self._is_inside and run is not self._run:",
+        "if False:",
+        "a call is laid out for a helper that reads it as another",
+        "tests/unit/mechanics/test_branch_threads.py",
+    ),
+    _fault(
+        "runs/turns.py",
+        "machine == platform.node() and not is_running(int(process))",
+        "False",
+        "what a killed process was making is waited for",
+        "tests/unit/runs/test_turns.py",
     ),
     _fault(
         "mechanics/object_file.py",
