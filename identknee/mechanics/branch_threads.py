@@ -20,7 +20,8 @@ from identknee.runs.declare import declared, entry
 SMALL_SHARE = 0.5
 # Numbers of the largest table of a call.
 MOST_NUMBERS = 1024
-
+# Trees whose shares are kept.
+MOST_TREES = 32
 
 ArgumentsOf = Callable[[Packed, KeptWorkspace], tuple[Any, ...]]
 
@@ -114,6 +115,8 @@ class Crew:
     def _shares_of(self, parent: bytes) -> tuple[Packed, Packed]:
         """That of the calling thread and that of each helper."""
         if parent not in self._shares:
+            if len(self._shares) == MOST_TREES:
+                self._shares.clear()
             pieces = pieces_of(parent, len(self._helpers) + 1)
             addresses = [x.address for x in self._helpers]
             own = _share(pieces, self._begun, addresses)
