@@ -22,6 +22,8 @@ N_DRAWS = 4000
 LEVEL = 0.05
 # A z-score below it is the root of a rounding error, and would order causes by the processor.
 ROUNDED_SCORE = 1e-6
+# Residuals smaller than this share of the noise are what a search or rounding left, no measurement.
+ROUNDED_RESIDUAL = 1e-4
 # An effect that would be found this often counts as one the data can exclude.
 HIGH_POWER = 0.75
 POWER_DRAWS, POWER_SEED = 1000, 0
@@ -213,8 +215,9 @@ def _in_units(residuals: Array, projector: Projector, scale: Scale) -> Array:
     projected = projector.project(residuals.T).T
     if scale == "known":
         return projected
+    root = np.sqrt(projector.degrees_of_freedom)
     size = np.linalg.norm(projected, axis=1, keepdims=True)
-    return np.asarray(projected * np.sqrt(projector.degrees_of_freedom) / size)
+    return np.asarray(projected * root / np.maximum(size, ROUNDED_RESIDUAL * root))
 
 
 def _z_scores(residuals: Array, signatures: Sequence[ProjectedSignature]) -> Array:

@@ -56,6 +56,14 @@ def test_false_alarms_are_as_rare_as_stated(fit: LinearFit, maximum: ScoreTest) 
     assert np.abs(share - levels).max() < 2.2 * np.sqrt(1 / N_NULLS + 1 / N_DRAWS)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-7])
+def test_what_rounding_leaves_of_an_exact_table_has_no_pattern(
+    fit: LinearFit, maximum: ScoreTest, size: float
+) -> None:
+    residuals = size * planted(fit, library(3)[0].name, 30.0, seed=3, variant=library(3)[0].variant)
+    assert maximum.evaluate(residuals).p_value > 0.9
+
+
 def test_noise_of_unknown_size_needs_the_test_that_says_so(fit: LinearFit) -> None:
     """Without prior rows, whose size is known, the test is exact at any size of the noise."""
     bare = Projector(basis=np.linalg.qr(fit.jacobian[: fit.n_data])[0])
