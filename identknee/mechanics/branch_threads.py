@@ -37,8 +37,8 @@ class Helper:
         self._wanted = threading.Event()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
         self.kept = KeptWorkspace()
+        self._thread.start()
 
     @property
     def address(self) -> int:

@@ -14,7 +14,7 @@ from numba.extending import intrinsic
 from identknee.mechanics.compiled import compiled_in_place
 from identknee.mechanics.memory import ALONE, ASLEEP, AWAKE, ENDED, OFFERED, TAKEN, WORD
 
-# Looks for an offer, some 10 ms, after which a helper leaves the processor to others.
+# Looks for an offer, some 4 ms, after which a helper leaves the processor to others.
 LOOKS = 10_000_000
 
 

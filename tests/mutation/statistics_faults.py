@@ -92,6 +92,13 @@ SURVIVED = (
     ),
     _diagnosis(
         "score/score.py",
+        "np.maximum(size, ROUNDED_RESIDUAL * root)",
+        "size",
+        "what rounding leaves of an exact table is a misfit with a pattern",
+        "score::test_what_rounding_leaves_of_an_exact_table_has_no_pattern",
+    ),
+    _diagnosis(
+        "score/score.py",
         "return (len(self.null) - below + 1) / (len(self.null) + 1)",
         "return (len(self.null) - below) / len(self.null)",
         "a simulated probability is zero",

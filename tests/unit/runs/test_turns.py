@@ -60,6 +60,22 @@ def test_a_killed_process_is_not_waited_for(
     assert not mark.exists()
 
 
+def test_a_mark_that_cannot_be_removed_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mark = tmp_path / "made.turn"
+    mark.write_text(f"{ENDED} {platform.node()}")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    began = time.monotonic()
+    with in_turn(tmp_path / "made"):
+        assert mark.exists()
+    assert time.monotonic() - began < turns.PATIENCE_S / 2
+
+
 def test_where_no_mark_can_be_left_nobody_waits(tmp_path: Path) -> None:
     with in_turn(tmp_path / "missing" / "made"), in_turn(tmp_path / "missing" / "made"):
         pass
