@@ -12,7 +12,7 @@ import identknee
 
 ROOT = Path(identknee.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
-MOST_LINES, MOST_LINES_OF_FUNCTION = 400, 50
+MOST_LINES, MOST_LINES_OF_FUNCTION = 1000, 100
 # Longer, each for its reason.
 LONG_MODULES: dict[str, str] = {}
 ATTACHED = [
