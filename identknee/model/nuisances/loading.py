@@ -7,10 +7,10 @@ import numpy as np
 from identknee.model.effects.changes import SettingChange
 from identknee.model.effects.effect import amplitudes
 from identknee.model.effects.frames import flexion_offset
+from identknee.model.effects.insertion import AXES
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
 from identknee.runs.arrays import Array
 
-AXES = ("x", "y", "z")
 # Standard deviations within which an amplitude lies.
 REACH = 4.0
 KINDS = ("varus_moment", "internal_moment", "anterior_force", "axial_force", "lateral_force")
