@@ -33,7 +33,7 @@ class Part(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
-Made = TypeVar("Made", bound=BaseModel)
+Model = TypeVar("Model", bound=BaseModel)
 Place = tuple[str | int, ...]
 
 
@@ -158,7 +158,7 @@ def read_json(path: PathLike, remedy: str, limit_mb: float = 512) -> Any:
     return values
 
 
-def validated(model: type[Made], values: object, refuse: Callable[[Fault], InputError]) -> Made:
+def validated(model: type[Model], values: object, refuse: Callable[[Fault], InputError]) -> Model:
     """`values` as the model; the first fault in them is raised as `refuse` puts it.
 
     Parameters
