@@ -253,7 +253,7 @@ FAULTS = (
         _STRUCTURES,
     ),
     fault(
-        "identknee/blind/fitting.py",
+        "identknee/blind/case.py",
         "Noise.whitened",
         "np.array([self.sd_mm] * 3 + [self.sd_deg] * 2)",
         "np.array([self.sd_mm] * 5)",
@@ -309,7 +309,7 @@ FAULTS = (
         _SITES,
     ),
     fault(
-        "identknee/blind/fitting.py",
+        "identknee/blind/case.py",
         "left_over",
         "np.linalg.norm(white - columns @ share)",
         "np.linalg.norm(white)",
@@ -317,7 +317,7 @@ FAULTS = (
         _SITES,
     ),
     fault(
-        "identknee/blind/fitting.py",
+        "identknee/blind/case.py",
         "_searched",
         "is_largest = signal < wanted and amplitude >= largest",
         "is_largest = False",

@@ -24,7 +24,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/placed.py",
+        "identknee/model/effects/structures.py",
         "",
         "CAPSULE_SITE_SD = 6.0",
         "CAPSULE_SITE_SD = 2.0",
@@ -72,7 +72,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/placed.py",
+        "identknee/model/effects/structures.py",
         "",
         "{'anterolateral': 1.2, 'posteromedial': 1.5, 'popliteofibular': 1.2, 'deep_mcl': 1.2, CAPSULE: 1.0}",
         "{'anterolateral': 0.3, 'posteromedial': 1.5, 'popliteofibular': 1.2, 'deep_mcl': 1.2, CAPSULE: 1.0}",
@@ -80,7 +80,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/placed.py",
+        "identknee/model/effects/structures.py",
         "",
         "{'anterolateral': 1.2, 'posteromedial': 1.5, 'popliteofibular': 1.2, 'deep_mcl': 1.2, CAPSULE: 1.0}",
         "{'anterolateral': 1.2, 'posteromedial': 6.0, 'popliteofibular': 1.2, 'deep_mcl': 1.2, CAPSULE: 1.0}",
@@ -136,7 +136,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/meniscus.py",
+        "identknee/model/effects/contact_law.py",
         "Meniscus.__post_init__",
         "amplitudes(self.name, names, [20.0, 20.0], lower=[0.0, 0.0], upper=[100.0, 100.0])",
         "amplitudes(self.name, names, [2.0, 20.0], lower=[0.0, 0.0], upper=[100.0, 100.0])",
@@ -168,7 +168,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/rig_compliance.py",
+        "identknee/model/effects/history.py",
         "rig_compliance",
         "amplitudes(name, ['compliance_deg_per_Nm'], [0.1], lower=[0.0], upper=[1.0])",
         "amplitudes(name, ['compliance_deg_per_Nm'], [0.01], lower=[0.0], upper=[1.0])",
@@ -383,7 +383,7 @@ MECHANICS = (
         "tests/unit/mechanics/test_distance_field.py",
     ),
     fault(
-        "identknee/model/nuisances/library.py",
+        "identknee/model/nuisances.py",
         "contact_rounding",
         "return MOST_ROUNDING if nuisances_of(knee) else knee.contact_rounding_mm",
         "return knee.contact_rounding_mm",
@@ -399,7 +399,7 @@ MECHANICS = (
         "tests/unit/verbs/test_fitted_knee.py",
     ),
     fault(
-        "identknee/calibrate/curvature.py",
+        "identknee/calibrate/evaluation.py",
         "Curvature.learn",
         "wanted = gradient - before.jacobian.T @ after.residuals",
         "wanted = change",
@@ -407,7 +407,7 @@ MECHANICS = (
         "tests/unit/calibrate/test_curvature.py",
     ),
     fault(
-        "identknee/calibrate/curvature.py",
+        "identknee/calibrate/evaluation.py",
         "Curvature.model",
         "sizes = np.abs(values)",
         "sizes = np.maximum(values, 0.0)",
@@ -554,7 +554,7 @@ MECHANICS = (
 
 NUISANCES = (
     fault(
-        "identknee/model/measured_frames.py",
+        "identknee/model/mechanics_inputs.py",
         "to_measured",
         "return np.asarray((points - shifts[..., None, :]) @ turns)",
         "return np.asarray((points + shifts[..., None, :]) @ turns)",
@@ -578,7 +578,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/model/gradient_change.py",
+        "identknee/model/effect_stack.py",
         "_by_lines",
         "share = moves[:, line, entry] / (2.0 * step)",
         "share = np.abs(moves[:, line, entry]) / (2.0 * step)",
@@ -586,7 +586,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/model/gradient_change.py",
+        "identknee/model/effect_stack.py",
         "gradient_columns",
         "framed = replace(before, frames=settings[-1].frames)",
         "framed = before",
@@ -594,7 +594,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/model/nuisances/geometry.py",
+        "identknee/model/nuisances.py",
         "insertions",
         "sds.append(float(np.sqrt(square)))",
         "sds.append(float(square))",
@@ -642,7 +642,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/model/past_folds.py",
+        "identknee/model/laxity_model.py",
         "solve_past_folds",
         "(found.codes[nodes] != CONVERGED) & np.isfinite(fallback_poses).all(axis=1)",
         "(found.codes[nodes] == CONVERGED) & np.isfinite(fallback_poses).all(axis=1)",
@@ -674,7 +674,7 @@ NUISANCES = (
         "tests/unit/calibrate/test_least_squares.py",
     ),
     fault(
-        "identknee/calibrate/gauss_newton.py",
+        "identknee/calibrate/least_squares.py",
         "gauss_newton",
         "reduction <= max(KINK_SHARE * here.deviance, least)",
         "reduction <= KINK_SHARE * here.deviance",
@@ -690,7 +690,7 @@ NUISANCES = (
         "tests/unit/subject/test_uncertainty.py",
     ),
     fault(
-        "identknee/blind/stated_errors.py",
+        "identknee/blind/conditions.py",
         "_moved",
         "turn = np.radians(conditions.registration_deg) * generator.standard_normal(3)",
         "turn = np.radians(0.1 * conditions.registration_deg) * generator.standard_normal(3)",

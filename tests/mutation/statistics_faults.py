@@ -4,7 +4,7 @@ from mutation import fault
 
 SURVIVED = (
     fault(
-        "identknee/identify/posterior/chains.py",
+        "identknee/identify/posterior/convergence.py",
         "split_rhat",
         "max(_rhat(normal_scores(values)), _rhat(normal_scores(folded)))",
         "max(_rhat(values), _rhat(folded))",
@@ -12,7 +12,7 @@ SURVIVED = (
         "tests/unit/identify/test_chains.py::test_rhat_sees_a_shift_of_heavy_tails_because_it_counts_ranks",
     ),
     fault(
-        "identknee/identify/posterior/chains.py",
+        "identknee/identify/posterior/convergence.py",
         "split_rhat",
         "max(_rhat(normal_scores(values)), _rhat(normal_scores(folded)))",
         "_rhat(normal_scores(values))",
@@ -20,7 +20,7 @@ SURVIVED = (
         "tests/unit/identify/test_chains.py::test_rhat_sees_heavy_tails_that_are_wider_by_folded_ranks",
     ),
     fault(
-        "identknee/identify/sweep/basins.py",
+        "identknee/identify/basins.py",
         "",
         "TOLERANCE = 0.01",
         "TOLERANCE = 0.1",
@@ -28,7 +28,7 @@ SURVIVED = (
         "tests/unit/identify/test_basins.py::test_ends_closer_than_a_fiftieth_of_a_percent_are_one_minimum",
     ),
     fault(
-        "identknee/identify/sweep/basins.py",
+        "identknee/identify/basins.py",
         "",
         "TOLERANCE = 0.01",
         "TOLERANCE = 0.001",
@@ -36,7 +36,7 @@ SURVIVED = (
         "tests/unit/identify/test_basins.py::test_ends_closer_than_a_fiftieth_of_a_percent_are_one_minimum",
     ),
     fault(
-        "identknee/identify/sweep/basins.py",
+        "identknee/identify/basins.py",
         "",
         "BARRIER_SHARE, BARRIER_FLOOR = (1e-06, 2e-09)",
         "BARRIER_SHARE, BARRIER_FLOOR = (0.01, 2e-09)",
@@ -44,7 +44,7 @@ SURVIVED = (
         "tests/unit/identify/test_basins.py::test_a_rise_of_a_thousandth_is_a_barrier_and_rounding_is_none",
     ),
     fault(
-        "identknee/identify/sweep/basins.py",
+        "identknee/identify/basins.py",
         "",
         "BARRIER_SHARE, BARRIER_FLOOR = (1e-06, 2e-09)",
         "BARRIER_SHARE, BARRIER_FLOOR = (1e-06, 0.0001)",
@@ -76,7 +76,7 @@ SURVIVED = (
         "tests/unit/identify/test_thresholds.py::test_a_lower_level_keeps_the_proportion_of_the_law_of_as_many_quantities",
     ),
     fault(
-        "identknee/diagnosis/score/score.py",
+        "identknee/diagnosis/score.py",
         "_in_units",
         "np.maximum(size, ROUNDED_RESIDUAL * root)",
         "size",
@@ -84,7 +84,7 @@ SURVIVED = (
         "tests/unit/diagnosis/test_score.py::test_what_rounding_leaves_of_an_exact_table_has_no_pattern",
     ),
     fault(
-        "identknee/diagnosis/score/score.py",
+        "identknee/diagnosis/score.py",
         "ScoreTest.p_value",
         "return (len(self.null) - below + 1) / (len(self.null) + 1)",
         "return (len(self.null) - below) / len(self.null)",
@@ -92,7 +92,7 @@ SURVIVED = (
         "tests/unit/diagnosis/test_score.py",
     ),
     fault(
-        "identknee/diagnosis/score/localisation.py",
+        "identknee/diagnosis/misfit.py",
         "_p_values",
         "(above + 1) / (N_DRAWS + 1)",
         "above / N_DRAWS",
@@ -100,7 +100,7 @@ SURVIVED = (
         "tests/unit/diagnosis/test_localisation.py",
     ),
     fault(
-        "identknee/diagnosis/missing_line/scan.py",
+        "identknee/diagnosis/missing_line.py",
         "LineScan.p_value",
         "return float((1 + np.count_nonzero(highest >= self.scores.max())) / (1 + N_DRAWS))",
         "return float(np.count_nonzero(highest >= self.scores.max()) / N_DRAWS)",
@@ -108,7 +108,7 @@ SURVIVED = (
         "tests/unit/diagnosis/test_line_scan.py",
     ),
     fault(
-        "identknee/diagnosis/score/signature.py",
+        "identknee/diagnosis/score.py",
         "ProjectedSignature._feasible",
         "wrong = (found * self.signature.sign[used] < 0).any(axis=1)",
         "wrong = (found * self.signature.sign[used] > 0).any(axis=1)",
@@ -116,7 +116,7 @@ SURVIVED = (
         "tests/unit/diagnosis/test_score.py::test_an_effect_of_one_sign_scores_on_its_own_side",
     ),
     fault(
-        "identknee/diagnosis/explanations/candidates.py",
+        "identknee/diagnosis/candidates.py",
         "_signs",
         "return np.asarray(positive.astype(np.int64) - negative.astype(np.int64))",
         "return np.asarray(negative.astype(np.int64) - positive.astype(np.int64))",
@@ -124,7 +124,7 @@ SURVIVED = (
         "tests/unit/diagnosis/test_library_signatures.py::test_amplitudes_of_one_sign_are_those_that_cannot_be_negative",
     ),
     fault(
-        "identknee/diagnosis/explanations/candidates.py",
+        "identknee/diagnosis/candidates.py",
         "_signs",
         "return np.asarray(positive.astype(np.int64) - negative.astype(np.int64))",
         "return np.zeros(parameters.n, np.int64)",
@@ -132,7 +132,7 @@ SURVIVED = (
         "tests/unit/diagnosis/test_library_signatures.py::test_amplitudes_of_one_sign_are_those_that_cannot_be_negative",
     ),
     fault(
-        "identknee/diagnosis/explanations/candidates.py",
+        "identknee/diagnosis/candidates.py",
         "pose_changes",
         "moved = -np.linalg.solve(prediction.hessians, gradients)",
         "moved = np.linalg.solve(prediction.hessians, gradients)",
@@ -140,7 +140,7 @@ SURVIVED = (
         "tests/unit/diagnosis/test_library_signatures.py::test_a_signature_is_what_the_effect_does_to_the_predictions",
     ),
     fault(
-        "identknee/diagnosis/gain/held_out.py",
+        "identknee/diagnosis/gain.py",
         "",
         "MOST_STEPS = 12",
         "MOST_STEPS = 1",
@@ -166,7 +166,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_thresholds.py::test_data_sets_without_a_fit_are_counted_and_left_out",
     ),
     fault(
-        "identknee/identify/profile/hermite.py",
+        "identknee/identify/profile/result.py",
         "cubic",
         "(1 + 2 * u) * (1 - u) ** 2 * f + u * (1 - u) ** 2 * width * slope_f + u ** 2 * (3 - 2 * u) * g + u ** 2 * (u - 1) * width * slope_g",
         "(1 + 2 * u) * (1 - u) ** 2 * f + u * (1 - u) ** 2 * width * slope_f + u ** 2 * (3 - 2 * u) * g - u ** 2 * (u - 1) * width * slope_g",
@@ -182,7 +182,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_moves.py::test_moments_are_those_of_the_density",
     ),
     fault(
-        "identknee/identify/posterior/own_kernel.py",
+        "identknee/identify/posterior/moves.py",
         "_log_density",
         "np.log(diagonal) - 0.5 * standard ** 2",
         "0.0 * diagonal - 0.5 * standard ** 2",
@@ -190,7 +190,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_moves.py::test_moments_are_those_of_the_density",
     ),
     fault(
-        "identknee/identify/posterior/hamiltonian.py",
+        "identknee/identify/posterior/moves.py",
         "_trajectories",
         "log_prob - _kinetic(momentum, mass) - before",
         "log_prob - start.log_prob",
@@ -198,7 +198,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_moves.py::test_moments_are_those_of_the_density",
     ),
     fault(
-        "identknee/identify/posterior/hamiltonian.py",
+        "identknee/identify/posterior/moves.py",
         "_gradient",
         "scaled = np.einsum('kji,kj->ki', factors, points - blobs[:, :n])",
         "scaled = np.einsum('kji,kj->ki', factors, blobs[:, :n] - points)",
@@ -214,7 +214,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_surrogate.py::test_the_sample_is_of_the_exact_posterior",
     ),
     fault(
-        "identknee/identify/posterior/surrogate_training.py",
+        "identknee/identify/posterior/surrogate.py",
         "_acceptance",
         "weights = np.exp(known.min() - known)",
         "weights = np.ones_like(known)",
@@ -254,7 +254,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_posterior.py::test_the_kernel_of_a_linear_problem_is_its_posterior",
     ),
     fault(
-        "identknee/identify/posterior/chains.py",
+        "identknee/identify/posterior/convergence.py",
         "normal_scores",
         "return np.asarray(norm.ppf((ranks - 0.375) / (values.size + 0.25)))",
         "return np.asarray(norm.ppf((ranks - 0.5) / (values.size + 0.25)))",
@@ -263,7 +263,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_chains.py::test_scores_of_ranks_are_those_of_blom",
     ),
     fault(
-        "identknee/identify/posterior/chains.py",
+        "identknee/identify/posterior/convergence.py",
         "autocorrelation_time",
         "sums = 2.0 * np.cumsum(autocorrelation(values)) - 1.0",
         "sums = np.cumsum(autocorrelation(values))",
@@ -271,7 +271,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_chains.py::test_autocorrelation_time_of_a_known_sequence",
     ),
     fault(
-        "identknee/identify/sensitivity/estimators.py",
+        "identknee/identify/sensitivity_estimators.py",
         "_sobol",
         "{'S1': np.stack([share(b * (mixed[:, i] - a)) for i in parameters], axis=-1), 'ST': np.stack([share(0.5 * (a - mixed[:, i]) ** 2) for i in parameters], axis=-1)}",
         "{'S1': np.stack([share(a * (mixed[:, i] - a)) for i in parameters], axis=-1), 'ST': np.stack([share(0.5 * (a - mixed[:, i]) ** 2) for i in parameters], axis=-1)}",
@@ -279,7 +279,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_sensitivity_estimators.py",
     ),
     fault(
-        "identknee/identify/sensitivity/estimators.py",
+        "identknee/identify/sensitivity_estimators.py",
         "_sobol",
         "share(0.5 * (a - mixed[:, i]) ** 2)",
         "share((a - mixed[:, i]) ** 2)",
@@ -287,7 +287,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_sensitivity_estimators.py",
     ),
     fault(
-        "identknee/identify/sensitivity/estimators.py",
+        "identknee/identify/sensitivity_estimators.py",
         "_morris",
         "np.maximum(square - mean ** 2, 0.0) * weight / np.maximum(weight - 1.0, 1.0)",
         "np.maximum(square - mean ** 2, 0.0) * 1.0",
@@ -295,7 +295,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_sensitivity_estimators.py",
     ),
     fault(
-        "identknee/identify/sensitivity/estimators.py",
+        "identknee/identify/sensitivity_estimators.py",
         "_elementary_effects",
         "change = np.diff(outputs, axis=1) / sizes",
         "change = np.diff(outputs, axis=1) / np.abs(sizes)",
@@ -303,7 +303,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_sensitivity_estimators.py",
     ),
     fault(
-        "identknee/identify/design/criteria.py",
+        "identknee/identify/design_criteria.py",
         "LocalLoss.__call__",
         "return np.asarray(-np.log(eigenvalues).sum(axis=1))",
         "return np.asarray(np.log(eigenvalues).sum(axis=1))",
@@ -311,7 +311,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_design.py::test_losses_are_those_of_their_names",
     ),
     fault(
-        "identknee/identify/design/criteria.py",
+        "identknee/identify/design_criteria.py",
         "LocalLoss.__call__",
         "return np.asarray(1.0 / eigenvalues[:, 0])",
         "return np.asarray(1.0 / eigenvalues[:, -1])",
@@ -319,7 +319,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_design.py::test_losses_are_those_of_their_names",
     ),
     fault(
-        "identknee/identify/design/criteria.py",
+        "identknee/identify/design_criteria.py",
         "WidthLoss.intervals",
         "intervals.append(path.ends(rise - saved))",
         "intervals.append(path.ends(rise))",
@@ -328,7 +328,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_design.py::test_on_a_linear_model_predicted_is_achieved_is_the_formula",
     ),
     fault(
-        "identknee/identify/equivalents/region.py",
+        "identknee/identify/region.py",
         "power_of_best_test",
         "return float(norm.sf(norm.isf(LEVEL) - np.sqrt(squared_distance)))",
         "return float(norm.sf(norm.isf(LEVEL) - squared_distance))",
@@ -336,7 +336,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_equivalents.py::test_power_grows_with_the_distance_and_not_with_its_square",
     ),
     fault(
-        "identknee/identify/equivalents/region.py",
+        "identknee/identify/region.py",
         "RegionView.__init__",
         "frozen(weights, m, name=f'the weights of {name}') / np.sqrt(region.limit)",
         "frozen(weights, m, name=f'the weights of {name}') / region.limit",
@@ -345,7 +345,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_equivalents.py::test_an_ellipsoid_has_its_known_extents_and_diameter",
     ),
     fault(
-        "identknee/identify/information/geodesic.py",
+        "identknee/identify/geodesic.py",
         "_Walk._bending",
         "bending = -right.T @ (damped * (left.T @ second))",
         "bending = right.T @ (damped * (left.T @ second))",
@@ -353,7 +353,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_geodesic.py::test_on_a_sphere_they_are_great_circles",
     ),
     fault(
-        "identknee/identify/sensitivity/designs.py",
+        "identknee/identify/sensitivity.py",
         "box_around",
         "STIFFNESS_SHARE * np.abs(center)",
         "STIFFNESS_SHARE",
@@ -385,7 +385,7 @@ IDENTIFICATION = (
         "tests/unit/runs/test_store.py",
     ),
     fault(
-        "identknee/runs/resume.py",
+        "identknee/runs/store.py",
         "_changes",
         "if isinstance(before, dict) and isinstance(now, dict):\n    for key in [*before, *(key for key in now if key not in before)]:\n        inner = f'{place}.{key}' if place else key\n        if key not in now:\n            yield f'{inner} was {_shown(before[key])} and is not given now'\n        elif key not in before:\n            yield f'{inner} was not given and is {_shown(now[key])} now'\n        else:\n            yield from _changes(before[key], now[key], inner)\nelif json.dumps(before) != json.dumps(now):\n    if _is_digest(before) and _is_digest(now):\n        yield f'the content of {place} has changed'\n    else:\n        yield f'{place} was {_shown(before)} and is {_shown(now)} now'",
         "if isinstance(before, dict) and isinstance(now, dict):\n    for key in [*before, *(key for key in now if key not in before)]:\n        inner = f'{place}.{key}' if place else key\n        if key not in now:\n            yield f'{inner} was {_shown(before[key])} and is not given now'\n        elif key not in before:\n            yield f'{inner} was not given and is {_shown(now[key])} now'\n        else:\n            yield from _changes(before[key], now[key], inner)\nelif False and json.dumps(before) != json.dumps(now):\n    if _is_digest(before) and _is_digest(now):\n        yield f'the content of {place} has changed'\n    else:\n        yield f'{place} was {_shown(before)} and is {_shown(now)} now'",
@@ -393,7 +393,7 @@ IDENTIFICATION = (
         "tests/unit/runs/test_resume.py",
     ),
     fault(
-        "identknee/runs/resume.py",
+        "identknee/runs/store.py",
         "resumable_map",
         "return [results[key] for key in keys]",
         "return [results[key] for key in sorted(keys)]",
@@ -417,7 +417,7 @@ IDENTIFICATION = (
         "tests/unit/verbs/test_averaged.py",
     ),
     fault(
-        "identknee/identify/design/better_known.py",
+        "identknee/identify/design.py",
         "_as_trial",
         "np.sqrt(SHARE ** (-2) - 1.0)",
         "np.sqrt(SHARE ** (-2))",
@@ -427,7 +427,7 @@ IDENTIFICATION = (
 )
 DIAGNOSIS = (
     fault(
-        "identknee/diagnosis/score/misfit.py",
+        "identknee/diagnosis/misfit.py",
         "log_weighted_tail",
         "degrees = squares ** 3 / cubes ** 2",
         "degrees = mean ** 2 / squares",
@@ -435,7 +435,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_tails.py::test_weighted_tail_is_that_of_simulation",
     ),
     fault(
-        "identknee/diagnosis/score/misfit.py",
+        "identknee/diagnosis/misfit.py",
         "cauchy_combination",
         "mean = float(np.mean(1 / np.tan(np.pi * used)))",
         "mean = float(np.max(1 / np.tan(np.pi * used)))",
@@ -443,7 +443,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_goodness.py::test_a_small_probability_among_several_counts_as_often_as_was_looked",
     ),
     fault(
-        "identknee/diagnosis/score/misfit.py",
+        "identknee/diagnosis/misfit.py",
         "size_check",
         "p_value = float(stats.f.sf(ratio, degrees, noise_degrees))",
         "p_value = float(stats.chi2.sf(square, degrees))",
@@ -451,7 +451,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_goodness.py::test_noise_estimated_from_few_values_alarms_as_often_as_stated",
     ),
     fault(
-        "identknee/diagnosis/noise/noise_model.py",
+        "identknee/diagnosis/noise_model.py",
         "build_noise_model",
         "spread = nuisance * nuisance_sd",
         "spread = nuisance * nuisance_sd ** 2",
@@ -475,7 +475,7 @@ DIAGNOSIS = (
         "tests/unit/identify/test_laplace.py::test_one_bound_is_exact",
     ),
     fault(
-        "identknee/diagnosis/gain/gain.py",
+        "identknee/diagnosis/gain.py",
         "_summed",
         "[y.log_density - x.log_density for x, y in pairs]",
         "[x.log_density - y.log_density for x, y in pairs]",
@@ -483,7 +483,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_held_out.py::test_the_difference_of_two_models_is_the_sum_over_trials",
     ),
     fault(
-        "identknee/diagnosis/gain/gain.py",
+        "identknee/diagnosis/gain.py",
         "_summed",
         "np.sqrt(n * np.var(by_trial, ddof=1))",
         "np.sqrt(np.var(by_trial, ddof=1))",
@@ -491,7 +491,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_held_out.py::test_the_difference_of_two_models_is_the_sum_over_trials",
     ),
     fault(
-        "identknee/diagnosis/score/score.py",
+        "identknee/diagnosis/score.py",
         "judge",
         "is_powerful = power >= HIGH_POWER",
         "is_powerful = power <= HIGH_POWER",
@@ -499,7 +499,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_power.py::test_silence_means_something_only_where_the_test_has_power",
     ),
     fault(
-        "identknee/diagnosis/score/score.py",
+        "identknee/diagnosis/score.py",
         "_trials_factors",
         "factors = LEVEL / np.exp(log_tail_of_z_score(quantiles))",
         "factors = np.exp(log_tail_of_z_score(quantiles)) / LEVEL",
@@ -507,7 +507,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_score.py::test_variants_count_as_the_looks_they_are_worth",
     ),
     fault(
-        "identknee/diagnosis/score/misfit.py",
+        "identknee/diagnosis/misfit.py",
         "",
         "LEAST_SINGULAR_VALUE = 1e-06",
         "LEAST_SINGULAR_VALUE = 0.1",
@@ -515,7 +515,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_projection.py",
     ),
     fault(
-        "identknee/diagnosis/score/localisation.py",
+        "identknee/diagnosis/misfit.py",
         "_share_of_excess",
         "expected = without.rank - projector.rank",
         "expected = 0",
@@ -523,7 +523,7 @@ DIAGNOSIS = (
         "tests/unit/diagnosis/test_localisation.py::test_the_share_is_what_falls_when_the_data_are_left_out",
     ),
     fault(
-        "identknee/diagnosis/gain/held_out.py",
+        "identknee/diagnosis/gain.py",
         "_score",
         "left = -(at.residuals[held] - weights @ at.residuals[kept])",
         "left = -at.residuals[held]",
@@ -533,7 +533,7 @@ DIAGNOSIS = (
 )
 NAMING = (
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "_is_better",
         "return fall > least and new.log_evidence > old.log_evidence + LEAST_GAIN",
         "return fall > least or new.log_evidence > old.log_evidence + LEAST_GAIN",
@@ -541,7 +541,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_first_cause_must_lower_the_misfit_and_gain_evidence",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "",
         "LEAST_FALL, FURTHER_FALL = (9.0, 16.0)",
         "LEAST_FALL, FURTHER_FALL = (9.0, 9.0)",
@@ -549,7 +549,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_further_cause_must_lower_it_by_more",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "",
         "LEAST_FALL, FURTHER_FALL = (9.0, 16.0)",
         "LEAST_FALL, FURTHER_FALL = (4.0, 16.0)",
@@ -557,7 +557,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_first_cause_must_lower_the_misfit_and_gain_evidence",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "backward_elimination",
         "enough = [x for x in simpler if not _is_better(current, x)]",
         "enough = [x for x in simpler if _is_better(current, x)]",
@@ -565,7 +565,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_cause_that_another_made_superfluous_is_left_out",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "Attribution.is_left_unexplained",
         "return last.at is self.best and last.is_significant",
         "return last.is_significant",
@@ -573,7 +573,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_what_the_best_explanation_explains_is_not_left_unexplained",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "",
         "MOST_CAUSES = 3",
         "MOST_CAUSES = 2",
@@ -581,7 +581,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_no_more_than_three_causes_are_sought",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "_with_flexible",
         "best = max([current, *flexible], key=lambda x: x.log_evidence)",
         "best = min([current, *flexible], key=lambda x: x.log_evidence)",
@@ -589,7 +589,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_an_effect_of_many_amplitudes_wins_by_evidence_alone",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "Step.is_significant",
         "self.scores.p_value <= (FURTHER_LEVEL if self.at.causes else LEVEL)",
         "self.scores.p_value <= (LEVEL if self.at.causes else FURTHER_LEVEL)",
@@ -597,7 +597,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_further_cause_needs_a_rarer_score_than_the_first",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "promising_refits",
         "tuple(sorted(found, key=lambda x: -x.log_evidence))",
         "tuple(sorted(found, key=lambda x: x.log_evidence))",
@@ -605,7 +605,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py",
     ),
     fault(
-        "identknee/diagnosis/explanations/attribution.py",
+        "identknee/diagnosis/attribution.py",
         "",
         "LEAST_SCORE = 1.0",
         "LEAST_SCORE = -1.0",
@@ -613,7 +613,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py",
     ),
     fault(
-        "identknee/diagnosis/explanations/refit.py",
+        "identknee/diagnosis/refit.py",
         "_rival",
         "Rival(refit=other, log_evidence_deficit=best.log_evidence - other.log_evidence, distance=expected_distance(best, other), score=score, highest=highest)",
         "Rival(refit=other, log_evidence_deficit=other.log_evidence - best.log_evidence, distance=expected_distance(best, other), score=score, highest=highest)",
@@ -621,7 +621,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py",
     ),
     fault(
-        "identknee/diagnosis/explanations/refit.py",
+        "identknee/diagnosis/refit.py",
         "rivals_of",
         "if set(x.names) != set(best.names):\n    found.setdefault(frozenset(x.names), x)",
         "if x is not best:\n    found.setdefault(frozenset(x.names), x)",
@@ -629,7 +629,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_another_fit_of_the_same_causes_is_no_rival",
     ),
     fault(
-        "identknee/diagnosis/explanations/refit.py",
+        "identknee/diagnosis/refit.py",
         "Refit.log_evidence",
         "-0.5 * evaluation.deviance - 0.5 * log_determinant - np.log(p.prior_sd).sum()",
         "-0.5 * evaluation.deviance - 0.5 * log_determinant + np.log(p.prior_sd).sum()",
@@ -637,7 +637,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_evidence_is_the_probability_of_the_data_up_to_a_constant",
     ),
     fault(
-        "identknee/diagnosis/explanations/refit.py",
+        "identknee/diagnosis/refit.py",
         "Refit.log_evidence",
         "-0.5 * evaluation.deviance - 0.5 * log_determinant - np.log(p.prior_sd).sum() + halves * np.log(2.0)",
         "-0.5 * evaluation.deviance - 0.5 * log_determinant - np.log(p.prior_sd).sum() - halves * np.log(2.0)",
