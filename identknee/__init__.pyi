@@ -11,10 +11,10 @@ from . import scrutiny as scrutiny
 from . import subject as subject
 from . import verbs as verbs
 from .calibrate.starts import load_start as load_start
-from .diagnosis.explanations.verdict import Verdict as Verdict
-from .identify.profile.profiles import profile_parameters as profile_parameters
+from .diagnosis.verdict import Verdict as Verdict
+from .identify.profile.profile import profile_parameters as profile_parameters
 from .identify.profile.result import Profile as Profile
-from .laxity.examples import example_laxity as example_laxity
+from .laxity.named_trials import example_laxity as example_laxity
 from .laxity.noise import add_noise as add_noise
 from .laxity.protocol import Protocol as Protocol
 from .laxity.protocol import load_protocol as load_protocol

@@ -11,8 +11,8 @@ from knees import knee
 from identknee.blind.case import BlindCase, blind_case
 from identknee.blind.scoring import score
 from identknee.calibrate.starts import named_start
-from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from knees import model
 
-from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
+from identknee.calibrate.bounded_least_squares import Constrained, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.laxity.noise import add_noise

@@ -1,7 +1,7 @@
 """What the lines of a setting add to the gradient of the energy."""
 
 from identknee.mechanics.ligament_tensions import ligament_tensions
-from identknee.model.setting import Setting
+from identknee.model.mechanics_inputs import Setting
 from identknee.runs.arrays import Array
 
 

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 from identknee.subject import reference
 from identknee.subject.knee import Knee
-from identknee.subject.plateau import Plateau
+from identknee.subject.reference import Plateau
 
 
 @lru_cache(maxsize=4)

@@ -9,7 +9,7 @@ from diagnoses import FRAME, answered
 from problems import linear
 
 from identknee.calibrate.problem import with_bounds
-from identknee.identify.profile.profiles import profile_parameters
+from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.runs.files import write_json

@@ -10,10 +10,10 @@ from knees import knee
 
 from identknee.blind.case import BlindCase, blind_case
 from identknee.blind.conditions import Conditions
-from identknee.diagnosis.explanations.fitting import fit_from
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.fitting import fit_from
 from identknee.diagnosis.investigation import Investigation, investigate
-from identknee.diagnosis.score.score import detection_power
+from identknee.diagnosis.score import detection_power
+from identknee.diagnosis.verdict import Verdict
 from identknee.runs.arrays import Array
 from identknee.subject.uncertainty import Uncertainty
 

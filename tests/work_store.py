@@ -6,8 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from identknee.runs.resume import open_work
-from identknee.runs.store import Store
+from identknee.runs.store import Store, open_work
 
 
 @contextmanager

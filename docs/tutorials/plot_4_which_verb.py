@@ -10,8 +10,8 @@ import numpy as np
 
 import identknee as ik
 from identknee.calibrate.fit import fit
-from identknee.identify.equivalents.equivalents import equivalents
-from identknee.identify.information.information import information as fisher_information
+from identknee.identify.equivalents import equivalents
+from identknee.identify.information import information as fisher_information
 from identknee.report.equivalents_figures import ranges_figure
 from identknee.report.information_figures import spectrum_figure
 from identknee.report.profile_figures import intervals_figure

@@ -11,7 +11,7 @@ import numpy as np
 from distributed import LocalCluster
 
 import identknee as ik
-from identknee.identify.sweep.sweep import sweep
+from identknee.identify.sweep import sweep
 from identknee.report.sweep_figures import waterfall_figure
 from identknee.runs.dask_executor import dask_cluster
 

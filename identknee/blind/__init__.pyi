@@ -1,9 +1,9 @@
 from .case import BlindCase as BlindCase
 from .case import blind_case as blind_case
+from .case import write_blind as write_blind
 from .conditions import stated_conditions as stated_conditions
 from .effects import LISTED as LISTED
 from .effects import UNLISTED as UNLISTED
-from .folder import write_blind as write_blind
 from .scoring import Score as Score
 from .scoring import score as score
 from .truth import Truth as Truth

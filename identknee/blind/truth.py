@@ -5,15 +5,40 @@ import json
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from identknee.blind.truth_schema import TruthFile
 from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_PARAMETER, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Number, Part, declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import BYTES_PER_MB, PathLike, check_readable, write_json
 from identknee.runs.plain_records import summary_of
+
+Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
+
+
+class Amplitude(NamedTuple):
+    """A size and its unit."""
+
+    value: Number
+    unit: str
+
+
+class TruthFile(Part):
+    """The sealed part, opened."""
+
+    seed: int
+    effects: list[str]
+    amplitudes: dict[str, dict[str, Amplitude]]
+    theta: dict[str, Number]
+    signal: Number
+    is_largest: bool
+    lines: dict[str, tuple[Point, Point]]
+    facts: dict[str, Any]
+    stated_errors: dict[str, Number] = Field(default_factory=dict)
+
 
 TRUTH_FILE = "truth.json"
 FORMAT = 1

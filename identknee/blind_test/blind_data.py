@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-from identknee.blind.case import RANDOM, BlindCase, blind_case
+from identknee.blind.case import RANDOM, BlindCase, blind_case, write_blind
 from identknee.blind.conditions import stated_conditions
-from identknee.blind.folder import write_blind
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike
 from identknee.subject.uncertainty import UncertainLike

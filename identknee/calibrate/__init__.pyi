@@ -1,6 +1,6 @@
-from .constrained import Constrained as Constrained
-from .constrained import minimise as minimise
-from .constrained import solve_constrained as solve_constrained
+from .bounded_least_squares import Constrained as Constrained
+from .bounded_least_squares import minimise as minimise
+from .bounded_least_squares import solve_constrained as solve_constrained
 from .evaluation import Evaluator as Evaluator
 from .fit import BUDGET as BUDGET
 from .fit import METHODS as METHODS

@@ -3,7 +3,7 @@
 import numpy as np
 
 from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.scales import floors, half_widths
+from identknee.calibrate.problem import floors, half_widths
 from identknee.calibrate.search import POPULATION, run_search, uniform_box
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtrc
 
-from identknee.calibrate.scales import typical_steps
+from identknee.calibrate.problem import typical_steps
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from identknee.calibrate.complex import minimise_by_complex
 from identknee.calibrate.evaluation import Ended, Evaluator
-from identknee.calibrate.gauss_newton import gauss_newton
-from identknee.calibrate.least_squares import minimise_by_least_squares
+from identknee.calibrate.least_squares import gauss_newton, minimise_by_least_squares
 from identknee.calibrate.population import (
     minimise_by_annealing,
     minimise_by_cma_es,

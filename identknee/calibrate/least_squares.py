@@ -1,15 +1,185 @@
 """Bounded least squares with the exact Jacobian, which sees a cliff and steps around it."""
 
 import numpy as np
+import scipy.linalg
 
-from identknee.calibrate.cliff import way_around
-from identknee.calibrate.constrained import minimise
-from identknee.calibrate.evaluation import Ended, Evaluator
-from identknee.calibrate.gauss_newton import gauss_newton
-from identknee.calibrate.scales import typical_steps
+from identknee.calibrate.bounded_least_squares import bounded_step, minimise
+from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
+from identknee.calibrate.problem import KINK_DEVIANCE, KINK_SHARE, RANK_TOLERANCE, typical_steps
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared
 from identknee.runs.outcome import Outcome
+
+STEP_TOLERANCE = 1e-6
+ROUNDING = 1e-14
+
+
+@declared
+class GaussNewton:
+    """The best step within the bounds by the linear model of the residuals.
+
+    Attributes
+    ----------
+    step
+        To be added to theta, shape ``(n,)``.
+    length
+        Largest component of the step, in typical steps (3 kN, 2 %).
+    reduction
+        How much lower the linear model has the deviance there.
+    is_on_a_kink
+        Whether the reduction is so small that a search which cannot go on is at a minimum where the
+        derivatives of both sides point at each other.
+    is_stationary
+        Whether the step is below 1e-6 of the typical steps, or promises less than rounding.
+    gradient_norm
+        Largest derivative of the deviance by a parameter, times its typical step, leaving out
+        those that only lead out of the bounds.
+    """
+
+    step: Array
+    length: float
+    reduction: float
+    is_on_a_kink: bool
+    is_stationary: bool
+    gradient_norm: float
+
+
+def gauss_newton(here: Evaluation, parameters: Parameters) -> GaussNewton:
+    """The Gauss-Newton step from an evaluation, parameters at a bound included.
+
+    Parameters
+    ----------
+    here
+        A simulation with a prediction, within the bounds.
+    parameters
+        For the bounds and the typical steps.
+    """
+    scales = typical_steps(parameters)
+    scaled = here.jacobian * scales
+    low, high = (parameters.lower - here.theta) / scales, (parameters.upper - here.theta) / scales
+    bounds = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    step = bounded_step(scaled, here.residuals, bounds, None).step
+    change = scaled @ step
+    gradient = 2.0 * scaled.T @ here.residuals
+    reduction = float(-2.0 * here.residuals @ change - change @ change)
+    length = float(np.max(np.abs(step)))
+    least = 0.0 if parameters.is_of_interest.all() else KINK_DEVIANCE
+    inward = np.where(gradient > 0, low < -STEP_TOLERANCE, high > STEP_TOLERANCE)
+    return GaussNewton(
+        step=scales * step,
+        length=length,
+        reduction=reduction,
+        is_on_a_kink=reduction <= max(KINK_SHARE * here.deviance, least),
+        is_stationary=length < STEP_TOLERANCE or reduction <= ROUNDING * here.deviance,
+        gradient_norm=float(np.max(np.abs(gradient) * inward)),
+    )
+
+
+LENGTHS = (1.0, 1 / 4, 1 / 16, 1 / 64)
+LONGEST = 5.0
+TILTS_DEG = (50.0, 75.0, 85.0)
+TILTED_LENGTHS = (1.0, 0.1, 0.01)
+# Least share of the decrease that the linear model, which sees no cliff, promises.
+ENOUGH = 0.01
+
+
+def way_around(evaluator: Evaluator, theta: Array, generator: np.random.Generator) -> Array | None:
+    """A feasible point clearly lower than `theta`, shape ``(n,)``; None if there is none.
+
+    The singular vectors of the Jacobian turn the deviance into the distance from a target. First
+    the components of the way to the target are tried one by one: where stiff and soft directions
+    are mixed, often some of them are free. If all are blocked, the way itself is tilted sideways,
+    along each of the directions across it and then away from those that were blocked, which
+    slides along the cliff.
+
+    Parameters
+    ----------
+    evaluator
+        Evaluator of the residuals; it has a prediction at `theta`.
+    theta
+        A point before a cliff, shape ``(n,)``, within the bounds.
+    generator
+        Turns the sideways directions, so that a second try differs from the first.
+    """
+    poll = _Poll(evaluator, theta)
+    if poll.distance == 0.0:
+        return None
+    for length in LENGTHS:
+        steps = length * np.diag(poll.target)
+        lower = poll.lowest(steps[np.argsort(-np.abs(poll.target))])
+        if lower is not None:
+            return lower
+    across = _across(poll.target, generator)
+    for length in TILTED_LENGTHS:
+        for tilt in np.deg2rad(TILTS_DEG):
+            lower = _slide(poll, across, float(tilt), length)
+            if lower is not None:
+                return lower
+    return None
+
+
+class _Poll:
+    """Trial steps from one point, in coordinates where the linear model is a distance."""
+
+    def __init__(self, evaluator: Evaluator, theta: Array) -> None:
+        self._evaluator = evaluator
+        self._theta = theta
+        self._scales = typical_steps(evaluator.parameters)
+        here = evaluator(theta)
+        left, size, right = scipy.linalg.svd(here.jacobian * self._scales, full_matrices=False)
+        kept = size > RANK_TOLERANCE * size[0]
+        self._scaled_from_poll = right[kept].T / size[kept]
+        self._deviance = here.deviance
+        self.target: Array = -(left[:, kept].T @ here.residuals)
+        self.distance = float(np.linalg.norm(self.target))
+
+    def lowest(self, steps: Array) -> Array | None:
+        """The lowest point after any of the `steps`, None where none is low enough."""
+        tried = [self.after(step) for step in steps]
+        deviance, point = min(tried, key=lambda pair: pair[0])
+        return point if self.is_lower(deviance) else None
+
+    def after(self, step: Array) -> tuple[float, Array]:
+        """Deviance after `step`, and the point, kept to bounds and to moderate lengths."""
+        scaled = self._scaled_from_poll @ step
+        length = float(np.max(np.abs(scaled)))
+        parameters = self._evaluator.parameters
+        point = np.clip(
+            self._theta + self._scales * scaled * min(1.0, LONGEST / max(length, LONGEST)),
+            parameters.lower,
+            parameters.upper,
+        )
+        return self._evaluator.deviance(point), point
+
+    def is_lower(self, deviance: float) -> bool:
+        """Whether the decrease is worth the step."""
+        return deviance < self._deviance - ENOUGH * self.distance**2
+
+
+def _slide(poll: _Poll, across: Array, tilt: float, length: float) -> Array | None:
+    """The lowest point along the way to the target, tilted sideways by an angle [rad]."""
+    toward = np.cos(tilt) * poll.target
+    sideways = np.sin(tilt) * poll.distance
+    reach = length * np.cos(tilt)
+    blocked = np.zeros(poll.target.size)
+    for direction in np.vstack([across, -across]):
+        deviance, point = poll.after(reach * (toward + sideways * direction))
+        if poll.is_lower(deviance):
+            return point
+        blocked += direction * (not np.isfinite(deviance))
+    if not blocked.any():
+        return None
+    away = -blocked / np.linalg.norm(blocked)
+    return poll.lowest((reach * (toward + sideways * away))[None])
+
+
+def _across(target: Array, generator: np.random.Generator) -> Array:
+    """Orthonormal directions across `target`, as rows, turned at random."""
+    basis = scipy.linalg.null_space(target[None])
+    turn, _ = np.linalg.qr(generator.standard_normal((basis.shape[1], basis.shape[1])))
+    return np.asarray((basis @ turn).T)
+
 
 # Parts of the typical steps (3 kN, 2 %): how close to a cliff is close enough, and how far inside
 # the bounds to start.
@@ -32,14 +202,14 @@ def minimise_by_least_squares(
 
     scipy's trust-region reflective method does the descent. It stays off the bounds, where a slack
     ligament has no slope to leave them by: of 300 starts far from the minimum of eight sloppy
-    springs 296 reach it, and 243 by the active set of `identknee.calibrate.constrained`, which is
-    the method near a minimum and with a constraint. With nuisance parameters that method, which
+    springs 296 reach it, and 243 by the active set of
+    `identknee.calibrate.bounded_least_squares`, which is the method near a minimum and with a
+    constraint. With nuisance parameters that method, which
     learns the curvature of their bent valleys, takes over where this one creeps. It ends where the
     Gauss-Newton step within the bounds vanishes, or where no step goes down any more and the
     derivatives promise next to nothing, as at a minimum on a kink (`minimum`). Where it cannot go
-    on because every longer step has no prediction it tries to get around
-    (`identknee.calibrate.cliff`) and goes on from there, or ends (`cliff`). A start outside the
-    bounds is moved just inside.
+    on because every longer step has no prediction it tries to get around and goes on
+    from there, or ends (`cliff`). A start outside the bounds is moved just inside.
     """
     theta = _inside(start, evaluator.parameters)
     if not np.isfinite(evaluator.deviance(theta)):

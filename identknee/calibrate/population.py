@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.scales import half_widths
+from identknee.calibrate.problem import half_widths
 from identknee.calibrate.search import POPULATION, run_search, uniform_box
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array

@@ -6,8 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.calibrate.fit import Fit
-from identknee.calibrate.problem import Problem, Scaled, with_nuisance_priors, without_priors
-from identknee.calibrate.tolerances import RANK_TOLERANCE
+from identknee.calibrate.problem import (
+    RANK_TOLERANCE,
+    Problem,
+    Scaled,
+    with_nuisance_priors,
+    without_priors,
+)
 from identknee.runs.arrays import Array, IntArray
 
 # Of Student's t: tails heavy enough that a gross error in twenty values moves next to nothing.

@@ -7,29 +7,28 @@ from functools import cached_property
 
 from identknee.calibrate.doubts import at_zero, bound_findings
 from identknee.calibrate.starts import load_start
-from identknee.diagnosis.advice.advice import Advice, advise
-from identknee.diagnosis.explanations.attribution import (
+from identknee.diagnosis.advice import Advice, advise
+from identknee.diagnosis.attribution import (
     FAR_FROM_DONE,
     SIMPLE,
     Attribution,
     attribute,
 )
-from identknee.diagnosis.explanations.candidates import Exclusion
-from identknee.diagnosis.explanations.causes import Cause, causes_of
-from identknee.diagnosis.explanations.fitting import BaseFit, fit_base, fit_from
-from identknee.diagnosis.explanations.refit import Refit, without_causes
-from identknee.diagnosis.explanations.stated_errors import insertions_beyond, remounted
-from identknee.diagnosis.explanations.verdict import LEVEL, Conclusion, Verdict, conclude
-from identknee.diagnosis.gain.gain import Gain, measure_gain
-from identknee.diagnosis.missing_line.line import LineFinding, find_line
-from identknee.diagnosis.missing_line.wrench import (
+from identknee.diagnosis.candidates import Exclusion, insertions_beyond, remounted
+from identknee.diagnosis.data_noise import DataNoise
+from identknee.diagnosis.fitting import BaseFit, fit_base, fit_from
+from identknee.diagnosis.gain import Gain, measure_gain
+from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
+from identknee.diagnosis.missing_line import (
+    LineFinding,
     MissingPull,
     MissingWrench,
+    find_line,
     missing_pulls,
     missing_wrench,
 )
-from identknee.diagnosis.noise.data_noise import DataNoise
-from identknee.diagnosis.score.localisation import Localisation, TrialLayout, localise
+from identknee.diagnosis.refit import Refit, without_causes
+from identknee.diagnosis.verdict import LEVEL, Cause, Conclusion, Verdict, causes_of, conclude
 from identknee.laxity.dominant import nominal_flexion, told_loads
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.effects.effect import Effect

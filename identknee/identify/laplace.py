@@ -4,15 +4,202 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp
+from scipy.stats import qmc
 
 from identknee.calibrate.evaluation import Evaluation
-from identknee.identify.normal_in_box import (
-    box_intervals,
-    log_box_probability,
-    log_interval_mass,
-)
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, frozen
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
+
+# Bounds that cut off less of a component than this are none; for the intervals of the others.
+LEAST_CUT, LEAST_SHARED = 1e-6, 1e-4
+# Points at which the share of a Gaussian within bounds is averaged, and the seed of their order.
+N_POINTS, POINTS_SEED = 1024, 0
+# What a 95 % interval leaves out to either side; all of it on one side where a bound is the other.
+TAIL = 0.025
+# Of the logarithm of a weight: points below it do not count.
+NEGLIGIBLE = 40.0
+# Standard deviations: a lower bound so far off cuts off nothing.
+FAR = -9.0
+# Halvings of a bracket around a quantile.
+N_HALVINGS = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoxIntervals:
+    """95 % intervals of the components of a normal vector within bounds.
+
+    Attributes
+    ----------
+    lower, upper
+        Their ends, shape ``(p,)``.
+    is_lower_bound, is_upper_bound
+        Whether an end is the bound, which cuts off more than 2.5 %, shape ``(p,)``.
+    """
+
+    lower: Array
+    upper: Array
+    is_lower_bound: BoolArray
+    is_upper_bound: BoolArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Draws:
+    """Some components within their bounds: points in units of their Cholesky factor, weighted."""
+
+    components: IntArray
+    factor: Array
+    points: Array
+    log_weights: Array
+
+
+def log_box_probability(mean: Array, covariance: Array, lower: Array, upper: Array) -> float:
+    """Log probability that a Gaussian vector lies between `lower` and `upper`.
+
+    Averaged over points of a Sobol sequence; exact where one component is cut off at most.
+
+    Parameters
+    ----------
+    mean, covariance
+        Mean and covariance of the vector, shapes ``(p,)`` and ``(p, p)``.
+    lower, upper
+        Bounds, perhaps infinite, shape ``(p,)``.
+
+    References
+    ----------
+    A. Genz, Numerical computation of multivariate normal probabilities, J. Comput. Graph. Stat. 1
+    (1992) 141-149, doi:10.1080/10618600.1992.10477010.
+    """
+    inside, cut = _cut(mean, covariance, (lower, upper), LEAST_CUT)
+    if cut.size <= 1:
+        return float(inside[cut].sum())
+    drawn = _draws(mean, covariance, lower, upper, cut)
+    return float(logsumexp(drawn.log_weights) - np.log(N_POINTS))
+
+
+def box_intervals(mean: Array, covariance: Array, lower: Array, upper: Array) -> BoxIntervals:
+    """Intervals of every component, the others anywhere within their bounds.
+
+    A bound that cuts off a tail of more than 2.5 % is the end of the interval. Exact where one
+    component is cut off at most, else averaged over points of a Sobol sequence.
+
+    Parameters
+    ----------
+    mean, covariance
+        Mean and covariance of the vector, shapes ``(p,)`` and ``(p, p)``.
+    lower, upper
+        Bounds, perhaps infinite, shape ``(p,)``.
+    """
+    _, cut = _cut(mean, covariance, (lower, upper), LEAST_SHARED)
+    shared = _draws(mean, covariance, lower, upper, cut)
+    rows = []
+    for i in range(mean.size):
+        others = shared
+        if i in cut:
+            others = _draws(mean, covariance, lower, upper, cut[cut != i])
+        rows.append(_interval(i, mean, covariance, (lower[i], upper[i]), others))
+    low, high, is_low, is_high = zip(*rows, strict=True)
+    return BoxIntervals(
+        lower=np.array(low),
+        upper=np.array(high),
+        is_lower_bound=np.array(is_low),
+        is_upper_bound=np.array(is_high),
+    )
+
+
+def log_interval_mass(low: Array, high: Array) -> Array:
+    """Log probability that a standard normal variable lies between `low` and `high`."""
+    # Mirrored to the lower tail, where small probabilities keep their digits.
+    mirrored = low > -high
+    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+    top = log_ndtr(high)
+    with np.errstate(divide="ignore"):
+        return np.asarray(top + np.log1p(-np.exp(log_ndtr(low) - top)))
+
+
+def _cut(
+    mean: Array, covariance: Array, bounds: tuple[Array, Array], least: float
+) -> tuple[Array, IntArray]:
+    """Log share of each component within its bounds; which are cut off, the most first."""
+    sd = np.sqrt(np.diag(covariance))
+    low, high = ((x - mean) / sd for x in bounds)
+    inside = log_interval_mass(low, high)
+    # The components cut off most come first: what follows then varies least.
+    return inside, np.argsort(inside)[: np.count_nonzero(inside < -least)]
+
+
+def _draws(mean: Array, covariance: Array, lower: Array, upper: Array, cut: IntArray) -> _Draws:
+    """Points of these components within their bounds, each with its weight."""
+    n = N_POINTS if cut.size else 1
+    factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(cut, cut)]), dtype=np.float64)
+    drawn, weights = np.zeros((n, cut.size)), np.zeros(n)
+    points = qmc.Sobol(max(cut.size, 1), seed=POINTS_SEED).random(N_POINTS)
+    for i in range(cut.size):
+        known = mean[cut[i]] + drawn[:, :i] @ factor[i, :i]
+        low, high = ((x[cut[i]] - known) / factor[i, i] for x in (lower, upper))
+        weights += log_interval_mass(low, high)
+        drawn[:, i] = _within(low, high, points[:, i])
+    return _Draws(components=cut, factor=factor, points=drawn, log_weights=weights)
+
+
+def _interval(
+    i: int, mean: Array, covariance: Array, bounds: tuple[float, float], others: _Draws
+) -> tuple[float, float, bool, bool]:
+    """Ends of the interval of one component, and which of them are bounds."""
+    slope = np.linalg.solve(others.factor, covariance[others.components, i])
+    sd = float(np.sqrt(covariance[i, i] - slope @ slope))
+    middles = mean[i] + others.points @ slope
+    low, high = ((x - middles) / sd for x in bounds)
+    weights = np.exp(others.log_weights - others.log_weights.max())
+    weights /= weights.sum()
+    from_low = bool(weights @ np.exp(log_ndtr(low)) > TAIL)
+    to_high = bool(weights @ np.exp(log_ndtr(-high)) > TAIL)
+    mixture = others.log_weights, middles, sd, low, high
+    start = _quantile((2.0 if to_high else 1.0) * TAIL, *mixture)
+    end = _quantile(1.0 - (2.0 if from_low else 1.0) * TAIL, *mixture)
+    return (
+        float(bounds[0]) if from_low else start,
+        float(bounds[1]) if to_high else end,
+        from_low,
+        to_high,
+    )
+
+
+def _quantile(
+    share: float, log_weights: Array, middles: Array, sd: float, low: Array, high: Array
+) -> float:
+    """Where a share of a mixture of normal variables between bounds lies to the left."""
+    whole = log_weights + log_interval_mass(low, high)
+    # A middle far beyond the bounds has no share within them.
+    used = whole > whole.max() - NEGLIGIBLE
+    offset, log_weights = whole.max(), log_weights[used]
+    middles, low, high = middles[used], low[used], high[used]
+    ends = middles + sd * _within(low, high, np.full(low.size, share))
+    left, right = float(ends.min()), float(ends.max())
+    wanted = share * float(np.exp(whole[used] - offset).sum())
+    is_free = bool(np.all(low < FAR) and np.all(high > 0.5 * FAR))
+    weights = np.exp(log_weights - offset) if is_free else log_weights
+    for _ in range(N_HALVINGS if right > left else 0):
+        middle = 0.5 * (left + right)
+        reached = np.clip((middle - middles) / sd, low, high)
+        if is_free:
+            below = float(weights @ ndtr(reached))
+        else:
+            mass = log_interval_mass(low, reached)
+            below = float(np.exp(log_weights + mass - offset).sum())
+        left, right = (middle, right) if below < wanted else (left, middle)
+    return 0.5 * (left + right)
+
+
+def _within(low: Array, high: Array, share: Array) -> Array:
+    """Where a `share` of a standard normal variable between two ends lies to the left."""
+    mirrored = low > -high
+    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+    share = np.where(mirrored, 1.0 - share, share)
+    top = log_ndtr(high)
+    found = ndtri_exp(top + np.log(share + (1.0 - share) * np.exp(log_ndtr(low) - top)))
+    return np.asarray(np.where(mirrored, -found, found))
+
 
 # Share of a standard deviation that rounding may move an end by.
 ROUNDING = 1e-9

@@ -3,8 +3,7 @@
 import numpy as np
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Problem, Scaled, with_nuisance_priors
-from identknee.calibrate.tolerances import RANK_TOLERANCE
+from identknee.calibrate.problem import RANK_TOLERANCE, Problem, Scaled, with_nuisance_priors
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 

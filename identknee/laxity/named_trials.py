@@ -1,11 +1,11 @@
-"""Trials as every verb takes them: a protocol, its name or file, or a laxity table."""
+"""Laxity tables and trials by name: those that come with a subject, or a file."""
 
 from pathlib import Path
 
-from identknee.laxity.cells import OPENSIM
 from identknee.laxity.named_tables import TABLES
 from identknee.laxity.protocol import BUILT_IN, Protocol, load_protocol
 from identknee.laxity.table import Laxity, read_laxity
+from identknee.laxity.table_file import OPENSIM
 from identknee.runs.errors import InputError, suggestion
 from identknee.runs.files import PathLike
 
@@ -56,3 +56,27 @@ def read_trials(given: TrialsLike) -> Protocol:
     """
     tests = read_tests(given)
     return tests.protocol if isinstance(tests, Laxity) else tests
+
+
+def example_laxity(name: str) -> Laxity:
+    """The measured laxity of a named subject, which comes with identknee.
+
+    Parameters
+    ----------
+    name
+        ``"s192803"``: 25 end points of a robotic knee simulator; ``"s192803_bundles"``, the same
+        specimen, has the same table.
+
+    Raises
+    ------
+    ValueError
+        If there is no such table; the message lists them.
+
+    Examples
+    --------
+    >>> example_laxity("s192803").n
+    25
+    """
+    if name not in TABLES:
+        raise ValueError(f"no laxity of {name!r} comes with identknee. {suggestion(name, TABLES)}")
+    return read_laxity(name)

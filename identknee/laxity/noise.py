@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.laxity.statements import correlation_fault
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.table_file import correlation_fault
 from identknee.runs.arrays import Array
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.laxity.protocol import LOADS, trial_name
+from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.unloaded import relative_to_unloaded
 from identknee.laxity.zeros import SAME_ANGLE_DEG
 from identknee.runs.arrays import Array
 

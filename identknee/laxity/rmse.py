@@ -1,12 +1,45 @@
 """How far a simulated laxity is from a measured one."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.laxity.unloaded import relative_to_unloaded
-from identknee.laxity.zeros import ABSOLUTE, UNLOADED, from_zero
+from identknee.laxity.zeros import ABSOLUTE, UNLOADED, from_zero, unloaded_trials
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry
+
+
+def relative_to_unloaded(laxity: Laxity) -> Laxity:
+    """The same laxity as changes from the unloaded pose of each flexion angle.
+
+    Replicates of the unloaded trial are averaged over those that measured the coordinate; where
+    none did, the change is not measured either. A standard deviation of a loaded trial becomes that
+    of the difference; unloaded trials keep their own. Laxity that is relative already is returned
+    as it is.
+
+    Raises
+    ------
+    ValueError
+        If a flexion angle has no unloaded trial.
+    """
+    if laxity.zero == "unloaded":
+        return laxity
+    measured = laxity.is_measured
+    zeros = np.empty(laxity.coordinates.shape)
+    variances = np.empty(laxity.coordinates.shape)
+    filled = np.where(measured, laxity.coordinates, 0.0)
+    squares = np.zeros_like(filled) if laxity.sd is None else np.where(measured, laxity.sd**2, 0.0)
+    for row, unloaded in enumerate(unloaded_trials(laxity.protocol)):
+        count = measured[unloaded].sum(axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            zeros[row] = filled[unloaded].sum(axis=0) / count
+            variances[row] = squares[unloaded].sum(axis=0) / count**2
+    sd = laxity.sd
+    if sd is not None:
+        added = np.where(laxity.protocol.is_unloaded[:, None] | np.isnan(variances), 0.0, variances)
+        sd = np.sqrt(sd**2 + added)
+    return replace(laxity, coordinates=laxity.coordinates - zeros, sd=sd, zero="unloaded")
 
 
 @declared

@@ -7,11 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.laxity.cells import CellFile, Row, written
-from identknee.laxity.curves import TIME, mean_curves
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, chosen_rows, name_fault, range_fault
-from identknee.laxity.statements import STATEMENT, correlation_fault, levels, statements
+from identknee.laxity.table_file import (
+    STATEMENT,
+    TIME,
+    CellFile,
+    Row,
+    correlation_fault,
+    levels,
+    mean_curves,
+    statements,
+    written,
+)
 from identknee.laxity.zeros import zero_fault
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis

@@ -18,7 +18,7 @@ from identknee.mechanics.distance_field import SPACING, DistanceField, build_fie
 from identknee.mechanics.equilibria import ContactPoints, Lines, begin_compiling
 from identknee.mechanics.pose import start_pose
 from identknee.mechanics.rims import RimDistance, rim_distance
-from identknee.model.nuisances.library import contact_rounding
+from identknee.model.nuisances import contact_rounding
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.cache_folder import cache_folder
 from identknee.runs.declare import declared, entry

@@ -4,33 +4,70 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_law import ContactLaw
+from identknee.mechanics.contact_places import ContactPlaces, contact_places
 from identknee.mechanics.contact_points import DEFAULT_NUMBER
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactPoints
+from identknee.mechanics.equilibria import ContactPoints, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
-from identknee.mechanics.memory import CONVERGED, Equilibria
+from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria, LigamentArrays
+from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
+from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model import measured_start
+from identknee.model.effect_stack import Extension
 from identknee.model.effects.effect import Effect, Tests
-from identknee.model.extension import Extension
-from identknee.model.joint import Joint, joint_of
-from identknee.model.knee_parameters import knee_parameters
-from identknee.model.own_effects import StoredWithKnee, own_effects
+from identknee.model.joint import Joint, joint_of, sheets_of
+from identknee.model.knee_parameters import Tied, knee_parameters, tied
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting
+from identknee.model.nuisances import StoredWithKnee, own_effects
 from identknee.model.parameters import Parameters
-from identknee.model.past_folds import solve_past_folds
 from identknee.model.prediction import Prediction
-from identknee.model.setting import PER_KN, PER_PCT, Setting
-from identknee.model.tied import Tied, tied
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.short_repr import short_repr
+from identknee.runs.arrays import Array, IntArray, short_repr
+from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
+
+
+def solve_past_folds(
+    paths: LoadPaths,
+    start: Array,
+    knee: tuple[ContactPoints, DistanceField, LigamentArrays],
+    fallback_poses: Array | None,
+    **how: Any,
+) -> Equilibria:
+    """The equilibria at the nodes of `paths`, those of trials without one from a pose of their own.
+
+    The path to a trial may end, or its unloaded knee lie loose, for a small error of the geometry
+    where the knee that was measured had a pose. Its whole load is then put on the knee there.
+
+    Parameters
+    ----------
+    paths, start, knee, how
+        As for `identknee.mechanics.equilibria.solve`.
+    fallback_poses
+        Pose of each trial, shape ``(n, 5)``, NaN where none is known; None for none at all.
+    """
+    found = solve(paths, start, *knee, **how)
+    if fallback_poses is None:
+        return found
+    nodes = paths.trial_node
+    is_lost = (found.codes[nodes] != CONVERGED) & np.isfinite(fallback_poses).all(axis=1)
+    if not is_lost.any():
+        return found
+    lost = nodes[is_lost]
+    at_once = loaded_at_once(paths.flexion[lost], paths.loads[lost])
+    again = solve(at_once, fallback_poses[is_lost], *knee, **{**how, "guesses": None})
+    is_found = again.codes == CONVERGED
+    for values, others in zip(found, again, strict=True):
+        values[lost[is_found]] = others[is_found]
+    return found
+
 
 Contact = Literal["field", "mesh"]
 # Loads of a protocol (internal, varus moment, anterior, distraction, lateral force) to generalised
@@ -201,7 +238,6 @@ class LaxityModel:
                     'or use contact="field"'
                 )
             # It loads a library for collisions and most of scipy.
-            from identknee.model.mesh_prediction import predict_on_meshes
 
             its_own = (self.knee, self.paths, self.poses)
             return predict_on_meshes(*its_own, self._unpacked(theta), theta)
@@ -390,3 +426,54 @@ def _units_alone(tied: Tied) -> Array:
     """The same where each ligament is one line."""
     m = len(tied.member)
     return _units(np.eye(m), np.ones(m), tied)
+
+
+def predict_on_meshes(
+    knee: Knee, paths: LoadPaths, poses: Array | None, ligaments: tuple[Array, Array], theta: Array
+) -> Prediction:
+    """The prediction of a model with ``contact="mesh"``, which has no derivatives.
+
+    Parameters
+    ----------
+    knee, paths, poses
+        Those of the model.
+    ligaments
+        Stiffness [N] and reference strain of each ligament, shape ``(m,)``.
+    theta
+        The parameters that they come from.
+    """
+    joint = joint_of(knee)
+    start = joint.start if poses is None else poses
+    found = mesh_equilibria(paths, start, _mesh_contact(knee), joint.lines, *ligaments)
+    n = len(paths.trial_node)
+    converged = np.array([x is Outcome.CONVERGED for x in found.outcomes])
+    return Prediction(
+        theta=np.array(theta, float),
+        coordinates=np.where(converged[:, None], coordinates_from_pose(found.poses), np.nan),
+        jacobian=None,
+        pose_jacobian=None,
+        codes=np.where(converged, CONVERGED, NO_EQUILIBRIUM),
+        poses=found.poses,
+        hessians=None,
+        reached=np.ones(n),
+        centres=np.zeros((n, 0, 7)),
+        rims=None,
+        node_poses=found.poses,
+    )
+
+
+@lru_cache(maxsize=4)
+def _mesh_contact(knee: Knee) -> MeshContact:
+    femur, tibia = sheets_of(knee)
+    return mesh_contact(femur, tibia)
+
+
+def trial_contacts(model: LaxityModel, prediction: Prediction) -> list[ContactPlaces]:
+    """The contact of every trial in its predicted pose."""
+    setting = model.setting(prediction.theta)
+    flexion = setting.flexion[model.paths.trial_node]
+    contact, field = model.surfaces(setting)
+    return [
+        contact_places(contact, field, float(angle), pose)
+        for angle, pose in zip(flexion, prediction.poses, strict=True)
+    ]

@@ -8,10 +8,9 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
 from identknee.mechanics.ligament_tensions import line_lengths
-from identknee.model.setting import PER_PCT, Setting
+from identknee.model.mechanics_inputs import PER_PCT, Setting
 from identknee.runs.arrays import Array
-from identknee.subject.knee import Knee
-from identknee.subject.known_pose import KnownPose, pose_at
+from identknee.subject.knee import Knee, KnownPose, pose_at
 
 # Trials within so many degrees of flexion of each other have one pose between them.
 POSE_EVERY_DEG = 15.0

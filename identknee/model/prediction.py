@@ -7,10 +7,9 @@ import numpy as np
 from identknee.mechanics.equilibria import stability_margins
 from identknee.mechanics.memory import CONVERGED
 from identknee.mechanics.rims import RimDistance, share_near_rims
-from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
-from identknee.runs.short_repr import short_repr
 
 # A trial with more of its contact force near a rim than this is worth a word to the user.
 NOTEWORTHY_RIM_SHARE = 0.05

@@ -1,4 +1,4 @@
-"""Quantities a model predicts, each a number with its exact gradient: ligament forces, laxities."""
+"""Scalar predictions by name, with derivatives: ligament tensions and coordinates of trials."""
 
 from dataclasses import field
 from functools import lru_cache
@@ -7,10 +7,71 @@ import numpy as np
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
+from identknee.laxity.zeros import ABSOLUTE, from_zero, zero_trials
+from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.tensions import tension_jacobian, tensions_of
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting
+from identknee.model.parameters import FreeParameters, Parameters
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
+
+
+def tensions_of(model: LaxityModel, prediction: Prediction) -> Array:
+    """Tension of every ligament in every trial [N], shape ``(n, n_ligaments)``.
+
+    That of all its lines where an effect splits it into bundles. NaN in trials that did not
+    converge.
+    """
+    setting = model.setting(prediction.theta)
+    lines = _lines(model, setting, prediction)
+    tensions: Array = lines.tensions @ setting.owned(len(model.knee.ligaments))
+    tensions[~prediction.is_converged] = np.nan
+    return tensions
+
+
+def tension_jacobian(model: LaxityModel, prediction: Prediction) -> Array:
+    """Exact derivatives of `tensions_of` by theta, shape ``(n, n_ligaments, p)``.
+
+    In N per unit of each parameter: it changes a tension directly and by moving the tibia. NaN in
+    trials that did not converge.
+
+    Raises
+    ------
+    ValueError
+        If the prediction was made without derivatives.
+    """
+    if prediction.pose_jacobian is None:
+        raise ValueError("tensions have derivatives only where the prediction has them")
+    setting, m = model.setting(prediction.theta), len(model.knee.ligaments)
+    found, owned = _lines(model, setting, prediction), setting.owned(m)
+    by_pose = np.einsum("nla,lm->nma", found.by_pose, owned)
+    jacobian: Array = by_pose @ np.nan_to_num(prediction.pose_jacobian)
+    own = np.arange(m)
+    jacobian[:, own, own] += PER_KN * (found.by_stiffness * setting.share) @ owned
+    jacobian[:, own, m + own] += PER_PCT * found.by_strain @ owned
+    unchanged = model.setting(prediction.theta, is_changed=False)
+    amplitudes = model.amplitudes(prediction.theta)
+    for k, move in enumerate(model.extension.moves()):
+        low, high = (
+            _lines(model, model.extension.change(unchanged, amplitudes + s * move), prediction)
+            for s in (-1.0, 1.0)
+        )
+        jacobian[:, :, 2 * m + k] += (high.tensions - low.tensions) @ owned / (2.0 * move[k])
+    jacobian[~prediction.is_converged] = np.nan
+    return jacobian
+
+
+def _lines(model: LaxityModel, setting: Setting, prediction: Prediction) -> LigamentTensions:
+    """Tensions of all lines at the poses of a prediction."""
+    return ligament_tensions(
+        setting.measured_lines,
+        setting.flexion[model.paths.trial_node],
+        prediction.poses,
+        setting.stiffness,
+        setting.reference_strain,
+    )
+
 
 TENSION = "tension_N"
 AT = "@"
@@ -169,3 +230,45 @@ def _index(name: str, names: "tuple[str, ...] | list[str]", kind: str) -> int:
         shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
         raise ValueError(f"there is no {kind} {name!r}; there are {shown}")
     return names.index(name)
+
+
+@declared
+class LaxityOutputs:
+    """Coordinates of every trial of a model as functions of its free parameters.
+
+    Raises
+    ------
+    ValueError
+        If the number of groups differs, or a pose is needed that the protocol lacks.
+    """
+
+    model: LaxityModel = entry("The model under its protocol of n trials")
+    groups: tuple[str, ...] = entry(
+        "Name of the group of every coordinate of every trial, trial after trial, ``5 n`` in all"
+    )
+    free: FreeParameters = entry(
+        "The parameters of the model that vary, and the values of the others"
+    )
+    zero: str = entry(
+        "What coordinates are counted from, as in `identknee.Laxity`", default=ABSOLUTE
+    )
+
+    def __post_init__(self) -> None:
+        wanted = len(COORDINATES) * self.model.protocol.n
+        if len(self.groups) != wanted:
+            raise ValueError(
+                f"{wanted} outputs need as many names of groups, got {len(self.groups)}"
+            )
+        if self.zero != ABSOLUTE:
+            zero_trials(self.model.protocol, self.zero)
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those that vary."""
+        return self.free.parameters
+
+    def evaluate(self, theta: Array) -> Array:
+        """Coordinates of all trials [mm, deg], shape ``(5 n,)``; NaN where one did not converge."""
+        everything = self.free.expand(theta)
+        coordinates = self.model.predict(everything, derivatives=False).coordinates
+        return np.asarray(from_zero(coordinates, self.model.protocol, self.zero).ravel())

@@ -9,8 +9,7 @@ from identknee.laxity.table import COORDINATES, Laxity, noise_fault
 from identknee.laxity.zeros import from_zero
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.short_repr import short_repr
+from identknee.runs.arrays import Array, IntArray, short_repr
 
 Weighting = Literal["unit", "noise"]
 

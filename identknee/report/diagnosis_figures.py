@@ -6,15 +6,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.diagnosis.advice.isolability import LEAST_DISTANCE, Distances
-from identknee.diagnosis.explanations.causes import Estimate
-from identknee.diagnosis.noise.data_noise import load_curves
-from identknee.diagnosis.noise.noise_model import Curve
-from identknee.diagnosis.score.localisation import LEVEL, CellScore
+from identknee.diagnosis.data_noise import load_curves
+from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
+from identknee.diagnosis.misfit import LEVEL, CellScore
+from identknee.diagnosis.noise_model import Curve
+from identknee.diagnosis.verdict import Estimate
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
+from identknee.model.effects.effect import unit_of
 from identknee.model.effects.facts import cause_label
-from identknee.model.effects.units import unit_of
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare
 from identknee.report.wrench_figure import wrench_figure
 from identknee.runs.arrays import Array

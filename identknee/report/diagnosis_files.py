@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from identknee.diagnosis.advice.isolability import Distances
+from identknee.diagnosis.isolability import Distances
 from identknee.report.diagnosis_figures import diagnosis_figures, isolability_figure
 from identknee.report.picture import png
 from identknee.runs.files import write_atomically

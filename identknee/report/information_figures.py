@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from identknee.identify.information.information import Information
+from identknee.identify.information import Information
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare
 from identknee.runs.words import label_without_unit
 

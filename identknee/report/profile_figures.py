@@ -8,8 +8,7 @@ import scipy.interpolate
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identknee.identify.profile.hermite import cubic
-from identknee.identify.profile.result import Interval, Profile, SideStatus
+from identknee.identify.profile.result import Interval, Profile, SideStatus, cubic
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.words import label_without_unit

@@ -14,7 +14,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.runs.files import prepare_folder, write_atomically
 from identknee.runs.vtk_files import collection, polydata
-from identknee.subject.opensim_minimal import file_name
+from identknee.subject.opensim_export import file_name
 
 COLLECTION = "trials.pvd"
 BONES = ("femur", "medial tibia", "lateral tibia")

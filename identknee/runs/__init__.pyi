@@ -9,7 +9,7 @@ from .files import prepare_folder as prepare_folder
 from .files import write_atomically as write_atomically
 from .findings import Finding as Finding
 from .findings import Severity as Severity
-from .resume import open_work as open_work
-from .resume import resumable_map as resumable_map
 from .store import Store as Store
+from .store import open_work as open_work
+from .store import resumable_map as resumable_map
 from .workers import executor_of as executor_of

@@ -8,11 +8,102 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from identknee.runs.progress_lines import Lines
-from identknee.runs.time_left import in_words, time_left
-
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
+
+# Less of the work says too little of the rest.
+LEAST_SHARE = 0.02
+
+
+def time_left(elapsed_s: float, share: float, before: float = 0.0) -> float | None:
+    """Seconds until all is done, at the speed so far; None while that is not known.
+
+    Parameters
+    ----------
+    elapsed_s
+        Time since the work began, or was resumed.
+    share
+        Share of the work that is done.
+    before
+        Share that was done when it began.
+
+    Examples
+    --------
+    >>> time_left(30.0, 0.25)
+    90.0
+    >>> time_left(30.0, 0.75, before=0.5)
+    30.0
+    """
+    if share - before < LEAST_SHARE:
+        return None
+    return elapsed_s * max(1.0 - share, 0.0) / (share - before)
+
+
+def in_words(seconds: float | None) -> str:
+    """Time left as a person says it.
+
+    Examples
+    --------
+    >>> [in_words(x) for x in (None, 4.0, 87.0, 150.0, 4000.0)]
+    ['', 'about 4 s left', 'about 90 s left', 'about 2 min left', 'about 1.1 h left']
+    """
+    if seconds is None:
+        return ""
+    if seconds < 120.0:
+        rounded = round(seconds, -1) if seconds > 60.0 else round(max(seconds, 1.0))
+        return f"about {rounded:.0f} s left"
+    if seconds < 3600.0:
+        return f"about {seconds / 60.0:.0f} min left"
+    return f"about {seconds / 3600.0:.1f} h left"
+
+
+# The first line comes after so long, the next ever more rarely.
+FIRST_LINE_S, MOST_RARELY_S = 30.0, 600.0
+
+
+class Lines:
+    """Says on lines of standard error how far long work is."""
+
+    def __init__(self, description: str, total: int | None, before: int) -> None:
+        self._description = description
+        self._total, self._done = total, before
+        self._before = before / total if total else 0.0
+        self._began = time.monotonic()
+        self._next_s = FIRST_LINE_S
+        self._lock = threading.Lock()
+
+    def __call__(self, count: int, /) -> None:
+        """So many items more are done."""
+        with self._lock:
+            self._done += count
+            elapsed = time.monotonic() - self._began
+            if not self._total:
+                self._line(elapsed, f"{self._done} done", None)
+                return
+            share = self._done / self._total
+            left = time_left(elapsed, share, self._before)
+            self._line(elapsed, f"{self._done} of {self._total}", left)
+
+    def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
+        """A share of all is done; `note` says more, `left_s` the time left where known [s]."""
+        with self._lock:
+            elapsed = time.monotonic() - self._began
+            left = time_left(elapsed, share, self._before) if left_s is None else left_s
+            told = f"{100 * share:.0f} % done"
+            self._line(elapsed, f"{note}, {told}" if note else told, left)
+
+    def say(self, sentence: str, /) -> None:
+        """Say a sentence on a line of its own."""
+        sys.stderr.write(f"identknee: {sentence}\n")
+        sys.stderr.flush()
+
+    def _line(self, elapsed_s: float, told: str, left_s: float | None) -> None:
+        if elapsed_s < self._next_s:
+            return
+        self._next_s = elapsed_s + min(elapsed_s, MOST_RARELY_S)
+        left = in_words(left_s)
+        self.say(f"{self._description}: {told}{f', {left}' if left else ''}")
+
 
 Item = TypeVar("Item")
 DELAY_S = 2.0

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Scaled, restricted
-from identknee.calibrate.scales import typical_steps
+from identknee.calibrate.problem import Scaled, restricted, typical_steps
 from identknee.laxity.dominant import load_words
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.model.laxity_model import LaxityModel

@@ -8,9 +8,9 @@ from identknee.laxity.dominant import dominant_loads, load_words
 from identknee.laxity.protocol import LOADS
 from identknee.mechanics.equilibria import TRANSITION_STRAIN
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.prediction import Prediction
-from identknee.model.setting import PER_KN
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity
 

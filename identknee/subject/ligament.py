@@ -1,10 +1,13 @@
-"""A ligament, or a bundle of one: a straight line between two bones."""
+"""Ligaments as line elements, and groups of them with common parameters."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from identknee.runs.arrays import Array, frozen, too_far
+from identknee.runs.errors import suggestion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,3 +82,97 @@ class Ligament:
             stiffness_kN=self.stiffness_kN,
             reference_strain_pct=self.reference_strain_pct,
         )
+
+
+LEAST = 2
+# A name, a number, perhaps a side.
+_NUMBERED = re.compile(r"(.*[^\W\d_])[-_ ]?\d+(?:[-_ ][rl])?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LigamentGroup:
+    """Bundles with one stiffness scale and one shift of their strains; their pattern is kept.
+
+    Attributes
+    ----------
+    name
+        What the ligament is called; its parameters are named ``NAME.stiffness_kN``, the sum of its
+        members', and ``NAME.reference_strain_pct``, their mean weighted by stiffness.
+    members
+        Names of the bundles.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two members, or one is named twice.
+    """
+
+    name: str
+    members: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "members", tuple(self.members))
+        if len(self.members) < LEAST or len(set(self.members)) < len(self.members):
+            raise ValueError(
+                f"the group {self.name} must name two or more ligaments, each once; got "
+                f"{', '.join(self.members) or 'none'}"
+            )
+
+
+def groups_by_name(ligaments: Sequence[Ligament]) -> tuple[LigamentGroup, ...]:
+    """Groups of the ligaments that are called alike but for a number at the end, such as ``ACL2``.
+
+    Examples
+    --------
+    >>> places = {"femur": [0, 9, 0], "tibia": [0, 0, 0]}
+    >>> numbers = {"stiffness_kN": 1.0, "reference_strain_pct": 0.0}
+    >>> names = ["ACL1", "ACL2", "LCL1_r", "LCL2_r", "PFL"]
+    >>> made = groups_by_name([Ligament(name=x, **places, **numbers) for x in names])
+    >>> [(x.name, x.members) for x in made]
+    [('ACL', ('ACL1', 'ACL2')), ('LCL', ('LCL1_r', 'LCL2_r'))]
+    """
+    taken = {x.name for x in ligaments}
+    members: dict[str, list[str]] = {}
+    for ligament in ligaments:
+        numbered = _NUMBERED.fullmatch(ligament.name)
+        if numbered and numbered[1] not in taken and ligament.stiffness_kN > 0.0:
+            members.setdefault(numbered[1], []).append(ligament.name)
+    return tuple(
+        LigamentGroup(name=name, members=tuple(own))
+        for name, own in members.items()
+        if len(own) >= LEAST
+    )
+
+
+def check_groups(groups: Sequence[LigamentGroup], ligaments: Sequence[Ligament]) -> None:
+    """Refuse groups that the ligaments do not allow.
+
+    Raises
+    ------
+    ValueError
+        If a member is no ligament or in two groups, no member of a group has a stiffness, or a
+        group is called as a ligament or another group is.
+    """
+    stiffness = {x.name: x.stiffness_kN for x in ligaments}
+    seen: set[str] = set()
+    taken = set(stiffness)
+    for group in groups:
+        if group.name in taken:
+            raise ValueError(
+                f"the group {group.name} is called as a ligament or another group is; rename it"
+            )
+        taken.add(group.name)
+        for member in group.members:
+            if member not in stiffness:
+                raise ValueError(
+                    f"the group {group.name} names the ligament {member!r}, which the knee does "
+                    f"not have. {suggestion(member, list(stiffness))}"
+                )
+            if member in seen:
+                raise ValueError(f"the ligament {member} is in two groups; leave it in one of them")
+            seen.add(member)
+        if not sum(stiffness[x] for x in group.members) > 0.0:
+            raise ValueError(
+                f"no ligament of the group {group.name} has a stiffness above 0; give one to its "
+                "members, whose shares are kept"
+            )

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers, too_far
+from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers, short_repr, too_far
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
-from identknee.runs.short_repr import short_repr
 
 FORMATS = (".stl", ".ply", ".obj")
 # With a handler of its own what the parser logs is not printed: its errors are told in a sentence.

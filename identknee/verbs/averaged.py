@@ -6,7 +6,7 @@ import numpy as np
 
 from identknee.calibrate.fit import Fit
 from identknee.calibrate.problem import Bounded, restricted
-from identknee.model.effects.changes import held
+from identknee.model.effects.effect import held
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import has_shared_errors, shared_errors

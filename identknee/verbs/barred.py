@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from identknee.calibrate.constrained import Constrained, minimise
+from identknee.calibrate.bounded_least_squares import Constrained, minimise
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.laxity.table import Laxity

@@ -12,7 +12,7 @@ from identknee.calibrate.fit import Fit, fit_many
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.starts import load_start
 from identknee.identify.optimum import best_fit
-from identknee.identify.profile.profiles import profile_parameters
+from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol

@@ -8,11 +8,9 @@ import numpy as np
 
 from identknee.calibrate.problem import Problem, Scaled
 from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
-from identknee.identify.design.added_trials import Candidates
-from identknee.identify.design.criteria import Criterion
-from identknee.identify.design.design import ChosenTrials
-from identknee.identify.design.design import design as choose_trials
-from identknee.identify.design.straight import straight
+from identknee.identify.design import ChosenTrials, straight
+from identknee.identify.design import design as choose_trials
+from identknee.identify.design_criteria import Candidates, Criterion
 from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
 from identknee.laxity.candidates import repeated
 from identknee.laxity.named_trials import TrialsLike, read_trials

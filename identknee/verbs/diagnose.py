@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from identknee.diagnosis.explanations.causes import Cause, Estimate, causes_of, ligament_estimates
-from identknee.diagnosis.explanations.refit import Refit, Rival, RivalState
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.data_noise import noise_of
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
-from identknee.diagnosis.missing_line.line import LineFinding
-from identknee.diagnosis.missing_line.wrench import MissingPull
-from identknee.diagnosis.noise.data_noise import noise_of
+from identknee.diagnosis.missing_line import LineFinding, MissingPull
+from identknee.diagnosis.refit import Refit, Rival, RivalState
+from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, ligament_estimates
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
 from identknee.laxity.zeros import zero_of_more

@@ -4,23 +4,22 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from identknee.diagnosis.explanations.candidates import Exclusion
-from identknee.diagnosis.explanations.causes import Estimate
-from identknee.diagnosis.explanations.refit import RivalState
-from identknee.diagnosis.explanations.verdict import Verdict
-from identknee.diagnosis.noise.data_noise import NoiseSource
-from identknee.diagnosis.score.localisation import CellScore
+from identknee.diagnosis.candidates import Exclusion
+from identknee.diagnosis.data_noise import NoiseSource
+from identknee.diagnosis.misfit import CellScore
+from identknee.diagnosis.refit import RivalState
+from identknee.diagnosis.verdict import Estimate, Verdict
 from identknee.identify.laplace import Interval
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import FACTS
-from identknee.model.effects.moved_insertion import direction_words
+from identknee.model.effects.insertion import direction_words
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.outcome import Outcome
 from identknee.subject.effect_choice import EffectChoice
+from identknee.subject.insertion_sites import PlaceSide
 from identknee.subject.knee import Knee
-from identknee.subject.place_names import PlaceSide
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis_gain import GainFound
 from identknee.verbs.trials import AdvisedTrial, Trials

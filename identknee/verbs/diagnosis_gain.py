@@ -3,15 +3,15 @@
 from collections.abc import Mapping
 from typing import Any
 
-from identknee.diagnosis.gain.folds import Rmse
-from identknee.diagnosis.gain.gain import (
+from identknee.diagnosis.folds import Rmse
+from identknee.diagnosis.gain import (
     Assessment,
     ElpdDifference,
     FamilyDifference,
     Gain,
     ParameterChange,
 )
-from identknee.diagnosis.score.misfit import Check
+from identknee.diagnosis.misfit import Check
 from identknee.runs.declare import declared, entry
 
 OF_MODEL = "of the model without causes (before), with them (after), with a process (absorbed)"

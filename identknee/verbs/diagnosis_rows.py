@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect
 from identknee.model.soundness import rim_findings

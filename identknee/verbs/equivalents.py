@@ -8,15 +8,14 @@ import numpy as np
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import restricted, with_bounds
 from identknee.calibrate.quantity import Quantity, RestrictedQuantity
-from identknee.identify.equivalents.equivalents import EquivalentSets
-from identknee.identify.equivalents.equivalents import equivalents as equivalent_sets
-from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
+from identknee.identify.equivalents import EquivalentSets
+from identknee.identify.equivalents import equivalents as equivalent_sets
+from identknee.identify.region import Region, noise_region, power_of_best_test
 from identknee.laxity.named_trials import TrialsLike, read_trials
 from identknee.laxity.protocol import Protocol
 from identknee.model.equivalence import largest_loads, rms_blocks
-from identknee.model.quantities import ligament_forces
+from identknee.model.quantities import ligament_forces, tensions_of
 from identknee.model.residuals import LaxityResiduals
-from identknee.model.tensions import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.files import PathLike

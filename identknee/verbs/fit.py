@@ -16,8 +16,7 @@ from identknee.calibrate.doubts import (
 from identknee.calibrate.fit import Fit
 from identknee.calibrate.fit import fit as search
 from identknee.calibrate.problem import Problem
-from identknee.calibrate.second_start import second_search
-from identknee.calibrate.starts import load_start
+from identknee.calibrate.starts import load_start, second_search
 from identknee.identify.nuisances import nuisance_estimates
 from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import Laxity
@@ -25,7 +24,7 @@ from identknee.mechanics.load_paths import Continuation
 from identknee.model.effects.stored import choice_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import poses_of
-from identknee.model.nuisances.library import contact_rounding
+from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.soundness import rim_findings, stability_findings

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.model.effects.insertion import AXES, BONES
-from identknee.model.nuisances.geometry import insertions
-from identknee.model.nuisances.library import contact_rounding
+from identknee.model.knee_parameters import tied
+from identknee.model.nuisances import contact_rounding, insertions
 from identknee.model.parameters import STIFFNESS, STRAIN
-from identknee.model.tied import tied
 from identknee.runs.arrays import Array
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.knee import Knee

@@ -11,8 +11,8 @@ from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import Problem
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.laxity.zeros import ABSOLUTE
+from identknee.model.candidate_laxity import at_own_poses
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.own_poses import at_own_poses
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import OF_COORDINATE, declared, derived, entry
 from identknee.runs.errors import suggestion

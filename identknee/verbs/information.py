@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from identknee.identify.information.geodesic import Geodesic, geodesics
-from identknee.identify.information.information import Information, Scaling, scaled_units
-from identknee.identify.information.information import information as fisher_information
-from identknee.identify.information.structure import StructureCheck, check_structure
+from identknee.identify.geodesic import Geodesic, geodesics
+from identknee.identify.information import Information, Scaling, scaled_units
+from identknee.identify.information import information as fisher_information
+from identknee.identify.structure import StructureCheck, check_structure
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.runs.workers import Workers

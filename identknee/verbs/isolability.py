@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from identknee.diagnosis.advice.isolability import LEAST_DISTANCE
-from identknee.diagnosis.advice.protocol import ROOT, GroupAdvice, protocol_isolability
-from identknee.diagnosis.explanations.candidates import Visibility
+from identknee.diagnosis.advice import ROOT, GroupAdvice, protocol_isolability
+from identknee.diagnosis.candidates import Visibility
+from identknee.diagnosis.isolability import LEAST_DISTANCE
 from identknee.laxity.named_trials import TrialsLike, read_trials
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry

@@ -1,7 +1,7 @@
 """The knees that come with identknee."""
 
-from identknee.laxity.examples import example_laxity
 from identknee.laxity.named_tables import TABLES
+from identknee.laxity.named_trials import example_laxity
 from identknee.runs.declare import declared, derived, entry
 from identknee.subject.examples import NAMED_SUBJECTS
 from identknee.subject.folder import example

@@ -7,7 +7,7 @@ import numpy as np
 
 from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
 from identknee.identify.profile.pairs import PairProfile, profile_pair
-from identknee.identify.profile.profiles import profile_quantities
+from identknee.identify.profile.profile import profile_quantities
 from identknee.identify.profile.result import Profile
 from identknee.identify.profile.thresholds import (
     bootstrap_statistics,

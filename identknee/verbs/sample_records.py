@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from identknee.identify.posterior.posterior import Posterior
-from identknee.identify.posterior.power_scaling import prior_sensitivity
+from identknee.identify.posterior.posterior import Posterior, prior_sensitivity
 from identknee.laxity.table import COORDINATES
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 

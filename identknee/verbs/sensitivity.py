@@ -5,15 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from identknee.calibrate.starts import load_start
-from identknee.identify.sensitivity.designs import Box, box_around
-from identknee.identify.sensitivity.sensitivity import DEFAULT_DRAWS, Method, Sensitivity
-from identknee.identify.sensitivity.sensitivity import sensitivity as analysed
+from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Method, Sensitivity, box_around
+from identknee.identify.sensitivity import sensitivity as analysed
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.scenarios import laxity_groups
 from identknee.laxity.table import Laxity
-from identknee.model.laxity_outputs import LaxityOutputs
 from identknee.model.of_tests import model_of_tests
+from identknee.model.quantities import LaxityOutputs
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike, digest

@@ -10,11 +10,11 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.mechanics.load_paths import Continuation
+from identknee.model.candidate_laxity import at_own_poses
 from identknee.model.laxity_model import Contact, LaxityModel
-from identknee.model.own_poses import at_own_poses
 from identknee.model.prediction import Prediction
+from identknee.model.quantities import tensions_of
 from identknee.model.soundness import rim_findings
-from identknee.model.tensions import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.files import PathLike

@@ -6,12 +6,11 @@ from typing import Literal
 
 from identknee.calibrate.doubts import start_findings
 from identknee.calibrate.fit import BUDGET
-from identknee.identify.sweep.cliffs import CliffMap, map_cliffs
-from identknee.identify.sweep.starts_design import shell_starts, sobol_starts
-from identknee.identify.sweep.survey import WITHIN, Survey
-from identknee.identify.sweep.survey import survey as surveyed
-from identknee.identify.sweep.sweep import STARTS_A_TASK, Searches
-from identknee.identify.sweep.sweep import sweep as searched
+from identknee.identify.basins import WITHIN, Survey
+from identknee.identify.basins import survey as surveyed
+from identknee.identify.cliffs import CliffMap, map_cliffs
+from identknee.identify.sweep import STARTS_A_TASK, Searches, shell_starts, sobol_starts
+from identknee.identify.sweep import sweep as searched
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.runs.arrays import Array

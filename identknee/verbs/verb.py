@@ -18,8 +18,7 @@ from identknee.runs.executors import Executor
 from identknee.runs.files import PathLike, digest, prepare_folder
 from identknee.runs.library_threads import one_library_thread
 from identknee.runs.record import record
-from identknee.runs.resume import finish_work, open_work
-from identknee.runs.store import Store
+from identknee.runs.store import Store, finish_work, open_work
 from identknee.runs.workers import Workers, executor_of
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee

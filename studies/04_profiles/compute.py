@@ -16,8 +16,7 @@ from common.problems import model_of, noisy_problem, truth_of
 from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
-from identknee.identify.profile.profile import profile
-from identknee.identify.profile.profiles import profile_parameters
+from identknee.identify.profile.profile import profile, profile_parameters
 from identknee.report.profile_figures import nested
 from identknee.runs.plain_records import to_plain
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from profile_tables import tables
 
 import identknee as ik
-from identknee.calibrate.scales import typical_steps
+from identknee.calibrate.problem import typical_steps
 from identknee.report.figures import COLOURS, MARKERS, STYLES, bare
 from identknee.runs.plain_records import from_plain
 from identknee.runs.words import label, label_without_unit

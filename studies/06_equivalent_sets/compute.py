@@ -20,7 +20,7 @@ from common.problems import model_of, truth_of
 from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
-from identknee.identify.equivalents.equivalents import EquivalentSets, equivalents
+from identknee.identify.equivalents import EquivalentSets, equivalents
 
 KNEES = ("reference", "lenhart2015_stable")
 PAPER = "paper"

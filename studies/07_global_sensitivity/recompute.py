@@ -8,7 +8,7 @@ from common.records import study_knee
 from compute import OVER_POSTERIOR, SEED, outputs_of, posterior_draws, row_of
 
 import identknee as ik
-from identknee.identify.sensitivity.sensitivity import Method, sensitivity
+from identknee.identify.sensitivity import Method, sensitivity
 
 Row = dict[str, Any]
 

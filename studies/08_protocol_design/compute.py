@@ -20,8 +20,8 @@ from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.calibrate.fit import fit
-from identknee.identify.design.criteria import Criterion
-from identknee.identify.design.design import design
+from identknee.identify.design import design
+from identknee.identify.design_criteria import Criterion
 
 KNEES = ("reference", "lenhart2015_stable")
 VARUS_VALGUS = "varus-valgus"

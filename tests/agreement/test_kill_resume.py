@@ -13,9 +13,9 @@ from killed import run_for
 from problems import Linear, plain_parameters
 
 from identknee.calibrate.fit import fit
-from identknee.runs import resume
+from identknee.runs import store as resume
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import open_work, resumable_map
+from identknee.runs.store import open_work, resumable_map
 
 N_STARTS, N_KILLS = 40, 3
 WORK_S = 0.05  # of one start, so that kills find work under way

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from data_files import DATA
 
-from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.investigation import investigate
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import read_laxity
 from identknee.subject.folder import example
 

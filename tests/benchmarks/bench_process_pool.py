@@ -15,7 +15,7 @@ from identknee.laxity.noise import add_noise
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, process_pool, serial
-from identknee.runs.resume import resumable_map
+from identknee.runs.store import resumable_map
 
 STARTS, REPEATS, BAR = 100, 5, 1.7
 

@@ -9,8 +9,7 @@ from knees import model, noise_free
 from rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.sweep.starts_design import shell_starts
-from identknee.identify.sweep.sweep import Searches, sweep, tenths
+from identknee.identify.sweep import Searches, shell_starts, sweep, tenths
 from identknee.runs.executors import process_pool
 
 WORKERS = 2

@@ -13,7 +13,7 @@ from rows import Measure, Row
 
 import identknee as ik
 from identknee.runs import progress
-from identknee.runs.time_left import time_left
+from identknee.runs.progress import time_left
 
 QUARTER, MOST_AWAY = 0.25, 0.30
 NOISE = "0.3mm,0.3deg"

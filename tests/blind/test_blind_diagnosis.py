@@ -10,8 +10,8 @@ from blind_diagnoses import BlindTask, outcome_of
 from scipy.stats import chi2
 
 from identknee.blind.case import blind_case
-from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.investigation import investigate
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity
 from identknee.subject.reference import reference_knee
 

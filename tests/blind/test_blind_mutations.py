@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from identknee.blind.case import BlindCase, blind_case
-from identknee.diagnosis.explanations import fitting
-from identknee.diagnosis.explanations.candidates import library_variants
+from identknee.diagnosis import fitting
+from identknee.diagnosis.candidates import library_variants
 from identknee.diagnosis.investigation import Investigation, investigate
-from identknee.diagnosis.noise.noise_model import build_noise_model
-from identknee.diagnosis.score.misfit import Projector
-from identknee.diagnosis.score.score import score_test
-from identknee.diagnosis.score.signature import Signature
+from identknee.diagnosis.misfit import Projector
+from identknee.diagnosis.noise_model import build_noise_model
+from identknee.diagnosis.score import Signature, score_test
 from identknee.model.effects.library import library
 from identknee.subject.reference import reference_knee
 

@@ -12,7 +12,7 @@ from identknee.blind import case, experiment, sites
 from identknee.blind.conditions import STANDARD
 from identknee.model.parameters import ligament_parameters
 from identknee.subject.folder import example
-from identknee.subject.structure_sites import structure_sites
+from identknee.subject.insertion_sites import structure_sites
 
 PAGE = (Path(__file__).parent / "SHARED_FACTS.md").read_text(encoding="utf-8")
 

@@ -4,13 +4,13 @@ import math
 
 from conformance.case import Answer, Case
 from identknee.calibrate.problem import Problem
-from identknee.identify.profile.profiles import profile_quantities
+from identknee.identify.profile.profile import profile_quantities
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
 
 def identknee_tool(case: Case) -> Answer:
-    """The answer of `identknee.identify.profile.profiles.profile_quantities`, left to itself.
+    """The answer of `identknee.identify.profile.profile.profile_quantities`, left to itself.
 
     All its simulations are counted, those of the search for other optima among them.
     """

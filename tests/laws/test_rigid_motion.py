@@ -15,7 +15,7 @@ from identknee.mechanics.distance_field import DistanceField
 from identknee.model import joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 
 # The grid of the distance field begins at the lowest vertex, which rounds: the spline differs by

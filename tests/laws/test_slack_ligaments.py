@@ -11,7 +11,7 @@ from tolerances import SAME_POSE
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 
 
 @given(

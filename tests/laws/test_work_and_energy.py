@@ -19,7 +19,7 @@ from identknee.mechanics.pose import rotation_matrix
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 
 # Simpson's rule over forces whose slope jumps where a point begins to touch: the worst of 1,500

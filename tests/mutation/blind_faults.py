@@ -1,6 +1,6 @@
 """Faults of the blind generator: it would flatter every diagnosis, or mislead it."""
 
-from mutation import Mutation
+from mutation import fault
 
 _RIG = "tests/unit/blind/test_blind_rig.py"
 _STRUCTURES = "tests/unit/blind/test_blind_structures.py"
@@ -10,280 +10,315 @@ _SCORE = "tests/unit/blind/test_blind_score.py"
 _SITES = "tests/unit/blind/test_blind_sites.py"
 
 
-def _fault(file: str, old: str, new: str, why: str, *tests: str) -> Mutation:
-    return Mutation(file=f"identknee/blind/{file}", old=old, new=new, why=why, tests=tests)
-
-
 FAULTS = (
-    _fault(
-        "conditions.py",
-        "    jitter_mm: float = 3.0\n",
-        "    jitter_mm: float = 0.0\n",
+    fault(
+        "identknee/blind/conditions.py",
+        "Conditions",
+        "jitter_mm: float = 3.0",
+        "jitter_mm: float = 0.0",
         "every hidden structure lies exactly where the generator's table has it",
         _CONDITIONS,
         _STRUCTURES,
     ),
-    _fault(
-        "conditions.py",
-        "    stiffness_log_sd: float = 0.2\n",
-        "    stiffness_log_sd: float = 0.002\n",
+    fault(
+        "identknee/blind/conditions.py",
+        "Conditions",
+        "stiffness_log_sd: float = 0.2",
+        "stiffness_log_sd: float = 0.002",
         "true stiffnesses are the subject's own, where the fit starts",
         _TRUTHS,
     ),
-    _fault(
-        "conditions.py",
-        "    strain_sd_pct: float = 1.0\n",
-        "    strain_sd_pct: float = 0.01\n",
+    fault(
+        "identknee/blind/conditions.py",
+        "Conditions",
+        "strain_sd_pct: float = 1.0",
+        "strain_sd_pct: float = 0.01",
         "true reference strains are the subject's own, where the fit starts",
         _TRUTHS,
     ),
-    _fault(
-        "case.py",
-        "HEAVY_DEGREES if is_heavy else None,\n    )",
-        "None,\n    )",
+    fault(
+        "identknee/blind/case.py",
+        "_noisy",
+        "add_noise(exact, sd_mm=noise.sd_mm, sd_deg=noise.sd_deg, seed=int(generator.integers(2 ** 31)), correlation=noise.correlation, student_degrees=HEAVY_DEGREES if is_heavy else None)",
+        "add_noise(exact, sd_mm=noise.sd_mm, sd_deg=noise.sd_deg, seed=int(generator.integers(2 ** 31)), correlation=noise.correlation, student_degrees=None)",
         "no case has heavy tails although its truth says so",
         _TRUTHS,
     ),
-    _fault(
-        "case.py",
-        "HEAVY_SHARE, HEAVY_DEGREES = 0.1, 5.0",
-        "HEAVY_SHARE, HEAVY_DEGREES = 0.0, 5.0",
+    fault(
+        "identknee/blind/case.py",
+        "",
+        "HEAVY_SHARE, HEAVY_DEGREES = (0.1, 5.0)",
+        "HEAVY_SHARE, HEAVY_DEGREES = (0.0, 5.0)",
         "no case has heavy tails",
         _TRUTHS,
     ),
-    _fault(
-        "case.py",
+    fault(
+        "identknee/blind/case.py",
+        "",
         "STATED_RANGE = (0.8, 1.2)",
-        "STATED_RANGE = (1.0, 1.0 + 1e-9)",
+        "STATED_RANGE = (1.0, 1.0 + 1e-09)",
         "the stated noise is the true one in every case",
         _TRUTHS,
     ),
-    _fault(
-        "case.py",
-        "        correlation=noise.correlation,\n        student",
-        "        correlation=0.0,\n        student",
+    fault(
+        "identknee/blind/case.py",
+        "_noisy",
+        "add_noise(exact, sd_mm=noise.sd_mm, sd_deg=noise.sd_deg, seed=int(generator.integers(2 ** 31)), correlation=noise.correlation, student_degrees=HEAVY_DEGREES if is_heavy else None)",
+        "add_noise(exact, sd_mm=noise.sd_mm, sd_deg=noise.sd_deg, seed=int(generator.integers(2 ** 31)), correlation=0.0, student_degrees=HEAVY_DEGREES if is_heavy else None)",
         "errors of a trial are independent, as the data state",
         _TRUTHS,
     ),
-    _fault(
-        "case.py",
-        "NULL_SHARE, UNLISTED_SHARE = 0.15, 0.15",
-        "NULL_SHARE, UNLISTED_SHARE = 0.15, 0.0",
+    fault(
+        "identknee/blind/case.py",
+        "",
+        "NULL_SHARE, UNLISTED_SHARE = (0.15, 0.15)",
+        "NULL_SHARE, UNLISTED_SHARE = (0.15, 0.0)",
         "random cases never hide what no library lists",
         _TRUTHS,
     ),
-    _fault(
-        "case.py",
-        'else "unloading" if down else "loading"',
-        'else "loading" if down else "unloading"',
+    fault(
+        "identknee/blind/case.py",
+        "_phase",
+        "'' if rests else 'unloading' if down else 'loading'",
+        "'' if rests else 'loading' if down else 'unloading'",
         "the phase of every trial is told the wrong way round",
         _TRUTHS,
     ),
-    _fault(
-        "case.py",
+    fault(
+        "identknee/blind/case.py",
+        "_usual_size",
         "(hidden.largest / hidden.smallest) ** share",
         "(hidden.largest / hidden.smallest) ** (0.01 * share)",
         "every effect has its smallest size",
         _TRUTHS,
     ),
-    _fault(
-        "rig.py",
+    fault(
+        "identknee/blind/rig.py",
+        "shank_gravity",
         "way = np.array([-np.cos(angle), -np.sin(angle), 0.0])",
         "way = np.array([np.cos(angle), -np.sin(angle), 0.0])",
         "the shank's weight pulls forwards while the truth says backwards",
         _RIG,
     ),
-    _fault(
-        "rig.py",
+    fault(
+        "identknee/blind/rig.py",
+        "",
         "SHANK_MM = 180.0",
         "SHANK_MM = 0.0",
         "the shank's weight has no lever",
         _RIG,
     ),
-    _fault(
-        "rig.py",
+    fault(
+        "identknee/blind/rig.py",
+        "hysteresis",
         "np.where(scene.is_unloading, 0.5, -0.5)",
         "np.where(scene.is_unloading, -0.5, 0.5)",
         "readings run ahead of a growing load",
         _RIG,
     ),
-    _fault(
-        "rig.py",
-        "(_stated(experiment)[:, :2] / N_MM_PER_N_M) @ way",
-        "(_stated(experiment)[:, :2] / (0.1 * N_MM_PER_N_M)) @ way",
+    fault(
+        "identknee/blind/rig.py",
+        "parasitic_shear.apply",
+        "amplitude * (_stated(experiment)[:, :2] / N_MM_PER_N_M) @ way",
+        "amplitude * (_stated(experiment)[:, :2] / (0.1 * N_MM_PER_N_M)) @ way",
         "shear is ten times what the truth says",
         _RIG,
     ),
-    _fault(
-        "rig.py",
-        'for axis in ("VV", "IE") for towards in ("x", "z")]',
-        'for axis in ("IE", "VV") for towards in ("x", "z")]',
+    fault(
+        "identknee/blind/rig.py",
+        "parasitic_shear",
+        "[f'{axis}_{towards}_N_per_Nm' for axis in ('VV', 'IE') for towards in ('x', 'z')]",
+        "[f'{axis}_{towards}_N_per_Nm' for axis in ('IE', 'VV') for towards in ('x', 'z')]",
         "the truth calls shear under varus that under internal moments",
         _RIG,
     ),
-    _fault(
-        "rig.py",
+    fault(
+        "identknee/blind/rig.py",
+        "compression.apply",
         "change[DISTRACTION] = -amplitude",
         "change[DISTRACTION] = amplitude",
         "compression pulls the bones apart",
         _RIG,
     ),
-    _fault(
-        "rig.py",
-        "preload=experiment.preload + change)",
-        "preload=experiment.preload)",
+    fault(
+        "identknee/blind/rig.py",
+        "_loaded",
+        "replace(experiment, loads=experiment.loads + change, preload=experiment.preload + change)",
+        "replace(experiment, loads=experiment.loads + change, preload=experiment.preload)",
         "a constant load acts in no unloaded state",
         _RIG,
     ),
-    _fault(
-        "rig.py",
-        "flexion_offset=float(np.radians(amplitude))",
-        "flexion_offset=float(np.radians(-amplitude))",
+    fault(
+        "identknee/blind/rig.py",
+        "flexion_offset.apply",
+        "replace(experiment, flexion_offset=float(np.radians(amplitude)))",
+        "replace(experiment, flexion_offset=float(np.radians(-amplitude)))",
         "a knee flexed more is flexed less",
         _RIG,
     ),
-    _fault(
-        "rig.py",
+    fault(
+        "identknee/blind/rig.py",
+        "",
         "VARUS_SHARE = 0.4",
         "VARUS_SHARE = 1.0",
         "the varus loop is as wide as the internal one",
         _RIG,
     ),
-    _fault(
-        "rig.py",
+    fault(
+        "identknee/blind/rig.py",
+        "creep",
         "np.log(scene.order)[:, None]",
         "np.asarray(scene.order)[:, None]",
         "creep grows with the number of trials, not with its logarithm",
         _RIG,
     ),
-    _fault(
-        "experiment.py",
+    fault(
+        "identknee/blind/experiment.py",
+        "_read",
         "energy.grood_suntay(np.ascontiguousarray(femur.T @ R @ tibia), femur.T @ t)",
         "energy.grood_suntay(np.ascontiguousarray(femur @ R @ tibia), femur @ t)",
         "a turned femoral frame is read as its inverse",
         _RIG,
     ),
-    _fault(
-        "experiment.py",
-        "femur.T @ R @ tibia), femur.T @ t)",
-        "femur.T @ R @ tibia.T), femur.T @ t)",
+    fault(
+        "identknee/blind/experiment.py",
+        "_read",
+        "energy.grood_suntay(np.ascontiguousarray(femur.T @ R @ tibia), femur.T @ t)",
+        "energy.grood_suntay(np.ascontiguousarray(femur.T @ R @ tibia.T), femur.T @ t)",
         "a turned tibial frame is read as its inverse",
         _RIG,
     ),
-    _fault(
-        "scoring.py",
-        "NEAR_MM, NEAR_DEG = 10.0, 15.0",
-        "NEAR_MM, NEAR_DEG = 60.0, 15.0",
+    fault(
+        "identknee/blind/scoring.py",
+        "",
+        "NEAR_MM, NEAR_DEG = (10.0, 15.0)",
+        "NEAR_MM, NEAR_DEG = (60.0, 15.0)",
         "a line on the other side of the knee counts as found",
         _SCORE,
     ),
-    _fault(
-        "scoring.py",
-        "NEAR_MM, NEAR_DEG = 10.0, 15.0",
-        "NEAR_MM, NEAR_DEG = 10.0, 60.0",
+    fault(
+        "identknee/blind/scoring.py",
+        "",
+        "NEAR_MM, NEAR_DEG = (10.0, 15.0)",
+        "NEAR_MM, NEAR_DEG = (10.0, 60.0)",
         "a line across the true one counts as found",
         _SCORE,
     ),
-    _fault(
-        "scoring.py",
-        "and not (is_placed and len(named) == 1)",
-        "and not is_placed",
+    fault(
+        "identknee/blind/scoring.py",
+        "score",
+        "is_named and bool(named - hidden - mounted) and (not (is_placed and len(named) == 1))",
+        "is_named and bool(named - hidden - mounted) and (not is_placed)",
         "a second, wrong name is forgiven",
         _SCORE,
     ),
-    _fault(
-        "structures.py",
+    fault(
+        "identknee/blind/structures.py",
+        "meniscus.apply",
         "[amplitude, amplitude * ratio]",
         "[amplitude * ratio, amplitude]",
         "the stiffer meniscus is on the other side than the truth says",
         _STRUCTURES,
     ),
-    _fault(
-        "structures.py",
+    fault(
+        "identknee/blind/structures.py",
+        "",
         "N_MM_PER_N_M_DEG = 1000.0 * 180.0 / np.pi",
         "N_MM_PER_N_M_DEG = 1000.0 * np.pi / 180.0",
         "the rotational spring is softer by 3,300",
         _STRUCTURES,
     ),
-    _fault(
-        "structures.py",
-        "line[LIFT], line[LIFT_SHARE] = -amplitude",
-        "line[LIFT], line[LIFT_SHARE] = amplitude",
+    fault(
+        "identknee/blind/structures.py",
+        "mcl_wrapping.apply",
+        "line[LIFT], line[LIFT_SHARE] = (-amplitude, (top[1] - height) / (top[1] - bottom[1]))",
+        "line[LIFT], line[LIFT_SHARE] = (amplitude, (top[1] - height) / (top[1] - bottom[1]))",
         "the medial collateral is pushed into the joint",
         _STRUCTURES,
     ),
-    _fault(
-        "hidden.py",
+    fault(
+        "identknee/blind/hidden.py",
+        "line_row",
         "0.01 * strain_pct",
         "0.1 * strain_pct",
         "slack strains are ten times what the truth says",
         _STRUCTURES,
     ),
-    _fault(
-        "energy.py",
+    fault(
+        "identknee/blind/energy.py",
+        "",
         "REFERENCE_DEPTH = 0.3",
         "REFERENCE_DEPTH = 3.0",
         "the modulus is that of another depth",
         _STRUCTURES,
     ),
-    _fault(
-        "fitting.py",
+    fault(
+        "identknee/blind/case.py",
+        "Noise.whitened",
         "np.array([self.sd_mm] * 3 + [self.sd_deg] * 2)",
         "np.array([self.sd_mm] * 5)",
         "signals count degrees in millimetres' noise",
         _TRUTHS,
     ),
-    _fault(
-        "conditions.py",
+    fault(
+        "identknee/blind/conditions.py",
+        "Conditions.place",
         "self.shift_mm * way / np.linalg.norm(way)",
         "self.shift_mm * way / 3.0",
         "places lie at no distance in particular",
         _CONDITIONS,
     ),
-    _fault(
-        "conditions.py",
+    fault(
+        "identknee/blind/conditions.py",
+        "Conditions.remounting",
         "np.repeat([self.remount_mm, self.remount_deg], [3, 2])",
         "np.repeat([self.remount_mm, self.remount_deg], [2, 3])",
         "the third translation has the error of a rotation",
         _CONDITIONS,
     ),
-    _fault(
-        "sites.py",
+    fault(
+        "identknee/blind/sites.py",
+        "structure_ends",
         "lateral + s * np.array([-4.0, 4.0, 0.0])",
         "lateral + s * np.array([4.0, 4.0, 0.0])",
         "the anterolateral ligament starts in front of the collateral",
         _SITES,
     ),
-    _fault(
-        "sites.py",
+    fault(
+        "identknee/blind/sites.py",
+        "structure_ends",
         "places.fibula + s * np.array([-4.0, 6.0, -5.0])",
         "places.fibula + s * np.array([4.0, -6.0, -5.0])",
         "the popliteofibular ligament ends on the shaft of the fibula",
         _SITES,
     ),
-    _fault(
-        "sites.py",
+    fault(
+        "identknee/blind/sites.py",
+        "structure_ends",
         "medial + s * np.array([-8.0, 0.0, 3.0])",
         "medial + s * np.array([8.0, 0.0, 3.0])",
         "the posteromedial structure is an anteromedial one",
         _SITES,
     ),
-    _fault(
-        "sites.py",
-        "forward = tibial[:, 0] - femoral[:, 0]",
-        "forward = femoral[:, 0] - tibial[:, 0]",
+    fault(
+        "identknee/blind/sites.py",
+        "places_of",
+        "forward = tibial[:, 0] - femoral[:, 0] - 0.001 * np.abs(across)",
+        "forward = femoral[:, 0] - tibial[:, 0] - 0.001 * np.abs(across)",
         "the cruciates are taken for one another",
         _SITES,
     ),
-    _fault(
-        "fitting.py",
+    fault(
+        "identknee/blind/case.py",
+        "left_over",
         "np.linalg.norm(white - columns @ share)",
         "np.linalg.norm(white)",
         "signals count what ligament parameters absorb",
         _SITES,
     ),
-    _fault(
-        "fitting.py",
+    fault(
+        "identknee/blind/case.py",
+        "_searched",
         "is_largest = signal < wanted and amplitude >= largest",
         "is_largest = False",
         "cases of too small a signal are not told",

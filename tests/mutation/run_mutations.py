@@ -69,7 +69,8 @@ def main() -> int:
 
 
 def _is_meant(mutation: Mutation, words: Sequence[str]) -> bool:
-    return not words or any(x in mutation.name for x in words)
+    text = f"{mutation.file} {mutation.name}"
+    return not words or any(x in text for x in words)
 
 
 def _copy(folder: Path) -> None:

@@ -4,7 +4,7 @@ import json
 from collections import Counter
 
 import pytest
-from mutation import ROOT, Mutation
+from mutation import ROOT, Mutation, fault
 from mutations import MUTATIONS
 from run_mutations import VERDICT
 
@@ -36,8 +36,13 @@ def test_the_record_has_seen_all_of_them() -> None:
 
 
 def test_a_fault_needs_one_place() -> None:
-    fault = Mutation(file="x.py", old="a", new="b", why="", tests=())
-    assert fault.applied("cat") == "cbt"
-    for text in ("dog", "banana"):
+    place = fault("x.py", "f", "a + 1", "a - 1", "")
+    assert place.applied("def f(a):\n    return a  +  1") == "def f(a):\n    return (a - 1)"
+    for text in ("def f(a):\n    return a", "def f(a):\n    return (a + 1) * (a + 1)", "b = a + 1"):
         with pytest.raises(ValueError, match="needs one place"):
-            fault.applied(text)
+            place.applied(text)
+
+
+def test_statements_are_found_by_their_tree() -> None:
+    place = fault("x.py", "", "a = 1\nb = 2", "a = 2", "")
+    assert place.applied("if c:\n    a = 1  # why\n    b = 2\n") == "if c:\n    a = 2\n"

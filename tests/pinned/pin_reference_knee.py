@@ -12,11 +12,11 @@ import numpy as np
 
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.published import TABLE2
+from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.unloaded import relative_to_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 
 PATH = Path(__file__).with_name("reference_knee.json")
 

@@ -13,12 +13,11 @@ from rows import Measure, Row
 from work_store import work_store
 
 from identknee.blind.effects import LISTED, UNLISTED
-from identknee.diagnosis.advice.protocol import protocol_isolability
+from identknee.diagnosis.advice import protocol_isolability
 from identknee.identify.shares import share
 from identknee.laxity.protocol import load_protocol
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import resumable_map
-from identknee.runs.store import Store
+from identknee.runs.store import Store, resumable_map
 
 WORKERS = 2
 REFERENCE, REAL = "reference", "lenhart2015_stable"

@@ -26,7 +26,7 @@ from work_store import work_store
 
 from identknee.blind.effects import LISTED
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import resumable_map
+from identknee.runs.store import resumable_map
 
 REAL_SIGNALS = (10.0, 20.0)
 N_NULLS, LEAST_HIDDEN = 60, 150

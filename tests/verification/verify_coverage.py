@@ -17,14 +17,13 @@ from rows import Measure, Row
 from scipy.stats import binomtest, chi2
 from work_store import work_store
 
-from identknee.calibrate.constrained import minimise
+from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.profile.thresholds import bootstrap_statistics, resimulated
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import resumable_map
-from identknee.runs.store import Store
+from identknee.runs.store import Store, resumable_map
 from identknee.verbs.knee_digest import knee_digest
 
 LEVEL = 0.95

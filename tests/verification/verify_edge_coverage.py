@@ -15,7 +15,7 @@ from work_store import work_store
 
 from identknee.identify.profile.result import ProfileVerdict, SideStatus
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import resumable_map
+from identknee.runs.store import resumable_map
 
 REPLICATES = 200
 KNEES = ("lenhart2015", "narrow")

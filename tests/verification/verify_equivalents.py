@@ -9,12 +9,11 @@ from knees import model, own_laxity
 from rows import Measure, Row, largest_of
 from scipy.spatial.distance import pdist
 
-from identknee.calibrate.constrained import solve_constrained
+from identknee.calibrate.bounded_least_squares import solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.equivalents.equivalents import EquivalentSets, equivalents
-from identknee.identify.equivalents.rays import longest_axes, points_along
-from identknee.identify.equivalents.region import Region, RegionView, noise_region
+from identknee.identify.equivalents import EquivalentSets, equivalents, longest_axes, points_along
+from identknee.identify.region import Region, RegionView, noise_region
 from identknee.laxity.noise import add_noise
 from identknee.model.equivalence import largest_loads, rms_blocks
 from identknee.model.laxity_model import LaxityModel

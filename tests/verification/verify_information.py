@@ -6,8 +6,8 @@ import numpy as np
 from knees import model
 from rows import Row, largest_of
 
-from identknee.calibrate.scales import typical_steps
-from identknee.identify.information.information import spectrum
+from identknee.calibrate.problem import typical_steps
+from identknee.identify.information import spectrum
 from identknee.laxity.noise import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals

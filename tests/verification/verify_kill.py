@@ -18,7 +18,7 @@ from killed import run_for
 from rows import Measure, Row
 from work_store import work_store
 
-from identknee.runs.resume import as_stored, resumable_map
+from identknee.runs.store import as_stored, resumable_map
 
 KILLS, SEED = 50, 0
 # Each is to take about half a minute on two slow cores, most of it in work that is resumed.

@@ -16,7 +16,7 @@ from identknee.identify.profile.profile import profile
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import resumable_map
+from identknee.runs.store import resumable_map
 from identknee.verbs.knee_digest import knee_digest
 
 KNEES = ("reference", "lenhart2015_stable")

@@ -10,7 +10,7 @@ from scipy.stats import beta
 
 from identknee.calibrate.fit import fit
 from identknee.laxity.dominant import opposite_pairs
-from identknee.laxity.examples import example_laxity
+from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals

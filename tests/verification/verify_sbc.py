@@ -10,8 +10,7 @@ from sbc_replicates import N_DRAWS, NOISE, RULE, Replicate, ranks_of, simultaneo
 from work_store import work_store
 
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import resumable_map
-from identknee.runs.store import Store
+from identknee.runs.store import Store, resumable_map
 from identknee.verbs.knee_digest import knee_digest
 
 WORKERS = 2

@@ -19,7 +19,7 @@ from work_store import work_store
 
 from identknee.blind.conditions import Conditions
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import resumable_map
+from identknee.runs.store import resumable_map
 
 LEVEL, CELLS = 0.95, 16
 N_PARTS, A_PART = 30, 10

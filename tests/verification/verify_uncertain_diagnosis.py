@@ -30,10 +30,10 @@ from verify_blind import (
 from work_store import work_store
 
 from identknee.blind.effects import LISTED
-from identknee.diagnosis.advice.protocol import protocol_groups
+from identknee.diagnosis.advice import protocol_groups
 from identknee.laxity.protocol import load_protocol
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import resumable_map
+from identknee.runs.store import resumable_map
 from identknee.subject.uncertainty import Uncertainty
 
 STATED_MM, ACTUAL_MM = 2.0, (1.5, 2.0)

@@ -1,19 +1,163 @@
-"""The convergence check at which sampling stops, every number of it kept."""
+"""The convergence check at which sampling stops, every number of it kept.
+
+Every function takes the values of one quantity as (ensemble, walker, step), never flattened: draws
+of one walker depend on one another, and only the order of its steps shows how much.
+"""
 
 from collections.abc import Callable, Sequence
 from enum import Enum, unique
 
 import numpy as np
+from scipy.special import ndtr, ndtri
+from scipy.stats import beta, norm, rankdata
 
-from identknee.identify.posterior.chains import (
-    autocorrelation_time,
-    bulk_draws,
-    mean_error,
-    split_rhat,
-    tail_draws,
-)
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, entry
+
+# The sum over lags ends at the first lag beyond so many autocorrelation times (Sokal).
+WINDOW = 5.0
+TAIL = 0.05
+ONE_SD = 0.15865525393145707
+
+
+def autocorrelation(values: Array) -> Array:
+    """Autocorrelation at every lag, averaged over walkers, shape ``(steps,)``.
+
+    Values are counted from the mean of their ensemble, so that walkers that keep to different
+    places count as correlated.
+
+    Parameters
+    ----------
+    values
+        Shape ``(ensembles, walkers, steps)``.
+    """
+    steps = values.shape[2]
+    centred = values - values.mean(axis=(1, 2), keepdims=True)
+    spectrum = np.abs(np.fft.rfft(centred, 2 * steps, axis=2)) ** 2
+    products = np.fft.irfft(spectrum.sum(axis=(0, 1)), 2 * steps)[:steps]
+    covariance = products / np.arange(steps, 0, -1)
+    if covariance[0] <= 0:
+        return np.ones(steps)
+    return np.asarray(covariance / covariance[0])
+
+
+def autocorrelation_time(values: Array) -> float:
+    """Steps after which draws are as good as independent: the integrated autocorrelation time.
+
+    At least 1, so that there are never more effective draws than draws; infinite where nothing
+    moves.
+
+    Parameters
+    ----------
+    values
+        Shape ``(ensembles, walkers, steps)``.
+
+    References
+    ----------
+    A. Sokal, Monte Carlo methods in statistical mechanics: foundations and new algorithms, in
+    Functional Integration (1997) 131-192, doi:10.1007/978-1-4899-0319-8_6, for the window.
+    """
+    if np.ptp(values) == 0:
+        return np.inf
+    sums = 2.0 * np.cumsum(autocorrelation(values)) - 1.0
+    is_enough = np.arange(len(sums)) >= WINDOW * sums
+    last = int(np.argmax(is_enough)) if is_enough.any() else len(sums) - 1
+    return max(1.0, float(sums[last]))
+
+
+def effective_draws(values: Array) -> float:
+    """Number of independent draws worth as much for the mean: all draws over tau.
+
+    Parameters
+    ----------
+    values
+        Shape ``(ensembles, walkers, steps)``.
+    """
+    return float(values.size / autocorrelation_time(values))
+
+
+def normal_scores(values: Array) -> Array:
+    """Normal quantiles of the ranks among all values, same shape."""
+    ranks = rankdata(values, method="average").reshape(values.shape)
+    return np.asarray(norm.ppf((ranks - 0.375) / (values.size + 0.25)))
+
+
+def bulk_draws(values: Array) -> Array:
+    """Effective draws of the ranks, by ensemble, shape ``(ensembles,)``; their sum is the total.
+
+    References
+    ----------
+    A. Vehtari et al., Rank-normalization, folding, and localization: an improved R-hat, Bayesian
+    Anal. 16 (2021) 667-718, doi:10.1214/20-BA1221, section 4, with tau in place of chains.
+    """
+    return _by_ensemble(normal_scores(values))
+
+
+def tail_draws(values: Array) -> Array:
+    """Effective draws of being below the 5 or above the 95 % quantile, the fewer, by ensemble."""
+    low, high = np.quantile(values, [TAIL, 1.0 - TAIL])
+    return np.minimum(
+        _by_ensemble((values <= low).astype(float)), _by_ensemble((values >= high).astype(float))
+    )
+
+
+def split_rhat(values: Array) -> float:
+    """Rank-normalised R-hat over the halves of the ensembles, of place or of spread, the larger.
+
+    A chain is one half of one ensemble, all its walkers together: walkers of an ensemble are not
+    independent, ensembles are.
+
+    Parameters
+    ----------
+    values
+        Shape ``(ensembles, walkers, steps)``.
+
+    References
+    ----------
+    Vehtari et al. (2021), section 3, doi:10.1214/20-BA1221.
+    """
+    folded = np.abs(values - np.median(values))
+    return max(_rhat(normal_scores(values)), _rhat(normal_scores(folded)))
+
+
+def mean_error(values: Array) -> float:
+    """Monte Carlo standard error of the mean over the standard deviation."""
+    return float(1.0 / np.sqrt(effective_draws(values)))
+
+
+def quantile_error(values: Array, probability: float) -> float:
+    """Monte Carlo standard error of a quantile, in the unit of the values.
+
+    References
+    ----------
+    Vehtari et al. (2021), section 4.4, doi:10.1214/20-BA1221.
+    """
+    quantile = np.quantile(values, probability)
+    draws = effective_draws((values <= quantile).astype(float))
+    if not np.isfinite(draws) or draws <= 0:
+        return np.inf
+    shape = (draws * probability + 1.0, draws * (1.0 - probability) + 1.0)
+    between = beta.ppf([ONE_SD, 1.0 - ONE_SD], *shape)
+    low, high = np.quantile(values, between)
+    return float(0.5 * (high - low))
+
+
+def _by_ensemble(values: Array) -> Array:
+    return np.array([effective_draws(ensemble[None]) for ensemble in values])
+
+
+def _rhat(values: Array) -> float:
+    half = values.shape[2] // 2
+    if half < 1:
+        return np.inf
+    halves = np.concatenate([values[:, :, :half], values[:, :, -half:]])
+    n = halves.shape[1] * half
+    within = float(np.mean(halves.var(axis=(1, 2), ddof=1)))
+    between = float(np.var(halves.mean(axis=(1, 2)), ddof=1))
+    if within <= 0:
+        return np.inf if between > 0 else 1.0
+    return float(np.sqrt((n - 1) / n + between / within))
+
 
 ACCEPTANCE_HINT = (0.15, 0.5)
 STUCK_ACCEPTANCE = 0.05
@@ -215,3 +359,82 @@ def _drift(tau: Array, steps: int, before: Sequence[ConvergenceCheck]) -> float:
         if steps - check.steps >= longest:
             return float(np.max(np.abs(tau / check.tau - 1.0)))
     return np.inf
+
+
+# Of checks to come, before one of them is said never to pass.
+MOST_CHECKS = 1000
+# A drift times the steps: its typical size beside that of the largest of so many independent
+# normal errors, and the spread of its logarithm. From 7 samples of two knees with 8 parameters.
+DRIFT_SIZE, DRIFT_SPREAD = 1.27, 0.5
+# Checks that this counts for beside those made, the first of which are of too few steps to tell.
+PRIOR_CHECKS, FIRST_CHECKS = 10, 2
+
+
+def expected_steps(checks: Sequence[ConvergenceCheck]) -> float:
+    """Steps of every walker at which all conditions are expected to be met; infinite if unknown.
+
+    Effective draws grow with the steps, errors of means fall with their root, and R-hat comes down
+    to 1 as their inverse. The drift of the autocorrelation time is its own noise: it falls as the
+    inverse of the steps on average, and sampling ends when it happens to be small enough, as
+    likely earlier as later than said here.
+    """
+    latest = checks[-1]
+    if latest.is_passed:
+        return float(latest.steps)
+    found = {name: (value, bar) for name, (value, bar, _) in latest.conditions.items()}
+    at_least = ("steps_per_tau", "effective_draws", "effective_draws_each")
+    needed = [found[x][1] / found[x][0] if found[x][0] > 0.0 else np.inf for x in at_least]
+    value, bar = found["mean_error"]
+    needed.append((value / bar) ** 2)
+    value, bar = found["rhat"]
+    needed.append((value - 1.0) / (bar - 1.0))
+    return max(latest.steps * max(1.0, *needed), _drift_steps(checks))
+
+
+def outlook(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, str]:
+    """Steps at which sampling is expected to end, and the state of its convergence in words.
+
+    Parameters
+    ----------
+    checks
+        All checks so far.
+    spent
+        Share of the budget that is used up.
+    """
+    latest = checks[-1]
+    found = latest.conditions
+    length, wanted, _ = found["steps_per_tau"]
+    words = (
+        f"R-hat {found['rhat'][0]:.3f} of {found['rhat'][1]:g}, "
+        f"{length:.0f} of {wanted:g} autocorrelation times, {spent:.0%} of the budget"
+    )
+    return min(expected_steps(checks), latest.steps / max(spent, 1e-9)), words
+
+
+def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
+    """Steps by which every other sample has found a drift below its bar."""
+    if len(checks) < 2:
+        return 0.0
+    latest, seen = checks[-1], checks[FIRST_CHECKS:]
+    block = latest.steps - checks[-2].steps
+    scaled = [x.drift * x.steps for x in seen if np.isfinite(x.drift) and x.drift > 0.0]
+    weight = PRIOR_CHECKS / (PRIOR_CHECKS + len(scaled))
+    typical = weight * np.log(_drift_times_steps(latest, block))
+    typical += (1.0 - weight) * np.mean(np.log(scaled or [1.0]))
+    steps = latest.steps + block * np.arange(1, MOST_CHECKS + 1)
+    small = ndtr((np.log(latest.rule.drift * steps) - typical) / DRIFT_SPREAD)
+    passed = np.cumprod(1.0 - small) < 0.5
+    return float(steps[np.argmax(passed)]) if passed.any() else np.inf
+
+
+def _drift_times_steps(latest: ConvergenceCheck, block: float) -> float:
+    """What the noise of autocorrelation times lets one expect.
+
+    The error of one, estimated over a window of 5 of them, is that of Sokal; it changes with the
+    steps since the check that it is compared with.
+    """
+    tau = float(np.max(latest.tau))
+    since = block * np.ceil(tau / block)
+    error = np.sqrt(2.0 * (10.0 * tau + 1.0) / latest.acceptance.size * since)
+    largest = ndtri((1.0 + 0.5 ** (1.0 / len(latest.tau))) / 2.0)
+    return float(DRIFT_SIZE * largest * error)

@@ -9,10 +9,145 @@ from emcee.moves.red_blue import RedBlueMove
 from emcee.state import State
 from scipy.special import gammaln, logsumexp
 
-from identknee.identify.posterior.hamiltonian import HamiltonianMove
-from identknee.identify.posterior.own_kernel import OwnKernelMove
 from identknee.identify.posterior.surrogate import Surrogate, SurrogateMove
 from identknee.runs.arrays import Array
+
+# Step of a trajectory for one parameter, in standard deviations; for n of them it shrinks with the
+# fourth root of n (Beskos et al., doi:10.3150/12-BEJ414), so that acceptance stays as it is.
+STEP = 1.3
+# Part of that step which a trajectory takes: short ones lead walkers in from far away, and lengths
+# that differ keep trajectories from coming back to where they began.
+SHORTEST, LONGEST = 0.4, 1.1
+N_STEPS = 4
+
+
+class HamiltonianMove(Move):  # type: ignore[misc]
+    """Trajectories of Hamiltonian dynamics, with the mean precision of the other half as mass.
+
+    Each walker carries, as its blob, the kernel of a Gauss-Newton step
+    (`identknee.identify.posterior.density.NewtonKernel`), of which the gradient is read off. One
+    half of the walkers moves at a time. A trajectory takes `N_STEPS` simulations with Jacobian and
+    ends nearly anywhere in the posterior; it ends early where the model has no prediction, and the
+    walker then stays. In contrast to proposals from kernels, acceptance hardly falls with the
+    number of parameters.
+
+    Leapfrog steps keep volume and can be run backwards whatever force they are given, and the mass
+    does not depend on the half that moves, so the posterior is invariant.
+
+    References
+    ----------
+    R. M. Neal, MCMC using Hamiltonian dynamics, in Handbook of Markov Chain Monte Carlo, CRC Press
+    (2011), doi:10.1201/b10905-6, equations 5.18 to 5.20.
+    """
+
+    def propose(self, model: Any, state: State) -> tuple[State, Array]:
+        """The state after each half has moved, and which walkers did."""
+        n_walkers = len(state.coords)
+        accepted = np.zeros(n_walkers, dtype=bool)
+        half = model.random.permutation(n_walkers) % 2
+        for side in (0, 1):
+            moving = half == side
+            start = State(
+                state.coords[moving], log_prob=state.log_prob[moving], blobs=state.blobs[moving]
+            )
+            mass = _mean_precision(state.blobs[~moving], state.coords.shape[1])
+            end, gain = _trajectories(model, start, mass)
+            accepted[moving] = np.log(model.random.rand(len(gain))) < gain
+            state = self.update(state, end, accepted, moving)
+        return state, accepted
+
+
+def _trajectories(model: Any, start: State, mass: Array) -> tuple[State, Array]:
+    """Ends of one trajectory from each walker, and minus the growth of the energy, shape ``(k,)``.
+
+    The growth is infinite where a trajectory met a place without prediction.
+    """
+    k, n = start.coords.shape
+    x, blobs, log_prob = start.coords.copy(), start.blobs.copy(), start.log_prob.copy()
+    momentum = model.random.standard_normal((k, n)) @ np.linalg.cholesky(mass).T
+    step = STEP / n**0.25 * model.random.uniform(SHORTEST, LONGEST, size=(k, 1))
+    before = log_prob - _kinetic(momentum, mass)
+    alive = np.arange(k)
+    for _ in range(N_STEPS):
+        momentum[alive] -= 0.5 * step[alive] * _gradient(x[alive], blobs[alive])
+        x[alive] += step[alive] * np.linalg.solve(mass, momentum[alive].T).T
+        log_prob[alive], blobs[alive] = model.compute_log_prob_fn(x[alive])
+        alive = alive[np.isfinite(log_prob[alive])]
+        if not alive.size:
+            break
+        momentum[alive] -= 0.5 * step[alive] * _gradient(x[alive], blobs[alive])
+    gain = np.where(np.isfinite(log_prob), log_prob - _kinetic(momentum, mass) - before, -np.inf)
+    return State(x, log_prob=log_prob, blobs=blobs), gain
+
+
+def _kinetic(momentum: Array, mass: Array) -> Array:
+    return np.asarray(0.5 * np.sum(momentum * np.linalg.solve(mass, momentum.T).T, axis=1))
+
+
+def _factors(blobs: Array, n: int) -> Array:
+    return np.asarray(blobs[:, n:].reshape(-1, n, n))
+
+
+def _mean_precision(blobs: Array, n: int) -> Array:
+    factors = _factors(blobs, n)
+    return np.asarray(np.mean(factors @ factors.transpose(0, 2, 1), axis=0))
+
+
+def _gradient(points: Array, blobs: Array) -> Array:
+    """Gradient of minus the log density: precision times the way back from the step's end."""
+    n = points.shape[1]
+    factors = _factors(blobs, n)
+    scaled = np.einsum("kji,kj->ki", factors, points - blobs[:, :n])
+    return np.asarray(np.einsum("kij,kj->ki", factors, scaled))
+
+
+class OwnKernelMove(Move):  # type: ignore[misc]
+    """Steps of random length that leave the Gauss-Newton kernel of the walker that moves as it is.
+
+    Each walker carries its kernel as its blob, as for `identknee.identify.posterior.moves`. From
+    far out on a bent ridge, where the kernels of other walkers do not reach, a mixture of them
+    hardly ever leads a walker in; its own does. Where residuals are linear every step is accepted.
+
+    References
+    ----------
+    S. L. Cotter et al., MCMC methods for functions: modifying old algorithms to make them faster,
+    Stat. Sci. 28 (2013) 424-446, doi:10.1214/13-STS421: the preconditioned Crank-Nicolson proposal,
+    which here has the kernel of one point in place of the prior.
+    """
+
+    def propose(self, model: Any, state: State) -> tuple[State, Array]:
+        """The state after every walker has tried to move, and which did."""
+        n_walkers, n = state.coords.shape
+        length = model.random.uniform(size=(n_walkers, 1))
+        mean, factor = _step(state.coords, state.blobs, length)
+        standard = model.random.standard_normal((n_walkers, n, 1))
+        proposed = mean + length * np.linalg.solve(factor.transpose(0, 2, 1), standard)[:, :, 0]
+        log_prob, blobs = model.compute_log_prob_fn(proposed)
+        gain = log_prob - state.log_prob
+        # Where there is no density there is no kernel.
+        can = np.isfinite(log_prob)
+        gain[can] += _log_density(proposed[can], blobs[can], length[can], state.coords[can])
+        gain[can] -= _log_density(state.coords[can], state.blobs[can], length[can], proposed[can])
+        accepted = np.log(model.random.rand(n_walkers)) < gain
+        new = State(proposed, log_prob=log_prob, blobs=blobs)
+        return self.update(state, new, accepted), accepted
+
+
+def _step(origin: Array, blobs: Array, length: Array) -> tuple[Array, Array]:
+    """Mean of a step from each origin, and the Cholesky factor of the kernel's precision."""
+    n = origin.shape[1]
+    center = blobs[:, :n]
+    mean = center + np.sqrt(1.0 - length**2) * (origin - center)
+    return mean, blobs[:, n:].reshape(-1, n, n)
+
+
+def _log_density(origin: Array, blobs: Array, length: Array, end: Array) -> Array:
+    """Log density of a step from each origin to each end, but for what both ways share."""
+    mean, factor = _step(origin, blobs, length)
+    standard = np.einsum("kji,kj->ki", factor, end - mean) / length
+    diagonal = np.einsum("kii->ki", factor)
+    return np.asarray(np.sum(np.log(diagonal) - 0.5 * standard**2, axis=1))
+
 
 SNOOKER_RANGE = (1.2, 2.2)
 HEAVY_PART, HEAVY_DEGREES = 0.1, 3.0

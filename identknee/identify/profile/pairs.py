@@ -7,22 +7,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.constrained import minimise
+from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.problem import Problem
+from identknee.calibrate.problem import Problem, typical_steps
 from identknee.calibrate.quantity import ParameterQuantity
-from identknee.calibrate.scales import typical_steps
-from identknee.identify.profile.hermite import crossings
-from identknee.identify.profile.march import march
-from identknee.identify.profile.result import SideStatus
+from identknee.identify.profile.result import SideStatus, crossings
 from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
-from identknee.identify.profile.walk import BetterFound, Walk
+from identknee.identify.profile.walk import BetterFound, Walk, march
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.executors import Executor, serial
-from identknee.runs.resume import resumable_map
-from identknee.runs.store import Store
+from identknee.runs.store import Store, resumable_map
 
 # Of one way.
 BUDGET = 4000
@@ -119,7 +115,7 @@ def profile_pair(
     executor
         Anything with an ordered ``map``.
     store
-        Where finished paths are kept; from `identknee.runs.resume.open_work`.
+        Where finished paths are kept; from `identknee.runs.store.open_work`.
 
     Raises
     ------

@@ -1,27 +1,522 @@
 """The profile of a parameter or of any other quantity: which of its values the data allow."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
+import scipy.stats
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.constrained import minimise
-from identknee.calibrate.evaluation import Evaluation, Evaluator
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.quantity import Quantity
-from identknee.identify.detours import fit_around
-from identknee.identify.profile.result import Profile
-from identknee.identify.profile.search import (
-    Branch,
-    branches_of_a_constant,
-    find_branches,
-    walk_branch,
+from identknee.calibrate.bounded_least_squares import IsEnough, minimise
+from identknee.calibrate.evaluation import Evaluation, Evaluator, evaluate
+from identknee.calibrate.fit import fit_many
+from identknee.calibrate.problem import (
+    EIGENVALUE_TOLERANCE,
+    UNSEEN_TOLERANCE,
+    Problem,
+    conditional_sds,
+    typical_steps,
+)
+from identknee.calibrate.quantity import ParameterQuantity, Quantity
+from identknee.identify.profile.result import (
+    Interval,
+    Profile,
+    ProfileVerdict,
+    Side,
+    SideStatus,
+    cubic,
 )
 from identknee.identify.profile.thresholds import chi2_threshold
-from identknee.identify.profile.verdict import assembled
-from identknee.identify.profile.walk import BetterFound, Walk
+from identknee.identify.profile.walk import (
+    AT_END,
+    FLAT,
+    JUMP,
+    BetterFound,
+    Leg,
+    Point,
+    Walk,
+    fit_around,
+    march,
+)
+from identknee.identify.sweep import sobol_starts
 from identknee.runs.arrays import Array
+from identknee.runs.executors import Executor, serial
 from identknee.runs.outcome import Outcome
+from identknee.runs.plain_records import from_plain, to_plain
+from identknee.runs.store import Store, resumable_map
+
+MOST_BRANCHES = 12
+# A fit that looks around takes so many steps before it must have come near.
+GLANCE_STEPS = 8
+# One that comes back from where the path was lost may take more.
+RETURN_STEPS = 24
+# Of the threshold: what a glance may leave or the derivatives at its simulation be off, and how
+# near a fit must have come to be followed.
+GLANCE_TOLERANCE = 2e-2
+NEAR = 10.0
+# In widths of the set: how far out to look where there is no bound.
+WIDTHS = 1.0
+# In widths of the set: a gap narrower than this is not looked into.
+NARROW = 0.05
+# How far beyond an end to go and come back, in distances to the optimum.
+OUTSIDE = 1.0
+# Share of the distance to the ends of the confidence set over which a constant is tried.
+ALMOST = 0.9
+
+Region = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Branch:
+    """The profile walked from one local optimum, downward and upward."""
+
+    lower: Leg
+    upper: Leg
+
+    @property
+    def origin(self) -> Point:
+        """The optimum."""
+        return self.lower.points[0]
+
+    @property
+    def points(self) -> list[Point]:
+        """All points from low to high values."""
+        both = [*self.lower.points, *self.upper.points[1:]]
+        return sorted(both, key=lambda x: x.value)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lower and upper end of the confidence set, infinite where open."""
+        low, high = self.lower.side.end, self.upper.side.end
+        return (-np.inf if low is None else low), (np.inf if high is None else high)
+
+    def nearest(self, value: float) -> Point:
+        """The point whose value is nearest."""
+        return min(self.points, key=lambda x: abs(x.value - value))
+
+
+def walk_branch(walk: Walk, origin: Point) -> Branch:
+    """The profile from an optimum downward and upward."""
+    return Branch(lower=march(walk, origin, -1), upper=march(walk, origin, 1))
+
+
+def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
+    """The branches of a quantity that does not change around the optimum, as a slack line's force.
+
+    Its set begins as that one value. Where it is another one at an end of the confidence set of a
+    parameter, by the covariance at the optimum, the fit there with the largest and the smallest
+    value begin branches of their own.
+
+    Parameters
+    ----------
+    walk
+        The quantity and the threshold.
+    origin
+        The optimum.
+    """
+    side = Side(
+        status=SideStatus.CLOSED,
+        end=origin.value,
+        error=0.0,
+        reached=origin.value,
+        max_deviance=0.0,
+        at_bounds=(),
+    )
+    leg = Leg(points=(origin,), side=side)
+    branches = [Branch(lower=leg, upper=leg)]
+    found = [(*walk.quantity.evaluate(theta), theta) for theta in _likely_ends(walk, origin)]
+    found = [x for x in found if np.isfinite(x[0]) and x[0] != origin.value and x[1].any()]
+    for value, _, theta in sorted(found, key=lambda x: x[0])[:: max(len(found) - 1, 1)]:
+        solved = walk.solve(value, theta, tolerance=GLANCE_TOLERANCE * walk.threshold)
+        if solved.is_on_target and solved.evaluation.deviance - walk.lowest < walk.threshold:
+            branches.append(walk_branch(walk, walk.point(solved)))
+    return branches
+
+
+def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
+    """Theta with each parameter almost at an end of its confidence set, the others following."""
+    parameters = walk.evaluator.parameters
+    at = origin.evaluation
+    scales = typical_steps(parameters)
+    inverse = np.linalg.pinv(at.information * np.outer(scales, scales), rcond=EIGENVALUE_TOLERANCE)
+    covariance = inverse * np.outer(scales, scales)
+    sd = np.sqrt(np.diag(covariance))
+    known = sd > 0
+    moves = ALMOST * np.sqrt(walk.threshold) * (covariance[:, known] / sd[known]).T
+    return [
+        np.clip(at.theta + sign * move, parameters.lower, parameters.upper)
+        for move in moves
+        for sign in (-1.0, 1.0)
+    ]
+
+
+def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
+    """The optimum's branch and those of other likely optima, as far as found.
+
+    Fits without a constraint start from the middle of what lies beyond each closed end, and from
+    each of `starts`. Where one ends at a likely optimum that is not on a path walked before, its
+    own branch is walked, and the gaps that it leaves are looked into in their turn. Paths that lead
+    to no optimum of their own are looked for by coming back to each end of the optimum's branch
+    from outside.
+
+    Parameters
+    ----------
+    walk
+        The quantity and the threshold.
+    main
+        The optimum's branch.
+    starts
+        Where else to look for optima, shape ``(k, n)``.
+    """
+    branches = [main]
+    regions = _beside(main, walk.limits)
+    while regions and len(branches) < MOST_BRANCHES:
+        region = regions.pop(0)
+        start = _into(walk, main, region)
+        branch = None if start is None else _branch_from(walk, branches, start)
+        if branch is not None:
+            branches.append(branch)
+            regions += _beside(branch, region)
+    for leg, direction in ((main.lower, -1), (main.upper, 1)):
+        branch = _from_outside(walk, leg, direction)
+        if branch is not None and not _is_known(walk, branches, branch.origin):
+            branches.append(branch)
+    for start in starts:
+        branch = _branch_from(walk, branches, start)
+        if branch is not None and len(branches) < MOST_BRANCHES:
+            branches.append(branch)
+    return branches
+
+
+def _beside(branch: Branch, region: Region) -> list[Region]:
+    """What a branch leaves of a region, below and above."""
+    low, high = branch.limits
+    below, above = (region[0], low), (high, region[1])
+    return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]
+
+
+def _into(walk: Walk, main: Branch, region: Region) -> Array | None:
+    """The optimum's theta moved into a region, shape ``(n,)``; None if that is too narrow."""
+    low, high = main.limits
+    reach = [x for x in (low, high) if np.isfinite(x)] + [main.origin.value]
+    width = max(reach) - min(reach)
+    if region[1] - region[0] < NARROW * width:
+        return None
+    if np.isinf(region[0]):
+        value = region[1] - WIDTHS * width
+    elif np.isinf(region[1]):
+        value = region[0] + WIDTHS * width
+    else:
+        value = 0.5 * (region[0] + region[1])
+    theta = np.array(main.origin.evaluation.theta)
+    if isinstance(walk.quantity, ParameterQuantity):
+        theta[walk.quantity.index] = value
+        return theta
+    tolerance = GLANCE_TOLERANCE * walk.threshold
+    solved = walk.solve(value, theta, tolerance=tolerance, most_steps=GLANCE_STEPS)
+    return solved.evaluation.theta if solved.evaluation.is_finite else None
+
+
+def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
+    """The branch met by going on beyond a closed end and coming back; None if it is the same one.
+
+    Where the path folds, the fits beyond its end lie on another part of it, which may be lower at
+    the end too although no fit without a constraint stays there.
+    """
+    end = leg.side.end
+    if end is None:
+        return None
+    last = min(leg.points, key=lambda x: abs(x.value - end))
+    value = end + direction * OUTSIDE * abs(end - leg.points[0].value)
+    value = float(np.clip(value, *walk.limits))
+    if value == end:
+        return None
+    far = _glance(walk, value, walk.start(value, last, None))
+    if far is None:
+        return None
+    if walk.delta(far) < walk.threshold:
+        return walk_branch(walk, far)
+    expected = walk.start(end, far, None)
+    moved = last.evaluation.jacobian @ (expected - last.evaluation.theta)
+    if float(moved @ moved) < JUMP * walk.threshold:
+        return None
+    # At a fold the two parts of the path lie on different sides of the end.
+    parameters = walk.evaluator.parameters
+    opposite = np.clip(2.0 * last.evaluation.theta - expected, parameters.lower, parameters.upper)
+    for start in (expected, opposite):
+        back = _glance(
+            walk,
+            end,
+            start,
+            most_steps=RETURN_STEPS,
+            is_enough=partial(_joins, walk, [last]),
+        )
+        if back is not None and walk.delta(back) < (1.0 - GLANCE_TOLERANCE) * walk.threshold:
+            return walk_branch(walk, back)
+    return None
+
+
+def _glance(
+    walk: Walk,
+    value: float,
+    start: Array,
+    *,
+    most_steps: int = GLANCE_STEPS,
+    is_enough: IsEnough | None = None,
+) -> Point | None:
+    """A rough fit at a value, None where there is none or it saw enough on its way."""
+    solved = walk.solve(
+        value,
+        start,
+        tolerance=GLANCE_TOLERANCE * walk.threshold,
+        most_steps=most_steps,
+        is_enough=is_enough,
+    )
+    is_there = solved.evaluation.is_finite and solved.is_on_target
+    return walk.point(solved) if is_there else None
+
+
+def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch | None:
+    """The branch of the optimum that `start` leads to, if that is likely and not known."""
+    is_known = partial(_joins, walk, [x.origin for x in branches])
+    glance = minimise(
+        walk.evaluator,
+        start,
+        tolerance=GLANCE_TOLERANCE * walk.threshold,
+        most_steps=GLANCE_STEPS,
+        is_enough=is_known,
+    )
+    is_far = glance.evaluation.deviance - walk.lowest > NEAR * walk.threshold
+    if is_far or is_known(glance.evaluation):
+        return None
+    point = _point(walk, glance.evaluation.theta)
+    if point is None or _is_known(walk, branches, point):
+        return None
+    found = minimise(walk.evaluator, glance.evaluation.theta, tolerance=AT_END * walk.threshold)
+    walk.note(found.evaluation)
+    point = _point(walk, found.evaluation.theta)
+    if point is None or walk.delta(point) >= walk.threshold or _is_known(walk, branches, point):
+        return None
+    return walk_branch(walk, point)
+
+
+def _joins(walk: Walk, ends: Sequence[Point], at: Evaluation) -> bool:
+    """Whether a fit that comes to `at` would go on to one of the fits known.
+
+    It would where the residuals change between both as the derivatives at either say: the next step
+    leads there.
+    """
+    for end in ends:
+        known = end.evaluation
+        way = known.theta - at.theta
+        change = known.residuals - at.residuals
+        missed = (change - at.jacobian @ way, change - known.jacobian @ way)
+        if max(float(x @ x) for x in missed) < GLANCE_TOLERANCE * walk.threshold:
+            return True
+    return False
+
+
+def _point(walk: Walk, theta: Array) -> Point | None:
+    """The point of a profile at theta, no fit being made; None where there is no prediction."""
+    value, _ = walk.quantity.evaluate(theta)
+    if not np.isfinite(value):
+        return None
+    solved = walk.solve(value, theta, tolerance=np.inf)
+    return walk.point(solved) if solved.evaluation.is_finite else None
+
+
+def _is_known(walk: Walk, branches: Sequence[Branch], point: Point) -> bool:
+    """Whether a point lies on the path of one of the branches, or near its optimum."""
+    for branch in branches:
+        low, high = branch.limits
+        if not low <= point.value <= high:
+            continue
+        near = branch.nearest(point.value)
+        expected = walk.start(point.value, near, None)
+        moved = point.evaluation.jacobian @ (point.evaluation.theta - expected)
+        if float(moved @ moved) < JUMP * walk.threshold:
+            return True
+    return False
+
+
+# Of the quantity's gradient: what may lie in directions that the data do not see.
+UNSEEN = 1e-3
+UNDECIDED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
+
+
+def assembled(
+    walk: Walk,
+    branches: Sequence[Branch],
+    *,
+    level: float,
+    better_optimum: Array | None,
+    n_restarts: int,
+) -> Profile:
+    """The profile that the branches make together: their lower envelope and their union.
+
+    Parameters
+    ----------
+    walk
+        The quantity and the threshold.
+    branches
+        That of the optimum first.
+    level
+        Confidence level that the threshold stands for.
+    better_optimum, n_restarts
+        The optimum, where it is not the one given, and how often the profile was started over.
+    """
+    origin = branches[0].origin
+    intervals, sides = _union(branches)
+    curve = _envelope(walk, branches)
+    return Profile(
+        name=walk.quantity.name,
+        unit=walk.quantity.unit,
+        level=level,
+        threshold=walk.threshold,
+        optimum=origin.evaluation.theta,
+        optimum_value=origin.value,
+        deviance=walk.lowest,
+        values=np.array([x.value for x, _ in curve]),
+        thetas=np.array([x.evaluation.theta for x, _ in curve]),
+        deltas=np.array([walk.delta(x) for x, _ in curve]),
+        slopes=curve_slopes(walk, [x for x, _ in curve]),
+        branches=np.array([k for _, k in curve]),
+        intervals=intervals,
+        lower_side=sides[0],
+        upper_side=sides[1],
+        verdict=_verdict(walk, origin, sides, intervals),
+        practical_level=min(_level(x, level, walk.threshold) for x in sides),
+        n_simulations=walk.evaluator.n_simulations,
+        better_optimum=better_optimum,
+        n_restarts=n_restarts,
+    )
+
+
+def _union(branches: Sequence[Branch]) -> tuple[tuple[Interval, ...], tuple[Side, Side]]:
+    """The separate intervals of all branches together, and the outermost sides.
+
+    Two are separate where the data exclude what lies between. Where only the model ends between
+    them, nothing does, and they are one.
+    """
+    reaches = [_Reach.of(x) for x in branches]
+    merged: list[_Reach] = []
+    for reach in sorted(reaches, key=lambda x: (x.low, x.high)):
+        if merged and merged[-1].goes_on_to(reach):
+            merged[-1] = merged[-1].joined(reach)
+        else:
+            merged.append(reach)
+    intervals = tuple((x.lower.end, x.upper.end) for x in merged)
+    return intervals, (merged[0].lower, merged[-1].upper)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Reach:
+    """From where to where a branch is likely, infinite where open, and how it ends there."""
+
+    low: float
+    high: float
+    lower: Side
+    upper: Side
+
+    @classmethod
+    def of(cls, branch: Branch) -> "_Reach":
+        lower, upper = branch.lower.side, branch.upper.side
+        return cls(low=_reach(lower, -np.inf), high=_reach(upper, np.inf), lower=lower, upper=upper)
+
+    def goes_on_to(self, other: "_Reach") -> bool:
+        """Whether no value between this and one that begins higher is excluded by the data."""
+        at_boundary = SideStatus.OPEN_AT_FEASIBILITY
+        is_gap = at_boundary in {self.upper.status, other.lower.status}
+        return other.low <= self.high or is_gap
+
+    def joined(self, other: "_Reach") -> "_Reach":
+        highest = max(self, other, key=lambda x: x.high)
+        return replace(self, high=highest.high, upper=highest.upper)
+
+
+def _reach(side: Side, beyond: float) -> float:
+    """Where a side ends; the feasibility boundary where the model does, else `beyond` if open."""
+    if side.status is SideStatus.OPEN_AT_FEASIBILITY:
+        return side.reached
+    return beyond if side.end is None else side.end
+
+
+def _envelope(walk: Walk, branches: Sequence[Branch]) -> list[tuple[Point, int]]:
+    """Points from low to high values with their branch, without those above another branch."""
+    kept: list[tuple[Point, int]] = []
+    for k, branch in enumerate(branches):
+        others = [x for x in branches if x is not branch]
+        for point in branch.points:
+            height = walk.delta(point) - AT_END * walk.threshold
+            if all(_height(walk, other, point.value) >= height for other in others):
+                kept.append((point, k))
+    kept.sort(key=lambda x: x[0].value)
+    places = [x[0].value for x in kept]
+    return [x for i, x in enumerate(kept) if i == 0 or places[i] > places[i - 1]]
+
+
+def curve_slopes(walk: Walk, points: Sequence[Point]) -> Array:
+    """Slopes of the curve, shape ``(k,)``; of its chords where a fit stopped at the boundary.
+
+    What such a fit's derivatives give is the slope of the model beyond the boundary.
+    """
+    exact = np.array([x.slope for x in points])
+    if len(points) < 2:
+        return exact
+    chords = np.gradient([walk.delta(x) for x in points], [x.value for x in points])
+    return np.where([walk.is_settled(x) for x in points], exact, chords)
+
+
+def _height(walk: Walk, branch: Branch, value: float) -> float:
+    """Rise of the deviance of a branch at a value, infinite outside of what was walked."""
+    for left, right in pairwise(branch.points):
+        if left.value <= value <= right.value and left.value < right.value:
+            return cubic(
+                value,
+                (left.value, walk.delta(left), left.slope),
+                (right.value, walk.delta(right), right.slope),
+            )
+    return np.inf
+
+
+def _verdict(
+    walk: Walk, origin: Point, sides: tuple[Side, Side], intervals: tuple[Interval, ...]
+) -> ProfileVerdict:
+    if len(intervals) > 1:
+        return ProfileVerdict.MULTIMODAL
+    if any(x.status in UNDECIDED for x in sides):
+        return ProfileVerdict.UNDETERMINED
+    n_closed = sum(x.status is SideStatus.CLOSED for x in sides)
+    if n_closed == 2:
+        return ProfileVerdict.IDENTIFIABLE
+    if n_closed == 1:
+        return ProfileVerdict.ONE_SIDED
+    is_flat = all(x.max_deviance <= FLAT * walk.threshold for x in sides)
+    if is_flat and _is_unseen(walk, origin):
+        return ProfileVerdict.STRUCTURALLY_SUSPECT
+    return ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE
+
+
+def _is_unseen(walk: Walk, origin: Point) -> bool:
+    """Whether the quantity changes along a direction in which no residual does."""
+    scales = conditional_sds(origin.evaluation.jacobian, walk.evaluator.parameters)
+    gradient = walk.quantity.evaluate(origin.evaluation.theta)[1] * scales
+    matrix = origin.evaluation.jacobian * scales
+    padded = np.vstack([matrix, np.zeros((matrix.shape[1], matrix.shape[1]))])
+    _, values, directions = np.linalg.svd(padded, full_matrices=False)
+    unseen = directions[values <= UNSEEN_TOLERANCE * max(values[0], 1e-300)] @ gradient
+    return bool(np.linalg.norm(unseen) > UNSEEN * np.linalg.norm(gradient))
+
+
+def _level(side: Side, level: float, threshold: float) -> float:
+    if side.status is SideStatus.CLOSED:
+        return level
+    law = scipy.stats.chi2(1)
+    return float(law.cdf(side.max_deviance * law.ppf(level) / threshold))
+
 
 LEVEL = 0.95
 BUDGET = 1000
@@ -60,7 +555,7 @@ def profile(
     met anywhere starts everything over from it, at most five times.
 
     That looks along the quantity only. Optima in which other parameters exchange their roles are
-    found from `starts` alone; `identknee.identify.profile.profiles.profile_quantities` looks for
+    found from `starts` alone; `identknee.identify.profile.profile.profile_quantities` looks for
     them by itself.
 
     Parameters
@@ -80,7 +575,7 @@ def profile(
         Simulations allowed.
     starts
         Other local optima, or places to look for them from, shape ``(k, n)``: for example the
-        basins of a sweep, or `identknee.identify.profile.profiles.other_optima`. Where one is
+        basins of a sweep, or `identknee.identify.profile.profile.other_optima`. Where one is
         likely, its own path counts too; at most twelve paths are walked.
 
     Raises
@@ -183,3 +678,205 @@ def _settled(evaluator: Evaluator, theta: Array, threshold: float) -> Evaluation
         if around is not None and around.evaluation.deviance < optimum.evaluation.deviance:
             return around.evaluation
     return optimum.evaluation
+
+
+MOST_ROUNDS = 3
+N_STARTS = 16
+# Of a fit that looks for another optimum.
+FIT_BUDGET = 200
+
+
+class ProfileSettings(TypedDict, total=False):
+    """What is passed on to each `profile`, by the same names."""
+
+    level: float
+    thresholds: ArrayLike | None
+    budget: int
+    starts: ArrayLike | None
+
+
+def profile_parameters(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    names: Sequence[str] | None = None,
+    *,
+    executor: Executor = serial,
+    store: Store | None = None,
+    **settings: Unpack[ProfileSettings],
+) -> tuple[Profile, ...]:
+    """One profile for each parameter, in their order: `profile_quantities` of parameters.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise; picklable if `executor` runs processes.
+    optimum_theta
+        The best fit known, shape ``(n,)``.
+    names
+        Which parameters; all if None.
+    executor
+        Anything with an ordered ``map``.
+    store
+        Where finished profiles are kept; from `identknee.runs.store.open_work`.
+    settings
+        As for `profile_quantities`.
+
+    Raises
+    ------
+    ValueError
+        If a name is not a parameter's, or as `profile` does.
+    """
+    parameters = problem.parameters
+    chosen = parameters.names if names is None else names
+    quantities = [ParameterQuantity(parameters=parameters, name=name) for name in chosen]
+    return profile_quantities(
+        problem, optimum_theta, quantities, executor=executor, store=store, **settings
+    )
+
+
+def profile_quantities(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    quantities: Sequence[Quantity],
+    *,
+    executor: Executor = serial,
+    store: Store | None = None,
+    **settings: Unpack[ProfileSettings],
+) -> tuple[Profile, ...]:
+    """One profile for each quantity, in their order, all from the same optimum.
+
+    Other likely optima are looked for once, by `other_optima`, and their paths count in every
+    profile; pass ``starts`` if they are known, or an empty tuple to do without. Where one of the
+    profiles meets a better fit, all are walked again from the best that was met, at most three
+    times.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise; picklable, as the quantities, if `executor` runs
+        processes.
+    optimum_theta
+        The best fit known, shape ``(n,)``.
+    quantities
+        What to profile, over the same parameters.
+    executor
+        Anything with an ordered ``map``.
+    store
+        Where finished profiles are kept; from `identknee.runs.store.open_work`.
+    settings
+        Those of `profile`: ``level, budget, starts``, and ``thresholds``: one for all, or one each.
+        The simulations that polish the optimum and look for other optima are no profile's, and
+        not among theirs.
+
+    Raises
+    ------
+    ValueError
+        As `profile` does.
+    """
+    if not quantities:
+        return ()
+    theta = np.asarray(optimum_theta, dtype=np.float64)
+    thresholds, starts = settings.pop("thresholds", None), settings.pop("starts", None)
+    if thresholds is None:
+        thresholds = chi2_threshold(settings.get("level", LEVEL))
+    each = np.broadcast_to(np.asarray(thresholds, float), len(quantities)).tolist()
+    if starts is None:
+        starts = other_optima(problem, theta, threshold=max(each), executor=executor)
+    # Sent together, problem and quantities keep the one model that they share simulations by.
+    asked = list(zip(quantities, each, strict=True))
+    found: tuple[Profile, ...] = ()
+    for round_ in range(MOST_ROUNDS):
+        (polished,) = resumable_map(
+            partial(_all_settled, problem, theta, max(each)),
+            [settings.get("budget", BUDGET)],
+            executor=serial,
+            store=store,
+            name=f"optimum round {round_}",
+            description="polishing",
+        )
+        theta = np.array(polished)
+        kept = resumable_map(
+            partial(_profiled, problem, theta, asked, {**settings, "starts": starts}),
+            range(len(asked)),
+            executor=executor,
+            store=store,
+            name=f"profile round {round_}",
+            description="profiling",
+        )
+        found = tuple(from_plain(Profile, x) for x in kept)
+        better = _better_of_all(found)
+        if better is None:
+            break
+        theta = better
+    return found
+
+
+def other_optima(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    *,
+    threshold: float,
+    seed: int = 0,
+    executor: Executor = serial,
+) -> Array:
+    """Other likely optima, shape ``(k, n)``, where sixteen fits from all over the box end.
+
+    They are the `starts` of profiles: paths of solutions in which parameters exchange their roles,
+    or of a second valley, are found through them. None are looked for in a box without ends.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise; picklable if `executor` runs processes.
+    optimum_theta
+        The best fit known, shape ``(n,)``.
+    threshold
+        Rise of the deviance up to which an optimum is likely.
+    seed
+        Seed of the Sobol points that the fits start from.
+    executor
+        Anything with an ordered ``map``.
+    """
+    parameters = problem.parameters
+    if not np.isfinite(parameters.upper - parameters.lower).all():
+        return np.empty((0, parameters.n))
+    at = evaluate(problem, np.asarray(optimum_theta, dtype=np.float64))
+    starts = sobol_starts(parameters, N_STARTS, seed=seed)
+    fits = fit_many(problem, starts, seed=seed, executor=executor, budget=FIT_BUDGET)
+    found = [at]
+    for fit in sorted(fits, key=lambda x: x.objective):
+        if not 2.0 * fit.objective < at.deviance + threshold:
+            break
+        here = evaluate(problem, fit.theta)
+        apart = [here.jacobian @ (here.theta - other.theta) for other in found]
+        if min(float(x @ x) for x in apart) > JUMP * threshold:
+            found.append(here)
+    return np.reshape([x.theta for x in found[1:]], (-1, parameters.n))
+
+
+def _all_settled(problem: Problem, theta: Array, threshold: float, budget: int) -> list[float]:
+    optimum = settled(problem, theta, threshold=threshold, budget=budget)
+    return [float(x) for x in optimum.theta]
+
+
+def _profiled(
+    problem: Problem,
+    theta: Array,
+    asked: Sequence[tuple[Quantity, float]],
+    settings: dict[str, Any],
+    which: int,
+) -> dict[str, Any]:
+    quantity, threshold = asked[which]
+    optimum = Settled(theta=theta)
+    return to_plain(profile(problem, optimum, quantity, threshold=threshold, **settings))
+
+
+def _better_of_all(found: Sequence[Profile]) -> Array | None:
+    """The lowest of the better optima met; None if none was or all profiles stand on it."""
+    lowest = min(found, key=lambda x: x.deviance)
+    if lowest.better_optimum is None:
+        return None
+    # A hundredth of what would start one profile over.
+    if all(x.deviance <= lowest.deviance + 1e-6 * lowest.threshold for x in found):
+        return None
+    return np.array(lowest.better_optimum)

@@ -1,13 +1,53 @@
 """What a profile found: the curve, the confidence set, and how each side ended."""
 
 from enum import Enum, unique
+from itertools import pairwise
 
 import numpy as np
+import scipy.optimize
 
-from identknee.identify.profile.hermite import crossings
 from identknee.identify.profile.thresholds import threshold_below
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
+
+
+def cubic(x: float, left: tuple[float, float, float], right: tuple[float, float, float]) -> float:
+    """Value at `x` of the cubic through two points, each given as (place, value, slope).
+
+    Examples
+    --------
+    >>> cubic(0.5, (0.0, 0.0, 0.0), (1.0, 1.0, 3.0))
+    0.125
+    """
+    (a, f, slope_f), (b, g, slope_g) = left, right
+    width = b - a
+    u = (x - a) / width
+    return float(
+        (1 + 2 * u) * (1 - u) ** 2 * f
+        + u * (1 - u) ** 2 * width * slope_f
+        + u**2 * (3 - 2 * u) * g
+        + u**2 * (u - 1) * width * slope_g
+    )
+
+
+def crossings(places: Array, values: Array, slopes: Array, level: float) -> list[float]:
+    """Where the piecewise cubic through points with slopes crosses `level`, from low to high.
+
+    Between two points on different sides of the level there is one crossing; others are not sought.
+    """
+    found = []
+    points = list(zip(places.tolist(), values.tolist(), slopes.tolist(), strict=True))
+    for left, right in pairwise(points):
+        if (left[1] < level) != (right[1] < level):
+            found.append(
+                float(
+                    scipy.optimize.brentq(
+                        lambda x, a=left, b=right: cubic(x, a, b) - level, left[0], right[0]
+                    )
+                )
+            )
+    return found
+
 
 Interval = tuple[float | None, float | None]
 

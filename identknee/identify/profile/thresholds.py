@@ -9,15 +9,14 @@ import numpy as np
 import scipy.stats
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.constrained import minimise, solve_constrained
+from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.quantity import Quantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.executors import Executor, serial, spawn_seeds
-from identknee.runs.resume import resumable_map
-from identknee.runs.store import Store
+from identknee.runs.store import Store, resumable_map
 
 NewData = Callable[[np.random.SeedSequence], Problem]
 
@@ -243,7 +242,7 @@ def bootstrap_statistics(
     executor
         Anything with an ordered ``map``.
     store
-        Where finished data sets are kept; from `identknee.runs.resume.open_work`.
+        Where finished data sets are kept; from `identknee.runs.store.open_work`.
 
     References
     ----------

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.mechanics.equilibria import Lines
-from identknee.model.effects.changes import CopiesChange, remeasured
-from identknee.model.effects.effect import amplitudes
+from identknee.model.effects.effect import CopiesChange, amplitudes, remeasured
 from identknee.model.effects.insertion import AXES, BONES
-from identknee.model.setting import PER_PCT, Setting
+from identknee.model.mechanics_inputs import PER_PCT, Setting
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from identknee.model.effects.effect import Effect
-from identknee.model.effects.moved_insertion import MovedInsertion
+from identknee.model.effects.insertion import MovedInsertion
 from identknee.model.effects.remounting import Remounting
 from identknee.model.effects.stored import choice_of
 from identknee.model.parameters import Parameters

@@ -6,9 +6,8 @@ import numpy as np
 
 from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
 from identknee.mechanics.pose import angles_of, rotation_matrix
-from identknee.model.effects.changes import CopiesError, SettingChange
-from identknee.model.effects.effect import Tests, amplitudes
-from identknee.model.setting import Setting
+from identknee.model.effects.effect import CopiesError, SettingChange, Tests, amplitudes
+from identknee.model.mechanics_inputs import Setting
 from identknee.runs.arrays import Array
 
 FRAME_SD, FRAME_LIMIT = 2.0, 10.0  # deg

@@ -5,11 +5,11 @@ from functools import lru_cache, partial
 from types import MappingProxyType
 
 from identknee.model.effects.bundles import bundles
-from identknee.model.effects.contact_law import Cartilage, contact_nuisance
+from identknee.model.effects.contact_law import Cartilage, contact_nuisance, meniscus
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import FACTS
 from identknee.model.effects.frames import femur_frame, flexion_offset, tibia_frame
-from identknee.model.effects.history import creep, drift, hysteresis
+from identknee.model.effects.history import creep, drift, hysteresis, rig_compliance
 from identknee.model.effects.insertion import insertion
 from identknee.model.effects.loads import (
     axis_misalignment,
@@ -19,16 +19,14 @@ from identknee.model.effects.loads import (
     parasitic_shear,
     shank_gravity,
 )
-from identknee.model.effects.meniscus import meniscus
-from identknee.model.effects.placed import STIFFNESS_SD, structure
-from identknee.model.effects.rig_compliance import rig_compliance
+from identknee.model.effects.structures import STIFFNESS_SD, structure
 from identknee.model.effects.toe_strain import toe_strain
 from identknee.model.effects.wrapping import NAME as WRAPPING
 from identknee.model.effects.wrapping import mcl_wrapping
 from identknee.runs.errors import suggestion
 from identknee.subject.anatomy import anatomy
+from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import Knee
-from identknee.subject.structure_sites import structure_sites
 
 NEEDS_PHASE, NEEDS_ORDER = frozenset({"hysteresis"}), frozenset({"creep", "drift"})
 

@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 
 from identknee.model.effects.effect import amplitudes
+from identknee.model.mechanics_inputs import Setting
 from identknee.model.parameters import Parameters
-from identknee.model.setting import Setting
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 

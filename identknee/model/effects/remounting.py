@@ -7,8 +7,7 @@ from functools import partial
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS
-from identknee.model.effects.changes import CopiesError
-from identknee.model.effects.effect import Tests, amplitudes
+from identknee.model.effects.effect import CopiesError, Tests, amplitudes
 from identknee.model.effects.facts import REMOUNTING
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee

@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
-from identknee.model.effects.capsule import PosteriorCapsule
-from identknee.model.effects.changes import held
-from identknee.model.effects.effect import Effect
+from identknee.model.effects.effect import Effect, held
 from identknee.model.effects.library import effect_named
-from identknee.model.effects.placed import lines_of, structure
-from identknee.model.effects.structures import MissingStructure
+from identknee.model.effects.structures import (
+    MissingStructure,
+    PosteriorCapsule,
+    lines_of,
+    structure,
+)
 from identknee.runs.arrays import Array
 from identknee.runs.errors import suggestion
 from identknee.subject.effect_choice import EffectChoice

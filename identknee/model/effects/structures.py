@@ -1,17 +1,19 @@
-"""Missing structures: lines that the model of the subject lacks."""
+"""Structures that the model may lack: single lines and the posterior capsule, placed by anatomy."""
 
-from collections.abc import Sequence
-from dataclasses import field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradients
 from identknee.model.effects.effect import amplitudes
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting, with_lines
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
-from identknee.model.setting import PER_KN, PER_PCT, Setting, with_lines
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
+from identknee.subject.effect_choice import Points
 from identknee.subject.knee import Knee
 
 SITE_SD = 4.0  # mm, how far insertions are from where anatomy puts them
@@ -125,4 +127,158 @@ def structure_at(
         tibial=knee.tibia_frame.to_local(np.array([x for _, x in insertions])),
         stiffness_sd=stiffness_sd,
         sites_vary=sites_vary,
+    )
+
+
+SIDES = ("medial", "lateral")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PosteriorCapsule:
+    """The medial and the lateral capsule, stiffnesses of their own and one reference strain.
+
+    Attributes
+    ----------
+    medial, lateral
+        Structures of one line each, whose sites vary or not alike.
+    parameters
+        Both stiffnesses, the strain, then the shifts of the medial and of the lateral line.
+    """
+
+    medial: MissingStructure
+    lateral: MissingStructure
+    name: str = "posterior_capsule"
+    parameters: Parameters = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        medial, lateral = self.medial.parameters, self.lateral.parameters
+        names = [*(f"{side}_{STIFFNESS}" for side in SIDES), STRAIN]
+        if self.sites_vary:
+            names += [f"{side}_{shift}" for side in SIDES for shift in SHIFTS]
+
+        def both(medial: Array, lateral: Array) -> list[float]:
+            return [medial[0], *lateral[:2], *medial[2:], *lateral[2:]]
+
+        made = amplitudes(
+            self.name,
+            names,
+            both(medial.prior_sd, lateral.prior_sd),
+            lower=both(medial.lower, lateral.lower),
+            upper=both(medial.upper, lateral.upper),
+            center=both(medial.center, lateral.center),
+        )
+        object.__setattr__(self, "parameters", made)
+
+    @property
+    def sites_vary(self) -> bool:
+        """Whether the insertions of both lines may be shifted."""
+        return self.medial.sites_vary
+
+    @property
+    def first_shift(self) -> int:
+        """Where the shifts begin among the amplitudes, after the reference strain."""
+        return 3
+
+    def change(self, setting: Setting, values: Array) -> Setting:
+        """The setting with both lines in place."""
+        medial, lateral = self._of_sides(values)
+        return self.lateral.change(self.medial.change(setting, medial), lateral)
+
+    def gradient_columns(
+        self, setting: Setting, values: Array, flexion: Array, poses: Array
+    ) -> Array:
+        """Derivatives of the energy's gradient by the amplitudes at fixed poses, ``(n, 5, a)``."""
+        medial, lateral = (
+            side.gradient_columns(setting, own, flexion, poses)
+            for side, own in zip((self.medial, self.lateral), self._of_sides(values), strict=True)
+        )
+        return np.concatenate(
+            [
+                medial[:, :, :1],
+                lateral[:, :, :1],
+                medial[:, :, 1:2] + lateral[:, :, 1:2],
+                medial[:, :, 2:],
+                lateral[:, :, 2:],
+            ],
+            axis=2,
+        )
+
+    def _of_sides(self, values: Array) -> tuple[Array, Array]:
+        """The amplitudes of each structure."""
+        medial, lateral = np.split(values[self.first_shift :], 2)
+        return np.r_[values[0], values[2], medial], np.r_[values[1], values[2], lateral]
+
+
+CAPSULE = "posterior_capsule"
+# Prior standard deviation of the stiffness of structures [kN]; of any other name, the last.
+STIFFNESS_SD: Mapping[str, float] = MappingProxyType(
+    {
+        "anterolateral": 1.2,
+        "posteromedial": 1.5,
+        "popliteofibular": 1.2,
+        "deep_mcl": 1.2,
+        CAPSULE: 1.0,
+    }
+)
+OTHER_STIFFNESS_SD = 1.5
+# mm; the lines of the capsule stand for sheets as wide as a condyle.
+CAPSULE_SITE_SD = 6.0
+Structure = MissingStructure | PosteriorCapsule
+
+
+def structure(
+    knee: Knee,
+    name: str,
+    lines: Sequence[Points],
+    *,
+    stiffness_sd: float | None = None,
+    site_sd: float | None = None,
+) -> Structure:
+    """A missing structure between points of the common frame of the scan.
+
+    The posterior capsule has a medial and then a lateral line, each with its own stiffness and
+    shifts; the lines of any other structure share them.
+
+    Parameters
+    ----------
+    knee
+        The subject.
+    name
+        Name of the structure.
+    lines
+        Femoral and tibial point [mm] of each line, shape ``(3,)``.
+    stiffness_sd
+        Scale of the half-normal prior of the stiffness [kN]; the named structure's where None.
+    site_sd
+        Prior standard deviation of the shifts of both ends [mm], 0 where they are not shifted; the
+        usual one where None.
+
+    Raises
+    ------
+    ValueError
+        If a posterior capsule has not two lines.
+    """
+    sd = stiffness_sd or STIFFNESS_SD.get(name, OTHER_STIFFNESS_SD)
+    usual = CAPSULE_SITE_SD if name == CAPSULE else SITE_SD
+    spread = usual if site_sd is None else site_sd
+
+    def made(lines: Sequence[Points]) -> MissingStructure:
+        at = structure_at(knee, name, lines, stiffness_sd=sd, sites_vary=spread > 0.0)
+        return replace(at, site_sd=spread)
+
+    if name != CAPSULE:
+        return made(lines)
+    if len(lines) != 2:
+        raise ValueError(f"{CAPSULE} has a medial and a lateral line, got {len(lines)} lines")
+    medial, lateral = (made([line]) for line in lines)
+    return PosteriorCapsule(medial=medial, lateral=lateral)
+
+
+def lines_of(knee: Knee, made: Structure) -> tuple[Points, ...]:
+    """The points between which the lines of a structure run, in the common frame [mm]."""
+    parts = (made.medial, made.lateral) if isinstance(made, PosteriorCapsule) else (made,)
+    return tuple(
+        (knee.femur_frame.to_common(femur), knee.tibia_frame.to_common(tibia))
+        for part in parts
+        for femur, tibia in zip(part.femoral, part.tibial, strict=True)
     )

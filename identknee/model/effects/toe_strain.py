@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.model.effects.changes import SettingChange
-from identknee.model.effects.effect import amplitudes
-from identknee.model.setting import Setting
+from identknee.model.effects.effect import SettingChange, amplitudes
+from identknee.model.mechanics_inputs import Setting
 from identknee.runs.arrays import Array
 
 

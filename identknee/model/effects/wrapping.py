@@ -5,9 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from identknee.model.effects.changes import SettingChange, remeasured
-from identknee.model.effects.effect import amplitudes
-from identknee.model.setting import Setting
+from identknee.model.effects.effect import SettingChange, amplitudes, remeasured
+from identknee.model.mechanics_inputs import Setting
 from identknee.runs.arrays import Array
 from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import Knee

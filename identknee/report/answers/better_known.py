@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from identknee.identify.design.better_known import SHARE
+from identknee.identify.design import SHARE
 from identknee.identify.nuisances import NuisanceEstimate, group_name
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table

@@ -4,12 +4,11 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from typing import TypeVar
 
-from identknee.diagnosis.explanations.candidates import Exclusion
-from identknee.diagnosis.explanations.causes import Estimate
-from identknee.diagnosis.explanations.refit import RivalState
-from identknee.diagnosis.explanations.verdict import Verdict
-from identknee.diagnosis.gain.folds import FLEXION
-from identknee.diagnosis.score.score import Cell
+from identknee.diagnosis.candidates import Exclusion
+from identknee.diagnosis.folds import FLEXION
+from identknee.diagnosis.refit import RivalState
+from identknee.diagnosis.score import Cell
+from identknee.diagnosis.verdict import Estimate, Verdict
 from identknee.identify.laplace import Interval
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
 from identknee.report.answers.advised import trial_table, trials_words

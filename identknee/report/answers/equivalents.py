@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from identknee.identify.equivalents.equivalents import Extrema
-from identknee.identify.equivalents.extremum import End
+from identknee.identify.equivalents import Extrema
+from identknee.identify.extremum import End
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import amount, between, label, parameter_words

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 
-from identknee.identify.information.geodesic import Boundary
-from identknee.identify.information.information import Information
+from identknee.identify.geodesic import Boundary
+from identknee.identify.information import Information
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import label, label_without_unit, listed, parameter_words

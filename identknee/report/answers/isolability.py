@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from identknee.diagnosis.explanations.candidates import Visibility
+from identknee.diagnosis.candidates import Visibility
 from identknee.model.effects.facts import cause_label
 from identknee.report.answers.advised import trial_table, trials_words
 from identknee.report.statement import Question, Statement

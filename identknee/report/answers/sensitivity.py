@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from identknee.identify.sensitivity.sensitivity import Sensitivity
+from identknee.identify.sensitivity import Sensitivity
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import coordinate_words, label, parameter_words

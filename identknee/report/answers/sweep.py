@@ -3,9 +3,8 @@
 import math
 from collections.abc import Iterator
 
-from identknee.identify.sweep.cliffs import CliffMap
-from identknee.identify.sweep.recovery import Recovery
-from identknee.identify.sweep.survey import END, POLISHED, Survey
+from identknee.identify.basins import END, POLISHED, Recovery, Survey
+from identknee.identify.cliffs import CliffMap
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Cell, Column, Table
 from identknee.runs.outcome import Outcome

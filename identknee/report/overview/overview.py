@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, unique
 
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.model.effects.facts import cause_label

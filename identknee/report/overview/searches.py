@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from identknee.calibrate.second_start import ALIKE
-from identknee.identify.sweep.survey import WITHIN
+from identknee.calibrate.starts import ALIKE
+from identknee.identify.basins import WITHIN
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.statements import statements_of
 from identknee.runs.outcome import Outcome

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from identknee.identify.profile.result import Profile
-from identknee.identify.sweep.sweep import OUTCOMES
+from identknee.identify.sweep import OUTCOMES
 from identknee.laxity.table import COORDINATES
 from identknee.report.equivalents_figures import ranges_figure, sets_figure
 from identknee.report.information_figures import eigenvectors_figure, spectrum_figure

@@ -12,8 +12,8 @@ from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.placement import Placement, place
 from identknee.model.effects.effect import MechanicalEffect
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.mechanics_inputs import Setting
 from identknee.model.prediction import Prediction
-from identknee.model.setting import Setting
 from identknee.report.page.few_triangles import Mesh, few_triangles
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import array, declared, entry

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.verdict import Verdict
 from identknee.identify.profile.result import Profile
 from identknee.model.effects.facts import cause_label
 from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure

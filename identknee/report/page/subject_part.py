@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.verdict import Verdict
 from identknee.report.overview.overview import KNOWN, Overview, Tone, overview
 from identknee.report.page.cautions import told_once
 from identknee.report.page.computed_part import computed_html, further_html

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from posed_knees import NAMES, posed_reference
 
-from identknee.blind.case import BlindCase, blind_case
+from identknee.blind.case import BlindCase, blind_case, write_blind
 from identknee.blind.effects import EFFECTS, HISTORY, LISTED
 from identknee.blind.experiment import TOE_STRAIN
-from identknee.blind.folder import write_blind
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import read_laxity
 from identknee.mechanics.grood_suntay import pose_from_coordinates

@@ -5,7 +5,7 @@ import pytest
 from blind_scene import scene
 from posed_knees import posed_reference
 
-from identknee.blind.fitting import Noise, left_over, scaled_to
+from identknee.blind.case import Noise, left_over, scaled_to
 from identknee.blind.sites import places_of, structure_ends
 from identknee.runs.arrays import Array
 from identknee.subject.reference import reference_knee

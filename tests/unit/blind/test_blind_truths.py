@@ -10,6 +10,7 @@ import scipy.stats
 from blind_scene import experiment, scene
 
 from identknee.blind.case import (
+    Noise,
     _history,
     _names,
     _noisy,
@@ -19,7 +20,6 @@ from identknee.blind.case import (
 )
 from identknee.blind.conditions import Conditions, Spread
 from identknee.blind.effects import EFFECTS, LISTED, UNLISTED
-from identknee.blind.fitting import Noise
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.runs.arrays import Array

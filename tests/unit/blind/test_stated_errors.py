@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.blind.conditions import STANDARD, Conditions, stated_conditions
-from identknee.blind.experiment import experiment_of
-from identknee.blind.stated_errors import (
+from identknee.blind.conditions import (
+    STANDARD,
+    Conditions,
     LoadErrors,
     actual_knee,
     load_errors,
+    stated_conditions,
     with_load_errors,
 )
+from identknee.blind.experiment import experiment_of
 from identknee.subject.knee import Knee
 
 N = 200

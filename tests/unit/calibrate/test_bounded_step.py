@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from identknee.calibrate.bounded_step import attainable, bounded_step, point_on_plane
+from identknee.calibrate.bounded_least_squares import attainable, bounded_step, point_on_plane
 
 # Linear algebra of condition 100 at most.
 CLOSE = 1e-9
@@ -51,8 +51,8 @@ def test_a_beginning_near_the_lowest_point_changes_nothing(
         matrix[:, :loose] = matrix[:, -loose:]
     bounds = -rng.exponential(size=90), rng.exponential(size=90)
     found = bounded_step(matrix, data, bounds, None)
-    monkeypatch.setattr("identknee.calibrate.bounded_step.LEAST_DIAGONAL", 1.0)
-    monkeypatch.setattr("identknee.calibrate.bounded_step.CLEAR", np.inf)
+    monkeypatch.setattr("identknee.calibrate.bounded_least_squares.LEAST_DIAGONAL", 1.0)
+    monkeypatch.setattr("identknee.calibrate.bounded_least_squares.CLEAR", np.inf)
     peer = bounded_step(matrix, data, bounds, None)
     np.testing.assert_allclose(found.step, peer.step, atol=CLOSE)
     np.testing.assert_array_equal(found.is_held, peer.is_held)

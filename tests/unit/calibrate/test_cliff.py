@@ -11,9 +11,9 @@ from problems import (
 )
 
 from identknee.calibrate import least_squares
-from identknee.calibrate.cliff import way_around
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.fit import fit
+from identknee.calibrate.least_squares import way_around
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 

@@ -15,7 +15,7 @@ from problems import (
     sloppy_springs,
 )
 
-from identknee.calibrate.constrained import Constrained, minimise, solve_constrained
+from identknee.calibrate.bounded_least_squares import Constrained, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.outcome import Outcome

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from problems import ClosedForm, plain_parameters
 
-from identknee.calibrate.constrained import minimise, solve_constrained
-from identknee.calibrate.curvature import Curvature
-from identknee.calibrate.evaluation import Evaluator, evaluate
+from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
+from identknee.calibrate.evaluation import Curvature, Evaluator, evaluate
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array

@@ -16,7 +16,7 @@ from identknee.calibrate.doubts import (
     unstated_misfit_findings,
 )
 from identknee.calibrate.fit import Fit, fit
-from identknee.calibrate.second_start import SecondSearch, second_search
+from identknee.calibrate.starts import SecondSearch, second_search
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity, finding_lines, findings_summary

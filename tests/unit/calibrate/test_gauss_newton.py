@@ -3,7 +3,7 @@ import pytest
 from problems import ClosedForm, active_bounds, linear
 
 from identknee.calibrate.evaluation import Evaluation, evaluate
-from identknee.calibrate.gauss_newton import GaussNewton, gauss_newton
+from identknee.calibrate.least_squares import GaussNewton, gauss_newton
 from identknee.runs.arrays import Array
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from identknee.calibrate.bounded_least_squares import Kinks, lowest_of_the_highest
 from identknee.calibrate.evaluation import Evaluation
-from identknee.calibrate.kinks import Kinks, lowest_of_the_highest
 from identknee.runs.arrays import Array
 
 ANYWHERE = (np.full(2, -np.inf), np.full(2, np.inf))

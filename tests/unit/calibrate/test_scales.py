@@ -1,6 +1,6 @@
 import numpy as np
 
-from identknee.calibrate.scales import floors, half_widths, typical_steps
+from identknee.calibrate.problem import floors, half_widths, typical_steps
 from identknee.model.parameters import Parameters
 
 PARAMETERS = Parameters(

@@ -12,7 +12,7 @@ from diagnoses import FRAME, answered
 from report_folders import write_given
 
 import identknee as ik
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.verdict import Verdict
 from identknee.runs.files import plain
 from identknee.runs.plain_records import summary_of
 from identknee.verbs.files import load

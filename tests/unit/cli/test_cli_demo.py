@@ -13,7 +13,7 @@ import xarray
 from cli_runs import run, said, short_protocol
 
 import identknee as ik
-from identknee.identify.profile.profiles import profile_parameters
+from identknee.identify.profile.profile import profile_parameters
 from identknee.verbs.files import load
 
 

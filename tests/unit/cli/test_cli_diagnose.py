@@ -12,7 +12,7 @@ from diagnoses import FRAME, FRAME_DEG, short_data
 from posed_knees import posed_folder
 
 import identknee as ik
-from identknee.diagnosis.advice.isolability import MOST_TRIALS
+from identknee.diagnosis.isolability import MOST_TRIALS
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
 from identknee.runs.files import plain
@@ -131,7 +131,7 @@ def test_trials_say_what_they_could_tell_before_any_data(
 ) -> None:
     # The fewer effects, the fewer pairs for which trials are searched.
     effects = [x for x in library(ik.reference_knee()) if x.name in FEW]
-    monkeypatch.setattr("identknee.diagnosis.advice.protocol.library", lambda _: effects)
+    monkeypatch.setattr("identknee.diagnosis.advice.library", lambda _: effects)
     protocol = short_protocol(tmp_path)
     words = ("--protocol", protocol, "--noise", "0.3mm,0.3deg", "--out", tmp_path)
     result = run("diagnose", "reference", *words)

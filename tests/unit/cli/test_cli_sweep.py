@@ -57,8 +57,8 @@ def test_the_same_command_again_computes_nothing_and_says_the_same(
     def never(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("identknee.identify.sweep.sweep._end", never)
-    monkeypatch.setattr("identknee.identify.sweep.cliffs._path", never)
+    monkeypatch.setattr("identknee.identify.sweep._end", never)
+    monkeypatch.setattr("identknee.identify.cliffs._path", never)
     assert run(*words, "--out", tmp_path).exit_code == 0
     assert summary(tmp_path) == first
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.diagnosis.noise.noise_model import Curve, NoiseModel, build_noise_model
-from identknee.diagnosis.score.misfit import Projector, base_projector
-from identknee.diagnosis.score.signature import Signature
+from identknee.diagnosis.misfit import Projector, base_projector
+from identknee.diagnosis.noise_model import Curve, NoiseModel, build_noise_model
+from identknee.diagnosis.score import Signature
 from identknee.runs.arrays import Array, BoolArray
 
 FLEXIONS = (0.0, 30.0, 60.0)

@@ -11,8 +11,8 @@ from diagnoses import FRAME, FRAME_DEG, SD, diagnosed, short_trials
 from scipy.stats import multivariate_normal
 
 from identknee.calibrate.evaluation import Evaluation
-from identknee.diagnosis.explanations import attribution as module
-from identknee.diagnosis.explanations.attribution import (
+from identknee.diagnosis import attribution as module
+from identknee.diagnosis.attribution import (
     MOST_AMPLITUDES,
     MOST_CAUSES,
     Attribution,
@@ -22,8 +22,8 @@ from identknee.diagnosis.explanations.attribution import (
     backward_elimination,
     promising_refits,
 )
-from identknee.diagnosis.explanations.fitting import fit_base
-from identknee.diagnosis.explanations.refit import (
+from identknee.diagnosis.fitting import fit_base
+from identknee.diagnosis.refit import (
     Refit,
     expected_distance,
     rivals_of,

@@ -5,14 +5,14 @@ from functools import cache
 import numpy as np
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.explanations.stated_errors import insertions_beyond
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.candidates import insertions_beyond
 from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity
 from identknee.model.effects.frames import tibia_frame
+from identknee.model.effects.insertion import moved_insertion
 from identknee.model.effects.loads import compression
-from identknee.model.effects.moved_insertion import moved_insertion
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee

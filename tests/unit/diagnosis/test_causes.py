@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, FRAME_DEG, diagnosed
 
-from identknee.diagnosis.explanations import causes
-from identknee.diagnosis.explanations.causes import (
+from identknee.diagnosis import verdict as causes
+from identknee.diagnosis.verdict import (
     Estimate,
     ligament_estimates,
 )
+from identknee.model.effects.effect import unit_of
 from identknee.model.effects.library import library
-from identknee.model.effects.units import unit_of
 from identknee.report.answers.diagnose import size_words
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import CauseFound

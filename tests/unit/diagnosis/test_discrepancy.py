@@ -17,18 +17,18 @@ from linear_laxity import (
 from scipy.optimize import approx_fprime
 from tolerances import CLOSED_FORM, DIFFERENCE
 
-from identknee.diagnosis.gain.discrepancy import (
+from identknee.diagnosis.folds import FLEXION, Observations
+from identknee.diagnosis.gain import (
     LEAST_LENGTH,
     LEAST_SPREAD,
     Discrepancy,
     _Kernel,
+    elpd_difference,
     fit_discrepancy,
+    held_out,
 )
-from identknee.diagnosis.gain.folds import FLEXION, Observations
-from identknee.diagnosis.gain.gain import elpd_difference
-from identknee.diagnosis.gain.held_out import held_out
-from identknee.diagnosis.noise.noise_model import build_noise_model
-from identknee.diagnosis.score.misfit import base_projector
+from identknee.diagnosis.misfit import base_projector
+from identknee.diagnosis.noise_model import build_noise_model
 from identknee.runs.arrays import Array
 
 SOLVED = 1e6 * CLOSED_FORM

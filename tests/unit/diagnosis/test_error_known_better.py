@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.diagnosis.advice.advice import measured_errors
-from identknee.diagnosis.advice.isolability import Pair, pair_distances
+from identknee.diagnosis.advice import measured_errors
+from identknee.diagnosis.isolability import Pair, pair_distances
 from identknee.model.effects.effect import amplitudes
 
 PRIOR_SD, SIZE, STEEP = 2.0, 3.0, 1e4

@@ -3,7 +3,7 @@
 import numpy as np
 from diagnoses import FRAME, diagnosed
 
-from identknee.diagnosis.score.score import HIGH_POWER, Cell
+from identknee.diagnosis.score import HIGH_POWER, Cell
 from identknee.model.effects.library import library
 from identknee.subject.knee import Knee
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from small_knee import small_protocol
 
-from identknee.diagnosis.explanations.fitting import Fitted, base_model, fit_from
-from identknee.diagnosis.noise.noise_model import build_noise_model
+from identknee.diagnosis.fitting import Fitted, base_model, fit_from
+from identknee.diagnosis.noise_model import build_noise_model
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
@@ -32,7 +32,7 @@ def _beside(theta: Array) -> Array:
 def test_steps_that_know_how_a_valley_bends_end_at_the_same_minimum(
     fitted: Fitted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("identknee.diagnosis.explanations.fitting.STRAIGHT_STEPS", 1)
+    monkeypatch.setattr("identknee.diagnosis.fitting.STRAIGHT_STEPS", 1)
     start = _beside(fitted.model.parameters.center)
     again = fit_from(fitted.model, fitted.laxity, fitted.noise, [start])
     assert fitted.outcome is again.outcome is Outcome.MINIMUM

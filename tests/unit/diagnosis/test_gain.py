@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_knee import small_knee
 
-from identknee.diagnosis.explanations.fitting import Fitted, fit_from
-from identknee.diagnosis.gain.folds import FAMILIES, FLEXION
-from identknee.diagnosis.gain.gain import Gain, ParameterChange, measure_gain
-from identknee.diagnosis.noise.noise_model import build_noise_model
+from identknee.diagnosis.fitting import Fitted, fit_from
+from identknee.diagnosis.folds import FAMILIES, FLEXION
+from identknee.diagnosis.gain import Gain, ParameterChange, measure_gain
+from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.effect import Effect

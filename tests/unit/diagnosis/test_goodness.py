@@ -12,7 +12,7 @@ from linear_data import (
     unit_noise,
 )
 
-from identknee.diagnosis.score.misfit import (
+from identknee.diagnosis.misfit import (
     Check,
     cauchy_combination,
     nested_check,

@@ -18,9 +18,8 @@ from scipy.optimize import least_squares
 from scipy.stats import multivariate_normal
 from tolerances import CLOSED_FORM
 
-from identknee.diagnosis.gain.folds import DIRECTION, FAMILIES, FLEXION, Fold, Observations
-from identknee.diagnosis.gain.gain import elpd_difference
-from identknee.diagnosis.gain.held_out import FoldStatus, held_out
+from identknee.diagnosis.folds import DIRECTION, FAMILIES, FLEXION, Fold, Observations
+from identknee.diagnosis.gain import FoldStatus, elpd_difference, held_out
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.plain_records import summary_of

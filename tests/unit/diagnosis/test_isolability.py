@@ -8,7 +8,7 @@ import pytest
 from linear_data import LinearFit, linear_fit, signature
 from scipy.optimize import minimize
 
-from identknee.diagnosis.advice.isolability import (
+from identknee.diagnosis.isolability import (
     AdvisedTrials,
     Distances,
     Pair,
@@ -18,7 +18,7 @@ from identknee.diagnosis.advice.isolability import (
     visible_root,
     worst_distances,
 )
-from identknee.diagnosis.score.signature import ProjectedSignature, project_signature
+from identknee.diagnosis.score import ProjectedSignature, project_signature
 from identknee.runs.arrays import Array
 
 # Least squares by another route, of a few hundred rows.

@@ -5,9 +5,9 @@ import pytest
 from posed_knees import posed_reference
 from small_knee import small_protocol
 
-from identknee.diagnosis.explanations.candidates import _signs, library_variants
-from identknee.diagnosis.explanations.fitting import Fitted, base_model, fit_from
-from identknee.diagnosis.noise.noise_model import build_noise_model
+from identknee.diagnosis.candidates import _signs, library_variants
+from identknee.diagnosis.fitting import Fitted, base_model, fit_from
+from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.bundles import bundles

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.diagnosis.explanations.fitting import Fitted, fit_from
-from identknee.diagnosis.missing_line.scan import (
+from identknee.diagnosis.fitting import Fitted, fit_from
+from identknee.diagnosis.missing_line import (
     LENGTHS,
     MOST_LINES,
     NAME,
@@ -18,7 +18,7 @@ from identknee.diagnosis.missing_line.scan import (
     line_columns,
     scan_lines,
 )
-from identknee.diagnosis.noise.noise_model import build_noise_model
+from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.protocol import load_protocol
 from identknee.model.effects.contact_law import Cartilage
 from identknee.model.effects.structures import structure_at

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from linear_data import N_PARAMETERS, everything, linear_fit, protocol, unit_noise
 
-from identknee.diagnosis.noise.noise_model import build_noise_model
-from identknee.diagnosis.score.localisation import LEVEL, TrialLayout, localise
+from identknee.diagnosis.misfit import LEVEL, TrialLayout, localise
+from identknee.diagnosis.noise_model import build_noise_model
 from identknee.runs.arrays import Array
 
 FIT = linear_fit()
@@ -151,7 +151,7 @@ def test_cells_without_data_are_left_out() -> None:
 
 def test_the_p_value_of_a_cell_is_never_zero() -> None:
     """One of 4,001 where no draw of 4,000 is as high: the data are one more draw."""
-    from identknee.diagnosis.score.localisation import N_DRAWS
+    from identknee.diagnosis.misfit import N_DRAWS
 
     where = (FLEXION == 60) & (LOADS[:, 0] > 0)
     found = localise(data(where, 4, 40.0), FIT.projector, NOISE, LAYOUT, seed=1)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.explanations.fitting import fit_from
+from identknee.diagnosis.fitting import fit_from
 from identknee.diagnosis.investigation import LOWER, investigate, lower_start
 from identknee.laxity.noise import add_noise
 from identknee.model.effects.loads import compression

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.diagnosis.explanations.fitting import fit_from
-from identknee.diagnosis.explanations.refit import Refit
-from identknee.diagnosis.missing_line.line import find_line
-from identknee.diagnosis.noise.noise_model import build_noise_model
-from identknee.diagnosis.score.misfit import smooth_patterns
+from identknee.diagnosis.fitting import fit_from
+from identknee.diagnosis.misfit import smooth_patterns
+from identknee.diagnosis.missing_line import find_line
+from identknee.diagnosis.noise_model import build_noise_model
+from identknee.diagnosis.refit import Refit
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.structures import structure_at
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
+from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import Knee
-from identknee.subject.structure_sites import structure_sites
 
 # The project's marks.
 OFFSET_MM, ANGLE_DEG = 10.0, 15.0

@@ -7,8 +7,8 @@ import pytest
 from line_gradient import line_gradient
 from small_knee import small_knee, small_protocol
 
-from identknee.diagnosis.missing_line.wrench import MissingWrench, missing_pulls, missing_wrench
-from identknee.diagnosis.score.localisation import TrialLayout
+from identknee.diagnosis.misfit import TrialLayout
+from identknee.diagnosis.missing_line import MissingWrench, missing_pulls, missing_wrench
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.pose import rotation_matrix

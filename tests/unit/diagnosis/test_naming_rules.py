@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.diagnosis.explanations import attribution as naming
-from identknee.diagnosis.explanations.attribution import (
+from identknee.diagnosis import attribution as naming
+from identknee.diagnosis.attribution import (
     MOST_AMPLITUDES,
     MOST_REFITS,
     _promising,
     attribute,
     backward_elimination,
 )
-from identknee.diagnosis.explanations.refit import Rival, RivalState, could_matter
-from identknee.diagnosis.explanations.verdict import (
+from identknee.diagnosis.refit import Rival, RivalState, could_matter
+from identknee.diagnosis.verdict import (
     HANGS_ON_NOISE,
     SEVERAL,
     UNTESTED,

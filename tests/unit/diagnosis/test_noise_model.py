@@ -5,7 +5,7 @@ import pytest
 from linear_data import everything, protocol, unit_noise
 from tolerances import CLOSED_FORM
 
-from identknee.diagnosis.noise.noise_model import (
+from identknee.diagnosis.noise_model import (
     Curve,
     build_noise_model,
     estimate_correlation,

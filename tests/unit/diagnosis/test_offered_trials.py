@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.advice import advice
-from identknee.diagnosis.advice.advice import OfferedTrials, Rows
-from identknee.diagnosis.advice.isolability import AdvisedTrials
-from identknee.diagnosis.explanations.fitting import base_model, fit_from, plain_noise
+from identknee.diagnosis import advice
+from identknee.diagnosis.advice import OfferedTrials, Rows
+from identknee.diagnosis.fitting import base_model, fit_from, plain_noise
+from identknee.diagnosis.isolability import AdvisedTrials
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.protocol import load_protocol
+from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import Laxity
-from identknee.laxity.unloaded import relative_to_unloaded
 from identknee.model.effects.toe_strain import toe_strain
 from identknee.model.shared_errors import nuisance_changes
 from identknee.subject.knee import Knee

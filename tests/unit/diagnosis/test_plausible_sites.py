@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.explanations.fitting import fit_from
-from identknee.diagnosis.explanations.refit import Refit, refit
-from identknee.diagnosis.explanations.verdict import FAR_OFF, Verdict, shift_mm, site_p_value
+from identknee.diagnosis.fitting import fit_from
 from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.refit import Refit, refit
+from identknee.diagnosis.verdict import FAR_OFF, Verdict, shift_mm, site_p_value
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity
 from identknee.model.effects.library import effect_named

@@ -5,15 +5,15 @@ import pytest
 from linear_data import library, linear_fit, signature
 from scipy.stats import norm
 
-from identknee.diagnosis.score.score import (
+from identknee.diagnosis.score import (
     Cell,
     ScoreTest,
     detectable_amplitude,
     detection_power,
     judge,
+    project_signature,
     score_test,
 )
-from identknee.diagnosis.score.signature import project_signature
 
 FIT = linear_fit()
 N_DATA_SETS = 1000

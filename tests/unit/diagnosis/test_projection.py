@@ -3,7 +3,7 @@
 import numpy as np
 from linear_data import N_PARAMETERS, linear_fit
 
-from identknee.diagnosis.score.misfit import base_projector
+from identknee.diagnosis.misfit import base_projector
 
 # Rounding of products of a few hundred terms of size 1 to 10.
 ROUNDING = 1e-12

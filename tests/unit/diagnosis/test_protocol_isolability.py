@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, SD, short_trials
 
-from identknee.diagnosis.advice.isolability import ENOUGH, LEAST_DISTANCE, MOST_TRIALS
-from identknee.diagnosis.advice.protocol import (
+from identknee.diagnosis.advice import (
     GroupAdvice,
     ProtocolIsolability,
     protocol_isolability,
 )
-from identknee.diagnosis.explanations.candidates import Variant
+from identknee.diagnosis.candidates import Variant
+from identknee.diagnosis.isolability import ENOUGH, LEAST_DISTANCE, MOST_TRIALS
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.model.effects.library import library
 from identknee.subject.knee import Knee
@@ -37,7 +37,7 @@ def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
         names = tuple(x.effect.name for x in members)
         return GroupAdvice(names=names, trials=short_trials(), before=0.0, after=0.0)
 
-    monkeypatch.setattr("identknee.diagnosis.advice.protocol._advise", named)
+    monkeypatch.setattr("identknee.diagnosis.advice._advise", named)
 
 
 def test_moment_gains_pass_for_each_other(found: ProtocolIsolability) -> None:

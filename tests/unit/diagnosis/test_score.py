@@ -7,8 +7,8 @@ import pytest
 from linear_data import N_PARAMETERS, LinearFit, library, linear_fit, signature
 from scipy.stats import norm
 
-from identknee.diagnosis.score.misfit import Projector
-from identknee.diagnosis.score.score import (
+from identknee.diagnosis.misfit import Projector
+from identknee.diagnosis.score import (
     LEVEL,
     N_DRAWS,
     Scale,

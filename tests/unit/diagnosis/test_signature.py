@@ -6,7 +6,7 @@ from linear_data import LinearFit, linear_fit, signature
 from scipy.optimize import nnls
 from scipy.stats import norm
 
-from identknee.diagnosis.score.signature import ProjectedSignature, Signature, project_signature
+from identknee.diagnosis.score import ProjectedSignature, Signature, project_signature
 from identknee.runs.arrays import Array
 
 # Solving small systems of condition up to 1e4.

@@ -10,10 +10,13 @@ from identknee.mechanics.contact_places import distances
 from identknee.mechanics.distance_field import build_field
 from identknee.model.effects.contact_law import Cartilage
 from identknee.model.joint import Joint
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.shared_errors import ROUGHNESS_LENGTH
-from identknee.model.surface_errors import SurfaceBumps, surface_bumps, surface_changes
-from identknee.model.trial_contacts import trial_contacts
+from identknee.model.laxity_model import LaxityModel, trial_contacts
+from identknee.model.shared_errors import (
+    ROUGHNESS_LENGTH,
+    SurfaceBumps,
+    surface_bumps,
+    surface_changes,
+)
 from identknee.runs.arrays import Array
 
 HEIGHT = 2e-4  # mm

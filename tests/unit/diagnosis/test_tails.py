@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identknee.diagnosis.score.misfit import (
+from identknee.diagnosis.misfit import (
     log_chi2_tail,
     log_tail_of_z_score,
     log_weighted_tail,

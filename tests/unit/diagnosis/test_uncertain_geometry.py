@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.explanations.verdict import Verdict
 from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity
 from identknee.model.effects.frames import tibia_frame

@@ -9,23 +9,23 @@ import pytest
 from diagnoses import FRAME, diagnosed
 
 from identknee.calibrate.evaluation import Evaluation
-from identknee.diagnosis.explanations import attribution as attribution_module
-from identknee.diagnosis.explanations import refit as refit_module
-from identknee.diagnosis.explanations.attribution import (
+from identknee.diagnosis import attribution as attribution_module
+from identknee.diagnosis import refit as refit_module
+from identknee.diagnosis.attribution import (
     Attribution,
     Step,
     attribute,
     promising_refits,
 )
-from identknee.diagnosis.explanations.refit import Refit, RivalState, refit, rivals_of
-from identknee.diagnosis.explanations.verdict import (
+from identknee.diagnosis.refit import Refit, RivalState, refit, rivals_of
+from identknee.diagnosis.score import LEVEL
+from identknee.diagnosis.verdict import (
     SEVERAL,
     UNTESTED,
     Conclusion,
     Verdict,
     conclude,
 )
-from identknee.diagnosis.score.score import LEVEL
 from identknee.model import soundness
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label

@@ -4,7 +4,7 @@ import emcee
 import numpy as np
 import pytest
 
-from identknee.identify.posterior.chains import (
+from identknee.identify.posterior.convergence import (
     autocorrelation_time,
     bulk_draws,
     effective_draws,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from landscapes import Quadrant, lost_sides
 
-from identknee.identify.sweep.cliffs import EDGE, map_cliffs, plane
+from identknee.identify.cliffs import EDGE, map_cliffs, plane
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import open_work
+from identknee.runs.store import open_work
 
 STARTS = np.array([[5.0, 0.0], [1.0, 5.0], [4.0, 4.0], [-6.0, 0.0]])
 

@@ -10,11 +10,15 @@ from trial_formulas import FormulaTrials, linear_trials
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem, with_nuisance_priors, without_priors
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.identify.design.added_trials import WithTrials
-from identknee.identify.design.criteria import CRITERIA, Criterion, LocalLoss, directions_across
-from identknee.identify.design.design import ChosenTrials, design
-from identknee.identify.design.straight import straight
-from identknee.identify.information.information import scaled_units
+from identknee.identify.design import ChosenTrials, design, straight
+from identknee.identify.design_criteria import (
+    CRITERIA,
+    Criterion,
+    LocalLoss,
+    WithTrials,
+    directions_across,
+)
+from identknee.identify.information import scaled_units
 from identknee.identify.profile.result import SideStatus
 from identknee.runs.arrays import Array
 from identknee.runs.executors import threads

@@ -6,9 +6,9 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from identknee.identify.design import search as design_search
-from identknee.identify.design.criteria import Criterion, LocalLoss
-from identknee.identify.design.search import choose
+from identknee.identify import design as design_search
+from identknee.identify.design import choose
+from identknee.identify.design_criteria import Criterion, LocalLoss
 from identknee.runs.arrays import Array
 
 N, K = 4, 9

@@ -5,17 +5,17 @@ import pytest
 from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy_springs
 
 from identknee.calibrate.quantity import UserQuantity
-from identknee.identify.equivalents.equivalents import (
+from identknee.identify.equivalents import (
     SEPARATION,
     Completeness,
     EquivalentSets,
     equivalents,
 )
-from identknee.identify.equivalents.extremum import INSIDE_TOLERANCE, End
-from identknee.identify.equivalents.region import Region, noise_region, power_of_best_test
+from identknee.identify.extremum import INSIDE_TOLERANCE, End
+from identknee.identify.region import Region, noise_region, power_of_best_test
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import open_work
+from identknee.runs.store import open_work
 
 # A search ends where a step promises less than 1e-8 of the range: the value is that close, the
 # place its square root.

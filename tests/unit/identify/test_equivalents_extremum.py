@@ -5,11 +5,11 @@ import pytest
 from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy_springs
 from scipy.optimize import differential_evolution
 
-from identknee.calibrate.constrained import solve_constrained
+from identknee.calibrate.bounded_least_squares import solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.identify.equivalents.extremum import End, extremise, farthest_pair
-from identknee.identify.equivalents.region import RegionView, noise_region
+from identknee.identify.extremum import End, extremise, farthest_pair
+from identknee.identify.region import RegionView, noise_region
 from identknee.runs.arrays import Array
 
 VALUE = 1e-6

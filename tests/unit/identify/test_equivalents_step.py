@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import NonlinearConstraint, minimize
 
-from identknee.identify.equivalents.region import Blocks
-from identknee.identify.equivalents.step import Model, best_step
+from identknee.identify.extremum import Model, best_step
+from identknee.identify.region import Blocks
 
 # The barriers end with a gap of 1e-10 of a gain of about 1.
 GAIN = 1e-8

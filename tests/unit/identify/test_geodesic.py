@@ -8,9 +8,9 @@ import pytest
 from problems import Cliff, ClosedForm, linear, plain_parameters, sloppy_springs
 
 from identknee.calibrate.problem import restricted
-from identknee.identify.information import geodesic
-from identknee.identify.information.geodesic import Boundary, Geodesic, geodesics
-from identknee.identify.information.information import spectrum
+from identknee.identify import geodesic
+from identknee.identify.geodesic import Boundary, Geodesic, geodesics
+from identknee.identify.information import spectrum
 from identknee.runs.arrays import Array
 
 # Steps of a tenth of a radian at most by the midpoint rule.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identknee.identify.profile.hermite import crossings, cubic
+from identknee.identify.profile.result import crossings, cubic
 
 
 def height(x: float) -> float:

@@ -9,7 +9,7 @@ from problems import Linear, linear, plain_parameters, sloppy_springs
 from tolerances import CLOSED_FORM
 
 from identknee.calibrate.problem import Problem, WithPriors
-from identknee.identify.information.information import (
+from identknee.identify.information import (
     Information,
     combination,
     information,

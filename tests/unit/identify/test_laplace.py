@@ -8,12 +8,13 @@ from scipy import integrate, stats
 from scipy.special import log_ndtr, ndtri_exp
 from tolerances import CLOSED_FORM
 
-from identknee.calibrate.constrained import minimise
+from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import WithPriors
-from identknee.identify.laplace import Laplace, laplace
-from identknee.identify.normal_in_box import (
+from identknee.identify.laplace import (
+    Laplace,
     box_intervals,
+    laplace,
     log_box_probability,
     log_interval_mass,
 )

@@ -6,9 +6,14 @@ import pytest
 from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal, multivariate_t
 
-from identknee.identify.posterior.hamiltonian import HamiltonianMove
-from identknee.identify.posterior.moves import MOVES, KernelMixture, NewtonMove, SnookerMove
-from identknee.identify.posterior.own_kernel import OwnKernelMove
+from identknee.identify.posterior.moves import (
+    MOVES,
+    HamiltonianMove,
+    KernelMixture,
+    NewtonMove,
+    OwnKernelMove,
+    SnookerMove,
+)
 from identknee.runs.arrays import Array
 
 STEPS = 2000

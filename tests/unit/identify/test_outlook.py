@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from problems import Linear, plain_parameters
 
-from identknee.identify.posterior.convergence import ConvergenceCheck, StopRule
-from identknee.identify.posterior.outlook import expected_steps, outlook
+from identknee.identify.posterior.convergence import (
+    ConvergenceCheck,
+    StopRule,
+    expected_steps,
+    outlook,
+)
 from identknee.identify.posterior.sample import sample
 
 

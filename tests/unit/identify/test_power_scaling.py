@@ -5,8 +5,7 @@ import pytest
 from problems import Linear, plain_parameters
 
 from identknee.identify.posterior.convergence import StopRule
-from identknee.identify.posterior.posterior import Posterior
-from identknee.identify.posterior.power_scaling import prior_sensitivity
+from identknee.identify.posterior.posterior import Posterior, prior_sensitivity
 from identknee.identify.posterior.sample import sample
 
 QUICK = StopRule(drift=np.inf)

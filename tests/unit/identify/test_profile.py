@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, kinked, linear, plain_parameters, sloppy_springs
 
-from identknee.calibrate.constrained import minimise
+from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import Problem, with_bounds
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.identify.profile.profile import profile
+from identknee.identify.profile.profile import curve_slopes, profile
 from identknee.identify.profile.result import Profile, ProfileVerdict, SideStatus
-from identknee.identify.profile.verdict import curve_slopes
 from identknee.identify.profile.walk import Walk
 from identknee.runs.arrays import Array
 

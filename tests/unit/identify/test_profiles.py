@@ -7,15 +7,16 @@ import pytest
 from problems import Cliff, ClosedForm, Linear, linear, plain_parameters, rosenbrock
 
 from identknee.calibrate.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
-from identknee.identify.profile.profile import profile, settled
-from identknee.identify.profile.profiles import (
+from identknee.identify.profile.profile import (
     other_optima,
+    profile,
     profile_parameters,
     profile_quantities,
+    settled,
 )
 from identknee.identify.profile.result import Profile
 from identknee.runs.plain_records import from_plain, to_plain
-from identknee.runs.resume import as_stored, open_work
+from identknee.runs.store import as_stored, open_work
 
 
 def _same(one: Profile, other: Profile) -> bool:

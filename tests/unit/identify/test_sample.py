@@ -24,7 +24,7 @@ from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool, threads
-from identknee.runs.resume import open_work
+from identknee.runs.store import open_work
 
 # Means and sds are to lie within five of their Monte Carlo standard errors.
 SIGMAS = 5.0

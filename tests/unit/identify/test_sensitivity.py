@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identknee.identify.sensitivity.designs import Box, box_around
-from identknee.identify.sensitivity.sensitivity import FAILURE, Sensitivity, sensitivity
+from identknee.identify.sensitivity import FAILURE, Box, Sensitivity, box_around, sensitivity
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool, threads
-from identknee.runs.resume import open_work
+from identknee.runs.store import open_work
 
 SAME = 1e-10
 

@@ -5,13 +5,13 @@ import pytest
 from SALib.analyze import morris as salib_morris
 from SALib.analyze import sobol as salib_sobol
 
-from identknee.identify.sensitivity.designs import (
+from identknee.identify.sensitivity import (
     Box,
     box_draws,
     morris_trajectories,
     saltelli_blocks,
 )
-from identknee.identify.sensitivity.estimators import (
+from identknee.identify.sensitivity_estimators import (
     levels_of,
     morris_indices,
     sobol_indices,

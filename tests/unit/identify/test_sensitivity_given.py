@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from SALib.analyze import pawn as salib_pawn
 
-from identknee.identify.sensitivity.given import (
+from identknee.identify.sensitivity_estimators import (
     METHODS,
     converging_indices,
     delta_index,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import LIGAMENTS, REFERENCE, plain_parameters
 
-from identknee.identify.sweep.starts_design import (
+from identknee.identify.sweep import (
     distance,
     distance_units,
     shell_starts,

@@ -10,8 +10,7 @@ from scipy.optimize import check_grad
 from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.density import LogPosterior
 from identknee.identify.posterior.sample import Ensembles, sample
-from identknee.identify.posterior.surrogate import Surrogate
-from identknee.identify.posterior.surrogate_training import trained
+from identknee.identify.posterior.surrogate import Surrogate, trained
 from identknee.runs.arrays import Array
 
 N = 5

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from landscapes import Quadrant, TwoWells
 
-from identknee.identify.sweep.starts_design import shell_starts
-from identknee.identify.sweep.survey import survey
-from identknee.identify.sweep.sweep import sweep
+from identknee.identify.basins import survey
+from identknee.identify.sweep import shell_starts, sweep
 
 TARGET = np.array([2.0, 0.0])
 

@@ -17,12 +17,18 @@ from problems import (
 
 from identknee.calibrate.fit import METHODS, fit
 from identknee.calibrate.problem import Problem
-from identknee.identify.sweep import sweep as module
-from identknee.identify.sweep.starts_design import shell_starts, sobol_starts
-from identknee.identify.sweep.sweep import Searches, kind_of_end, search_seed, sweep
+from identknee.identify import sweep as module
+from identknee.identify.sweep import (
+    Searches,
+    kind_of_end,
+    search_seed,
+    shell_starts,
+    sobol_starts,
+    sweep,
+)
 from identknee.runs.executors import process_pool
 from identknee.runs.outcome import Outcome
-from identknee.runs.resume import open_work
+from identknee.runs.store import open_work
 
 LEAST_SQUARES = 1e-5
 REPEATED = tuple(x for x in Searches.__dataclass_fields__ if x not in {"seconds", "parameters"})

@@ -10,7 +10,7 @@ from identknee.laxity.dominant import (
     opposite_pairs,
     told_loads,
 )
-from identknee.laxity.examples import example_laxity
+from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.protocol import concatenate, load_protocol
 from identknee.laxity.table import COORDINATES, Laxity
 

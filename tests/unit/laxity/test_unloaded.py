@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import Laxity
-from identknee.laxity.unloaded import relative_to_unloaded
 from identknee.laxity.zeros import from_zero, unloaded_trials
 
 

@@ -20,7 +20,7 @@ from identknee.model import joint
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import OUTCOMES, Prediction
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 from identknee.subject.reference import reference_knee

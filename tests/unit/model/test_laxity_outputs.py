@@ -10,8 +10,8 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.laxity.zeros import from_zero
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.laxity_outputs import LaxityOutputs
 from identknee.model.parameters import FreeParameters
+from identknee.model.quantities import LaxityOutputs
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from identknee.model.candidate_laxity import CandidateLaxity, offered_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import measured_poses, poses_of, strains_as_measured
 from identknee.runs.outcome import Outcome
-from identknee.subject.known_pose import pose_at
+from identknee.subject.knee import pose_at
 
 
 def as_read() -> Protocol:

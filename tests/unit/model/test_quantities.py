@@ -19,9 +19,10 @@ from identknee.model.quantities import (
     ligament_forces,
     predicted_quantities,
     quantity_named,
+    tension_jacobian,
+    tensions_of,
 )
 from identknee.model.residuals import LaxityResiduals
-from identknee.model.tensions import tension_jacobian, tensions_of
 from identknee.runs.arrays import Array
 
 # Differences of sixth order over steps of 1e-5 kN or %: rounding of poses over the step.

@@ -9,8 +9,8 @@ from small_knee import small_knee, small_protocol
 from tolerances import DIFFERENCE
 
 from identknee.laxity.noise import add_noise
+from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import Laxity
-from identknee.laxity.unloaded import relative_to_unloaded
 from identknee.model import joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, Weighting

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from small_knee import small_knee, small_protocol
 
+from identknee.model.knee_parameters import tied
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.tied import tied
 from identknee.subject.knee import Knee
-from identknee.subject.ligament_group import LigamentGroup
+from identknee.subject.ligament import LigamentGroup
 
 
 def grouped() -> Knee:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, answered, diagnosed
 
-from identknee.diagnosis.advice.isolability import Distances
-from identknee.diagnosis.explanations.refit import RivalState, refit
-from identknee.diagnosis.explanations.verdict import Conclusion, Verdict
 from identknee.diagnosis.investigation import Investigation
-from identknee.diagnosis.missing_line.line import LineFinding
+from identknee.diagnosis.isolability import Distances
+from identknee.diagnosis.missing_line import LineFinding
+from identknee.diagnosis.refit import RivalState, refit
+from identknee.diagnosis.verdict import Conclusion, Verdict
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import MISSING_LINE
@@ -28,8 +28,8 @@ from identknee.report.diagnosis_figures import (
 from identknee.report.picture import png
 from identknee.runs.array_groups import groups_of
 from identknee.runs.plain_records import summary_of
+from identknee.subject.insertion_sites import name_of_place
 from identknee.subject.knee import Knee
-from identknee.subject.place_names import name_of_place
 from identknee.subject.reference import reference_knee
 from identknee.verbs.diagnose import diagnosis_of, untestable
 

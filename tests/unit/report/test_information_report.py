@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import sloppy_springs
 
-from identknee.identify.information.information import Information, information
+from identknee.identify.information import Information, information
 from identknee.report.information_figures import (
     eigenvectors_figure,
     spectrum_figure,

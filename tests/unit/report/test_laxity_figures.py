@@ -5,7 +5,7 @@ from figure_checks import clipped, empty_axes, overlapping
 from figure_checks import drawn as drawn_by
 from report_folders import few_trials
 
-from identknee.laxity.examples import example_laxity
+from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.laxity_figures import (

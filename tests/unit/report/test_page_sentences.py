@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from report_folders import straight_profiles, write_given
 
-from identknee.diagnosis.explanations.candidates import Visibility
+from identknee.diagnosis.candidates import Visibility
 from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.isolability import isolability_statements

@@ -15,7 +15,7 @@ from identknee.mechanics.contact_places import contact_places
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 from identknee.report.page.knee_scene import load_words
 from identknee.report.page.viewer import KneeScene, model_scene, viewer_html
 from identknee.runs.arrays import Array

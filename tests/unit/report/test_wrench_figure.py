@@ -9,8 +9,8 @@ from figure_checks import drawn
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 
-from identknee.diagnosis.explanations.verdict import Verdict
-from identknee.diagnosis.missing_line.wrench import missing_wrench
+from identknee.diagnosis.missing_line import missing_wrench
+from identknee.diagnosis.verdict import Verdict
 from identknee.report.wrench_figure import LEVEL, SHOWN, wrench_figure
 from identknee.subject.reference import reference_knee
 from identknee.verbs.diagnosis import Diagnosis

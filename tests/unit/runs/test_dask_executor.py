@@ -14,7 +14,7 @@ import pytest
 
 from identknee.runs.dask_executor import dask_cluster
 from identknee.runs.executors import Executor, WorkerDied, spawn_seeds
-from identknee.runs.resume import resumable_map
+from identknee.runs.store import resumable_map
 
 WHY = "the extra `cluster` is not installed"
 dask = pytest.importorskip("dask", reason=WHY)

@@ -7,9 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from identknee.runs import progress as module
-from identknee.runs import progress_lines
-from identknee.runs.progress import counted, planned, progress, progress_bar, stage
-from identknee.runs.time_left import time_left
+from identknee.runs import progress as progress_lines
+from identknee.runs.progress import counted, planned, progress, progress_bar, stage, time_left
 
 
 class Terminal(io.StringIO):

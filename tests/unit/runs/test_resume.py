@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.runs import resume
+from identknee.runs import store as resume
 from identknee.runs.errors import InputError
 from identknee.runs.executors import WorkerDied, process_pool, threads
 from identknee.runs.outcome import Outcome
-from identknee.runs.resume import finish_work, open_work, resumable_map
+from identknee.runs.store import finish_work, open_work, resumable_map
 
 ABOUT = {
     "inputs": {"laxity.csv": "a" * 64, "subject": "b" * 64},
@@ -252,7 +252,7 @@ def test_a_store_of_another_format_is_refused(
 SCRIPT = """
 import signal, sys, time
 from identknee.runs.executors import process_pool
-from identknee.runs.resume import open_work, resumable_map
+from identknee.runs.store import open_work, resumable_map
 
 def slowly(x):
     print(x, flush=True)

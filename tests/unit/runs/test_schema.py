@@ -6,8 +6,7 @@ from typing import Annotated
 
 import pytest
 
-from identknee.runs.errors import InputError
-from identknee.runs.schema import (
+from identknee.runs.declare import (
     Fault,
     Number,
     Part,
@@ -20,6 +19,7 @@ from identknee.runs.schema import (
     shown,
     validated,
 )
+from identknee.runs.errors import InputError
 
 
 class Inner(Part):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import identknee as ik
-from identknee.model.tensions import tensions_of
+from identknee.model.quantities import tensions_of
 from identknee.scrutiny.unmeasured import unmeasured_findings
 
 

@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array
 from identknee.subject.anatomy import Anatomy, anatomy, meniscus_springs, rim_point
-from identknee.subject.condyle import Condyle
 from identknee.subject.folder import example, read_subject
+from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import Knee
-from identknee.subject.structure_sites import structure_sites
+from identknee.subject.reference import Condyle
 from identknee.subject.surface import Surface, joined
 
 # Positions are a few hundred mm, sums of thousands of vertices: far above rounding.

@@ -3,7 +3,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from identknee.runs.arrays import Array
-from identknee.subject.condyle import Condyle
+from identknee.subject.reference import Condyle
 
 SURFACE = 1e-9  # mm; how exact the distance is to be near the surface
 CONDYLE = Condyle(

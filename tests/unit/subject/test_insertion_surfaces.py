@@ -7,9 +7,8 @@ from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array
 from identknee.subject.folder import example
-from identknee.subject.insertion_surfaces import InsertionPoints, insertion_surfaces
+from identknee.subject.insertion_sites import InsertionPoints, insertion_surfaces, structure_sites
 from identknee.subject.knee import Knee
-from identknee.subject.structure_sites import structure_sites
 
 # How far a place of interest may lie from the nearest point [mm]; points are 7 mm apart.
 REACHED = 6.0

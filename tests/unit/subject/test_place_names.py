@@ -5,9 +5,8 @@ import pytest
 from posed_knees import posed_reference
 
 from identknee.subject.anatomy import anatomy
+from identknee.subject.insertion_sites import ELSEWHERE, Place, Site, name_of_place, structure_sites
 from identknee.subject.knee import Knee
-from identknee.subject.place_names import ELSEWHERE, Place, name_of_place
-from identknee.subject.structure_sites import Site, structure_sites
 
 # Shares below 1 % are left out.
 LEFT_OUT = 0.06

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from identknee.subject.plateau import Plateau
+from identknee.subject.reference import Plateau
 
 PLATEAU = Plateau(
     centre_x=1.0,

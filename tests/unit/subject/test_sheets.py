@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from identknee.subject import sheets
+from identknee.subject import check as sheets
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface, joined
 

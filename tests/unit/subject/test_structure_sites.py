@@ -11,8 +11,8 @@ from identknee.mechanics.closest_point import mesh_distance
 from identknee.runs.arrays import Array
 from identknee.subject.anatomy import anatomy
 from identknee.subject.folder import example
+from identknee.subject.insertion_sites import Site, structure_sites
 from identknee.subject.knee import Knee
-from identknee.subject.structure_sites import Site, structure_sites
 
 # Lengths [mm] at a knee of typical size.
 LENGTHS = {

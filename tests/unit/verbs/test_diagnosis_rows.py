@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from diagnoses import FRAME, diagnosed
 
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.verdict import Verdict
 from identknee.verbs.diagnosis_rows import advice_findings
 
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from report_folders import write_given
 
-from identknee.identify.sensitivity.designs import Box
-from identknee.identify.sensitivity.estimators import Index
-from identknee.identify.sensitivity.sensitivity import FAILURE, Sensitivity
+from identknee.identify.sensitivity import FAILURE, Box, Sensitivity
+from identknee.identify.sensitivity_estimators import Index
 from identknee.model.parameters import ligament_parameters
 from identknee.report.terminal import terminal_lines
 from identknee.runs.array_groups import groups_of

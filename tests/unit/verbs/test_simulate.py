@@ -12,7 +12,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import read_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.errors import InputError
-from identknee.subject.known_pose import KnownPose
+from identknee.subject.knee import KnownPose
 from identknee.subject.reference import reference_knee
 from identknee.verbs.simulate import simulate
 from identknee.verbs.values import by_ligament

@@ -8,10 +8,9 @@ import pytest
 from problems import linear, wall_before_the_minimum
 from report_folders import write_given
 
-from identknee.identify.sweep.cliffs import map_cliffs
-from identknee.identify.sweep.starts_design import sobol_starts
-from identknee.identify.sweep.survey import survey
-from identknee.identify.sweep.sweep import sweep
+from identknee.identify.basins import survey
+from identknee.identify.cliffs import map_cliffs
+from identknee.identify.sweep import sobol_starts, sweep
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.terminal import terminal_lines

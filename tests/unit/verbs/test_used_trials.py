@@ -9,7 +9,7 @@ from small_knee import as_read, small_knee
 
 import identknee as ik
 from identknee.calibrate.fit import fit
-from identknee.diagnosis.explanations.verdict import Verdict
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel

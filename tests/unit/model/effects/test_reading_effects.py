@@ -8,11 +8,10 @@ from tolerances import CLOSED_FORM
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.mechanics.pose import angles_of, rotation_matrix
-from identknee.model.effects.changes import ReadingError
+from identknee.model.effects.effect import ReadingError
 from identknee.model.effects.effect import Tests as AsRun
 from identknee.model.effects.frames import femur_frame, tibia_frame
-from identknee.model.effects.history import creep, drift, hysteresis
-from identknee.model.effects.rig_compliance import rig_compliance
+from identknee.model.effects.history import creep, drift, hysteresis, rig_compliance
 from identknee.runs.arrays import Array
 
 N = 5

@@ -12,11 +12,14 @@ from tolerances import SAME_POSE
 
 from identknee.calibrate.starts import named_start
 from identknee.model import joint
-from identknee.model.effects.capsule import PosteriorCapsule
 from identknee.model.effects.library import effect_named, library
-from identknee.model.effects.placed import lines_of, structure
 from identknee.model.effects.stored import choice_of, effects_of, values_of
-from identknee.model.effects.structures import MissingStructure
+from identknee.model.effects.structures import (
+    MissingStructure,
+    PosteriorCapsule,
+    lines_of,
+    structure,
+)
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.subject.effect_choice import EffectChoice

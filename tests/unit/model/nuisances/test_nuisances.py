@@ -11,10 +11,9 @@ from identknee.mechanics.contact_law import MOST_ROUNDING
 from identknee.mechanics.grood_suntay import pose_from_coordinates
 from identknee.model.effects.structures import structure_at
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_frames import frames_at
-from identknee.model.nuisances.geometry import insertions
-from identknee.model.nuisances.library import contact_rounding, nuisances_of
-from identknee.model.tensions import tensions_of
+from identknee.model.mechanics_inputs import frames_at
+from identknee.model.nuisances import contact_rounding, insertions, nuisances_of
+from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee

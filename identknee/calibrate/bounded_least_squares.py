@@ -1,0 +1,750 @@
+"""The best fit among the parameter sets that give a quantity a wanted value."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+
+from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator, Linearised
+from identknee.calibrate.problem import STEP_RANK_TOLERANCE, conditional_sds
+from identknee.calibrate.quantity import Quantity
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared
+from identknee.runs.outcome import Outcome
+
+# What is smaller has no inverse among floating-point numbers.
+SMALLEST = 1e-150
+ROUNDS_PER_PARAMETER = 10
+NEGLIGIBLE = 1e-14
+# How often whole blocks of components change sides, and how clear of its tolerance a triangle has
+# to be.
+MOST_BLOCKS, CLEAR = 20, 1e3
+# Share of its largest that the smallest number on the diagonal of a triangle must have for its
+# square to be solved with.
+LEAST_DIAGONAL = 1e-6
+
+
+@declared
+class Step:
+    """The lowest point of a linear model, and what holds it there.
+
+    Attributes
+    ----------
+    step
+        Shape ``(n,)``.
+    multiplier
+        Derivative of half the sum of squares by the constraint's right-hand side.
+    is_held
+        Which components a bound keeps from going lower, shape ``(n,)``.
+    """
+
+    step: Array
+    multiplier: float
+    is_held: BoolArray
+
+
+def bounded_step(
+    matrix: Array, data: Array, bounds: tuple[Array, Array], constraint: tuple[Array, float] | None
+) -> Step:
+    """The step d that makes ``|matrix d + data|`` least within bounds and on a plane.
+
+    A primal active-set method: from a point within the bounds and on the plane it goes to the
+    lowest point over the components that are free, holds the first component that meets a bound on
+    the way, and lets go of the one that pulls hardest inward when nothing else is left to do.
+    Along directions that change nothing it stays where it is.
+
+    Parameters
+    ----------
+    matrix, data
+        Shapes ``(m, n)`` and ``(m,)``.
+    bounds
+        Lower and upper bounds of d, shapes ``(n,)``; zero lies between them.
+    constraint
+        Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is brought into the range
+        that the bounds allow.
+
+    References
+    ----------
+    J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. (2006), algorithm 16.3,
+    doi:10.1007/978-0-387-40065-5.
+    """
+    n = matrix.shape[1]
+    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))[:n]
+    return _ActiveSet(triangle[:, :n], triangle[:, n], bounds, constraint).solve()
+
+
+def attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
+    """The number nearest to `wanted` that ``normal d`` can be within the bounds."""
+    has_say = normal != 0.0
+    ends = np.array([normal[has_say] * bounds[0][has_say], normal[has_say] * bounds[1][has_say]])
+    return float(np.clip(wanted, ends.min(axis=0).sum(), ends.max(axis=0).sum()))
+
+
+def point_on_plane(normal: Array, bounds: tuple[Array, Array], wanted: float) -> Array:
+    """A point within the bounds at which ``normal d`` is `wanted`, which they must allow.
+
+    It is the point of the shortest way along the normal, cut off at the bounds.
+    """
+    step = np.zeros(normal.size)
+    is_free = normal != 0.0
+    # Each round either arrives or stops one more component at its bound.
+    for _ in range(normal.size):
+        missing = wanted - normal @ step
+        length = float(normal[is_free] @ normal[is_free])
+        if length == 0.0 or abs(missing) <= NEGLIGIBLE * max(abs(wanted), 1e-300):
+            break
+        tried = step + is_free * normal * (missing / length)
+        step = np.clip(tried, *bounds)
+        is_free &= step == tried
+    return step
+
+
+class _ActiveSet:
+    """The state of one search: where it is and which components are held."""
+
+    def __init__(
+        self,
+        matrix: Array,
+        data: Array,
+        bounds: tuple[Array, Array],
+        constraint: tuple[Array, float] | None,
+    ) -> None:
+        n = matrix.shape[1]
+        self._matrix, self._data = matrix, data
+        self._size = float(np.linalg.norm(matrix))
+        self._lower, self._upper = bounds
+        self._normal = None if constraint is None else constraint[0]
+        self._held = np.zeros(n, dtype=np.bool_)
+        if constraint is None:
+            self._at = np.zeros(n)
+            if _is_of_full_rank(matrix):
+                self._at, self._held = _near_the_lowest(matrix, data, bounds)
+        else:
+            normal, wanted = constraint
+            self._at = point_on_plane(normal, bounds, attainable(normal, bounds, wanted))
+
+    def solve(self) -> Step:
+        for _ in range(ROUNDS_PER_PARAMETER * len(self._at)):
+            if not self._go_to_lowest():
+                continue
+            if not self._let_go():
+                break
+        multiplier, _ = self._forces()
+        return Step(step=self._at, multiplier=multiplier, is_held=self._held)
+
+    def _go_to_lowest(self) -> bool:
+        """Move over the free components; False if a bound was met on the way."""
+        free = np.flatnonzero(~self._held)
+        move = np.zeros(len(self._at))
+        move[free] = self._free_move(free)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(move > 0, self._upper - self._at, self._lower - self._at) / move
+        room[move == 0.0] = np.inf
+        first = int(np.argmin(room))
+        if room[first] >= 1.0:
+            self._at = np.clip(self._at + move, self._lower, self._upper)
+            return True
+        self._at = np.clip(self._at + max(room[first], 0.0) * move, self._lower, self._upper)
+        self._at[first] = self._upper[first] if move[first] > 0 else self._lower[first]
+        self._held[first] = True
+        return False
+
+    def _free_move(self, free: IntArray) -> Array:
+        matrix = self._matrix[:, free]
+        missing = self._matrix @ self._at + self._data
+        least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
+        if self._normal is None:
+            return _lowest_move(matrix, missing, least)
+        basis = _null_space(self._normal[free])
+        return np.asarray(basis @ _lowest_move(matrix @ basis, missing, least))
+
+    def _let_go(self) -> bool:
+        """Free the held component that pulls hardest inward; False if none does."""
+        _, force = self._forces()
+        inward = np.where(self._at >= self._upper, force, -force)
+        inward[~self._held | (self._lower == self._upper)] = 0.0
+        hardest = int(np.argmax(inward))
+        size = float(np.max(np.abs(self._matrix.T @ self._data), initial=0.0))
+        if inward[hardest] <= STEP_RANK_TOLERANCE * size:
+            return False
+        self._held[hardest] = False
+        return True
+
+    def _forces(self) -> tuple[float, Array]:
+        """Multiplier of the constraint, and the derivatives that it leaves, shape ``(n,)``."""
+        slope = self._matrix.T @ (self._matrix @ self._at + self._data)
+        if self._normal is None:
+            return 0.0, slope
+        normal = np.where(self._held, 0.0, self._normal)
+        if not normal.any():
+            normal = self._normal
+        size = float(normal @ normal)
+        multiplier = float(normal @ slope) / size if size > 0 else 0.0
+        return multiplier, slope - multiplier * self._normal
+
+
+def _near_the_lowest(
+    matrix: Array, data: Array, bounds: tuple[Array, Array]
+) -> tuple[Array, BoolArray]:
+    """A point within the bounds near the lowest one, and what is held there.
+
+    All components that a bound stops or lets go change sides at once, which seldom takes more than
+    a few rounds but need not end: a beginning for a search that does.
+
+    References
+    ----------
+    J. J. Judice and F. M. Pires, A block principal pivoting algorithm for large-scale strictly
+    monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596,
+    doi:10.1016/0305-0548(94)90106-6.
+    """
+    square, slope = matrix.T @ matrix, matrix.T @ data
+    side = np.zeros(len(slope))
+    at = np.zeros(len(slope))
+    for _ in range(MOST_BLOCKS):
+        free = side == 0.0
+        tried = np.where(free, 0.0, np.where(side < 0.0, *bounds))
+        tried[free] = np.linalg.solve(square[free][:, free], -(slope + square @ tried)[free])
+        at, held = np.clip(tried, *bounds), ~free
+        pushed = side * (square @ tried + slope) > 0.0
+        met = np.sign(tried - at)
+        now = np.where(free, met, np.where(pushed, 0.0, side))
+        if np.array_equal(now, side):
+            return at, held
+        side = now
+    return at, (side != 0.0) & (at == np.where(side < 0.0, *bounds))
+
+
+def _is_of_full_rank(triangle: Array) -> bool:
+    """Whether the square of a triangle can be solved with."""
+    diagonal = np.abs(np.diagonal(triangle))
+    if len(triangle) < triangle.shape[1] or not diagonal.size:
+        return False
+    return bool(diagonal.min() > max(LEAST_DIAGONAL * diagonal.max(), SMALLEST))
+
+
+def _lowest_move(matrix: Array, missing: Array, least: float) -> Array:
+    """The shortest move to where ``matrix d + missing`` is least.
+
+    Singular values up to `least` count as zero.
+    """
+    if matrix.shape[1] == 0:
+        return np.zeros(0)
+    orthogonal, triangle, order = qr(matrix, mode="economic", pivoting=True, check_finite=False)
+    if len(triangle) == len(order) and abs(triangle[-1, -1]) > CLEAR * least:
+        move = np.empty(len(order))
+        move[order] = solve_triangular(triangle, orthogonal.T @ -missing, check_finite=False)
+        return move
+    left, size, right = np.linalg.svd(matrix, full_matrices=False)
+    known = size > least
+    return np.asarray(right[known].T @ (left[:, known].T @ -missing / size[known]))
+
+
+def _null_space(normal: Array) -> Array:
+    """Orthonormal directions across `normal`, as columns; all directions where it is zero."""
+    n = len(normal)
+    if not normal.any():
+        return np.eye(n)
+    if np.count_nonzero(normal) == 1:
+        return np.delete(np.eye(n), int(np.flatnonzero(normal)[0]), axis=1)
+    return np.linalg.qr(normal[:, None], mode="complete")[0][:, 1:]
+
+
+# In conditional standard deviations: a longer step is no end of a search. In lengths of that step:
+# a point farther away says nothing of a kink that it leads across.
+LONGEST, NEARBY = 2.0, 2.0
+# How many points are remembered.
+REMEMBERED = 12
+# How often the shares of two models are exchanged, and halvings of each exchange.
+MOST_EXCHANGES, MOST_HALVINGS = 12, 40
+
+
+class Kinks:
+    """What one search knows of kinks near the point where it is.
+
+    Where a contact begins or ends, the derivatives of the residuals jump. At a minimum on such a
+    kink those of either side promise a decrease on the other, so that steps by one of them zigzag
+    and shrink. The highest of the linear models of both sides has its minimum on the kink.
+
+    References
+    ----------
+    K. C. Kiwiel, Methods of Descent for Nondifferentiable Optimization (1985), chapter 2,
+    doi:10.1007/BFb0074500.
+    """
+
+    def __init__(self) -> None:
+        self._points: list[Linearised] = []
+
+    @property
+    def is_met(self) -> bool:
+        """Whether any step did not keep its promise."""
+        return bool(self._points)
+
+    def remember(self, point: Linearised) -> None:
+        """Take in a point from which, or to which, a step did not keep its promise."""
+        self._points = [point, *self._points[: REMEMBERED - 1]]
+
+    def models(self, at: Linearised, scales: Array, *, length: float, slack: float) -> Array:
+        """Linear models of the residuals around a point, its own first, ``(k, n + 1, n + 1)``.
+
+        Each is a triangle whose product with a step, in parameters divided by `scales`, and a one
+        has the model's deviance as its sum of squares. Of the points remembered those count that
+        lie about as near as the step leads and whose model has the deviance at `at` no higher than
+        it is: between them and `at` the deviance bends upward. None does where the step is long.
+
+        Parameters
+        ----------
+        at
+            Residuals and derivatives around which steps are planned.
+        scales
+            Conditional standard deviations, shape ``(n,)``.
+        length
+            Largest component of the step that the own model leads to, in these.
+        slack
+            How much higher than it is another model may have the deviance at `at`, as from a point
+            that is not quite on a kink.
+        """
+        most = float(at.residuals @ at.residuals) + slack
+        models = [_triangle(at, at, scales)]
+        for point in self._points if length <= LONGEST else ():
+            apart = np.max(np.abs(point.theta - at.theta) / scales)
+            if 0.0 < apart <= NEARBY * length:
+                model = _triangle(point, at, scales)
+                if float(np.sum(model[:, -1] ** 2)) <= most:
+                    models.append(model)
+        return np.array(models)
+
+
+def lowest_of_the_highest(
+    models: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None, gap: float
+) -> tuple[Step, float]:
+    """The step to where the highest of several models is lowest, and the deviance there.
+
+    It is found through its dual: a weighted sum of the models whose minimum is as high as can be.
+    That sum also has the multiplier of the constraint on the kink.
+
+    Parameters
+    ----------
+    models
+        From `Kinks.models`.
+    box, constraint
+        As for `identknee.calibrate.bounded_least_squares.bounded_step`.
+    gap
+        How far below the height of the step the deviance returned may be.
+    """
+    weights = np.zeros(len(models))
+    weights[0] = 1.0
+    step, heights = _lowest(models, weights, box, constraint)
+    for _ in range(MOST_EXCHANGES):
+        highest = int(np.argmax(heights))
+        if heights[highest] - weights @ heights <= gap:
+            break
+        lowest = int(np.argmin(np.where(weights > 0.0, heights, np.inf)))
+        exchange = np.zeros(len(models))
+        exchange[[lowest, highest]] = -weights[lowest], weights[lowest]
+        low, high, share = 0.0, 1.0, 1.0
+        for _ in range(MOST_HALVINGS):
+            _, tried = _lowest(models, weights + share * exchange, box, constraint)
+            slope = float(exchange @ tried)
+            if abs(slope) <= gap or (share == 1.0 and slope > 0.0):
+                break
+            low, high = (share, high) if slope > 0.0 else (low, share)
+            share = 0.5 * (low + high)
+        weights = np.maximum(weights + share * exchange, 0.0)
+        step, heights = _lowest(models, weights, box, constraint)
+    return step, float(weights @ heights)
+
+
+def _lowest(
+    models: Array, weights: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None
+) -> tuple[Step, Array]:
+    """The step to the minimum of a weighted sum of models, and how high each is there, ``(k,)``."""
+    used = weights > 0.0
+    rows = np.concatenate(np.sqrt(weights[used])[:, None, None] * models[used])
+    step = bounded_step(rows[:, :-1], rows[:, -1], box, constraint)
+    return step, np.sum((models @ np.append(step.step, 1.0)) ** 2, axis=1)
+
+
+def _triangle(of: Linearised, at: Linearised, scales: Array) -> Array:
+    """The linear model of one point around another, shape ``(n + 1, n + 1)``."""
+    data = of.residuals + of.jacobian @ (at.theta - of.theta)
+    rows = np.column_stack([of.jacobian * scales, data])
+    padded = np.vstack([rows, np.zeros((max(rows.shape[1] - len(rows), 0), rows.shape[1]))])
+    return np.asarray(np.linalg.qr(padded, mode="r"))
+
+
+# Tolerance on the deviance: at a signed root of 2 this is 2.5e-9 of the root.
+TOLERANCE = 1e-8
+ROUNDING = 1e-13
+MAX_STEPS = 60
+# Share of the promised decrease that a step must keep, and that lets the next one be longer.
+ENOUGH, GOOD = 1e-4, 0.75
+SHORTER, LONGER = 0.25, 2.0
+# Of a step across a kink that is not taken: its end is heeded in the next one.
+HALF = 0.5
+# In tolerances: how far below its height a step that heeds kinks may be said to lead.
+GAP = 0.2
+# In conditional standard deviations: a step below this is none.
+SHORTEST = 1e-7
+# The price of a missed target, in multiples of what hitting it costs.
+PENALTY = 2.0
+
+IsEnough = Callable[[Evaluation], bool]
+
+
+@declared
+class Constrained:
+    """Where a constrained fit ended, and how.
+
+    Attributes
+    ----------
+    evaluation
+        The best parameter set found, its residuals and Jacobian.
+    value
+        The quantity there; NaN without a constraint.
+    multiplier
+        Derivative of the lowest deviance by the wanted value.
+    tangent
+        Derivative of theta along the path of constrained fits by the wanted value, shape ``(n,)``.
+    is_held
+        Which parameters a bound keeps from fitting better, shape ``(n,)``.
+    outcome
+        `MINIMUM` where no step within the bounds promises more than the tolerance, `CLIFF` where
+        the way down has no prediction, `VALLEY` where it did not get that far, `BUDGET`, or
+        `START_FAILED`.
+    is_on_target
+        Whether the quantity has the wanted value. A `MINIMUM` that is not on target is the end of
+        the quantity's range: no small change within the bounds brings it closer.
+    left
+        How much lower one more step promises the deviance; infinite where none was planned.
+    n_simulations
+        Simulations made.
+    """
+
+    evaluation: Evaluation
+    value: float
+    multiplier: float
+    tangent: Array
+    is_held: BoolArray
+    outcome: Outcome
+    is_on_target: bool
+    left: float
+    n_simulations: int
+
+
+def solve_constrained(
+    evaluator: Evaluator,
+    start: Array,
+    *,
+    quantity: Quantity,
+    target: float,
+    tolerance: float = TOLERANCE,
+    most_steps: int = MAX_STEPS,
+    is_enough: IsEnough | None = None,
+) -> Constrained:
+    """The parameter set of least deviance within the bounds at which the quantity is `target`.
+
+    Gauss-Newton steps within the bounds and on the linearised constraint, kept to a box around the
+    last point where the model went worse than promised or had no prediction.
+
+    Parameters
+    ----------
+    evaluator
+        Evaluator of residuals in units of their noise.
+    start
+        Where to begin, shape ``(n,)``; moved into the bounds. For a parameter's own value the start
+        is put on target first, which costs nothing.
+    quantity, target
+        What is held, and at what value.
+    tolerance
+        Tolerance on the deviance, which is what one more step may still promise, and on the target,
+        in conditional standard deviations.
+    most_steps
+        Steps allowed; it ends as a `VALLEY` after them.
+    is_enough
+        Asked of each simulation with a prediction; where it says yes, the search ends there as a
+        `VALLEY`. It goes all the way if None.
+    """
+    search = _Search(evaluator, quantity, target, tolerance, is_enough)
+    return search.run(np.asarray(start, dtype=np.float64), most_steps)
+
+
+def minimise(
+    evaluator: Evaluator,
+    start: Array,
+    *,
+    tolerance: float = TOLERANCE,
+    most_steps: int = MAX_STEPS,
+    is_enough: IsEnough | None = None,
+) -> Constrained:
+    """The parameter set of least deviance within the bounds, reached downhill from `start`.
+
+    Parameters
+    ----------
+    evaluator
+        Evaluator of residuals in units of their noise.
+    start
+        Where to begin, shape ``(n,)``; moved into the bounds.
+    tolerance
+        Tolerance on the deviance: what one more step may still promise.
+    most_steps
+        Steps allowed; it ends as a `VALLEY` after them.
+    is_enough
+        Asked of each simulation with a prediction; where it says yes, the search ends there as a
+        `VALLEY`. It goes all the way if None.
+    """
+    search = _Search(evaluator, None, np.nan, tolerance, is_enough)
+    return search.run(np.asarray(start, dtype=np.float64), most_steps)
+
+
+@declared
+class _Point:
+    """An evaluation with the quantity there."""
+
+    evaluation: Evaluation
+    value: float
+    gradient: Array | None
+
+    @property
+    def is_finite(self) -> bool:
+        return self.evaluation.is_finite and (
+            self.gradient is None or bool(np.isfinite(self.gradient).all())
+        )
+
+
+@declared
+class _Plan:
+    """The step the model around a point wants, and what it promises."""
+
+    theta: Array
+    step: Step
+    length: float
+    reduction: float
+    linear_reduction: float
+    gap: float
+    remaining: float
+    is_boxed: bool
+
+
+class _Search:
+    """One search: its settings, its trust region and the price of missing the target."""
+
+    def __init__(
+        self,
+        evaluator: Evaluator,
+        quantity: Quantity | None,
+        target: float,
+        tolerance: float,
+        is_enough: IsEnough | None,
+    ) -> None:
+        self._evaluator = evaluator
+        self._quantity = quantity
+        self._target = target
+        self._tolerance = tolerance
+        self._is_enough = is_enough or (lambda _: False)
+        parameters = evaluator.parameters
+        self._lower, self._upper = parameters.lower, parameters.upper
+        self._radius = np.inf
+        self._price = 0.0
+        self._met_cliff = False
+        self._curvature = evaluator.curvature
+        self._kinks = Kinks()
+
+    def run(self, start: Array, most_steps: int) -> Constrained:
+        before = self._evaluator.n_simulations
+        start = self._on_target(np.clip(start, self._lower, self._upper))
+        try:
+            point = self._point(start)
+        except Ended as end:
+            return _unsolved(start, end.outcome)
+        if not point.is_finite:
+            return self._result(point, None, Outcome.START_FAILED, before)
+        for _ in range(most_steps):
+            if self._is_enough(point.evaluation):
+                return self._result(point, None, Outcome.VALLEY, before)
+            plan = self._plan(point)
+            if self._is_done(plan, point):
+                met_cliff = plan.is_boxed and self._met_cliff
+                outcome = Outcome.CLIFF if met_cliff else Outcome.MINIMUM
+                return self._result(point, plan, outcome, before)
+            try:
+                point = self._next(point, plan)
+            except Ended as end:
+                return self._result(point, plan, end.outcome, before)
+            if self._radius < SHORTEST:
+                outcome = Outcome.CLIFF if self._met_cliff else Outcome.VALLEY
+                return self._result(point, plan, outcome, before)
+        return self._result(point, plan, Outcome.VALLEY, before)
+
+    def _on_target(self, start: Array) -> Array:
+        """The start with the target put in where the quantity is one of the parameters."""
+        if self._quantity is None:
+            return start
+        value, gradient = self._quantity.evaluate(start)
+        theta = np.array(start)
+        if np.count_nonzero(gradient) == 1:
+            i = int(np.flatnonzero(gradient)[0])
+            if gradient[i] == 1.0 and value == start[i]:
+                theta[i] = np.clip(self._target, self._lower[i], self._upper[i])
+        return theta
+
+    def _point(self, theta: Array) -> _Point:
+        evaluation = self._evaluator(theta)
+        if self._quantity is None or not evaluation.is_finite:
+            return _Point(evaluation=evaluation, value=np.nan, gradient=None)
+        value, gradient = self._quantity.evaluate(theta)
+        return _Point(evaluation=evaluation, value=value, gradient=gradient)
+
+    def _plan(self, point: _Point) -> _Plan:
+        at = point.evaluation
+        scales = conditional_sds(at.jacobian, self._evaluator.parameters)
+        matrix, data = self._model(at, scales)
+        low, high = (self._lower - at.theta) / scales, (self._upper - at.theta) / scales
+        box = np.maximum(low, -self._radius), np.minimum(high, self._radius)
+        constraint, gap, remaining = None, 0.0, 0.0
+        if point.gradient is not None:
+            normal = point.gradient * scales
+            size = float(np.linalg.norm(normal))
+            wanted = self._target - point.value
+            reachable = attainable(normal, box, wanted)
+            constraint = normal, reachable
+            gap = abs(wanted) / size if size > 0 else (np.inf if wanted else 0.0)
+            remaining = abs(wanted - reachable)
+        step = bounded_step(matrix, data, box, constraint)
+        reduction = linear_reduction = _reduction(matrix, data, step)
+        if self._kinks.is_met:
+            whole = bounded_step(matrix, data, (low, high), constraint)
+            length = float(np.max(np.abs(whole.step), initial=0.0))
+            models = self._kinks.models(at, scales, length=length, slack=self._tolerance)
+            if len(models) > 1:
+                step, height = lowest_of_the_highest(models, box, constraint, GAP * self._tolerance)
+                reduction = linear_reduction = at.deviance - height
+        if self._curvature is not None and self._curvature.is_known:
+            linear = at.jacobian * scales
+            by_it = bounded_step(linear, at.residuals, box, constraint)
+            linear_reduction = _reduction(linear, at.residuals, by_it)
+        theta = np.clip(at.theta + scales * step.step, self._lower, self._upper)
+        theta = np.where(step.step == low, self._lower, theta)
+        theta = np.where(step.step == high, self._upper, theta)
+        length = float(np.max(np.abs(step.step), initial=0.0))
+        return _Plan(
+            theta=theta,
+            step=step,
+            length=length,
+            reduction=reduction,
+            linear_reduction=linear_reduction,
+            gap=gap,
+            remaining=remaining,
+            is_boxed=length >= self._radius,
+        )
+
+    def _is_done(self, plan: _Plan, point: _Point) -> bool:
+        tolerance = max(self._tolerance, ROUNDING * point.evaluation.deviance)
+        if max(abs(plan.reduction), abs(plan.linear_reduction)) > tolerance:
+            return False
+        if point.gradient is None or plan.gap <= self._tolerance:
+            return True
+        # No step within the bounds brings the quantity closer.
+        missing = abs(self._target - point.value)
+        return not plan.is_boxed and missing - plan.remaining <= self._tolerance * missing
+
+    def _next(self, point: _Point, plan: _Plan) -> _Point:
+        """The next point: the planned one if it keeps enough of its promise."""
+        new = self._point(plan.theta)
+        if not new.is_finite:
+            self._met_cliff = True
+            self._radius = SHORTER * plan.length
+            return point
+        if self._curvature is not None:
+            self._curvature.learn(point.evaluation, new.evaluation)
+        missing = 0.0 if point.gradient is None else abs(self._target - point.value)
+        self._price = max(self._price, PENALTY * 2.0 * abs(plan.step.multiplier))
+        promised = plan.reduction + self._price * (missing - plan.remaining)
+        kept = self._merit(point) - self._merit(new)
+        rounding = ROUNDING * point.evaluation.deviance
+        is_taken = promised <= 0 or kept >= ENOUGH * promised - rounding
+        # Over uncertain geometry contact is rounded, and its bends are learned instead.
+        if self._curvature is None and kept <= GOOD * promised:
+            self._kinks.remember((point if is_taken else new).evaluation)
+        if not is_taken:
+            self._radius = (HALF if self._curvature is None else SHORTER) * plan.length
+            return point
+        if kept > GOOD * promised and plan.is_boxed:
+            self._radius *= LONGER
+        self._met_cliff = self._met_cliff and np.isfinite(self._radius)
+        return new
+
+    def _model(self, at: Evaluation, scales: Array) -> tuple[Array, Array]:
+        """Matrix and data of the model of the deviance around a point."""
+        if self._curvature is None:
+            return at.jacobian * scales, at.residuals
+        return self._curvature.model(at, scales)
+
+    def _merit(self, point: _Point) -> float:
+        missing = 0.0 if point.gradient is None else abs(self._target - point.value)
+        return point.evaluation.deviance + self._price * missing
+
+    def _result(
+        self, point: _Point, plan: _Plan | None, outcome: Outcome, before: int
+    ) -> Constrained:
+        n = point.evaluation.theta.size
+        held = np.zeros(n, dtype=np.bool_)
+        tangent = np.full(n, np.nan)
+        if plan is not None:
+            theta = plan.theta
+            at_bound = (theta <= self._lower) | (theta >= self._upper)
+            held = plan.step.is_held & at_bound
+            if point.gradient is not None:
+                tangent = self._tangent(point, held)
+        return Constrained(
+            evaluation=point.evaluation,
+            value=point.value,
+            multiplier=np.nan if plan is None else 2.0 * plan.step.multiplier,
+            tangent=tangent,
+            is_held=held,
+            outcome=outcome,
+            is_on_target=plan is not None and plan.gap <= self._tolerance,
+            left=np.inf if plan is None else plan.reduction,
+            n_simulations=self._evaluator.n_simulations - before,
+        )
+
+    def _tangent(self, point: _Point, held: BoolArray) -> Array:
+        """The way of least rise by which the quantity grows by one, held parameters staying."""
+        gradient = point.gradient
+        if gradient is None:  # pragma: no cover - asked for with a quantity only
+            raise AssertionError
+        scales = conditional_sds(point.evaluation.jacobian, self._evaluator.parameters)
+        limit = np.where(held, 0.0, np.inf)
+        # Rows of data are the parameters' own steps, so the linear model is d theta / d value.
+        matrix, _ = self._model(point.evaluation, scales)
+        normal = gradient * scales
+        if not np.any(normal[~held]):
+            return np.zeros(normal.size)
+        size = float(np.linalg.norm(normal[~held]))
+        step = bounded_step(
+            matrix, np.zeros(len(matrix)), (-limit, limit), (normal / size, 1.0)
+        ).step
+        return np.asarray(scales * step / size)
+
+
+def _reduction(matrix: Array, data: Array, step: Step) -> float:
+    """How much lower a model has the deviance after its step."""
+    change = matrix @ step.step
+    return float(-2.0 * data @ change - change @ change)
+
+
+def _unsolved(start: Array, outcome: Outcome) -> Constrained:
+    n = start.size
+    evaluation = Evaluation(
+        theta=start, residuals=np.full(1, np.inf), jacobian=np.full((1, n), np.nan)
+    )
+    return Constrained(
+        evaluation=evaluation,
+        value=np.nan,
+        multiplier=np.nan,
+        tangent=np.full(n, np.nan),
+        is_held=np.zeros(n, dtype=np.bool_),
+        outcome=outcome,
+        is_on_target=False,
+        left=np.inf,
+        n_simulations=0,
+    )

@@ -1,1 +1,0 @@
-"""Which causes trials can tell apart, and the trials to add."""

@@ -1,0 +1,447 @@
+"""What every effect of a library would add to the residuals of a fit, and which they exclude."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from identknee.diagnosis.fitting import Fitted
+from identknee.diagnosis.refit import FAR_EVIDENCE, Refit, refit
+from identknee.diagnosis.score import (
+    LEVEL,
+    MOST_SIGNED,
+    Cell,
+    ProjectedSignature,
+    Scores,
+    ScoreTest,
+    Signature,
+    detectable_amplitude,
+    detection_power,
+    judge,
+    project_signature,
+    score_test,
+)
+from identknee.identify.nuisances import IMPROBABLE
+from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.grood_suntay import coordinate_jacobian
+from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.model.effects.effect import PLAIN, Effect, unit_of
+from identknee.model.effects.facts import FACTS
+from identknee.model.effects.insertion import BONES, MovedInsertion, moved_insertion
+from identknee.model.effects.remounting import Remounting, remounting
+from identknee.model.effects.structures import MissingStructure, Structure
+from identknee.model.mechanics_inputs import PER_KN
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.declare import declared, entries, entry
+
+# Reference strains [%] and shifts of the insertions [mm] at which a missing structure is tried.
+STRAINS = (-4.0, 0.0, 4.0, 8.0)
+SHIFT = 6.0
+# Femoral x and y, tibial x: among the six amplitudes after stiffness and strain.
+SHIFTED = (2, 3, 5)
+# Length of the whitened residuals: an amplitude of a prior standard deviation that does less is
+# unseen to first order, and its effect at that amplitude is taken instead.
+UNSEEN = 1e-6
+
+
+# An effect and all of its amplitudes.
+Sized = tuple[Effect, Array]
+
+
+@declared
+class Variant:
+    """One signature of an effect, and where a refit with it begins."""
+
+    effect: Effect = entry("Effect of the library")
+    signature: Signature = entry(
+        "Signature of those amplitudes that change the residuals to first order"
+    )
+    values: Array = entry("All amplitudes where the signature was taken, shape ``(a,)``")
+    moved: IntArray = entry("Which of them the columns of the signature belong to")
+    is_secant: bool = entry(
+        "Whether the effect has no first derivative, so that its score holds for one size only",
+        default=False,
+    )
+
+    def start(self, amplitude: Array) -> Array:
+        """All amplitudes with those of the signature as given, within their bounds, ``(a,)``."""
+        values = np.array(self.values)
+        values[self.moved] += amplitude
+        parameters = self.effect.parameters
+        return np.asarray(np.clip(values, parameters.lower, parameters.upper))
+
+
+def library_variants(fitted: Fitted, effects: Sequence[Effect]) -> tuple[Variant, ...]:
+    """Signatures of all effects at a fit, those of structures for a grid of sites and strains.
+
+    Derivatives are those of the fitted model's predictions, for an effect without any where it does
+    nothing (such as bundles) those half way to a prior standard deviation.
+    """
+    grid = [x for x in effects if isinstance(x, MissingStructure) and x.sites_vary]
+    others = [x for x in effects if x not in grid]
+    found = list(_tangents(fitted, others))
+    for structure in grid:
+        found += _at_sites(fitted, structure)
+    return tuple(found)
+
+
+def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
+    """One variant an effect, or one a strain for structures that stay where they are."""
+    tried = [(effect, values) for effect in effects for values in _baselines(effect)]
+    for (effect, values), changes in zip(tried, _idle_columns(fitted, tried), strict=True):
+        p = effect.parameters
+        size = np.linalg.norm(changes, axis=0) * p.prior_sd
+        seen = size > UNSEEN
+        is_secant = not seen.any()
+        if is_secant:
+            (changes,) = _columns(fitted, [(effect, half_way(effect, values))])
+            seen = np.linalg.norm(changes, axis=0) * p.prior_sd > UNSEEN
+        if not seen.any():
+            continue
+        moved = np.flatnonzero(seen)
+        strain = values[effect.first_shift - 1] if isinstance(effect, Structure) else None
+        yield Variant(
+            effect=effect,
+            signature=Signature(
+                name=effect.name,
+                variant=_place(effect) if strain is None else f"strain {strain:g} %",
+                columns=changes[:, moved],
+                prior_sd=p.prior_sd[moved],
+                sign=_signs(p)[moved],
+            ),
+            values=values,
+            moved=moved,
+            is_secant=is_secant,
+        )
+
+
+def _place(effect: Effect) -> str:
+    """What tells effects of one name apart."""
+    return effect.variant if isinstance(effect, MovedInsertion) else ""
+
+
+def _baselines(effect: Effect) -> list[Array]:
+    """Amplitudes at which the effect does nothing."""
+    values = np.array(effect.parameters.center)
+    if not isinstance(effect, Structure):
+        return [values]
+    is_strain = np.arange(len(values)) == effect.first_shift - 1
+    return [np.where(is_strain, strain, values) for strain in STRAINS]
+
+
+def _idle_columns(fitted: Fitted, tried: Sequence[Sized]) -> list[Array]:
+    """The columns of effects at amplitudes at which none does anything.
+
+    There they do not change each other's either: effects of different names share a prediction.
+    """
+    found: dict[int, Array] = {}
+    while len(found) < len(tried):
+        together: dict[str, int] = {}
+        for i, (effect, _) in enumerate(tried):
+            if i not in found:
+                together.setdefault(effect.name, i)
+        places = list(together.values())
+        found |= zip(places, _columns(fitted, [tried[i] for i in places]), strict=True)
+    return [found[i] for i in range(len(tried))]
+
+
+def _columns(fitted: Fitted, added: Sequence[Sized]) -> list[Array]:
+    """Whitened derivatives by the amplitudes of effects that act together, ``(m, a)`` each."""
+    base, sizes = fitted.model, [len(values) for _, values in added]
+    model = base.with_effects([*base.effects, *(effect for effect, _ in added)])
+    prediction = model.predict(np.concatenate([fitted.theta, *(values for _, values in added)]))
+    used = fitted.laxity.is_measured.any(axis=1)
+    columns = np.zeros((fitted.n_data, sum(sizes)))
+    if prediction.jacobian is not None and prediction.is_converged[used].all():
+        columns = fitted.columns(prediction.jacobian[:, :, len(fitted.theta) :])
+    return np.split(columns, np.cumsum(sizes)[:-1], axis=1)
+
+
+def half_way(effect: Effect, values: Array) -> Array:
+    """Amplitudes where an effect of second order slopes as much as the line to its end.
+
+    Half a prior standard deviation of those of one sign from `values`; those of either sign act by
+    their side.
+    """
+    p = effect.parameters
+    return np.where(p.lower >= values, np.minimum(values + 0.5 * p.prior_sd, p.upper), values)
+
+
+def _at_sites(fitted: Fitted, structure: MissingStructure) -> list[Variant]:
+    """Variants of a missing structure on a grid of sites and reference strains."""
+    moves = _site_moves(structure.parameters.n)
+    strains = np.array(STRAINS)
+    m = len(structure.femoral)
+    femoral = np.concatenate([structure.femoral + x[2:5] for x in moves])
+    tibial = np.concatenate([structure.tibial + x[5:8] for x in moves])
+    unmeasured = Lines(femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral)))
+    model, prediction = fitted.model, fitted.model.predict_once(fitted.theta)
+    setting = model.setting(fitted.theta)
+    lengths = setting.lengths_at_start(unmeasured)
+    lines = setting.as_measured(replace(unmeasured, reference_length=lengths))
+    flexion = setting.flexion[model.paths.trial_node]
+    found = []
+    for strain in strains:
+        shape = ligament_tensions(
+            lines,
+            flexion,
+            prediction.poses,
+            np.ones(len(femoral)),
+            np.full(len(femoral), 0.01 * strain),
+        )
+        pulls = PER_KN * shape.by_stiffness[:, :, None] * shape.lengthening
+        pulls = pulls.reshape(len(flexion), len(moves), m, 5).sum(axis=2)
+        columns = fitted.columns(pose_changes(fitted, pulls.transpose(0, 2, 1)))
+        found += [
+            _site_variant(structure, move, float(strain), columns[:, [k]])
+            for k, move in enumerate(moves)
+            if np.linalg.norm(columns[:, k]) > UNSEEN
+        ]
+    return found
+
+
+def pose_changes(fitted: Fitted, gradients: Array) -> Array:
+    """Changes of the coordinates (n, 5, k) by additions (n, 5, k) to the gradient of the energy."""
+    prediction = fitted.model.predict_once(fitted.theta)
+    if prediction.hessians is None:  # pragma: no cover - only mesh contact has none
+        raise AssertionError
+    moved = -np.linalg.solve(prediction.hessians, gradients)
+    return np.asarray(coordinate_jacobian(prediction.poses) @ moved)
+
+
+def _site_moves(n: int) -> list[Array]:
+    """No shift, each of three coordinates shifted alone, all three together: 15 amplitudes."""
+    moves = [np.zeros(n)]
+    for k, sign in product(SHIFTED, (-1.0, 1.0)):
+        moves.append(np.zeros(n))
+        moves[-1][k] = sign * SHIFT
+    for signs in product((-1.0, 1.0), repeat=len(SHIFTED)):
+        moves.append(np.zeros(n))
+        moves[-1][list(SHIFTED)] = np.array(signs) * SHIFT
+    return moves
+
+
+def _site_variant(
+    structure: MissingStructure, move: Array, strain: float, column: Array
+) -> Variant:
+    p = structure.parameters
+    shift = ", ".join(f"{x:+.0f}" for x in move[list(SHIFTED)])
+    values = np.array(move)
+    values[1] = strain
+    return Variant(
+        effect=structure,
+        signature=Signature(
+            name=structure.name,
+            variant=f"strain {strain:g} %, shifted by {shift} mm",
+            columns=column,
+            prior_sd=p.prior_sd[:1],
+            sign=_signs(p)[:1],
+        ),
+        values=frozen(values, p.n, name="values"),
+        moved=np.array([0]),
+    )
+
+
+def _signs(parameters: Parameters) -> IntArray:
+    """1 or -1 for amplitudes that have one sign only, 0 for the rest.
+
+    Too many signs for a signature, as those of the bundles of many ligaments, are left to the
+    bounds of the refit.
+    """
+    positive, negative = parameters.lower >= 0.0, parameters.upper <= 0.0
+    if np.count_nonzero(positive | negative) > MOST_SIGNED:
+        return np.zeros(parameters.n, np.int64)
+    return np.asarray(positive.astype(np.int64) - negative.astype(np.int64))
+
+
+@declared
+class Visibility:
+    """Which size of an effect the data, or the trials of a protocol, would show."""
+
+    name: str = entry("Name of the effect")
+    parameter: str = entry(
+        "Amplitude that the sizes are of: in the unit of the first, the hardest to see"
+    )
+    unit: str = entry("Unit of the amplitude")
+    detectable: float = entry(
+        "Size that the test finds in nine of ten data sets; null where it never does",
+        unit="unit of the amplitude",
+    )
+    relevant: float = entry("The smallest size worth knowing", unit="unit of the amplitude")
+    power: float = entry("How often the test finds that size", unit="1")
+
+
+@declared
+class Exclusion(Visibility):
+    """What data say of one effect: seen, excluded, or beyond their power."""
+
+    cell: Cell = entry("The answer: significant or not, crossed with power")
+    score: float = entry("Score of the effect, as a z-score", unit="1")
+    p_value: float = entry("Probability of a largest score as high by chance", unit="1")
+
+
+@declared
+class Candidates:
+    """The effects that may be the cause, and the test that finds them."""
+
+    variants: tuple[Variant, ...] = entry("Signatures of all effects")
+    test: ScoreTest = entry("The max-score test of them")
+
+    def projected(self, variant: Variant) -> ProjectedSignature:
+        """Signature of a variant without what the fitted parameters explain of it."""
+        return self.test.signature(variant.signature.name, variant.signature.variant)
+
+    def typical(self, name: str) -> Variant | None:
+        """The variant of an effect at the least unusual amplitudes; None if it is never seen.
+
+        A missing structure then lies where anatomy puts it, with an ordinary strain.
+        """
+        own = [x for x in self.variants if x.effect.name == name]
+        return min(own, key=_distance_from_prior, default=None)
+
+    def visibility(self, effect: Effect) -> Visibility:
+        """Which size of an effect would be seen."""
+        relevant = FACTS[effect.name].relevant
+        variant = self.typical(effect.name)
+        if variant is None:
+            name = effect.parameters.names[0]
+            detectable, power = float("inf"), LEVEL
+        else:
+            name, detectable, power = self._hardest(variant, relevant)
+        return Visibility(
+            name=effect.name,
+            parameter=name.partition(".")[2],
+            unit=unit_of(name),
+            detectable=detectable,
+            relevant=relevant,
+            power=power,
+        )
+
+    def exclusion(self, effect: Effect, scores: Scores) -> Exclusion:
+        """What scores say of an effect."""
+        seen = self.visibility(effect)
+        scored = next((x for x in scores.candidates if x.name == effect.name), None)
+        score, p_value = (0.0, 1.0) if scored is None else (scored.score, scored.p_value)
+        return Exclusion(
+            **{name: getattr(seen, name) for name in entries(Visibility)},
+            cell=judge(is_significant=p_value <= LEVEL, power=seen.power),
+            score=score,
+            p_value=p_value,
+        )
+
+    def _hardest(self, variant: Variant, relevant: float) -> tuple[str, float, float]:
+        """The amplitude hardest to see, its detectable size, and the power at `relevant`."""
+        signature = self.projected(variant)
+        names = [variant.effect.parameters.names[i] for i in variant.moved]
+        unit = unit_of(names[0])
+        # Plain numbers are not alike for having no unit.
+        alike = [k for k, x in enumerate(names) if k == 0 or unit_of(x) == unit != PLAIN]
+        least = min(alike, key=lambda k: signature.gram[k, k])
+        amplitude = np.zeros(len(names))
+        amplitude[least] = relevant * (signature.signature.sign[least] or 1)
+        return (
+            names[least],
+            detectable_amplitude(self.test, signature, least),
+            detection_power(self.test, signature, amplitude),
+        )
+
+
+def library_candidates(fitted: Fitted, effects: Sequence[Effect], *, seed: int) -> Candidates:
+    """Signatures of all effects at a fit, and the test of them for noise of unknown size.
+
+    Parameters
+    ----------
+    fitted
+        The fit.
+    effects
+        The candidates.
+    seed
+        Seed of the distribution of the largest score.
+    """
+    variants = library_variants(fitted, effects)
+    signatures = [x.signature for x in variants]
+    test = score_test(fitted.projector, signatures, seed=seed, scale="unknown")
+    return Candidates(variants=variants, test=test)
+
+
+def _distance_from_prior(variant: Variant) -> float:
+    p = variant.effect.parameters
+    return float(np.sum(((variant.values - p.center) / p.prior_sd) ** 2))
+
+
+# Score of errors of zero from which on a fit with them is worth its time: data without a cause have
+# 0 to 1, those of 0.3 mm and deg of such errors 8 and more.
+LEAST_SCORE = 4.0
+# Trials of an angle that tell its zero from what their loads do, on average.
+LEAST_TRIALS = 5
+
+
+@declared
+class BeyondPrior:
+    """What of the insertions lies beyond its prior."""
+
+    causes: tuple[MovedInsertion, ...] = entry("The insertions beyond it, each as a cause")
+    p_value: float = entry(
+        "Probability that the farthest of all nuisances lies so far out by chance; 1 without any"
+    )
+
+
+def insertions_beyond(fitted: Fitted) -> BeyondPrior:
+    """The insertions that a fit moves farther than 3 standard deviations of what is stated."""
+    knee = fitted.model.knee
+    places = {f"insertion.{x.name}_{y}": (x.name, y) for x in knee.ligaments for y in BONES}
+    groups = fitted.nuisance_groups
+    chance = {x.name: len(groups) * x.p_value for x in groups if x.name in places}
+    beyond = {name: p_value for name, p_value in chance.items() if p_value < IMPROBABLE}
+    return BeyondPrior(
+        causes=tuple(moved_insertion(knee, *places[name]) for name in beyond),
+        p_value=min(beyond.values(), default=1.0),
+    )
+
+
+def remounted(base: Refit, best: Refit) -> Remounting | None:
+    """Errors of zero at each angle where they explain a misfit far better than `best`; else None.
+
+    Other causes leave much the same in all trials of an angle, so these errors are no candidate
+    beside them: they count where their evidence is clearly the highest.
+
+    Parameters
+    ----------
+    base
+        The fit without causes.
+    best
+        The best explanation by other causes, or `base`.
+    """
+    protocol, stated = base.fitted.laxity.protocol, base.fitted.model.knee.uncertainty
+    angles = np.unique(protocol.flexion_deg)
+    if max(stated.zero_mm, stated.zero_deg) > 0.0 or protocol.n < LEAST_TRIALS * len(angles):
+        return None
+    effect = remounting(angles.tolist())
+    if base.fitted.laxity.zero != "absolute" or _score(base, effect) < LEAST_SCORE:
+        return None
+    start = np.r_[base.fitted.theta, effect.parameters.center]
+    explained = refit(base, [effect], [start])
+    return effect if explained.log_evidence > best.log_evidence + FAR_EVIDENCE else None
+
+
+def _score(base: Refit, effect: Remounting) -> float:
+    """How strongly the fit speaks for the errors, in units of its own residuals."""
+    fitted, p = base.fitted, effect.parameters
+    model = fitted.model.with_effects([*fitted.model.effects, effect])
+    jacobian = model.predict_once(np.r_[fitted.theta, p.center]).jacobian
+    if jacobian is None:  # pragma: no cover - it was asked for
+        raise AssertionError
+    signature = Signature(
+        name=effect.name,
+        variant="",
+        columns=fitted.columns(jacobian[:, :, -p.n :]),
+        prior_sd=p.prior_sd,
+        sign=np.zeros(p.n, np.int64),
+    )
+    projector = fitted.projector
+    seen = project_signature(projector, signature)
+    left = projector.project(fitted.residual_rows())
+    left *= np.sqrt(projector.degrees_of_freedom) / np.linalg.norm(left)
+    return float(seen.z_score(seen.gain((left @ seen.projected)[None]))[0])

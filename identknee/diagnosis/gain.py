@@ -1,0 +1,755 @@
+"""What a named cause gains: misfit, prediction of held trials, evidence, parameters, forces."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum, unique
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import minimize
+
+from identknee.calibrate.bounded_least_squares import Constrained, minimise
+from identknee.calibrate.evaluation import Evaluation, Evaluator, evaluate
+from identknee.calibrate.problem import Problem, WithPriors
+from identknee.diagnosis.fitting import Fitted, weighed
+from identknee.diagnosis.folds import (
+    Fold,
+    Observations,
+    Rmse,
+    extreme_trials,
+    held_out_folds,
+    observations_of,
+)
+from identknee.diagnosis.misfit import Check, Projector, base_projector, omnibus_check
+from identknee.identify.laplace import Interval, Laplace, laplace
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import COORDINATES
+from identknee.model.parameters import Parameters
+from identknee.model.quantities import tensions_of
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+
+# Bounds of a coordinate's standard deviation of discrepancy, in units of its noise.
+LEAST_SPREAD, MOST_SPREAD = 1e-2, 1e2
+# Bounds of a correlation length, where flexion and each load vary between 0 and 1, or -1 and 1.
+LEAST_LENGTH, MOST_LENGTH = 0.4, 5.0
+START_SPREAD, START_LENGTH = 1.0, 0.7
+MOST_ITERATIONS = 30
+
+
+@declared
+class Discrepancy:
+    """A Gaussian process in each coordinate that has taken up what the model leaves."""
+
+    spread: Array = array(
+        "Its standard deviation in each measured coordinate, in units of the noise",
+        "measured_coordinate",
+    )
+    flexion_length: float = entry("Correlation length over the range of flexion")
+    load_length: float = entry("Correlation length over the largest load of each kind")
+    errors: Array = array(
+        "What it leaves in the data it was fitted to, measured less predicted",
+        "value",
+        unit="mm or deg",
+    )
+    absorbed: float = entry("Share of the misfit that it takes up, 0 to 1")
+    degrees_of_freedom: float = entry("How many free parameters it is worth")
+    observations: Observations = entry(
+        "The measured values with it among their errors, for a prediction of held trials"
+    )
+
+
+def fit_discrepancy(
+    problem: Problem, observations: Observations, theta: Array, protocol: Protocol
+) -> Discrepancy:
+    """The Gaussian process that takes up most of what a fitted model leaves.
+
+    A process in each coordinate, smooth in flexion and loads, from which everything is taken out
+    that a change of the fitted parameters could do, so that it leaves the fit as it is. Its
+    spreads and lengths are those of highest marginal likelihood.
+
+    Parameters
+    ----------
+    problem
+        Predicted less measured values in mm and deg.
+    observations
+        The measured values.
+    theta
+        The fit, shape ``(p,)``.
+    protocol
+        The trials.
+
+    References
+    ----------
+    M. C. Kennedy and A. O'Hagan, Bayesian calibration of computer models, J. R. Stat. Soc. B 63
+    (2001) 425-464, doi:10.1111/1467-9868.00294; M. Plumlee, Bayesian calibration of inexact
+    computer models, J. Am. Stat. Assoc. 112 (2017) 1274-1285, doi:10.1080/01621459.2016.1211016.
+    """
+    at, noise = evaluate(problem, theta), observations.noise
+    projector = base_projector(noise.whiten(at.jacobian))
+    kernel = _Kernel(observations, projector, protocol)
+    target = projector.project(noise.whiten(-at.residuals))
+    start = np.log(np.r_[np.full(kernel.n_coordinates, START_SPREAD), 2 * [START_LENGTH]])
+    spreads, lengths = (LEAST_SPREAD, MOST_SPREAD), (LEAST_LENGTH, MOST_LENGTH)
+    found = minimize(
+        kernel.misfit,
+        start,
+        args=(target,),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.log([*[spreads] * kernel.n_coordinates, lengths, lengths]),
+        options={"maxiter": MOST_ITERATIONS, "ftol": 1e-6},
+    )
+    values = np.exp(found.x)
+    own = kernel.projected(kernel.covariance(found.x))
+    # What the process absorbs of each value, by kriging.
+    absorbing = cho_solve(cho_factor(np.eye(len(own)) + own), own)
+    left = target - absorbing.T @ target
+    return Discrepancy(
+        spread=values[:-2],
+        flexion_length=float(values[-2]),
+        load_length=float(values[-1]),
+        errors=-at.residuals - noise.factor @ (absorbing.T @ target),
+        absorbed=float(1.0 - left @ left / (target @ target)) if target.any() else 0.0,
+        degrees_of_freedom=float(np.trace(absorbing)),
+        observations=replace(
+            observations, noise=noise.widened(noise.factor @ own @ noise.factor.T)
+        ),
+    )
+
+
+class _Kernel:
+    """Squared-exponential covariances of the measured values, and their marginal likelihood."""
+
+    def __init__(
+        self, observations: Observations, projector: Projector, protocol: Protocol
+    ) -> None:
+        trial = observations.trial
+        flexion = protocol.flexion_deg[trial] / max(float(np.ptp(protocol.flexion_deg)), 1.0)
+        largest = np.abs(protocol.loads).max(axis=0)
+        loads = (protocol.loads / np.where(largest > 0, largest, 1.0))[trial]
+        self._flexion = (flexion[:, None] - flexion) ** 2
+        self._load = ((loads[:, None] - loads) ** 2).sum(axis=2)
+        self._pairs = np.outer(observations.sd, observations.sd)
+        coordinates = np.unique(observations.coordinate)
+        self._own = observations.coordinate[:, None] == coordinates
+        self.n_coordinates = len(coordinates)
+        # Whitens and projects at once.
+        self._reduce = projector.project(observations.noise.whiten(np.eye(len(trial))))
+
+    def covariance(self, logs: Array) -> Array:
+        """Covariance of the values [mm, deg], before projection, shape ``(m, m)``."""
+        shape = -0.5 * self._flexion * np.exp(-2 * logs[-2])
+        shape = shape - 0.5 * self._load * np.exp(-2 * logs[-1])
+        spread = self._own * np.exp(logs[:-2])
+        return np.asarray(self._pairs * np.exp(shape) * (spread @ spread.T))
+
+    def projected(self, covariance: Array) -> Array:
+        """Whitened, without what the fitted parameters explain."""
+        return np.asarray(self._reduce @ covariance @ self._reduce.T)
+
+    def misfit(self, logs: Array, target: Array) -> tuple[float, Array]:
+        """Minus the log marginal likelihood of the projected residuals, and its derivatives."""
+        covariance = self.covariance(logs)
+        factor = np.linalg.cholesky(np.eye(len(target)) + self.projected(covariance))
+        inverse = cho_solve((factor, True), np.eye(len(target)))
+        solved = inverse @ target
+        value = 0.5 * target @ solved + np.log(np.diag(factor)).sum()
+        weight = self._reduce.T @ (inverse - np.outer(solved, solved)) @ self._reduce
+        terms = 0.5 * weight * covariance
+        by_coordinate = self._own.T @ terms.sum(axis=1)
+        gradient = np.r_[
+            2.0 * by_coordinate,
+            np.sum(terms * self._flexion) * np.exp(-2 * logs[-2]),
+            np.sum(terms * self._load) * np.exp(-2 * logs[-1]),
+        ]
+        return float(value), gradient
+
+
+# Tolerance on the deviance: a tenth of a standard deviation of a parameter at most.
+TOLERANCE = 1e-2
+MOST_STEPS = 12
+# Share of the largest singular value below which a direction is not seen at all.
+LEAST_SINGULAR_VALUE = 1e-6
+
+
+@unique
+class FoldStatus(Enum):
+    """What became of a fold."""
+
+    SCORED = "scored"
+    NOT_MEASURED = "not_measured"
+    NOT_IDENTIFIED = "not_identified"
+    FAILED = "failed"
+
+    @property
+    def sentence(self) -> str:
+        """The same for a person."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    FoldStatus.SCORED: "The held trials were predicted from the others.",
+    FoldStatus.NOT_MEASURED: "Nothing was measured in the held trials, or in no others.",
+    FoldStatus.NOT_IDENTIFIED: "The held trials depend on something that only they show.",
+    FoldStatus.FAILED: "The model has no prediction where the fit to the other trials began.",
+}
+
+
+@declared
+class FoldScore:
+    """How well one fold was predicted."""
+
+    fold: Fold = entry("The trials")
+    status: FoldStatus = entry("Whether they were scored, and why not")
+    theta: Array = array("Fitted to the trials kept; NaN where the fold is not scored", "parameter")
+    errors: Array = array(
+        "Measured less predicted values; NaN where not held out", "value", unit="mm or deg"
+    )
+    predicted: Array = array(
+        "Their predictions' standard deviations, noise included", "value", unit="mm or deg"
+    )
+    log_density: Array = array(
+        "Log predictive density of each held trial's values together; NaN for trials kept", "trial"
+    )
+
+    @property
+    def is_scored(self) -> bool:
+        """Whether the held trials were predicted."""
+        return self.status is FoldStatus.SCORED
+
+
+@declared
+class HeldOut:
+    """How well a model predicts the held trials of all folds."""
+
+    observations: Observations = entry("The measured values")
+    scores: tuple[FoldScore, ...] = entry("One for each fold")
+    n_simulations: int = entry("Simulations made")
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Families of folds, scored or not, in their order."""
+        return tuple(dict.fromkeys(x.fold.family for x in self.scores))
+
+    def rmse(self, family: str | None = None, *, folds: Sequence[Fold] | None = None) -> Rmse:
+        """Error of the held values, of one family or all, in the scored folds among `folds`."""
+        return self._pooled([x.errors for x in self._chosen(family, folds)])
+
+    def expected_rmse(
+        self, family: str | None = None, *, folds: Sequence[Fold] | None = None
+    ) -> Rmse:
+        """The error that the predictions themselves expect: noise, and what is not known.
+
+        It is more than the noise where the trials kept leave a parameter open that the held ones
+        depend on, be the model as right as it may.
+        """
+        return self._pooled([x.predicted for x in self._chosen(family, folds)])
+
+    def _chosen(self, family: str | None, folds: Sequence[Fold] | None) -> list[FoldScore]:
+        return [
+            x
+            for x in self.scores
+            if x.is_scored
+            and family in (None, x.fold.family)
+            and (folds is None or any(x.fold is fold for fold in folds))
+        ]
+
+    def _pooled(self, values: list[Array]) -> Rmse:
+        m = len(self.observations.trial)
+        return self.observations.rmse(np.array(values).reshape(-1, m))
+
+
+def held_out(
+    problem: Problem, observations: Observations, theta: Array, folds: Sequence[Fold]
+) -> HeldOut:
+    """The prediction of each fold by the model fitted to the other trials, and how it fares.
+
+    Every fold is refitted from `theta`, priors included. The prediction of a held trial is Gaussian
+    by the model's linearisation there: it holds the noise, what the parameters may still be, and
+    what errors shared between trials (nuisances, or a discrepancy) tell from the trials kept. A
+    trial whose pose turns sharply with a parameter, such as an unloaded one between two lax poses,
+    may stray further than that says.
+
+    Parameters
+    ----------
+    problem
+        Predicted less measured values in mm and deg; parameters with their priors.
+    observations
+        The measured values, in the order of the residuals.
+    theta
+        Where the refits start: the fit to all trials, shape ``(p,)``.
+    folds
+        What to hold out.
+    """
+    whole = evaluate(problem, theta)
+    memory = _Memory(problem, whole)
+    scores = []
+    for fold in folds:
+        rows = fold.held[observations.trial]
+        held, kept = np.flatnonzero(rows), np.flatnonzero(~rows)
+        if not (held.size and kept.size):
+            scores.append(_unscored(fold, observations, theta.size, FoldStatus.NOT_MEASURED))
+        elif not whole.is_finite:
+            scores.append(_unscored(fold, observations, theta.size, FoldStatus.FAILED))
+        elif _hangs_on_the_prior(whole, (held, kept), observations, problem.parameters):
+            scores.append(_unscored(fold, observations, theta.size, FoldStatus.NOT_IDENTIFIED))
+        else:
+            scores.append(_score(memory, observations, fold, theta, (held, kept)))
+    return HeldOut(
+        observations=observations, scores=tuple(scores), n_simulations=memory.n_simulations
+    )
+
+
+class _Memory:
+    """A problem of which the first and the last evaluation are remembered."""
+
+    def __init__(self, problem: Problem, first: Evaluation) -> None:
+        self._problem = problem
+        self._known = [first, first]
+        self.n_simulations = 1
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the problem."""
+        return self._problem.parameters
+
+    def __call__(self, theta: Array) -> Evaluation:
+        for known in self._known:
+            if np.array_equal(known.theta, theta):
+                return known
+        self.n_simulations += 1
+        self._known[1] = evaluate(self._problem, theta)
+        return self._known[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Kept:
+    """The residuals of the trials kept, in units in which their errors are independent."""
+
+    memory: _Memory
+    rows: IntArray
+    factor: Array
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the whole problem."""
+        return self.memory.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Whitened, shape ``(m_kept,)``."""
+        residuals = self.memory(theta).residuals[self.rows]
+        if not np.isfinite(residuals).all():
+            return residuals
+        return np.asarray(solve_triangular(self.factor, residuals, lower=True))
+
+    def jacobian(self, theta: Array) -> Array:
+        """Change of the residuals with theta, shape ``(m_kept, p)``."""
+        jacobian = self.memory(theta).jacobian[self.rows]
+        return np.asarray(solve_triangular(self.factor, jacobian, lower=True))
+
+
+def _score(
+    memory: _Memory,
+    observations: Observations,
+    fold: Fold,
+    theta: Array,
+    rows: tuple[IntArray, IntArray],
+) -> FoldScore:
+    held, kept = rows
+    covariance = observations.noise.covariance
+    factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(kept, kept)]))
+    problem = WithPriors(problem=_Kept(memory=memory, rows=kept, factor=factor))
+    found = minimise(Evaluator(problem), theta, tolerance=TOLERANCE, most_steps=MOST_STEPS)
+    if not found.evaluation.is_finite:
+        return _unscored(fold, observations, theta.size, FoldStatus.FAILED)
+    at = memory(found.evaluation.theta)
+    # What errors of the trials kept tell about those of the trials held.
+    shared = covariance[np.ix_(held, kept)]
+    weights = cho_solve((factor, True), shared.T).T
+    left = -(at.residuals[held] - weights @ at.residuals[kept])
+    slope = at.jacobian[held] - weights @ at.jacobian[kept]
+    spread = covariance[np.ix_(held, held)] - weights @ shared.T
+    spread += slope @ _posterior_covariance(found) @ slope.T
+    errors, predicted = (np.full(len(covariance), np.nan) for _ in range(2))
+    errors[held], predicted[held] = left, np.sqrt(np.diag(spread))
+    return FoldScore(
+        fold=fold,
+        status=FoldStatus.SCORED,
+        theta=found.evaluation.theta,
+        errors=errors,
+        predicted=predicted,
+        log_density=_by_trial(left, spread, observations.trial[held], observations.n_trials),
+    )
+
+
+def _posterior_covariance(found: Constrained) -> Array:
+    """Covariance of the parameters of a fit with priors, shape ``(p, p)``.
+
+    Parameters
+    ----------
+    found
+        A fit in units of the noise, rows of the priors included. A parameter that a bound holds
+        does not vary.
+    """
+    jacobian, free = found.evaluation.jacobian, np.flatnonzero(~found.is_held)
+    covariance = np.zeros((jacobian.shape[1],) * 2)
+    information = jacobian[:, free].T @ jacobian[:, free]
+    covariance[np.ix_(free, free)] = cho_solve(cho_factor(information), np.eye(free.size))
+    return covariance
+
+
+def _by_trial(left: Array, spread: Array, trial: IntArray, n_trials: int) -> Array:
+    """Log density of each trial's values together, shape ``(n,)``; NaN where it has none."""
+    densities = np.full(n_trials, np.nan)
+    for number in np.unique(trial):
+        own = np.flatnonzero(trial == number)
+        factor = np.linalg.cholesky(spread[np.ix_(own, own)])
+        whitened = solve_triangular(factor, left[own], lower=True)
+        densities[number] = -0.5 * (whitened @ whitened + own.size * np.log(2.0 * np.pi))
+        densities[number] -= np.log(np.diag(factor)).sum()
+    return densities
+
+
+def _hangs_on_the_prior(
+    whole: Evaluation, rows: tuple[IntArray, IntArray], observations: Observations, p: Parameters
+) -> bool:
+    """Whether held values vary by more than noise with what the trials kept say nothing of.
+
+    Few trials always leave some direction of many parameters to the prior; it counts where the
+    prediction depends on it.
+    """
+    steps = p.prior_sd * np.where(p.is_log, whole.theta, 1.0)
+    scaled = whole.jacobian / observations.sd[:, None] * steps
+    held, kept = (scaled[x] for x in rows)
+    _, sizes, directions = np.linalg.svd(kept)
+    least = LEAST_SINGULAR_VALUE * max(sizes[0], np.finfo(float).tiny)
+    unseen = held @ directions[np.count_nonzero(sizes > least) :].T
+    return bool(np.any(np.linalg.norm(unseen, axis=1) > 1.0))
+
+
+def _unscored(fold: Fold, observations: Observations, p: int, status: FoldStatus) -> FoldScore:
+    m = len(observations.trial)
+    return FoldScore(
+        fold=fold,
+        status=status,
+        theta=np.full(p, np.nan),
+        errors=np.full(m, np.nan),
+        predicted=np.full(m, np.nan),
+        log_density=np.full(observations.n_trials, np.nan),
+    )
+
+
+# Squared distance of two predictions in units of the noise below which they are the same.
+LEAST_SIGNATURE = 1.0
+
+
+@declared
+class FamilyDifference:
+    """The difference in log predictive density over one family of folds."""
+
+    family: str = entry("Family of the folds")
+    difference: float = entry(
+        "Sum over the held trials of the second model's log density less the first's; 0 where no "
+        "fold counts"
+    )
+    se: float = entry("Its standard error over trials; NaN where no fold counts")
+    folds: tuple[Fold, ...] = entry("Folds that count")
+    without_signature: tuple[Fold, ...] = entry(
+        "Folds in which both models predict the same, so that they say nothing of their difference"
+    )
+    not_scored: tuple[tuple[Fold, str], ...] = entry(
+        "Folds that one of both models could not predict, with the reason"
+    )
+
+
+@declared
+class ElpdDifference:
+    """The difference in log predictive density of held trials: after less before."""
+
+    difference: float = entry(
+        "Difference over all trials, each averaged over the folds that hold it out; 0 where no "
+        "fold counts"
+    )
+    se: float = entry("Its standard error; NaN where no fold counts")
+    families: tuple[FamilyDifference, ...] = entry("The same for each family of folds")
+
+    @property
+    def folds(self) -> tuple[Fold, ...]:
+        """All folds that count."""
+        return tuple(fold for x in self.families for fold in x.folds)
+
+
+def elpd_difference(before: HeldOut, after: HeldOut) -> ElpdDifference:
+    """How much better `after` predicts held trials than `before`.
+
+    Standard errors take trials as independent, not the values of a trial. A fold counts where both
+    models predict its trials, and not the same.
+
+    Raises
+    ------
+    ValueError
+        If the two were not scored on the same folds.
+
+    References
+    ----------
+    A. Vehtari, A. Gelman and J. Gabry, Practical Bayesian model evaluation using leave-one-out
+    cross-validation and WAIC, Stat. Comput. 27 (2017) 1413-1432, doi:10.1007/s11222-016-9696-4,
+    section 5.
+    """
+    if [x.fold for x in before.scores] != [x.fold for x in after.scores]:
+        raise ValueError("the two models were scored on different folds; use the same ones")
+    pairs = list(zip(before.scores, after.scores, strict=True))
+    families = []
+    for family in before.families:
+        own = [x for x in pairs if x[0].fold.family == family]
+        families.append(_family(family, own, before.observations))
+    counted = {id(fold) for x in families for fold in x.folds}
+    used = [x for x in pairs if id(x[0].fold) in counted]
+    difference, se = _summed(used, before.observations.n_trials)
+    return ElpdDifference(difference=difference, se=se, families=tuple(families))
+
+
+def _family(
+    family: str, pairs: list[tuple[FoldScore, FoldScore]], observations: Observations
+) -> FamilyDifference:
+    counted, same, missing = [], [], []
+    for before, after in pairs:
+        fold = before.fold
+        if not (before.is_scored and after.is_scored):
+            worse = after if before.is_scored else before
+            missing.append((fold, worse.status.sentence))
+        elif _signature(before, after, observations) < LEAST_SIGNATURE:
+            same.append(fold)
+        else:
+            counted.append((before, after))
+    difference, se = _summed(counted, observations.n_trials)
+    return FamilyDifference(
+        family=family,
+        difference=difference,
+        se=se,
+        folds=tuple(x.fold for x, _ in counted),
+        without_signature=tuple(same),
+        not_scored=tuple(missing),
+    )
+
+
+def _signature(before: FoldScore, after: FoldScore, observations: Observations) -> float:
+    """Squared distance of the two predictions of a fold, in units of the noise."""
+    held = np.flatnonzero(before.fold.held[observations.trial])
+    apart = before.errors[held] - after.errors[held]
+    covariance = observations.noise.covariance[np.ix_(held, held)]
+    return float(apart @ np.linalg.solve(covariance, apart))
+
+
+def _summed(pairs: list[tuple[FoldScore, FoldScore]], n_trials: int) -> tuple[float, float]:
+    """Sum over trials of the mean difference over folds, and its standard error."""
+    gains = np.array([y.log_density - x.log_density for x, y in pairs]).reshape(-1, n_trials)
+    is_held = ~np.isnan(gains)
+    times = is_held.sum(axis=0)
+    seen = times > 0
+    by_trial: Array = np.where(is_held, gains, 0.0).sum(axis=0)[seen] / times[seen]
+    n = by_trial.size
+    se = float(np.sqrt(n * np.var(by_trial, ddof=1))) if n > 1 else float("nan")
+    return float(by_trial.sum()), se
+
+
+@declared
+class Assessment:
+    """How well one model does."""
+
+    check: Check = entry(
+        "Chi-square of data and priors together, its degrees of freedom and its probability"
+    )
+    errors: Array = array("Measured less predicted values", "value", unit="mm or deg")
+    in_sample: Rmse = entry("Their root mean squares")
+    held_out: HeldOut = entry("Prediction of trials it was not fitted to")
+    posterior: Laplace = entry("Intervals of its parameters and its evidence")
+
+
+@declared
+class ParameterChange:
+    """A parameter of both models, before and after."""
+
+    name: str = entry("Name of the parameter")
+    before: float = entry("Its value without the cause", unit=OF_PARAMETER)
+    after: float = entry("Its value with the cause", unit=OF_PARAMETER)
+    interval_before: Interval = entry(
+        "95 % interval without; an open end is null", unit=OF_PARAMETER, key="ci95_before"
+    )
+    interval_after: Interval = entry("95 % interval with", unit=OF_PARAMETER, key="ci95_after")
+    shift: float = entry(
+        "How far it moved, in standard errors of before", unit="1", key="shift_in_se"
+    )
+    interval_ratio: float = entry(
+        "Length of the interval after over before, the price of one more cause; null where one of "
+        "them is open",
+        unit="1",
+    )
+
+
+@declared
+class ForceChange:
+    """Ligament forces under the largest loads, before and after."""
+
+    trials: tuple[str, ...] = array("Names of the trials", "trial", is_in_arrays=False)
+    ligaments: tuple[str, ...] = array("Names of the ligaments", "ligament", is_in_arrays=False)
+    before: Array = array(
+        "Forces without the cause; NaN where a trial has no equilibrium",
+        "trial",
+        "ligament",
+        unit="N",
+    )
+    after: Array = array("Forces with the cause, likewise", "trial", "ligament", unit="N")
+
+
+@declared
+class Gain:
+    """What the cause gains over the base model, and what a Gaussian process does in its place."""
+
+    before: Assessment = entry("The base model")
+    after: Assessment = entry("The model with the cause")
+    absorbed: Assessment = entry(
+        "The base model with a Gaussian process for what it leaves: it names nothing. Its spreads "
+        "and lengths are those of all trials also where some are held out, to its favour"
+    )
+    discrepancy: Discrepancy = entry("That process")
+    elpd: ElpdDifference = entry(
+        "Log predictive density of held trials, with the cause less without it"
+    )
+    elpd_absorbed: ElpdDifference = entry("The same of the process less the base model")
+    explained: dict[str, float] = entry(
+        "Share of the mean square of each measured coordinate that the cause removes; negative "
+        "where it adds"
+    )
+    parameters: tuple[ParameterChange, ...] = entry("Those of both models")
+    forces: ForceChange = entry("Ligament forces under the largest loads")
+
+    @property
+    def log_evidence_difference(self) -> float:
+        """Logarithm of the Bayes factor of the cause."""
+        return self.after.posterior.log_evidence - self.before.posterior.log_evidence
+
+    @property
+    def shared_folds(self) -> tuple[Fold, ...]:
+        """Folds that both models predict."""
+        pairs = zip(self.before.held_out.scores, self.after.held_out.scores, strict=True)
+        return tuple(x.fold for x, y in pairs if x.is_scored and y.is_scored)
+
+    def rmse_held_out(self, of: Assessment, family: str | None = None) -> Rmse:
+        """Error of held values over the folds that both models predict."""
+        return of.held_out.rmse(family, folds=self.shared_folds)
+
+    def expected_rmse(self, of: Assessment, family: str | None = None) -> Rmse:
+        """The error that `of` itself expects there, see `HeldOut.expected_rmse`."""
+        return of.held_out.expected_rmse(family, folds=self.shared_folds)
+
+
+def measure_gain(
+    before: Fitted, after: Fitted, sd: Array, *, noise_degrees: float = np.inf
+) -> Gain:
+    """What the model `after` gains over `before`, fitted to the same data.
+
+    Parameters
+    ----------
+    before, after
+        The fits without and with the cause; noise and nuisances are those of `before`.
+    sd
+        Standard deviation of the noise alone of each value, shape ``(n, 5)``.
+    noise_degrees
+        Degrees of freedom of the noise where it is an estimate.
+    """
+    laxity = before.laxity
+    observations = observations_of(laxity, sd, before.noise)
+    folds = held_out_folds(laxity.protocol)
+    assessed = [_assess(x, observations, folds, noise_degrees) for x in (before, after)]
+    discrepancy = fit_discrepancy(before.compared, observations, before.theta, laxity.protocol)
+    # The same fit under the process as noise.
+    absorbed = _assess(before, discrepancy.observations, folds, noise_degrees)
+    absorbed = replace(
+        absorbed,
+        errors=discrepancy.errors,
+        in_sample=observations.rmse(discrepancy.errors),
+    )
+    return Gain(
+        before=assessed[0],
+        after=assessed[1],
+        absorbed=absorbed,
+        discrepancy=discrepancy,
+        elpd=elpd_difference(assessed[0].held_out, assessed[1].held_out),
+        elpd_absorbed=elpd_difference(assessed[0].held_out, absorbed.held_out),
+        explained=_explained(observations, assessed[0].errors, assessed[1].errors),
+        parameters=_parameter_changes(before, after, assessed[0].posterior, assessed[1].posterior),
+        forces=_force_change(before, after),
+    )
+
+
+def _assess(
+    fitted: Fitted, observations: Observations, folds: Sequence[Fold], noise_degrees: float
+) -> Assessment:
+    at = _evaluation(fitted, observations)
+    errors = -fitted.compared.residuals(fitted.theta)
+    return Assessment(
+        check=omnibus_check(
+            -at.residuals, base_projector(at.jacobian), noise_degrees=noise_degrees
+        ),
+        errors=errors,
+        in_sample=observations.rmse(errors),
+        held_out=held_out(fitted.compared, observations, fitted.theta, folds),
+        posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
+    )
+
+
+def _evaluation(fitted: Fitted, observations: Observations) -> Evaluation:
+    """Whitened by the noise of `observations`, which need not be that of the fit."""
+    if observations.noise is fitted.noise:
+        return fitted.evaluation
+    return evaluate(weighed(fitted.model, fitted.laxity, observations.noise), fitted.theta)
+
+
+def _explained(observations: Observations, before: Array, after: Array) -> dict[str, float]:
+    shares = {}
+    for i in np.unique(observations.coordinate):
+        own = observations.coordinate == i
+        left, whole = (np.sum((x[own] / observations.sd[own]) ** 2) for x in (after, before))
+        shares[COORDINATES[i]] = float(1.0 - left / whole) if whole > 0 else 0.0
+    return shares
+
+
+def _parameter_changes(
+    before: Fitted, after: Fitted, old: Laplace, new: Laplace
+) -> tuple[ParameterChange, ...]:
+    changes = []
+    for i, name in enumerate(before.model.parameters.names):
+        j = after.model.parameters.index(name)
+        intervals = old.interval(i), new.interval(j)
+        was, now = (
+            float("nan") if None in x else float(np.ptp(np.array(x, dtype=np.float64)))
+            for x in intervals
+        )
+        changes.append(
+            ParameterChange(
+                name=name,
+                before=float(old.theta[i]),
+                after=float(new.theta[j]),
+                interval_before=intervals[0],
+                interval_after=intervals[1],
+                shift=float((new.theta[j] - old.theta[i]) / old.sd[i]),
+                interval_ratio=float(now / was) if was > 0 else float("nan"),
+            )
+        )
+    return tuple(changes)
+
+
+def _force_change(before: Fitted, after: Fitted) -> ForceChange:
+    extreme = np.flatnonzero(extreme_trials(before.laxity.protocol))
+    forces = []
+    for fitted in (before, after):
+        model = fitted.compared.model
+        forces.append(tensions_of(model, model.predict_once(fitted.theta))[extreme])
+    return ForceChange(
+        trials=tuple(before.laxity.protocol.trials[i] for i in extreme),
+        ligaments=tuple(x.name for x in before.model.knee.ligaments),
+        before=forces[0],
+        after=forces[1],
+    )

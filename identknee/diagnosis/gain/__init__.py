@@ -1,1 +1,0 @@
-"""What an explanation gains on trials that it was not fitted to."""

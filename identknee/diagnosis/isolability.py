@@ -1,0 +1,302 @@
+"""Which causes a protocol can tell apart, and the trials that would separate those it cannot."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse.csgraph import connected_components
+
+from identknee.diagnosis.score import ProjectedSignature, effect_names
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
+from identknee.runs.declare import array, declared, entry
+
+# Effects closer than this cannot be told apart: the winner's amplitude errs to the large side.
+LEAST_DISTANCE = 5.0
+# Trials are advised until the least distance is this, so that errors do not bring it below the one
+# above, or until there are so many.
+ENOUGH, MOST_TRIALS = 7.0, 12
+# Prior standard deviations within which a mix of amplitudes is plausible.
+REACH = 3.0
+# Share of the largest eigenvalue of scaled information below which a direction is not known at all.
+LEAST_EIGENVALUE = 1e-12
+
+
+@declared
+class Distances:
+    """How far the data expected under each effect are from what each rival could fit to them."""
+
+    effects: tuple[str, ...] = array("Names of the rows", "effect", is_in_arrays=False)
+    rivals: tuple[str, ...] = array("Names of the columns", "rival", is_in_arrays=False)
+    values: Array = array(
+        "Root of the expected rise of the objective when the rival is fitted in place of the "
+        "effect, base parameters free; 0 where both are one",
+        "effect",
+        "rival",
+    )
+
+
+def visible_root(signature: ProjectedSignature, amplitude: Array) -> float:
+    """Root of the noncentrality: how far the effect stands out of the noise after the fit."""
+    return float(np.sqrt(max(float(amplitude @ signature.gram @ amplitude), 0.0)))
+
+
+def distances(
+    effects: Sequence[ProjectedSignature],
+    amplitudes: Sequence[Array],
+    rivals: Sequence[ProjectedSignature],
+) -> Distances:
+    """The distances of effects of known amplitudes, each rival with its best variant.
+
+    Parameters
+    ----------
+    effects
+        One variant of each, supposed true.
+    amplitudes
+        Amplitudes of each, shape ``(k,)``.
+    rivals
+        All variants of all rivals; they keep to their signs and priors.
+    """
+    names = effect_names(rivals)
+    values = np.full((len(effects), len(names)), np.inf)
+    for row, (effect, amplitude) in enumerate(zip(effects, amplitudes, strict=True)):
+        expected = effect.projected @ amplitude
+        for rival in rivals:
+            left = expected @ expected - rival.gain((expected @ rival.projected)[None])[0]
+            _lower(values, row, names.index(rival.signature.name), left)
+        _same_is_zero(values[row], names, effect)
+    return Distances(effects=effect_names(effects), rivals=names, values=values)
+
+
+def worst_distances(
+    effects: Sequence[ProjectedSignature],
+    root: float,
+    rivals: Sequence[ProjectedSignature],
+) -> Distances:
+    """The distances before any data, each effect in the mix of its amplitudes hardest to tell.
+
+    The mix that counts is the one closest to the rival, by generalised eigenvalues, among those
+    that stand out of the noise by `root` with no amplitude beyond three prior standard deviations.
+    Signs are ignored. An effect whose every mix is too small counts with its most visible one, and
+    one that is not seen at all is taken for no other.
+
+    Parameters
+    ----------
+    effects
+        One variant of each, supposed true.
+    root
+        How far each stands out of the noise, see `visible_root`.
+    rivals
+        All variants of all rivals; they keep to their priors.
+    """
+    names = effect_names(rivals)
+    values = np.full((len(effects), len(names)), np.inf)
+    for row, effect in enumerate(effects):
+        mixes = _plausible_mixes(effect, root)
+        for rival in rivals if effect.is_seen else ():
+            shared = rival.projected.T @ effect.projected
+            left = effect.gram - shared.T @ rival.covariance @ shared
+            least = eigh(mixes.T @ left @ mixes, eigvals_only=True)[0]
+            _lower(values, row, names.index(rival.signature.name), root**2 * least)
+        _same_is_zero(values[row], names, effect)
+    return Distances(effects=effect_names(effects), rivals=names, values=values)
+
+
+def groups(found: Distances, *, least: float = LEAST_DISTANCE) -> tuple[tuple[str, ...], ...]:
+    """Effects that cannot be told apart, directly or by way of others, in the order of the effects.
+
+    Parameters
+    ----------
+    found
+        Distances of all effects from one another, rows and columns alike.
+    least
+        Two effects are told apart at this distance or more, whichever of them is true.
+
+    Raises
+    ------
+    ValueError
+        If the rivals are not the effects.
+    """
+    if set(found.effects) != set(found.rivals):
+        raise ValueError("groups need the distances of effects from one another")
+    order = [found.rivals.index(x) for x in found.effects]
+    values = found.values[:, order]
+    _, labels = connected_components(values < least, directed=False)
+    return tuple(
+        tuple(name for name, label in zip(found.effects, labels, strict=True) if label == group)
+        for group in dict.fromkeys(labels.tolist())
+    )
+
+
+@declared
+class Pair:
+    """An effect of known amplitude and the rival that trials are to tell it from."""
+
+    effect: IntArray = array("Its columns", "amplitude", dtype=int)
+    amplitude: Array = array("Its amplitudes", "amplitude")
+    rival: IntArray = array("Columns of the rival", "rival", dtype=int)
+    rival_prior_sd: Array = array(
+        "Prior standard deviation of each amplitude of the rival", "rival"
+    )
+
+
+@declared
+class AdvisedTrials:
+    """Trials to add, and the distances they bring."""
+
+    chosen: tuple[int, ...] = entry(
+        "Which candidates, in the order of choice; one may come several times"
+    )
+    distances: Array = entry(
+        "Distance of each pair before and after each choice, shape ``(n_chosen + 1, n_pairs)``"
+    )
+    single: Array = entry(
+        "Distance of each pair after one candidate alone, shape ``(n_candidates, n_pairs)``; NaN "
+        "where the candidate has no prediction"
+    )
+
+
+def advise_trials(
+    made: Array,
+    candidates: Array,
+    pairs: Sequence[Pair],
+    *,
+    n_base: int,
+    n_nuisances: int = 0,
+    n_trials: int = MOST_TRIALS,
+    enough: float = ENOUGH,
+) -> AdvisedTrials:
+    """The trials that separate the pairs most: each choice raises the least distance most.
+
+    Greedy, repeats allowed. Amplitudes of rivals keep to their priors, not to their signs. What
+    nuisances do in an added trial is known as far as the trials before it have shown them.
+
+    Parameters
+    ----------
+    made
+        Whitened derivatives of the trials made by all parameters, rows of the prior of the base
+        parameters included: first the base parameters, then the effects, last what a prior standard
+        deviation of each nuisance does, shape ``(m, q)``.
+    candidates
+        The same of each candidate trial, shape ``(n, r, q)``; NaN in one that has no prediction.
+    pairs
+        What to tell apart.
+    n_base, n_nuisances
+        How many of the columns belong to the base parameters and to nuisances.
+    n_trials
+        How many trials to choose at most.
+    enough
+        The least distance at which no more are chosen.
+
+    Raises
+    ------
+    ValueError
+        If no candidate has a prediction.
+
+    References
+    ----------
+    A. C. Atkinson and V. V. Fedorov, The design of experiments for discriminating between two rival
+    models, Biometrika 62 (1975) 57-70, doi:10.1093/biomet/62.1.57.
+    """
+    usable: BoolArray = np.asarray(np.isfinite(candidates).all(axis=(1, 2)))
+    if not usable.any():
+        raise ValueError("no candidate trial has a prediction; offer others")
+    known = np.where(usable[:, None, None], candidates, 0.0)
+    rows = _Marginal(made, n_nuisances)
+    added = rows.added(known)
+    now = _pair_distances(rows.information[None], pairs, n_base)
+    single = _pair_distances(rows.information + added, pairs, n_base)
+    chosen: list[int] = []
+    followed, after = [now[0]], single
+    while len(chosen) < n_trials and followed[-1].min() < enough:
+        # The sum of the pairs decides between candidates that leave the least one alike.
+        worth = after.min(axis=1) + 1e-6 * after.sum(axis=1)
+        best = int(np.argmax(np.where(usable, worth, -np.inf)))
+        chosen.append(best)
+        followed.append(after[best])
+        rows = _Marginal(np.vstack([made, *known[chosen]]), n_nuisances)
+        after = _pair_distances(rows.information + rows.added(known), pairs, n_base)
+    return AdvisedTrials(
+        chosen=tuple(chosen),
+        distances=frozen(followed, None, None, name="distances"),
+        single=frozen(np.where(usable[:, None], single, np.nan), None, None, name="single"),
+    )
+
+
+def pair_distances(
+    made: Array, pairs: Sequence[Pair], *, n_base: int, n_nuisances: int = 0
+) -> Array:
+    """Distance of each pair by rows that are made, shape ``(n_pairs,)``; as in `advise_trials`."""
+    information = _Marginal(made, n_nuisances).information
+    return np.asarray(_pair_distances(information[None], pairs, n_base)[0])
+
+
+class _Marginal:
+    """Information of rows about parameters, averaged over nuisances, and what more rows add."""
+
+    def __init__(self, rows: Array, n_nuisances: int) -> None:
+        self._n = rows.shape[1] - n_nuisances
+        wanted, nuisances = rows[:, : self._n], rows[:, self._n :]
+        # Their variance after the rows, and what the rows say of them for each parameter.
+        self._variance = np.linalg.inv(np.eye(n_nuisances) + nuisances.T @ nuisances)
+        self._known = self._variance @ (nuisances.T @ wanted)
+        self.information = wanted.T @ wanted - (wanted.T @ nuisances) @ self._known
+
+    def added(self, candidates: Array) -> Array:
+        """What each of n candidates (n, r, q) adds, shape ``(n, p, p)`` for p parameters."""
+        nuisances = candidates[:, :, self._n :]
+        left = candidates[:, :, : self._n] - nuisances @ self._known
+        covariance = np.eye(candidates.shape[1]) + nuisances @ self._variance @ nuisances.mT
+        return np.asarray(left.mT @ np.linalg.solve(covariance, left))
+
+
+def _lower(values: Array, row: int, column: int, square: float) -> None:
+    values[row, column] = min(values[row, column], np.sqrt(max(float(square), 0.0)))
+
+
+def _same_is_zero(row: Array, names: tuple[str, ...], effect: ProjectedSignature) -> None:
+    if effect.signature.name in names:
+        row[names.index(effect.signature.name)] = 0.0
+
+
+def _plausible_mixes(effect: ProjectedSignature, root: float) -> Array:
+    """Mixes of amplitudes that all stand out by 1 and are orthogonal in that, shape ``(k, n)``."""
+    prior_sd = effect.signature.prior_sd
+    size, vectors = np.linalg.eigh(prior_sd[:, None] * effect.gram * prior_sd)
+    plausible = size >= (root / REACH) ** 2
+    plausible[-1] = True
+    used = np.maximum(size[plausible], np.finfo(np.float64).tiny)
+    return np.asarray(prior_sd[:, None] * vectors[:, plausible] / np.sqrt(used))
+
+
+def _pair_distances(information: Array, pairs: Sequence[Pair], n_base: int) -> Array:
+    """The distance of each pair under each of n informations, shape ``(n, n_pairs)``."""
+    # Many effects have the same rival, whose inverse takes most of the time.
+    rivals: dict[tuple[bytes, bytes], _Rival] = {}
+    columns = []
+    for pair in pairs:
+        key = pair.rival.tobytes(), pair.rival_prior_sd.tobytes()
+        if key not in rivals:
+            rivals[key] = _Rival(information, pair, n_base)
+        columns.append(rivals[key].distance(information, pair))
+    return np.stack(columns, axis=1)
+
+
+class _Rival:
+    """What the base parameters and the amplitudes of a rival can explain together."""
+
+    def __init__(self, information: Array, pair: Pair, n_base: int) -> None:
+        self._free = np.concatenate([np.arange(n_base), pair.rival])
+        precision = np.concatenate([np.zeros(n_base), pair.rival_prior_sd**-2.0])
+        among = information[:, self._free[:, None], self._free] + np.diag(precision)
+        least = np.finfo(np.float64).tiny
+        self._scale = np.sqrt(np.maximum(np.einsum("nii->ni", among), least))
+        scaled = among / self._scale[:, :, None] / self._scale[:, None, :]
+        self._inverse = np.linalg.pinv(scaled, rcond=LEAST_EIGENVALUE, hermitian=True)
+
+    def distance(self, information: Array, pair: Pair) -> Array:
+        """Of the effect of a pair from all that they can explain, one of each information."""
+        effect = pair.effect[:, None]
+        towards = information[:, self._free[:, None], pair.effect] @ pair.amplitude / self._scale
+        total = information[:, effect, pair.effect] @ pair.amplitude @ pair.amplitude
+        explained = np.einsum("ni,nij,nj->n", towards, self._inverse, towards)
+        return np.asarray(np.sqrt(np.maximum(total - explained, 0.0)))

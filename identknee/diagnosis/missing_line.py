@@ -1,0 +1,625 @@
+"""The line along which a cause that is not in the library acts, if it acts along one."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+from scipy.stats import chi2
+
+from identknee.diagnosis.fitting import Fitted, weighed
+from identknee.diagnosis.misfit import TrialLayout, base_projector
+from identknee.diagnosis.refit import Refit, refit
+from identknee.mechanics.contact_places import ContactPlaces
+from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
+from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
+from identknee.mechanics.pose import rotation_matrix
+from identknee.model.effects.structures import MissingStructure
+from identknee.model.laxity_model import LaxityModel, trial_contacts
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting
+from identknee.model.prediction import Prediction
+from identknee.model.residuals import LaxityResiduals
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import array, declared, entry
+from identknee.subject.insertion_sites import Place, PlaceSide, insertion_surfaces, name_of_place
+from identknee.subject.knee import Knee
+
+LENGTHS = (12.0, 90.0)  # mm
+MOST_LINES = 3000
+SLACK_STRAINS = (-4.0, 0.0, 4.0, 8.0)  # %
+NAME = "missing_line"
+STIFFNESS_SD = 1.5  # kN, of the half-normal prior
+APART = 12.0  # mm
+N_DRAWS = 1000
+# A line of which less is left is explained by the fitted parameters.
+LEAST_LEFT = 1e-6
+
+
+@declared
+class CandidateLines:
+    """Lines between femur and tibia."""
+
+    femur: Array = array(
+        "Femoral ends in the common frame of the scanned pose", "line", "axis", unit="mm"
+    )
+    tibia: Array = array("Tibial ends, likewise", "line", "axis", unit="mm")
+
+    @property
+    def n(self) -> int:
+        """How many there are."""
+        return len(self.femur)
+
+    @property
+    def directions(self) -> Array:
+        """Unit vectors from tibia to femur, shape ``(m, 3)``."""
+        along = self.femur - self.tibia
+        return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
+
+    def close_to(self, line: int, distance: float) -> BoolArray:
+        """Which lines have both ends closer to the `line` than a distance [mm], shape ``(m,)``.
+
+        The line goes on beyond its own ends: how far along it a force acts makes no difference.
+        """
+        along = self.directions[line]
+        is_close = np.ones(self.n, bool)
+        for ends in (self.femur, self.tibia):
+            away = ends - self.femur[line]
+            away = away - (away @ along)[:, None] * along
+            is_close &= np.linalg.norm(away, axis=1) < distance
+        return is_close
+
+
+def candidate_lines(knee: Knee, *, seed: int = 0) -> CandidateLines:
+    """Lines between places of both bones that lie on one side, 12 to 90 mm apart.
+
+    Central places go with either side. Where there are more than 3,000, some are taken at random.
+
+    Raises
+    ------
+    ValueError
+        If the femoral surface has no posterior condyle on one side.
+    """
+    femur, tibia = insertion_surfaces(knee)
+    length = np.linalg.norm(femur.positions[:, None] - tibia.positions, axis=2)
+    on_femur, on_tibia = np.array(femur.sides)[:, None], np.array(tibia.sides)
+    fits = (on_femur == on_tibia) | (on_femur == "central") | (on_tibia == "central")
+    fits &= (length > LENGTHS[0]) & (length < LENGTHS[1])
+    pairs = np.argwhere(fits)
+    chosen = np.random.default_rng(seed).permutation(len(pairs))[:MOST_LINES]
+    at_femur, at_tibia = pairs[np.sort(chosen)].T
+    return CandidateLines(femur=femur.positions[at_femur], tibia=tibia.positions[at_tibia])
+
+
+def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLines) -> Array:
+    """What each line of 1 kN would change of the measured coordinates, at every slack strain.
+
+    To first order, shape ``(n, 5, len(SLACK_STRAINS), m)`` [mm, deg per kN]; NaN in trials that did
+    not converge.
+
+    Raises
+    ------
+    ValueError
+        If the prediction is one of mesh contact, which has no Hessians.
+    """
+    if prediction.hessians is None:
+        raise ValueError('lines of action need a prediction with contact="field"')
+    setting = model.setting(prediction.theta)
+    flexion = setting.flexion[model.paths.trial_node]
+    unmeasured = Lines(
+        femoral=model.knee.femur_frame.to_local(lines.femur),
+        tibial=model.knee.tibia_frame.to_local(lines.tibia),
+        reference_length=np.ones(lines.n),
+    )
+    measured = setting.as_measured(
+        replace(unmeasured, reference_length=setting.lengths_at_start(unmeasured))
+    )
+    converged = prediction.is_converged
+    hessians = np.where(converged[:, None, None], prediction.hessians, np.eye(5))
+    seen, _ = model.extension.observed_slopes(
+        coordinates_from_pose(prediction.poses), model.amplitudes(prediction.theta), model.tests
+    )
+    compliance = seen @ coordinate_jacobian(prediction.poses) @ np.linalg.inv(hessians)
+    stiffness = np.full(lines.n, PER_KN)
+    columns = np.empty((len(flexion), 5, len(SLACK_STRAINS), lines.n))
+    for k, strain in enumerate(SLACK_STRAINS):
+        pulled = ligament_tensions(
+            measured, flexion, prediction.poses, stiffness, np.full(lines.n, PER_PCT * strain)
+        )
+        pulls = pulled.tensions[:, :, None] * pulled.lengthening
+        columns[:, :, k] = -compliance @ pulls.transpose(0, 2, 1)
+    columns[~converged] = np.nan
+    return columns
+
+
+@declared
+class ScannedLine:
+    """A line worth a refit."""
+
+    femur: Array = entry("Femoral end in the common frame of the scanned pose [mm], shape ``(3,)``")
+    tibia: Array = entry("Tibial end, likewise")
+    amplitude: float = entry("Expected stiffness [kN]")
+    strain_pct: float = entry("Slack strain at which it explains most [%]")
+    score: float = entry("Root of the expected fall of the objective")
+
+
+@declared
+class LineScan:
+    """Scores of all lines in one linearisation of a model."""
+
+    lines: CandidateLines = entry("All m lines")
+    scores: Array = array(
+        "Root of the expected fall of the objective; 0 where a line would have to push",
+        *("slack_strain", "line"),
+    )
+    amplitudes: Array = array("Expected stiffness", "slack_strain", "line", unit="kN")
+    signatures: Array = entry(
+        "What is left of each line's effect after all that the parameters explain, in units of the "
+        "noise and so long that its product with the residuals is the score, shape "
+        "``(rows, strains, m)``"
+    )
+
+    def best(self, number: int) -> tuple[ScannedLine, ...]:
+        """The lines of the highest scores, no two of them close to each other."""
+        highest, strain = self.scores.max(axis=0), self.scores.argmax(axis=0)
+        found: list[ScannedLine] = []
+        is_free = highest > 0.0
+        while is_free.any() and len(found) < number:
+            line = int(np.argmax(np.where(is_free, highest, 0.0)))
+            found.append(
+                ScannedLine(
+                    femur=self.lines.femur[line],
+                    tibia=self.lines.tibia[line],
+                    amplitude=float(self.amplitudes[strain[line], line]),
+                    strain_pct=SLACK_STRAINS[strain[line]],
+                    score=float(highest[line]),
+                )
+            )
+            is_free &= ~self.lines.close_to(line, APART)
+        return tuple(found)
+
+    def p_value(self, seed: int) -> float:
+        """Probability that noise alone gives some line a score as high as the highest."""
+        draws = np.random.default_rng(seed).standard_normal((N_DRAWS, len(self.signatures)))
+        highest = np.zeros(N_DRAWS)
+        for strain in range(len(SLACK_STRAINS)):
+            np.maximum(highest, (draws @ self.signatures[:, strain]).max(axis=1), out=highest)
+        return float((1 + np.count_nonzero(highest >= self.scores.max())) / (1 + N_DRAWS))
+
+
+def scan_lines(fitted: Fitted, theta: Array, lines: CandidateLines) -> LineScan | None:
+    """Scores of lines of action where a model is linearised at `theta`.
+
+    Theta need not be the best fit: what a change of it could explain is taken out. If the model
+    has a missing line already, the scan is for what might take its place. None where the model has
+    no prediction at theta.
+
+    Parameters
+    ----------
+    fitted
+        The model, the data and their noise.
+    theta
+        Where, shape ``(p,)``.
+    lines
+        The lines to score.
+    """
+    problem = weighed(fitted.model, fitted.laxity, fitted.noise)
+    residuals = -problem.residuals(theta)
+    if not np.isfinite(residuals).all():
+        return None
+    residuals, jacobian = _without_line(fitted, theta, residuals, problem.jacobian(theta))
+    changes = line_columns(fitted.model, fitted.model.predict_once(theta), lines)
+    signatures = fitted.columns(changes.reshape(*changes.shape[:2], -1))
+    projector = base_projector(jacobian)
+    left = projector.project(signatures)
+    square = (left**2).sum(axis=0)
+    is_seen = square > LEAST_LEFT**2 * (signatures**2).sum(axis=0)
+    precision = square + STIFFNESS_SD**-2.0
+    left *= is_seen / np.sqrt(precision)
+    scores = np.maximum(projector.project(residuals) @ left, 0.0)
+    shape = (len(SLACK_STRAINS), lines.n)
+    return LineScan(
+        lines=lines,
+        scores=scores.reshape(shape),
+        amplitudes=(scores / np.sqrt(precision)).reshape(shape),
+        signatures=left.reshape(-1, *shape),
+    )
+
+
+def _without_line(
+    fitted: Fitted, theta: Array, residuals: Array, jacobian: Array
+) -> tuple[Array, Array]:
+    """Rows of the residuals and of their Jacobian without those of a line the model has already."""
+    names = fitted.model.parameters.names
+    kept = [i for i, name in enumerate(names) if not name.startswith(f"{NAME}.")]
+    if len(kept) == len(names):
+        return residuals, jacobian
+    # Its force is proportional to its stiffness, the first of its parameters.
+    stiffness = len(kept)
+    rows = np.r_[np.arange(fitted.n_data), fitted.n_data + np.array(kept)]
+    removed = residuals + jacobian[:, stiffness] * theta[stiffness]
+    return removed[rows], jacobian[np.ix_(rows, kept)]
+
+
+SITE_SD = 10.0  # mm, around the bone
+LEAST_STIFFNESS = 0.02  # kN, of a line at the start of its refit
+TRIES = 3  # lines of each scan that are refitted
+MOST_ROUNDS = 3
+# While lines are compared, and for the one that is reported.
+ROUGH_STEPS, FINE_STEPS = 15, 60
+ENOUGH = 1.0  # of the deviance, that another round must gain
+LEAST_FIT = 1e-3  # a line whose fit is less probable is no explanation
+LEVEL = 0.95
+N_CLOUD = 200
+
+
+@declared
+class LineFinding:
+    """The best line of action, what lies there, and whether it explains the data."""
+
+    refit: Refit = entry("The model extended by the line, fitted")
+    femur: Array = array(
+        "Femoral end of the line in the common frame of the scanned pose; where along the line it "
+        "lies is hardly known",
+        "axis",
+        unit="mm",
+    )
+    tibia: Array = array("Tibial end, likewise", "axis", unit="mm")
+    covariance: Array = array("Covariance of both ends", "6", "6", unit="mm2")
+    place: Place = entry("What the line is near to, averaged over the lines that fit as well")
+    trial: str = entry("The trial in which the line pulls most")
+    force: float = entry(
+        "Force of the line in that trial [N]. Stiffness and slack strain trade with each other; "
+        "the force is what is known"
+    )
+    force_interval: Array = array("Ends of the 95 % interval of the force", "2", unit="N")
+    score: float = entry("Highest score of the scan")
+    p_value: float = entry("Probability that noise gives some line as high a score")
+    misfit_before: float = entry("Chi-square of the data without the line")
+    n_simulations: int = entry("Made in all refits")
+    seed: int = entry("Seed of the lines and of the draws")
+
+    @property
+    def is_line(self) -> bool:
+        """Whether a force along the line explains the data; if not, it is not a line force."""
+        return self.refit.misfit_p_value > LEAST_FIT
+
+    @property
+    def side(self) -> PlaceSide:
+        """The side on which the line crosses the joint."""
+        return self.place.sides[0][0]
+
+    @property
+    def offset_95(self) -> float:
+        """How far the line may be off at its middle, across itself, with 95 % probability [mm]."""
+        return self._radius(0.5, 0.5)
+
+    @property
+    def angle_95_deg(self) -> float:
+        """How far its direction may be off with 95 % probability [deg]."""
+        length = float(np.linalg.norm(self.femur - self.tibia))
+        return float(np.degrees(np.arctan(self._radius(1.0, -1.0) / length)))
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        left = f"residuals of probability {self.refit.misfit_p_value:.2g}"
+        if not self.is_line:
+            return f"Not a line force: the best line leaves {left}."
+        low, high = self.force_interval
+        return (
+            f"A line of force, {self.place.sentence}: {self.force:.0f} N "
+            f"({low:.0f} to {high:.0f}) in {self.trial}, within {self.offset_95:.0f} mm and "
+            f"{self.angle_95_deg:.0f} deg."
+        )
+
+    def _radius(self, of_femur: float, of_tibia: float) -> float:
+        """Radius of the circle across the line that holds a mix of its ends [mm]."""
+        along = (self.femur - self.tibia) / np.linalg.norm(self.femur - self.tibia)
+        across = np.eye(3) - np.outer(along, along)
+        mix = np.hstack([of_femur * across, of_tibia * across])
+        largest = float(np.linalg.eigvalsh(mix @ self.covariance @ mix.T)[-1])
+        return float(np.sqrt(chi2.ppf(LEVEL, 2) * largest))
+
+
+def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
+    """The line of action that explains most of what a fitted model leaves; None if none does.
+
+    Lines are scored where the model is linearised at the fit, and again at the centre of the
+    priors: parameters that were fitted without a strong structure have compensated for it and may
+    be far from those with it. The best lines of both are refitted with all parameters, stiffness,
+    slack strain and both ends free. Lines are then scored again at the best refit, where the
+    parameters are nearly right, until that brings nothing new.
+
+    Parameters
+    ----------
+    base
+        The model without a line, fitted.
+    seed
+        Seed of the choice of lines and of the draws behind the p-value.
+
+    Raises
+    ------
+    ValueError
+        If the fit has no prediction.
+    """
+    fitted = base.fitted
+    lines = candidate_lines(fitted.model.knee, seed=seed)
+    first = scan_lines(fitted, fitted.theta, lines)
+    if first is None:
+        raise ValueError("the fit has no prediction; lines are sought from the best fit")
+    refits = _refits(base, fitted.theta, first)
+    center = fitted.model.parameters.center
+    refits += _refits(base, center, scan_lines(fitted, center, lines))
+    if not any(x.fitted.evaluation.is_finite for x in refits):
+        return None
+    refits += _rescanned(base, refits, lines)
+    best = _lowest(refits)
+    last = refit(base, best.causes, [best.fitted.theta], most_steps=FINE_STEPS)
+    n_simulations = sum(x.fitted.constrained.n_simulations for x in [*refits, last])
+    return _finding(base, first, last, n_simulations, seed)
+
+
+def _rescanned(base: Refit, refits: list[Refit], lines: CandidateLines) -> list[Refit]:
+    """Refits of the lines that score best at the best refit so far."""
+    added: list[Refit] = []
+    best = _lowest(refits)
+    for _ in range(MOST_ROUNDS):
+        scan = scan_lines(best.fitted, best.fitted.theta, lines)
+        added += _refits(base, best.fitted.theta[: best.n_base], scan)
+        lower = _lowest([best, *added])
+        if lower.fitted.deviance > best.fitted.deviance - ENOUGH:
+            break
+        best = lower
+    return added
+
+
+def _refits(base: Refit, theta: Array, scan: LineScan | None) -> list[Refit]:
+    """Refits from theta with the best lines of a scan."""
+    if scan is None:
+        return []
+    return [_refit(base, theta, x) for x in scan.best(TRIES)]
+
+
+def _refit(base: Refit, theta: Array, line: ScannedLine) -> Refit:
+    knee = base.fitted.model.knee
+    structure = MissingStructure(
+        name=NAME,
+        femoral=knee.femur_frame.to_local(line.femur[None]),
+        tibial=knee.tibia_frame.to_local(line.tibia[None]),
+        stiffness_sd=STIFFNESS_SD,
+        site_sd=SITE_SD,
+    )
+    stiffness = max(line.amplitude, LEAST_STIFFNESS)
+    start = np.r_[theta, stiffness, line.strain_pct, np.zeros(6)]
+    return refit(base, [structure], [start], most_steps=ROUGH_STEPS)
+
+
+def _lowest(refits: list[Refit]) -> Refit:
+    return min(refits, key=lambda x: x.fitted.deviance)
+
+
+def _finding(
+    base: Refit, scan: LineScan, last: Refit, n_simulations: int, seed: int
+) -> LineFinding:
+    """The refit and the scan that led to it, in words of the subject."""
+    model, theta, covariance = last.fitted.model, last.fitted.theta, last.covariance()
+    ends, ends_covariance = _ends(model, theta, covariance)
+    cloud = np.random.default_rng(seed).multivariate_normal(ends, ends_covariance, N_CLOUD)
+    trial, force, slope = _largest_force(model, model.predict_once(theta))
+    margin = 1.96 * float(np.sqrt(slope @ covariance @ slope))
+    return LineFinding(
+        refit=last,
+        femur=ends[:3],
+        tibia=ends[3:],
+        covariance=ends_covariance,
+        place=name_of_place(model.knee, cloud[:, :3], cloud[:, 3:]),
+        trial=model.protocol.trials[trial],
+        force=force,
+        force_interval=np.array([max(force - margin, 0.0), force + margin]),
+        score=float(scan.scores.max()),
+        p_value=scan.p_value(seed),
+        misfit_before=base.fitted.misfit,
+        n_simulations=n_simulations,
+        seed=seed,
+    )
+
+
+def _ends(model: LaxityModel, theta: Array, covariance: Array) -> tuple[Array, Array]:
+    """Both ends of the line in the common frame [mm], shape ``(6,)``, and their covariance."""
+    lines, knee = model.setting(theta).lines, model.knee
+    turn = np.zeros((6, 6))
+    turn[:3, :3], turn[3:, 3:] = knee.femur_frame.axes.T, knee.tibia_frame.axes.T
+    ends = np.r_[
+        knee.femur_frame.to_common(lines.femoral[-1]),
+        knee.tibia_frame.to_common(lines.tibial[-1]),
+    ]
+    return ends, turn @ covariance[-6:, -6:] @ turn.T
+
+
+def _largest_force(model: LaxityModel, prediction: Prediction) -> tuple[int, float, Array]:
+    """The trial in which the line pulls most, its force there [N] and the slopes by theta."""
+    theta, slope = prediction.theta, np.zeros(model.parameters.n)
+    pulled = _tensions(model, model.setting(theta), prediction)
+    trial = int(np.nanargmax(np.where(prediction.is_converged, pulled.tensions[:, -1], np.nan)))
+    if prediction.pose_jacobian is not None:
+        slope += pulled.by_pose[trial, -1] @ prediction.pose_jacobian[trial]
+    unchanged, amplitudes = model.setting(theta, is_changed=False), model.amplitudes(theta)
+    for k, move in enumerate(model.extension.moves(), start=model.n_ligament_parameters):
+        low, high = (
+            _tensions(model, model.extension.change(unchanged, amplitudes + x), prediction)
+            for x in (-move, move)
+        )
+        change = high.tensions[trial, -1] - low.tensions[trial, -1]
+        slope[k] += change / (2.0 * move[k - model.n_ligament_parameters])
+    return trial, float(pulled.tensions[trial, -1]), slope
+
+
+def _tensions(model: LaxityModel, setting: Setting, prediction: Prediction) -> LigamentTensions:
+    """Tensions of all lines at the poses of a prediction, the missing one last."""
+    flexion = setting.flexion[model.paths.trial_node]
+    return ligament_tensions(
+        setting.measured_lines,
+        flexion,
+        prediction.poses,
+        setting.stiffness,
+        setting.reference_strain,
+    )
+
+
+LEVER = 20.0  # mm, what a moment is divided by to be compared with a force
+SCALE = np.array([LEVER, LEVER, 1.0, 1.0, 1.0])
+
+
+@declared
+class MissingWrench:
+    """Generalised forces that are missing in n trials: of varus, internal [N mm], x, y, z [N].
+
+    They hold no more than the residuals do, in newtons. Contact is so stiff that noise alone asks
+    for hundreds of newtons along its normals: only what lies outside is fit to be shown. NaN in
+    trials that lack a measured coordinate or did not converge.
+    """
+
+    wrench: Array = array("Missing forces of each trial", "trial", "5")
+    covariance: Array = array("Covariance of their errors", "trial", "5", "5")
+    outside: Array = array(
+        "Their part outside the directions in which contact presses, moments compared with forces "
+        "over a lever of 20 mm",
+        "trial",
+        "5",
+    )
+    outside_covariance: Array = array("Covariance of its errors", "trial", "5", "5")
+    poses: Array = array(
+        "Where the model predicts each trial: varus, internal [rad], x, y, z [mm]", "trial", "5"
+    )
+
+
+def missing_wrench(
+    problem: LaxityResiduals, theta: Array, sd: Array, correlation: float
+) -> MissingWrench:
+    """What is missing in every trial: the Hessian times the way from the predicted pose.
+
+    The Hessian is that of the predicted pose, where contact is well defined. For data counted from
+    the unloaded pose it is what is missing beyond what is missing there.
+
+    Parameters
+    ----------
+    problem
+        The model and the data.
+    theta
+        Where, shape ``(p,)``.
+    sd
+        Standard deviation of each value, shape ``(n, 5)``.
+    correlation
+        What the errors of a trial share.
+
+    Raises
+    ------
+    ValueError
+        If the contact is that of meshes.
+    """
+    model, laxity = problem.model, problem.laxity
+    prediction = model.predict_once(theta)
+    if prediction.hessians is None:
+        raise ValueError('a missing wrench needs a model with contact="field"')
+    seen, _ = model.extension.observed_slopes(
+        coordinates_from_pose(prediction.poses), model.amplitudes(theta), model.tests
+    )
+    is_whole = laxity.is_measured.all(axis=1) & prediction.is_converged
+    shape = is_whole[:, None, None]
+    hessians = np.where(shape, prediction.hessians, np.eye(5))
+    stiffness = hessians @ np.linalg.inv(seen @ coordinate_jacobian(prediction.poses))
+    shared = np.full((5, 5), correlation)
+    np.fill_diagonal(shared, 1.0)
+    errors = sd[:, :, None] * shared * sd[:, None]
+    wrench = np.einsum("nij,nj->ni", stiffness, problem.differences(theta))
+    covariance = stiffness @ errors @ stiffness.transpose(0, 2, 1)
+    kept = np.stack(
+        [
+            _outside_contact(x, model.joint.contact.compartment)
+            for x in trial_contacts(model, prediction)
+        ]
+    )
+    return MissingWrench(
+        wrench=np.where(is_whole[:, None], wrench, np.nan),
+        covariance=np.where(shape, covariance, np.nan),
+        outside=np.where(is_whole[:, None], np.einsum("nij,nj->ni", kept, wrench), np.nan),
+        outside_covariance=np.where(shape, kept @ covariance @ kept.transpose(0, 2, 1), np.nan),
+        poses=prediction.poses,
+    )
+
+
+def _outside_contact(contact: ContactPlaces, compartment: IntArray) -> Array:
+    """What is left (5, 5) of a wrench without its parts along the forces of either contact."""
+    touched = compartment[contact.index]
+    pressed = [
+        contact.force[touched == c] @ contact.deepening[touched == c] / SCALE
+        for c in np.unique(touched)
+    ]
+    if not pressed:
+        return np.eye(5)
+    normals, _ = np.linalg.qr(np.array(pressed).T)
+    kept: Array = (np.eye(5) - normals @ normals.T) * SCALE[:, None] / SCALE
+    return kept
+
+
+@declared
+class MissingPull:
+    """What else would have to act on the tibia, on average over the trials of one kind.
+
+    The part along the plateau: contact hides what presses on it.
+    """
+
+    flexion_deg: float = entry("Flexion of the trials, as on the map of misfit")
+    direction: str = entry("Direction of their load, as on the map of misfit")
+    n_trials: int = entry("How many of them have every coordinate")
+    mean: Array = array(
+        "Anterior and lateral force at the tibial origin [N] and moment of internal rotation about "
+        "the tibial axis [N mm]",
+        "3",
+    )
+    covariance: Array = array("Covariance of its errors", "3", "3")
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of the errors of `mean`, shape ``(3,)``."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def p_value(self) -> float:
+        """Probability that noise alone asks for as much."""
+        square = float(self.mean @ np.linalg.solve(self.covariance, self.mean))
+        return float(stats.chi2.sf(square, 3))
+
+
+def missing_pulls(missing: MissingWrench, layout: TrialLayout) -> tuple[MissingPull, ...]:
+    """The mean of what is missing outside contact, for every flexion and direction with data."""
+    turn = np.stack([_along_plateau(x) for x in missing.poses])
+    values = np.einsum("nij,nj->ni", turn, missing.outside)
+    covariances = turn @ missing.outside_covariance @ turn.transpose(0, 2, 1)
+    is_whole = np.isfinite(values).all(axis=1)
+    pulls = []
+    for flexion in np.unique(layout.flexion_deg):
+        for direction, side in layout.sides().items():
+            own = side & (layout.flexion_deg == flexion) & is_whole
+            n = int(own.sum())
+            if n:
+                pulls.append(
+                    MissingPull(
+                        flexion_deg=float(flexion),
+                        direction=direction,
+                        n_trials=n,
+                        mean=values[own].mean(axis=0),
+                        covariance=covariances[own].sum(axis=0) / n**2,
+                    )
+                )
+    return tuple(pulls)
+
+
+def _along_plateau(pose: Array) -> Array:
+    """Anterior and lateral force and internal moment in tibial axes, of a wrench, ``(3, 5)``."""
+    # Both the pose and its forces are counted in the axes of the flexed tibia before it turns.
+    to_tibia = rotation_matrix(0.0, float(pose[0]), float(pose[1])).T
+    rows = np.zeros((3, 5))
+    rows[:2, 2:] = to_tibia[[0, 2]]
+    rows[2, 1] = 1.0
+    return rows

@@ -1,1 +1,0 @@
-"""The force that a model lacks, where no known cause explains the data."""

@@ -1,0 +1,793 @@
+"""Which trials to add, so that the data tell what they leave open: chosen, predicted, verified.
+
+Where equilibria begin at measured poses, a small change of parameters may lead from one to another.
+What a profile finds then hangs on these jumps; the slopes at the best fit do not.
+
+Both tell of the errors, so that what a trial tells depends on the others. Known as well as the
+others leave them, errors widen what it measures, and it is a trial with noise of its own again.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identknee.calibrate.problem import Problem, restricted, with_nuisance_priors, without_priors
+from identknee.calibrate.quantity import ParameterQuantity, Quantity
+from identknee.identify.design_criteria import (
+    CRITERIA,
+    CandidatePredictions,
+    Candidates,
+    Criterion,
+    Excluded,
+    LocalLoss,
+    Loss,
+    WidthLoss,
+    WithTrials,
+    paths_of,
+    predict_candidates,
+)
+from identknee.identify.nuisances import nuisance_places
+from identknee.identify.profile.profile import ProfileSettings, profile_quantities
+from identknee.identify.profile.result import Profile
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import OF_QUANTITY, array, declared, derived, entry
+from identknee.runs.executors import Executor, serial
+
+MOST_ROUNDS = 20
+# Share of the loss: an exchange that gains less is rounding.
+TOLERANCE = 1e-10
+
+
+def choose(
+    loss: Callable[[Array], Array],
+    beside: Callable[[Sequence[int]], tuple[Array, Array]],
+    allowed: BoolArray,
+    n_chosen: int,
+) -> tuple[int, ...]:
+    """The trials to add, in the order in which they help most; a trial may come more than once.
+
+    Trials are added one by one, each time the one that lowers the loss most. Then each in turn is
+    exchanged for the one that is best in its place, until no exchange helps.
+
+    Parameters
+    ----------
+    loss
+        Loss of rows of summed features, shape ``(k,)`` from ``(k, f)``.
+    beside
+        Features of the trials made with those added, shape ``(f,)``, and of each of the trials that
+        may come next, ``(k, f)``.
+    allowed
+        Which of them may be chosen, shape ``(k,)``.
+    n_chosen
+        How many to choose.
+
+    References
+    ----------
+    V. V. Fedorov, Theory of Optimal Experiments (1972), ISBN 978-0-12-250750-2.
+    """
+    possible = np.flatnonzero(allowed)
+
+    def best_beside(others: list[int]) -> tuple[int, float]:
+        made, trials = beside(others)
+        losses = loss(made + trials[possible])
+        best = int(np.argmin(losses))
+        return int(possible[best]), float(losses[best])
+
+    chosen: list[int] = []
+    value = np.inf
+    for _ in range(n_chosen):
+        best, value = best_beside(chosen)
+        chosen.append(best)
+    for _ in range(MOST_ROUNDS):
+        before = value
+        for place in range(n_chosen):
+            best, new = best_beside(chosen[:place] + chosen[place + 1 :])
+            if new < value - TOLERANCE * abs(value):
+                chosen[place], value = best, new
+        if value >= before:
+            break
+    return _in_order(loss, beside, chosen)
+
+
+def _in_order(
+    loss: Callable[[Array], Array],
+    beside: Callable[[Sequence[int]], tuple[Array, Array]],
+    chosen: list[int],
+) -> tuple[int, ...]:
+    """The chosen ones, each the most helpful of those left after the ones before."""
+    left, ordered = list(chosen), list[int]()
+    while left:
+        made, trials = beside(ordered)
+        best = int(np.argmin(loss(made + trials[left])))
+        ordered.append(left.pop(best))
+    return tuple(ordered)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StraightProblem:
+    """Residuals at theta ``(m,)``, and their slopes ``(m, n)`` wherever they are asked for."""
+
+    parameters: Parameters
+    theta: Array
+    at_theta: Array
+    slopes: Array
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals, shape ``(m,)``."""
+        return np.asarray(self.at_theta + self.slopes @ (theta - self.theta))
+
+    def jacobian(self, theta: Array) -> Array:  # noqa: ARG002 - they are the same everywhere
+        """Their derivatives, shape ``(m, n)``."""
+        return self.slopes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StraightCandidates:
+    """Values of all candidates at theta ``(k, m)``, and their slopes ``(k, m, n)``."""
+
+    names: tuple[str, ...]
+    theta: Array
+    at_theta: Array
+    slopes: Array
+
+    def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """What the chosen trials would measure, and its derivatives, as the candidates do."""
+        slopes = self.slopes[list(chosen)]
+        return self.at_theta[list(chosen)] + slopes @ (theta - self.theta), slopes
+
+
+def straight(
+    problem: Problem, theta: Array, candidates: Candidates
+) -> tuple[Problem, StraightCandidates]:
+    """Both as they are at theta and along their slopes there, priors of nuisances as they are."""
+    data = without_priors(problem)
+    lines = StraightProblem(
+        parameters=problem.parameters,
+        theta=theta,
+        at_theta=data.residuals(theta),
+        slopes=data.jacobian(theta),
+    )
+    values, slopes = candidates.predict(theta, range(len(candidates.names)))
+    offered = StraightCandidates(
+        names=tuple(candidates.names), theta=theta, at_theta=values, slopes=slopes
+    )
+    return with_nuisance_priors(lines), offered
+
+
+# Of a stated standard deviation: what is left of it where an error is known better.
+SHARE = 0.5
+
+
+@declared
+class Narrowing:
+    """What one more trial, or one stated error known twice as well, leaves of each target.
+
+    Widths are predicted along the profiles, as `WidthLoss` says.
+    """
+
+    errors: tuple[str, ...] = array(
+        "Stated errors that may be known better, such as insertion.ACL_femur",
+        "error",
+        is_in_arrays=False,
+    )
+    now: Array = array(
+        "Width of each target's interval now, an open end continued in proportion",
+        "target",
+        unit=OF_QUANTITY,
+        key="width_now",
+    )
+    with_trial: Array = array(
+        "Predicted width with one candidate added; NaN for those excluded",
+        *("candidate", "target"),
+        unit=OF_QUANTITY,
+        key="width_with_trial",
+    )
+    with_error_halved: Array = array(
+        "Predicted width with the stated standard deviation of one error halved",
+        *("error", "target"),
+        unit=OF_QUANTITY,
+        key="width_with_error_halved",
+    )
+
+    @property
+    def by_trial(self) -> Array:
+        """Share by which each candidate narrows each target, shape ``(k, t)``; NaN if excluded."""
+        return np.asarray(1.0 - self.with_trial / self.now)
+
+    @property
+    def by_error(self) -> Array:
+        """Share by which each error known better narrows each target, shape ``(e, t)``."""
+        return np.asarray(1.0 - self.with_error_halved / self.now)
+
+
+def narrowing(
+    width: WidthLoss,
+    features: tuple[Array, Array],
+    allowed: BoolArray,
+    halved: Mapping[str, Array],
+) -> Narrowing:
+    """How trials and errors known better narrow the targets, one at a time.
+
+    Parameters
+    ----------
+    width
+        The profiles of the targets.
+    features
+        Of the trials made, shape ``(f,)``, and of the candidates, ``(k, f)``.
+    allowed
+        Which candidates are offered, shape ``(k,)``.
+    halved
+        Features of each error known twice as well, shape ``(1, f)``, by its name.
+    """
+    made, trials = features
+    with_trial = np.full((len(trials), len(width.paths)), np.nan)
+    with_trial[allowed] = _widths(width, made + trials[allowed])
+    return Narrowing(
+        errors=tuple(halved),
+        now=_widths(width, made[None])[0],
+        with_trial=with_trial,
+        with_error_halved=_widths(
+            width, made + np.vstack([np.empty((0, made.size)), *halved.values()])
+        ),
+    )
+
+
+def errors_halved(
+    width: WidthLoss, points: CandidatePredictions, parameters: Parameters
+) -> dict[str, Array]:
+    """Features of errors that are parameters, their standard deviations halved, ``(1, f)`` each."""
+    groups = nuisance_places(parameters)
+    return {name: width.of_trials(*_as_trial(points, parameters, x)) for name, x in groups.items()}
+
+
+def mean_share(shares: Array) -> float:
+    """The share by which intervals narrow by the geometric mean of what is left of them.
+
+    Examples
+    --------
+    >>> round(mean_share(np.array([0.5, 0.0])), 3)
+    0.293
+    """
+    return float(1.0 - np.exp(np.mean(np.log1p(-shares))))
+
+
+def _widths(width: WidthLoss, features: Array) -> Array:
+    """Predicted widths of the targets, shape ``(k, t)``."""
+    return np.stack([ends[:, 1] - ends[:, 0] for ends, _ in width.intervals(features)], axis=1)
+
+
+def _as_trial(
+    points: CandidatePredictions, parameters: Parameters, places: list[int]
+) -> tuple[Array, Array]:
+    """The parameters at `places` measured so well that their priors narrow to `SHARE`.
+
+    Values ``(q, 1, m)`` in units of that measurement's noise, derivatives ``(q, 1, m, n)`` by the
+    scaled parameters.
+    """
+    per_unit = np.sqrt(SHARE**-2 - 1.0) / parameters.prior_sd[places]
+    slopes = np.zeros((len(places), parameters.n))
+    slopes[np.arange(len(places)), places] = per_unit * points.scales[places]
+    values = points.thetas[:, None, places] * per_unit
+    return values, np.broadcast_to(slopes, (len(values), 1, *slopes.shape))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Marginal:
+    """A problem in which errors change residuals along straight lines and are averaged over.
+
+    Attributes
+    ----------
+    problem
+        Residuals in units of their noise where the errors are as they fit best.
+    slopes
+        Change of each residual with one prior standard deviation of each error, shape ``(m, e)``.
+    offset
+        Middle of the priors less the best fit, in prior standard deviations, shape ``(e,)``.
+    """
+
+    problem: Problem
+    slopes: Array
+    offset: Array
+    _whitening: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        covariance = np.eye(len(self.slopes)) + self.slopes @ self.slopes.T
+        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        object.__setattr__(self, "_whitening", whitening)
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters of interest."""
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals, errors at the middle of their priors, in units of noise and errors, (m,)."""
+        residuals = self.problem.residuals(theta)
+        if not np.isfinite(residuals).all():
+            return residuals
+        return np.asarray(self._whitening @ (residuals + self.slopes @ self.offset))
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives of the same, shape ``(m, n)``."""
+        return np.asarray(self._whitening @ self.problem.jacobian(theta))
+
+
+def marginal(problem: Problem, theta: Array) -> Marginal:
+    """The problem of the parameters of interest alone.
+
+    Parameters
+    ----------
+    problem
+        In units of noise, with nuisances.
+    theta
+        Its best fit, shape ``(n,)``.
+    """
+    parameters = problem.parameters
+    is_error, data = ~parameters.is_of_interest, without_priors(problem)
+    held = np.array(parameters.names)[is_error].tolist()
+    sd = parameters.prior_sd[is_error]
+    return Marginal(
+        problem=restricted(data, held, theta),
+        slopes=data.jacobian(theta)[:, is_error] * sd,
+        offset=(parameters.center - theta)[is_error] / sd,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AtBestErrors:
+    """Candidates as they would be with the errors as they fit best.
+
+    Attributes
+    ----------
+    candidates
+        Predicted for all parameters.
+    theta
+        The best fit of all, shape ``(n,)``.
+    is_of_interest
+        Which of them vary, shape ``(n,)``.
+    """
+
+    candidates: Candidates
+    theta: Array
+    is_of_interest: BoolArray
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the trials."""
+        return self.candidates.names
+
+    def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """As the candidates do, for the parameters of interest."""
+        whole = np.array(self.theta)
+        whole[self.is_of_interest] = theta
+        values, jacobians = self.candidates.predict(whole, chosen)
+        return values, jacobians[:, :, self.is_of_interest]
+
+
+class Known(NamedTuple):
+    """Errors as some trials leave them, at q points: mean, its slope and covariance."""
+
+    mean: Array
+    slope: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SharedErrors:
+    """A problem whose nuisances its candidates share.
+
+    Attributes
+    ----------
+    problem
+        The parameters of interest alone, see `Marginal`.
+    candidates
+        The trials that may be added.
+    slopes
+        Change of each value of a candidate with one prior standard deviation of each error, shape
+        ``(k, m, e)``; NaN where the candidate has no prediction.
+    groups
+        Which errors belong together, by name.
+    """
+
+    problem: Marginal
+    candidates: AtBestErrors
+    slopes: Array
+    groups: dict[str, list[int]]
+
+    def with_trials(self, chosen: tuple[int, ...], theta: Array) -> Marginal:
+        """The problem with the chosen trials as they would come out at theta, without errors."""
+        measured, _ = self.candidates.predict(theta, chosen)
+        whole = WithTrials(
+            problem=self.problem.problem,
+            candidates=self.candidates,
+            chosen=chosen,
+            measured=measured,
+        )
+        added = self.slopes[list(chosen)].reshape(measured.size, -1)
+        return replace(self.problem, problem=whole, slopes=np.vstack([self.problem.slopes, added]))
+
+    def known(self, points: CandidatePredictions) -> Known:
+        """The errors as the trials made leave them, less their best fit, at the points."""
+        slopes, inner = self.problem.slopes, self.problem.problem
+        covariance = np.asarray(np.linalg.inv(np.eye(slopes.shape[1]) + slopes.T @ slopes), float)
+        gain = -covariance @ slopes.T
+        residuals = np.array([inner.residuals(x) for x in points.thetas])
+        jacobians = np.array([inner.jacobian(x) for x in points.thetas]) * points.scales
+        return Known(
+            mean=(residuals - residuals[0]) @ gain.T,
+            slope=gain @ jacobians,
+            covariance=covariance,
+        )
+
+
+def told(known: Known, values: Array, jacobians: Array, slopes: Array) -> tuple[Array, Array]:
+    """What k trials tell beside those that the errors are known from, as of independent noise.
+
+    Parameters
+    ----------
+    known
+        The errors.
+    values, jacobians
+        Of the trials, shapes ``(q, k, m)`` and ``(q, k, m, n)``.
+    slopes
+        Their change with the errors, shape ``(k, m, e)``.
+    """
+    spread = np.eye(slopes.shape[1]) + slopes @ known.covariance @ slopes.mT
+    whitening = np.linalg.inv(np.linalg.cholesky(spread))
+    values = values + np.einsum("kme,qe->qkm", slopes, known.mean)
+    jacobians = jacobians + np.einsum("kme,qen->qkmn", slopes, known.slope, optimize=True)
+    return (
+        np.einsum("kab,qkb->qka", whitening, values),
+        np.einsum("kab,qkbn->qkan", whitening, jacobians, optimize=True),
+    )
+
+
+def better_known(known: Known, value: Array, jacobian: Array, slopes: Array) -> Known:
+    """The errors with one more trial, its change from the best fit ``(q, m)`` and ``(q, m, n)``."""
+    spread = np.eye(len(slopes)) + slopes @ known.covariance @ slopes.T
+    gain = np.linalg.solve(spread, slopes @ known.covariance).T
+    # Beyond what the data allow a trial may have no prediction: it then says nothing.
+    value = np.nan_to_num(value + known.mean @ slopes.T)
+    jacobian = np.nan_to_num(jacobian + slopes @ known.slope)
+    return Known(
+        mean=known.mean - value @ gain.T,
+        slope=known.slope - gain @ jacobian,
+        covariance=known.covariance - gain @ slopes @ known.covariance,
+    )
+
+
+def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> SharedErrors:
+    """The nuisances of a problem as errors that its candidates share, about the best fit theta."""
+    parameters = problem.parameters
+    is_asked = parameters.is_of_interest
+    _, jacobians = candidates.predict(theta, range(len(candidates.names)))
+    errors = np.flatnonzero(~is_asked)
+    place = {int(x): i for i, x in enumerate(errors)}
+    return SharedErrors(
+        problem=marginal(problem, theta),
+        candidates=AtBestErrors(candidates=candidates, theta=theta, is_of_interest=is_asked),
+        slopes=jacobians[:, :, errors] * parameters.prior_sd[errors],
+        groups={name: [place[i] for i in x] for name, x in nuisance_places(parameters).items()},
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Telling:
+    """Features of the trials made with some added, and of each trial that may follow.
+
+    Attributes
+    ----------
+    loss
+        Whose features.
+    points
+        Where trials were predicted.
+    allowed
+        Which candidates are offered, shape ``(k,)``.
+    shared, known
+        The errors that trials share, and as the trials made leave them; None where there are none.
+    """
+
+    loss: Loss
+    points: CandidatePredictions
+    allowed: BoolArray
+    shared: SharedErrors | None = None
+    known: Known | None = None
+
+    def beside(self, others: Sequence[int]) -> tuple[Array, Array]:
+        """Features of the trials made and `others`, shape ``(f,)``, and of each next, ``(k, f)``.
+
+        Zero for those not offered.
+        """
+        made, trials = self.points.features(self.loss, self.allowed)
+        known = self.known
+        if known is None:
+            return made + trials[list(others)].sum(axis=0), trials
+        for trial in others:
+            own = self._of([trial])
+            made = made + self.loss.of_trials(*told(known, *own))[0]
+            known = better_known(known, own[0][:, 0], own[1][:, 0], own[2][0])
+        offered = np.flatnonzero(self.allowed)
+        trials[offered] = self.loss.of_trials(*told(known, *self._of(offered.tolist())))
+        return made, trials
+
+    def halved(self) -> dict[str, Array]:
+        """Features of errors whose standard deviation is halved, each ``(1, f)``, by name."""
+        if self.shared is None or self.known is None:
+            return {}
+        n = self.shared.slopes.shape[2]
+        q, _, _, p = self.points.jacobians.shape
+        found = {}
+        for name, places in self.shared.groups.items():
+            m = len(places)
+            slopes = np.sqrt(SHARE**-2 - 1.0) * np.eye(n)[None, places]
+            rows = told(self.known, np.zeros((q, 1, m)), np.zeros((q, 1, m, p)), slopes)
+            found[name] = self.loss.of_trials(*rows)
+        return found
+
+    def _of(self, trials: list[int]) -> tuple[Array, Array, Array]:
+        """Changes of trials from the best fit, their derivatives, and their slopes."""
+        if self.shared is None:  # pragma: no cover - asked for with shared errors only
+            raise AssertionError
+        values = self.points.values[:, trials]
+        return values - values[0], self.points.jacobians[:, trials], self.shared.slopes[trials]
+
+
+NONE_ALLOWED = (
+    "no candidate has a prediction at all parameter sets that the data allow; offer others"
+)
+ProfilesOf = Callable[[Problem, ArrayLike, Sequence[Quantity]], tuple[Profile, ...]]
+
+
+@declared
+class ChosenTrials:
+    """Trials to add, with what was predicted of them and what they achieve."""
+
+    criterion: Criterion = entry("What was made small")
+    names: tuple[str, ...] = array("Names of the candidates", "candidate", is_in_arrays=False)
+    targets: tuple[str, ...] = array(
+        "Quantities whose intervals were to shrink", "target", is_in_arrays=False
+    )
+    chosen: tuple[int, ...] = entry(
+        "Places of the trials to add among the candidates, the most helpful first; one that comes "
+        "twice is to be made twice",
+        unit="1",
+    )
+    excluded: tuple[Excluded, ...] = entry("Candidates that were not offered")
+    losses: Array = array("Loss before and after each added trial", "step", key="loss")
+    alone: Array = array(
+        "Loss with each candidate alone added; NaN for those excluded",
+        "candidate",
+        key="loss_alone",
+    )
+    predicted: Array = array(
+        "Predicted interval of each target before and after each added trial; NaN for an end that "
+        "stays open",
+        *("step", "target", "end"),
+        unit=OF_QUANTITY,
+    )
+    sds: Array = array(
+        "Standard deviation of each target by the linear model at the best fit",
+        *("step", "target"),
+        unit=OF_QUANTITY,
+        key="sd",
+    )
+    before: Mapping[str, Profile] = entry(
+        "Profile of each target on the data as they are", rows="target", group="profile_before"
+    )
+    after: Mapping[str, Profile] = entry(
+        "Profile of each target with the added trials simulated at the best fit",
+        rows="target",
+        group="profile_after",
+    )
+    n_simulations: int = entry("Simulations made, profiles included", unit="1")
+    narrowing: Narrowing = entry(
+        "What one trial, or one stated error known better, tells by itself", is_inline=True
+    )
+
+    def __post_init__(self) -> None:
+        if not self.before or any(tuple(x) != self.targets for x in (self.before, self.after)):
+            raise ValueError("the profiles are not those of the targets")
+        if not all(0 <= i < len(self.names) for i in self.chosen):
+            raise ValueError("a trial that was chosen is none of the candidates")
+
+    @property
+    @derived(
+        "Predicted ends of each target's interval with all trials added; null where it stays open",
+        unit=OF_QUANTITY,
+        key="predicted",
+    )
+    def predicted_ends(self) -> dict[str, tuple[float | None, float | None]]:
+        """Ends of each target's interval as predicted with all trials added."""
+        ends = [tuple(None if np.isnan(x) else float(x) for x in row) for row in self.predicted[-1]]
+        return {name: (low, high) for name, (low, high) in zip(self.targets, ends, strict=True)}
+
+    @property
+    @derived(
+        "Every candidate offered and every stated error, the most helpful first: what it is, its "
+        "name, and the share by which it narrows the targets by itself: one more trial, or the "
+        "error's standard deviation halved; the geometric mean over the targets, predicted"
+    )
+    def ranking(self) -> tuple[dict[str, Any], ...]:
+        """Trials and errors known better, in the order in which they narrow the targets."""
+        parts = (
+            ("trial", self.names, self.narrowing.by_trial),
+            ("error", self.narrowing.errors, self.narrowing.by_error),
+        )
+        rows: list[dict[str, Any]] = [
+            {"kind": kind, "name": name, "narrowing": mean_share(shares)}
+            for kind, names, table in parts
+            for name, shares in zip(names, table, strict=True)
+            if np.isfinite(shares).all()
+        ]
+        return tuple(sorted(rows, key=lambda row: -row["narrowing"]))
+
+    @property
+    @derived("Number of candidates", unit="1")
+    def n_candidates(self) -> int:
+        """Number of candidates."""
+        return len(self.names)
+
+    @property
+    def trials(self) -> tuple[str, ...]:
+        """Names of the trials to add, the most helpful first."""
+        return tuple(self.names[i] for i in self.chosen)
+
+
+def design(
+    problem: Problem,
+    optimum_theta: ArrayLike,
+    candidates: Candidates,
+    *,
+    n_trials: int,
+    targets: Sequence[Quantity] = (),
+    criterion: Criterion = "width",
+    executor: Executor = serial,
+    **settings: Unpack[ProfileSettings],
+) -> ChosenTrials:
+    """The trials that, added to the data, close or shrink the intervals of the targets most.
+
+    The targets are profiled on the data. Every candidate is predicted along these profiles; one
+    that has no prediction at a parameter set that the data allow is excluded. The trials are chosen
+    greedily and by exchange, simulated at the best fit, and the targets profiled again.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise.
+    optimum_theta
+        The best fit, shape ``(n,)``.
+    candidates
+        Trials to choose from.
+    n_trials
+        How many to add.
+    targets
+        Quantities whose intervals are to shrink; the parameters of interest with an open interval
+        if none is given, all of interest where no interval is open.
+    criterion
+        ``"width"`` for the predicted widths of the targets' profiles, ``"c"`` for their variances
+        at the best fit, ``"D"``, ``"A"`` or ``"E"`` for the determinant, the trace or the largest
+        eigenvalue of the covariance of the parameters of interest in typical steps.
+    executor
+        Anything with an ordered ``map``; the result is the same whichever it is.
+    settings
+        Those of `profile_quantities`: ``level, budget, starts, thresholds``.
+
+    Raises
+    ------
+    ValueError
+        If `n_trials` is less than 1, the criterion is unknown, all parameters are nuisances, the
+        model has no prediction at the best fit, or every candidate is excluded.
+    """
+    _check(problem, n_trials, criterion)
+    profiles_of = partial(profile_quantities, executor=executor, **settings)
+    theta = np.asarray(optimum_theta, dtype=np.float64)
+    shared = _shared(problem, theta, candidates, targets)
+    if shared is not None:
+        targets = [_of_interest(x, shared.problem.parameters) for x in targets]
+        theta = theta[problem.parameters.is_of_interest]
+        problem, candidates = shared.problem, shared.candidates
+    quantities, before = _profiled(problem, theta, profiles_of, targets)
+    points = predict_candidates(problem, before, candidates, executor)
+    excluded = points.excluded(candidates.names)
+    allowed = ~np.isin(candidates.names, [x.name for x in excluded])
+    if not allowed.any():
+        raise ValueError(NONE_ALLOWED)
+    gradients = np.array([x.evaluate(points.thetas[0])[1] for x in quantities]) * points.scales
+    width = WidthLoss(paths=paths_of(before, quantities, points.scales))
+    local = LocalLoss(
+        criterion=criterion,
+        gradients=gradients,
+        is_of_interest=problem.parameters.is_of_interest,
+    )
+    loss: Loss = width if criterion == "width" else local
+    known = None if shared is None else shared.known(points)
+    telling = Telling(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
+    chosen = choose(loss, telling.beside, allowed, n_trials)
+    along = replace(telling, loss=width)
+    halved = errors_halved(width, points, problem.parameters) if shared is None else along.halved()
+    adding = partial(_with_trials, problem, candidates) if shared is None else shared.with_trials
+    whole = adding(chosen, points.thetas[0])
+    after = profiles_of(whole, points.thetas[0], quantities)
+    return ChosenTrials(
+        criterion=criterion,
+        names=tuple(candidates.names),
+        targets=tuple(x.name for x in before),
+        chosen=chosen,
+        excluded=excluded,
+        losses=loss(_stages(telling, chosen)),
+        alone=np.where(allowed, loss(np.add(*telling.beside(()))), np.nan),
+        predicted=_intervals(width, _stages(along, chosen)),
+        sds=np.sqrt(local.variances(_stages(replace(telling, loss=local), chosen))),
+        narrowing=narrowing(width, along.beside(()), allowed, halved),
+        before={x.name: x for x in before},
+        after={x.name: x for x in after},
+        n_simulations=points.n_simulations + sum(x.n_simulations for x in (*before, *after)),
+    )
+
+
+def _check(problem: Problem, n_trials: int, criterion: Criterion) -> None:
+    if n_trials < 1:
+        raise ValueError(f"the number of trials to add must be at least 1, got {n_trials}")
+    if criterion not in CRITERIA:
+        raise ValueError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
+    if not problem.parameters.is_of_interest.any():
+        raise ValueError("all parameters of interest are fixed; leave at least one free")
+
+
+def _shared(
+    problem: Problem, theta: Array, candidates: Candidates, targets: Sequence[Quantity]
+) -> SharedErrors | None:
+    """The nuisances averaged over; None without any, or where a target is no parameter."""
+    is_error = ~problem.parameters.is_of_interest
+    if not (is_error.any() and all(isinstance(x, ParameterQuantity) for x in targets)):
+        return None
+    return shared_errors(problem, theta, candidates)
+
+
+def _of_interest(target: Quantity, parameters: Parameters) -> Quantity:
+    return ParameterQuantity(parameters=parameters, name=target.name)
+
+
+def _profiled(
+    problem: Problem, theta: Array, profiles_of: ProfilesOf, targets: Sequence[Quantity]
+) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
+    """The targets and their profiles; those that need it most where none is given."""
+    if not targets:
+        return _needy(problem, theta, profiles_of)
+    return tuple(targets), profiles_of(problem, theta, targets)
+
+
+def _needy(
+    problem: Problem, theta: ArrayLike, profiles_of: ProfilesOf
+) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
+    """Those of interest with an open interval, all where none is, and their profiles."""
+    parameters = problem.parameters
+    every = [ParameterQuantity(parameters=parameters, name=x) for x in parameters.names_of_interest]
+    profiles = profiles_of(problem, theta, every)
+    is_open = [x.lower is None or x.upper is None for x in profiles]
+    chosen = [i for i in range(len(every)) if is_open[i] or not any(is_open)]
+    return tuple(every[i] for i in chosen), tuple(profiles[i] for i in chosen)
+
+
+def _stages(telling: Telling, chosen: tuple[int, ...]) -> Array:
+    """Features before and after each of the chosen trials, shape ``(n_trials + 1, f)``."""
+    return np.array([telling.beside(chosen[:i])[0] for i in range(len(chosen) + 1)])
+
+
+def _intervals(width: WidthLoss, features: Array) -> Array:
+    """Predicted intervals, shape ``(n_trials + 1, t, 2)``; NaN for open ends."""
+    found = [np.where(is_open, np.nan, ends) for ends, is_open in width.intervals(features)]
+    return np.stack(found, axis=1)
+
+
+def _with_trials(
+    problem: Problem, candidates: Candidates, chosen: tuple[int, ...], theta: Array
+) -> WithTrials:
+    """The problem with the chosen trials as they would come out at theta, without errors."""
+    measured, _ = candidates.predict(theta, chosen)
+    return WithTrials(problem=problem, candidates=candidates, chosen=chosen, measured=measured)

@@ -1,1 +1,0 @@
-"""Trials to add to a protocol: which of them would tell most."""

@@ -1,0 +1,445 @@
+"""What makes a set of added trials good: losses that a sum over the trials determines.
+
+Every trial has features, numbers that add up over the trials of a set; a loss is a function of the
+sum. A set is then judged without another simulation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Literal, Protocol
+
+import numpy as np
+
+from identknee.calibrate.evaluation import evaluate
+from identknee.calibrate.problem import Problem
+from identknee.calibrate.quantity import Quantity
+from identknee.identify.information import scaled_units
+from identknee.identify.profile.result import Profile
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared, derived, entry
+from identknee.runs.executors import Executor
+
+Criterion = Literal["D", "A", "E", "c", "width"]
+CRITERIA: tuple[Criterion, ...] = ("D", "A", "E", "c", "width")
+# A direction that nothing determines counts as known to 1,000 scaled units.
+LEAST_INFORMATION = 1e-6
+# Least rise of the root of the deviance: one flatter would be extrapolated without limit.
+LEAST_RISE = 1e-6
+# Share of that root: how far below the threshold a profile may end that was followed to it.
+END_TOLERANCE = 1e-3
+
+
+class Loss(Protocol):
+    """A number to be made small."""
+
+    def of_made(self, information: Array) -> Array:
+        """Features of the trials made, shape ``(f,)``, from their scaled information at the points.
+
+        The information has shape ``(q, n, n)``.
+        """
+        ...
+
+    def of_trials(self, values: Array, jacobians: Array) -> Array:
+        """Features of k trials, shape ``(k, f)``.
+
+        From their predictions at q points in units of the noise, shape ``(q, k, m)``, and the
+        derivatives of these by the scaled parameters, ``(q, k, m, n)``.
+        """
+        ...
+
+    def __call__(self, features: Array) -> Array:
+        """The loss of each row of summed features, shape ``(k,)`` from ``(k, f)``."""
+        ...
+
+
+@declared
+class LocalLoss:
+    """D-, A-, E- or c-optimality of the information at the first point, the best fit.
+
+    What is asked is the covariance of the parameters of interest, nuisances integrated out.
+
+    Attributes
+    ----------
+    criterion
+        ``"D"``: minus the log determinant; ``"A"``: the trace of the covariance; ``"E"``: its
+        largest eigenvalue; ``"c"``: the log variances of the targets, summed.
+    gradients
+        Gradients of the targets by the scaled parameters at the best fit, shape ``(t, n)``.
+    is_of_interest
+        Which parameters are no nuisances, shape ``(n,)``.
+
+    References
+    ----------
+    A. C. Atkinson, A. N. Donev and R. D. Tobias, Optimum Experimental Designs, with SAS (2007),
+    chapter 10, ISBN 978-0-19-929660-6.
+    """
+
+    criterion: Criterion
+    gradients: Array
+    is_of_interest: BoolArray
+
+    def of_made(self, information: Array) -> Array:
+        """The scaled information at the best fit, shape ``(n n,)``."""
+        return np.asarray(information[0].ravel())
+
+    def of_trials(self, values: Array, jacobians: Array) -> Array:
+        """Scaled information of each trial at the best fit, shape ``(k, n n)``."""
+        at_fit = jacobians[0]
+        return np.asarray(np.einsum("kmi,kmj->kij", at_fit, at_fit).reshape(values.shape[1], -1))
+
+    def __call__(self, features: Array) -> Array:
+        """The loss of each information, shape ``(k,)``."""
+        if self.criterion == "c":
+            return np.asarray(np.log(self.variances(features)).sum(axis=1))
+        eigenvalues = np.linalg.eigvalsh(self._of_interest(self._matrices(features)))
+        if self.criterion == "D":
+            return np.asarray(-np.log(eigenvalues).sum(axis=1))
+        if self.criterion == "A":
+            return np.asarray((1.0 / eigenvalues).sum(axis=1))
+        return np.asarray(1.0 / eigenvalues[:, 0])
+
+    def variances(self, features: Array) -> Array:
+        """Variance of each target by the linear model, shape ``(k, t)``."""
+        inverse = np.linalg.inv(self._matrices(features))
+        return np.asarray(np.einsum("ti,kij,tj->kt", self.gradients, inverse, self.gradients))
+
+    def _matrices(self, features: Array) -> Array:
+        n = self.gradients.shape[1]
+        return np.asarray(features.reshape(-1, n, n) + LEAST_INFORMATION * np.eye(n))
+
+    def _of_interest(self, matrices: Array) -> Array:
+        """Inverses of the covariances of the parameters of interest: Schur complements."""
+        asked = np.flatnonzero(self.is_of_interest)
+        rest = np.flatnonzero(~self.is_of_interest)
+        own, shared = (matrices[:, asked[:, None], x] for x in (asked, rest))
+        within = matrices[:, rest[:, None], rest]
+        taken = shared @ np.linalg.solve(within, np.swapaxes(shared, 1, 2))
+        return np.asarray(own - taken)
+
+
+@declared
+class Path:
+    """The profile of one target as it is before trials are added.
+
+    Attributes
+    ----------
+    places
+        Where its s points stand among the points at which trials are predicted, shape ``(s,)``.
+    values, deltas
+        The target there, from low to high, and the rise of the deviance, shape ``(s,)``.
+    across
+        Orthonormal directions of the scaled parameters that leave the target as it is, ``(s, n,
+        n - 1)``.
+    center
+        The target at the best fit.
+    threshold
+        Rise of the deviance that bounds the interval.
+    """
+
+    places: IntArray
+    values: Array
+    deltas: Array
+    across: Array
+    center: float
+    threshold: float
+
+    def ends(self, deltas: Array) -> tuple[Array, BoolArray]:
+        """Interval ends for k profiles on the same points, shape ``(k, 2)``, and which are open.
+
+        Between points the root of the deviance is linear. An open end is put where the root would
+        reach the threshold if it went on in proportion.
+        """
+        ends, is_open = np.empty((len(deltas), 2)), np.zeros((len(deltas), 2), bool)
+        for side, sign in enumerate((-1.0, 1.0)):
+            chosen = np.flatnonzero(sign * (self.values - self.center) > 0)[:: int(sign)]
+            away = np.concatenate([[0.0], np.abs(self.values[chosen] - self.center)])
+            roots = np.sqrt(np.maximum(deltas[:, chosen], 0.0))
+            roots = np.hstack([np.zeros((len(deltas), 1)), roots])
+            reach, goes_on = _first_crossing(away, roots, float(np.sqrt(self.threshold)))
+            is_open[:, side] = goes_on
+            ends[:, side] = self.center + sign * reach
+        return ends, is_open
+
+
+@declared
+class WidthLoss:
+    """Predicted widths of the targets' profiles, the sum of their logarithms.
+
+    At every point of a target's profile the deviance of the added trials, at the values they would
+    have at the best fit, is added, and the parameters that are free there give way by one linear
+    step: an open end may close that a variance at the best fit knows nothing of.
+
+    Attributes
+    ----------
+    paths
+        The profiles of the targets.
+    """
+
+    paths: Sequence[Path]
+
+    def of_made(self, information: Array) -> Array:
+        """Each point's curvature across the target, no slope, and the rise of the deviance."""
+        parts = []
+        for path in self.paths:
+            at = information[path.places]
+            curved = np.einsum("sia,sij,sjb->sab", path.across, at, path.across)
+            parts += [curved.ravel(), np.zeros(path.across[:, 0].size), path.deltas]
+        return np.concatenate(parts)
+
+    def of_trials(self, values: Array, jacobians: Array) -> Array:
+        """Each point's curvature and slope across the target and the rise, for each trial."""
+        k, parts = values.shape[1], []
+        for path in self.paths:
+            away = values[path.places] - values[0]
+            across = np.einsum("skmi,sia->skma", jacobians[path.places], path.across)
+            # Beyond what the data allow a trial may have no prediction: it then says nothing.
+            known = np.isfinite(away).all(axis=2) & np.isfinite(across).all(axis=(2, 3))
+            away = np.where(known[:, :, None], away, 0.0)
+            across = np.where(known[:, :, None, None], across, 0.0)
+            curved = np.einsum("skma,skmb->ksab", across, across)
+            slope = np.einsum("skma,skm->ksa", across, away)
+            rise = np.einsum("skm,skm->ks", away, away)
+            parts += [curved.reshape(k, -1), slope.reshape(k, -1), rise]
+        return np.hstack(parts)
+
+    def __call__(self, features: Array) -> Array:
+        """The sum of the log widths, shape ``(k,)``."""
+        total = np.zeros(len(features))
+        for ends, _ in self.intervals(features):
+            total += np.log(np.maximum(ends[:, 1] - ends[:, 0], np.finfo(np.float64).tiny))
+        return total
+
+    def intervals(self, features: Array) -> list[tuple[Array, BoolArray]]:
+        """Each target's predicted ends, ``(k, 2)``, and which of them are open."""
+        intervals, k, at = [], len(features), 0
+        for path in self.paths:
+            s, _, a = path.across.shape
+            sizes = np.cumsum([at, s * a * a, s * a, s])
+            curved, slope, rise = (features[:, i:j] for i, j in pairwise(sizes))
+            at = int(sizes[-1])
+            matrices = curved.reshape(k, s, a, a) + LEAST_INFORMATION * np.eye(a)
+            column = slope.reshape(k, s, a, 1)
+            saved = (column * np.linalg.solve(matrices, column)).sum(axis=(2, 3))
+            intervals.append(path.ends(rise - saved))
+        return intervals
+
+
+def directions_across(gradients: Array) -> Array:
+    """Orthonormal directions across each gradient (s, n), shape ``(s, n, n - 1)``."""
+    _, _, rows = np.linalg.svd(gradients[:, None, :], full_matrices=True)
+    return np.asarray(np.swapaxes(rows[:, 1:], 1, 2))
+
+
+def _first_crossing(away: Array, roots: Array, level: float) -> tuple[Array, BoolArray]:
+    """How far out each row of roots first reaches the level, and which rows do not."""
+    above = roots >= (1.0 - END_TOLERANCE) * level
+    goes_on: BoolArray = np.asarray(~above.any(axis=1))
+    after = np.where(goes_on, len(away) - 1, np.argmax(above, axis=1))
+    rows, before = np.arange(len(roots)), np.maximum(after - 1, 0)
+    rise = roots[rows, after] - roots[rows, before]
+    share = (level - roots[rows, before]) / np.where(rise > 0, rise, 1.0)
+    between = away[before] + share * (away[after] - away[before])
+    beyond = away[-1] * level / np.maximum(roots[:, -1], LEAST_RISE)
+    return np.where(goes_on, beyond, between), goes_on
+
+
+class Candidates(Protocol):
+    """Trials that might be added, as a model predicts them."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the k trials, no two alike."""
+        ...
+
+    def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """What the chosen trials would measure at `theta`, and its derivatives by theta.
+
+        In units of the noise, errors independent, shapes ``(k, m)`` and ``(k, m, n)``; NaN in all
+        of a trial that has no prediction. A trial may be chosen more than once.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WithTrials:
+    """A problem with the residuals of added trials.
+
+    Attributes
+    ----------
+    problem
+        The problem as it was.
+    candidates
+        Where the added trials come from.
+    chosen
+        Which of them were added.
+    measured
+        What they measured, in units of their noise, shape ``(k, m)``.
+    """
+
+    problem: Problem
+    candidates: Candidates
+    chosen: tuple[int, ...]
+    measured: Array
+    _last: dict[bytes, Array] = field(init=False, repr=False, default_factory=dict)
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the problem."""
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Those of the problem, then those of the added trials; all infinite if any is."""
+        made = self.problem.residuals(theta)
+        values, jacobians = self.candidates.predict(theta, self.chosen)
+        added = (values - self.measured).ravel()
+        if not (np.isfinite(added).all() and np.isfinite(made).all()):
+            return np.full(made.size + added.size, np.inf)
+        self._last.clear()
+        self._last[theta.tobytes()] = jacobians.reshape(added.size, -1)
+        return np.concatenate([made, added])
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives of the same, shape ``(m, n)``."""
+        added = self._last.get(theta.tobytes())
+        if added is None:
+            _, jacobians = self.candidates.predict(theta, self.chosen)
+            added = jacobians.reshape(self.measured.size, -1)
+        return np.vstack([self.problem.jacobian(theta), added])
+
+
+@declared
+class Excluded:
+    """A candidate that is not offered, and why."""
+
+    name: str = entry("Name of the trial", key="trial")
+    failures: int = entry(
+        "Parameter sets that the data allow at which it has no prediction", unit="1"
+    )
+    tried: int = entry("Parameter sets at which it was predicted", unit="1")
+    at_fit: bool = entry("Whether it has no prediction at the best fit")
+
+    @property
+    @derived("Why it is not offered", key="reason")
+    def sentence(self) -> str:
+        """Why, in a sentence."""
+        if self.at_fit:
+            return f"{self.name} has no prediction at the best fit."
+        return (
+            f"{self.name} has no prediction at {self.failures} of {self.tried} parameter sets that "
+            "the data allow."
+        )
+
+
+@declared
+class CandidatePredictions:
+    """The candidates at the best fit and along the profiles: q points, k trials, n parameters.
+
+    Attributes
+    ----------
+    thetas
+        The points, the first of them the best fit, shape ``(q, n)``.
+    is_likely
+        Which of them the data allow, shape ``(q,)``.
+    values, jacobians
+        What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its
+        derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no prediction.
+    information
+        That of the trials made, for the scaled parameters, shape ``(q, n, n)``.
+    scales
+        One scaled unit of each parameter, shape ``(n,)``.
+    """
+
+    thetas: Array
+    is_likely: BoolArray
+    values: Array
+    jacobians: Array
+    information: Array
+    scales: Array
+
+    @property
+    def n_simulations(self) -> int:
+        """At each point one of the trials made and one of the candidates."""
+        return 2 * len(self.thetas)
+
+    def excluded(self, names: tuple[str, ...]) -> tuple[Excluded, ...]:
+        """Candidates without a prediction at a point that the data allow."""
+        known: BoolArray = np.asarray(
+            np.isfinite(self.values).all(axis=2) & np.isfinite(self.jacobians).all(axis=(2, 3))
+        )
+        failures = (~known & self.is_likely[:, None]).sum(axis=0)
+        return tuple(
+            Excluded(
+                name=names[i],
+                failures=int(failures[i]),
+                tried=int(self.is_likely.sum()),
+                at_fit=not known[0, i],
+            )
+            for i in np.flatnonzero(failures)
+        )
+
+    def features(self, loss: Loss, allowed: BoolArray) -> tuple[Array, Array]:
+        """Features of the trials made, shape ``(f,)``, and of the candidates, ``(k, f)``.
+
+        Zero for those excluded.
+        """
+        offered = loss.of_trials(self.values[:, allowed], self.jacobians[:, allowed])
+        trials = np.zeros((len(allowed), offered.shape[1]))
+        trials[allowed] = offered
+        return loss.of_made(self.information), trials
+
+
+def predict_candidates(
+    problem: Problem, before: Sequence[Profile], candidates: Candidates, executor: Executor
+) -> CandidatePredictions:
+    """The candidates predicted at the best fit and along the profiles."""
+    scales = scaled_units(problem.parameters, "typical")
+    thetas = np.vstack([before[0].optimum, *(profile.thetas for profile in before)])
+    likely = [profile.deltas <= profile.threshold for profile in before]
+    rows = list(executor.map(_PointPrediction(problem=problem, candidates=candidates), thetas))
+    return CandidatePredictions(
+        thetas=thetas,
+        is_likely=np.concatenate([[True], *likely]),
+        values=np.array([x[1] for x in rows]),
+        jacobians=np.array([x[2] for x in rows]) * scales,
+        information=np.array([x[0] for x in rows]) * np.outer(scales, scales),
+        scales=scales,
+    )
+
+
+@declared
+class _PointPrediction:
+    """Information of the trials made and predictions of all candidates at one theta."""
+
+    problem: Problem
+    candidates: Candidates
+
+    def __call__(self, theta: Array) -> tuple[Array, Array, Array]:
+        everything = range(len(self.candidates.names))
+        return (
+            evaluate(self.problem, theta).information,
+            *self.candidates.predict(theta, everything),
+        )
+
+
+def paths_of(
+    before: Sequence[Profile], quantities: Sequence[Quantity], scales: Array
+) -> tuple[Path, ...]:
+    """The profiles as `WidthLoss` takes them, their points in the order of the predictions."""
+    paths, first = [], 1
+    for profile, quantity in zip(before, quantities, strict=True):
+        places = np.arange(first, first + len(profile.values))
+        first += len(profile.values)
+        gradients = np.array([quantity.evaluate(theta)[1] for theta in profile.thetas])
+        paths.append(
+            Path(
+                places=places,
+                values=profile.values,
+                deltas=profile.deltas,
+                across=directions_across(gradients * scales),
+                center=profile.optimum_value,
+                threshold=profile.threshold,
+            )
+        )
+    return tuple(paths)

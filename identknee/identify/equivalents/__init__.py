@@ -1,1 +1,0 @@
-"""Parameter sets that a measurement cannot tell apart, as different as they can be."""

@@ -1,1 +1,0 @@
-"""Fisher information, structural rank, and geodesics to the boundary of the model."""

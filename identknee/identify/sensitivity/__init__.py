@@ -1,1 +1,0 @@
-"""Global sensitivity of outputs to parameters, over a box or over a posterior."""

@@ -1,0 +1,531 @@
+"""The text of a laxity table: cells, curves of a rig, and statements in comment lines."""
+
+import csv
+import io
+import itertools
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn, Self, TextIO
+
+import numpy as np
+
+from identknee.laxity.dominant import DIRECTIONS, SAME_FLEXION_DEG, STRAY, TYPICAL
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.zeros import ZEROS, zero_fault
+from identknee.runs.arrays import Array
+from identknee.runs.errors import InputError, suggestion
+from identknee.runs.files import PathLike, check_readable
+
+OPENSIM, OPENSIM_END = (".sto", ".mot"), "endheader"
+DEG = 57.29577951308232
+COLUMN = re.compile(r"column\s*:\s*(\w+)\s*=\s*(?:([^*]+?)\s*\*)?\s*(-?)\s*(\S.*)", re.IGNORECASE)
+NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+class CellFile:
+    """A CSV file being read: comments, header, then rows one by one.
+
+    Lines that start with ``#`` are comments wherever they stand. Spaces around cells, quoted cells,
+    a byte-order mark and any line ends are fine; rows whose cells are all blank are passed over.
+
+    Attributes
+    ----------
+    path
+        The file.
+    columns
+        Position of each column by its name.
+    header_line
+        Line number of the header.
+    comments
+        Line number and text of each comment met so far.
+    delimiter
+        What stands between cells: a comma or, where the header says so, a semicolon or a tab. Only
+        then may numbers have a decimal comma.
+    sources
+        Column in the file, and the factor of its values, by the name that it is read under.
+    """
+
+    def __init__(self, path: Path, file: TextIO) -> None:
+        self.path = path
+        self.comments: list[tuple[int, str]] = []
+        self.delimiter = ","
+        self.sources: dict[str, tuple[str, float]] = {}
+        self._lines = self._data_lines(file)
+        self.header_line, names = self._header()
+        self.columns = {name: position for position, name in enumerate(names)}
+        self._n_columns = len(names)
+        for name in names:
+            if names.count(name) > 1:
+                self.refuse(self.header_line, name, "two columns have this name", "Remove one.")
+
+    @classmethod
+    @contextmanager
+    def open(cls, path: PathLike) -> Iterator[Self]:
+        """The file at `path`, its header read.
+
+        In an OpenSim storage (``.sto``, ``.mot``) the lines above the column names are comments,
+        and cells that say nan are blank.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read or has no header.
+        """
+        checked = check_readable(path)
+        with checked.open(encoding="utf-8-sig", newline="") as file:
+            is_storage = checked.suffix.lower() in OPENSIM
+            yield cls(checked, io.StringIO(_as_csv(file)) if is_storage else file)
+
+    def check_columns(self, known: Iterable[str], required: Iterable[str]) -> None:
+        """Accept the header if all its columns are known and none is missing.
+
+        Raises
+        ------
+        InputError
+            If not, with the closest known name.
+        """
+        known = tuple(known)
+        if self._is_storage:
+            self.columns = {x: place for x, place in self.columns.items() if x in known}
+        for name in self.columns:
+            if name not in known:
+                remedy = _column_remedy(name, known)
+                self.refuse(self.header_line, name, "this column is unknown", remedy)
+        for name in required:
+            if name not in self.columns:
+                self.refuse(
+                    self.header_line, name, "this column is missing", "Add it; every row needs it."
+                )
+
+    def take_opposites(self, opposites: Mapping[str, str]) -> None:
+        """Read columns whose values count the other way round, such as a valgus moment or valgus.
+
+        Parameters
+        ----------
+        opposites
+            Name of the column that each is the negative of.
+
+        Raises
+        ------
+        InputError
+            If both stand in the file.
+        """
+        for name, other in opposites.items():
+            if name not in self.columns:
+                continue
+            if other in self.columns:
+                why = f"{other} is there too, of which it is the negative"
+                self.refuse(self.header_line, name, why, "Remove one of the two.")
+            self._read_as(other, name, -1.0)
+
+    def take_named(self) -> None:
+        """Read columns under the names that comment lines above the header give them.
+
+        ``# column: internal_deg = -57.3 * rotation`` reads the column ``rotation`` times -57.3.
+
+        Raises
+        ------
+        InputError
+            If a line has not this form, there is no such column, or its new name is taken.
+        """
+        for line, text in self.comments:
+            if not text.lower().startswith("column"):
+                continue
+            found = COLUMN.fullmatch(text.rstrip(",; "))
+            if found is None or not (found[2] is None or NUMBER.fullmatch(found[2])):
+                remedy = "Write for example: # column: internal_deg = -57.3 * rotation."
+                self.refuse(line, "", f"{text!r} does not say which column is which", remedy)
+            name, source = found[1], found[4]
+            if source not in self.columns:
+                self.refuse(
+                    line, "", f"there is no column {source}", suggestion(source, self.columns)
+                )
+            if name in self.columns and name != source:
+                self.refuse(line, "", f"{name} is there already", "Remove one of the two.")
+            self._read_as(name, source, float(found[2] or 1.0) * (-1.0 if found[3] else 1.0))
+
+        if self._is_storage and "time" in self.columns:
+            self._read_as("time_s", "time", 1.0)
+        if any(re.fullmatch(r"indegrees\s*=\s*no", text.lower()) for _, text in self.comments):
+            for name in [x for x in self.columns if x.endswith("_deg")]:
+                self._read_as(name, name, DEG)
+
+    @property
+    def _is_storage(self) -> bool:
+        return self.path.suffix.lower() in OPENSIM
+
+    def _read_as(self, name: str, source: str, factor: float) -> None:
+        before, known = self.sources.pop(source, (source, 1.0))
+        self.columns[name] = self.columns.pop(source)
+        self.sources[name] = before, known * factor
+
+    def rows(self) -> Iterator["Row"]:
+        """The rows below the header, in their order."""
+        for line, text in self._lines:
+            cells = self._split(line, text)
+            if any(cells):
+                n_columns = self._n_columns
+                if len(cells) < n_columns or any(cells[n_columns:]):
+                    self.refuse(
+                        line,
+                        "",
+                        f"there are {len(cells)} cells under {n_columns} columns",
+                        "Give each column one cell, blank where there is nothing to say, and "
+                        "put cells that hold a comma in quotes.",
+                    )
+                yield Row(self, line, cells)
+
+    def refuse(self, line: int, column: str, why: str, remedy: str) -> NoReturn:
+        """Raise the error about a place in this file."""
+        place = f"row {line}, column {column}" if column else f"row {line}"
+        raise InputError(self.path, place, why, remedy)
+
+    def _header(self) -> tuple[int, list[str]]:
+        for line, text in self._lines:
+            self.delimiter = next((x for x in ";\t" if x in text and "," not in text), ",")
+            names = self._split(line, text)
+            while names and not names[-1]:
+                names.pop()
+            if names:
+                if "" in names:
+                    self.refuse(line, "", "a column has no name", "Name it or remove it.")
+                return line, names
+        raise InputError(self.path, "", "there is no header", "Start with a row of column names.")
+
+    def _data_lines(self, file: TextIO) -> Iterator[tuple[int, str]]:
+        try:
+            for number, line in enumerate(file, 1):
+                text = line.rstrip("\r\n")
+                if text.lstrip().startswith("#"):
+                    self.comments.append((number, text.lstrip()[1:].strip()))
+                elif text.strip():
+                    yield number, text
+        except UnicodeDecodeError as error:
+            raise InputError(
+                self.path, "", "the text is not UTF-8", "Save the table as CSV in UTF-8."
+            ) from error
+
+    def _split(self, line: int, text: str) -> list[str]:
+        # Line by line, so that a quote left open spoils one row and row numbers stay line numbers.
+        if text.count('"') % 2:
+            self.refuse(line, "", "a quote is left open", 'Close it, or write "" for a quote mark.')
+        try:
+            (cells,) = csv.reader(
+                [text], delimiter=self.delimiter, skipinitialspace=self.delimiter == ","
+            )
+        except csv.Error as error:
+            self.refuse(line, "", f"the row cannot be split into cells ({error})", "Shorten it.")
+        return [cell.strip() for cell in cells]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One row of a `CellFile`."""
+
+    file: CellFile
+    line: int
+    cells: list[str]
+
+    def text(self, column: str) -> str:
+        """What stands in `column`, without the spaces around it; empty without such a column."""
+        position = self.file.columns.get(column)
+        return "" if position is None else self.cells[position]
+
+    def number(self, column: str, blank_where: str = "") -> float | None:
+        """Number in `column`, None where the cell is blank.
+
+        Parameters
+        ----------
+        column
+            Its name.
+        blank_where
+            Where a blank cell is right, for the message about text in its place.
+
+        Raises
+        ------
+        InputError
+            If the cell holds anything but a finite decimal number.
+        """
+        text = self.text(column)
+        if not text:
+            return None
+        # Only where no comma separates cells can one be nothing but a decimal sign.
+        plain = text.replace(",", ".", 1) if self.file.delimiter != "," else text
+        if NUMBER.fullmatch(plain):
+            value = float(plain)
+            if abs(value) != float("inf"):
+                factor = self.file.sources.get(column, ("", 1.0))[1]
+                # Zero stays without a sign.
+                return value if factor == 1.0 else 0.0 + factor * value
+            self.refuse(column, f"{text} is too large to be a number here", "Check its exponent.")
+        if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", text):
+            remedy = "Write it with a decimal point."
+        elif re.fullmatch(r"[\u2212\u2012\u2013\u2014][0-9.]+", text):
+            remedy = "Write the minus sign as a plain hyphen."
+        elif blank_where:
+            remedy = f"Write a number, or leave the cell blank where {blank_where}."
+        else:
+            remedy = "Write a number, such as 2.5."
+        return self.refuse(column, f"{text!r} is not a number", remedy)
+
+    def required(self, column: str) -> float:
+        """Number in `column`.
+
+        Raises
+        ------
+        InputError
+            If the cell is blank or holds no number.
+        """
+        value = self.number(column)
+        if value is None:
+            self.refuse(column, "the cell is blank", "Write a number, 0 if it is zero.")
+        return value
+
+    def refuse(self, column: str, why: str, remedy: str) -> NoReturn:
+        """Raise the error about a cell of this row."""
+        self.file.refuse(self.line, self.file.sources.get(column, (column, 1.0))[0], why, remedy)
+
+
+def _as_csv(file: TextIO) -> str:
+    """An OpenSim storage with its head as comments, line by line."""
+    lines, is_head = [], True
+    for line in file:
+        words = ["" if x.lower() == "nan" else x for x in line.split()]
+        lines.append(f"# {line.strip().lstrip('# ')}" if is_head else "\t".join(words))
+        is_head = is_head and line.strip().lower() != OPENSIM_END
+    return "\n".join(lines)
+
+
+def written(cells: Iterable[str]) -> str:
+    """One CSV line of `cells`, quoted where a reader would need it.
+
+    Examples
+    --------
+    >>> written(["#1", "a, b", "0.1"])
+    '"#1","a, b",0.1'
+    """
+    return ",".join(
+        '"' + cell.replace('"', '""') + '"' if re.search(r'[,"#;]', cell) else cell
+        for cell in cells
+    )
+
+
+def _column_remedy(name: str, known: tuple[str, ...]) -> str:
+    """The closest known column, or how to name one; a different unit changes its values too."""
+    remedy, quantity = suggestion(name, known), name.rpartition("_")[0]
+    if not remedy.startswith("Did you mean"):
+        return f"{remedy} To read it as one of them, begin the file: # column: ONE = 1 * {name}"
+    if not quantity or remedy.removeprefix("Did you mean ").rpartition("_")[0] != quantity:
+        return remedy
+    return f"{remedy} If so, convert its values to that unit."
+
+
+TIME = "time_s"
+LEVELS = (50.0, 100.0)  # % of the load that every ramp reaches
+# A load turns where it goes back by this share of its range: less is noise of a sensor.
+TURN = 0.2
+# A second load that is ramped by this share of the first, both beside a usual test's, is a test.
+SECOND = 0.5
+# A loop narrower than this is one that no sensor resolves [mm, deg].
+LEAST_SD = 1e-3
+
+
+def mean_curves(
+    path: Path, ramps: Sequence[str], samples: Array, levels: Sequence[float] = LEVELS
+) -> tuple[tuple[str, ...], Array]:
+    """Trials of a laxity table from samples over time: their names and rows.
+
+    The load of a ramp that changes most is the one that it is about. Each way that it goes, up or
+    down, crosses a level of it once: a row has the mean of all crossings. Its standard deviations
+    are the spread of the crossings about these means, over all levels of the ramp, so that half a
+    loop's width and what differs from one cycle to the next are errors. A ramp that crosses each
+    level once has those of the others.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    ramps
+        The ramp that each sample belongs to.
+    samples
+        Time, flexion, loads and coordinates, shape ``(n, 12)``; NaN where not measured.
+    levels
+        Levels of the load [% of what every cycle reaches].
+
+    Returns
+    -------
+    names, rows
+        The trials, and flexion, loads, coordinates and standard deviations, shape ``(k, 16)``; NaN
+        where no ramp crosses a level twice.
+
+    Raises
+    ------
+    InputError
+        If time goes back, no load of a ramp is ramped or two are, or flexion changes.
+    """
+    names: list[str] = []
+    rows: list[Array] = []
+    spreads: list[Array] = []
+    for ramp in dict.fromkeys(ramps):
+        own = samples[[i for i, x in enumerate(ramps) if x == ramp]]
+        axis = _ramped(path, ramp, own)
+        crossed = _crossings(own[:, 1:], axis, levels)
+        deviations = [x - x.mean(axis=0) for _, x in crossed]
+        n_free = sum(len(x) - 1 for x in deviations)
+        squares = sum((x**2).sum(axis=0) for x in deviations)
+        for load, values in crossed:
+            rows.append(values.mean(axis=0))
+            rows[-1][1 + axis] = load
+            names.append(_name(ramp, axis, load))
+        spreads += [squares / n_free if n_free else np.full(11, np.nan)] * len(crossed)
+    variance = np.array(spreads)[:, 6:]
+    has_one = np.asarray(np.isfinite(variance).any(axis=1))
+    typical = variance[has_one].mean(axis=0) if has_one.any() else np.nan
+    sd = np.sqrt(np.where(has_one[:, None], variance, typical))
+    return tuple(names), np.hstack([rows, np.maximum(sd, LEAST_SD)])
+
+
+def _ramped(path: Path, ramp: str, samples: Array) -> int:
+    """Place of the load that a ramp is about."""
+    where = f"ramp {ramp}"
+    if (np.diff(samples[:, 0]) < 0.0).any():
+        why, remedy = "time goes back", "Give each ramp a name of its own in a column trial."
+        raise InputError(path, where, why, remedy)
+    changes = np.ptp(samples[:, 1:7], axis=0)
+    if changes[0] > SAME_FLEXION_DEG:
+        why = f"flexion changes by {changes[0]:.1f} deg"
+        remedy = "Give one flexion angle a ramp, named in a column trial."
+        raise InputError(path, where, why, remedy)
+    shares = changes[1:] / TYPICAL
+    second, first = (int(x) for x in np.argsort(shares)[-2:])
+    if shares[first] < STRAY:
+        why = f"no load changes by more than {100 * STRAY:.0f} % of a usual test's"
+        raise InputError(path, where, why, "Give the samples while a load grows.")
+    if shares[second] > SECOND * shares[first]:
+        words = " and ".join(f"{DIRECTIONS[x][0]} ({changes[1 + x]:.3g})" for x in (first, second))
+        why, remedy = f"two loads change: {words}", "Name each load's ramp in a column trial."
+        raise InputError(path, where, why, remedy)
+    return first
+
+
+def _crossings(values: Array, axis: int, levels: Sequence[float]) -> list[tuple[float, Array]]:
+    """Each level of the load, and the values where it is crossed, one row a crossing."""
+    load = values[:, 1 + axis]
+    ends = _turns(load)
+    found = []
+    for sign in (-1.0, 1.0):
+        farthest = sign * load[ends]
+        top = farthest.max()
+        if top < STRAY * np.ptp(load):
+            continue
+        reached = farthest[farthest > 0.5 * top].min()
+        for level in levels:
+            at = sign * reached * level / 100.0
+            rows = [
+                _at(values[i : j + 1], axis, at)
+                for i, j in itertools.pairwise(ends)
+                if min(load[i], load[j]) <= at <= max(load[i], load[j])
+            ]
+            if rows:
+                found.append((at, np.array(rows)))
+    return found
+
+
+def _turns(load: Array) -> list[int]:
+    """Samples at which the load turns, the first and the last among them."""
+    least = TURN * np.ptp(load)
+    ends, low, high = [0], 0, 0
+    way = 0
+    for i, value in enumerate(load.tolist()):
+        low, high = (i if value < load[low] else low), (i if value > load[high] else high)
+        if way >= 0 and value < load[high] - least:
+            ends += [high] if high > ends[-1] else []
+            way, low, high = -1, i, i
+        elif way <= 0 and value > load[low] + least:
+            ends += [low] if low > ends[-1] else []
+            way, low, high = 1, i, i
+    last = low if way < 0 else high
+    return [*ends, last] if last > ends[-1] else ends
+
+
+def _at(branch: Array, axis: int, load: float) -> Array:
+    """The values of one way of the load where it crosses `load`, shape ``(11,)``."""
+    order = np.argsort(branch[:, 1 + axis], kind="stable")
+    along = branch[order, 1 + axis]
+    made = [
+        np.interp(load, along[known], column[known])
+        if (known := ~np.isnan(column)).any()
+        else np.nan
+        for column in branch[order].T
+    ]
+    return np.array(made)
+
+
+def _name(ramp: str, axis: int, load: float) -> str:
+    """The ramp, then the load as in ``rotation internal 5 N m``."""
+    word = DIRECTIONS[axis][0 if load > 0.0 else 1].split()[0]
+    return f"{ramp}_{word}{abs(load):.3g}"
+
+
+# Five errors can share a correlation above -1/4 only: their covariance must stay positive.
+CORRELATION_LIMITS = (-0.25, 1.0)
+STATEMENT = re.compile(r"(within_trial_correlation|zero|column|levels)\s*:\s*(.*)", re.IGNORECASE)
+
+
+def correlation_fault(value: float) -> tuple[str, str] | None:
+    """What is wrong with a within-trial correlation, and its remedy; None if all is well."""
+    low, high = CORRELATION_LIMITS
+    if low < value < high:
+        return None
+    why = f"the within-trial correlation is {value:g}"
+    return why, f"It must lie above {low:g} and below {high:g}"
+
+
+def statements(
+    file: CellFile, protocol: Protocol, coordinates: Array
+) -> tuple[tuple[str, ...], float, str]:
+    """Free comments, within-trial correlation and zero."""
+    free: list[str] = []
+    stated: dict[str, str] = {"within_trial_correlation": "0", "zero": "absolute"}
+    lines: dict[str, int] = {}
+    for line, text in file.comments:
+        found = STATEMENT.fullmatch(text)
+        if found is None:
+            free.append(text)
+            continue
+        if found[1].lower() in {"column", "levels"}:
+            continue
+        # A spreadsheet pads every line with separators.
+        name, value = found[1].lower(), found[2].rstrip(",; ")
+        if name in lines:
+            file.refuse(line, "", f"{name} is stated in row {lines[name]} too", "Remove one.")
+        lines[name], stated[name] = line, value
+    try:
+        correlation = float(stated["within_trial_correlation"])
+    except ValueError:
+        correlation = math.nan
+    if fault := correlation_fault(correlation):
+        file.refuse(lines["within_trial_correlation"], "", fault[0], f"{fault[1]}.")
+    word = stated["zero"].lower()
+    zero = word if word in ZEROS else stated["zero"]
+    if fault := zero_fault(zero, protocol, coordinates):
+        file.refuse(lines["zero"], "", fault[0], f"{fault[1]}.")
+    return tuple(free), correlation, zero
+
+
+def levels(file: CellFile) -> tuple[float, ...]:
+    """Levels of the load at which loading curves are read [% of what every cycle reaches]."""
+    for line, text in file.comments:
+        name, _, words = text.partition(":")
+        if name.strip().lower() == "levels":
+            numbers = [x for x in re.split(r"[,;%\s]+", words) if x]
+            known = tuple(float(x) for x in numbers if NUMBER.fullmatch(x))
+            if known and len(known) == len(numbers) and 0.0 < min(known) <= max(known) <= 100.0:
+                return tuple(dict.fromkeys(known))
+            why = f"{words.strip()!r} are no levels of a load"
+            file.refuse(line, "", why, "Write percentages above 0, such as: # levels: 50, 100.")
+    return LEVELS

@@ -1,0 +1,336 @@
+"""Nuisance parameters: stated errors of geometry, registration and loads."""
+
+from collections.abc import Callable
+from dataclasses import field, replace
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+
+from identknee.mechanics.contact_law import MOST_ROUNDING
+from identknee.mechanics.ligament_tensions import line_lengths
+from identknee.model.effects.effect import CopiesEffect, Effect, SettingChange, amplitudes, held
+from identknee.model.effects.frames import flexion_offset
+from identknee.model.effects.insertion import AXES, insertion
+from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
+from identknee.model.effects.stored import effects_of
+from identknee.model.mechanics_inputs import Setting, frames_at, placements
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
+from identknee.subject.knee import Knee
+from identknee.subject.uncertainty import BONES
+
+# Standard deviations within which an amplitude lies.
+REACH = 4.0
+KINDS = ("varus_moment", "internal_moment", "anterior_force", "axial_force", "lateral_force")
+MOMENTS, FORCES = [VARUS, INTERNAL], [X, Y, Z]
+
+
+def load_axes(sd_deg: float) -> LoadError:
+    """Loads along axes that are turned about the joint's x, y and z [deg]."""
+    names = [f"{x}_deg" for x in AXES]
+    made = amplitudes("load_axes", names, 3 * [sd_deg], upper=3 * [REACH * sd_deg])
+    return LoadError(name="load_axes", parameters=made.as_nuisances(), acted=_turned)
+
+
+def load_gain(sd: float) -> LoadError:
+    """A wrong scale of each kind of load [-]."""
+    made = amplitudes("load_gain", KINDS, 5 * [sd], upper=5 * [REACH * sd])
+    return LoadError(name="load_gain", parameters=made.as_nuisances(), acted=_scaled)
+
+
+def flexion(sd_deg: float) -> SettingChange:
+    """How much more the knee was flexed than stated, in all trials alike [deg]."""
+    made = amplitudes("flexion", ["offset_deg"], [sd_deg], upper=[REACH * sd_deg])
+    return replace(flexion_offset(), name="flexion", parameters=made.as_nuisances())
+
+
+def _turned(loads: Array, _flexion: Array, values: Array) -> Array:
+    # Loaded late: it takes longer than a simulation.
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_rotvec(np.radians(values))
+    moments = np.column_stack([loads[:, MOMENTS], np.zeros(len(loads))])
+    acted = np.array(loads)
+    # Of a moment about the axis of flexion the rig takes up all.
+    acted[:, MOMENTS] = turn.apply(moments)[:, :2]
+    acted[:, FORCES] = turn.apply(loads[:, FORCES])
+    return acted
+
+
+def _scaled(loads: Array, _flexion: Array, values: Array) -> Array:
+    return loads * (1.0 + values)
+
+
+@declared
+class Recombined:
+    """An effect on the setting at amplitudes ``matrix @ values``."""
+
+    effect: CopiesEffect = entry("The effect, of n amplitudes")
+    matrix: Array = entry("Shape ``(n, k)``")
+    parameters: Parameters = entry("The k amplitudes that are combined")
+
+    @property
+    def name(self) -> str:
+        """Name of the cause."""
+        return self.effect.name
+
+    def change(self, setting: Setting, values: Array) -> Setting:
+        """The setting with the effect."""
+        return self.effect.change(setting, self.matrix @ values)
+
+    def change_copies(self, setting: Setting, values: Array) -> Setting:
+        """The setting with the effect at amplitudes ``values[i]`` in copy i."""
+        return self.effect.change_copies(setting, values @ self.matrix.T)
+
+
+# An insertion is not farther off than this, however little is known of it [mm].
+FARTHEST = 25.0
+PRINCIPAL_AXES = ("1st", "2nd", "3rd")
+
+
+def insertions(knee: Knee) -> Recombined:
+    """Shifts of the insertions whose places are uncertain [mm].
+
+    Along the axes of the bone, or along the principal axes of a covariance that is not the same
+    along all of them.
+    """
+    shifts = insertion(knee)
+    columns: list[Array] = []
+    names: list[str] = []
+    sds: list[float] = []
+    places = [(x.name, bone) for x in knee.ligaments for bone in BONES]
+    for place, (ligament, bone) in enumerate(places):
+        covariance = knee.uncertainty.insertion_covariance(ligament, bone)
+        is_diagonal = np.array_equal(covariance, np.diag(np.diag(covariance)))
+        squares, directions = (
+            (np.diag(covariance), np.eye(3)) if is_diagonal else np.linalg.eigh(covariance)
+        )
+        axes = AXES if is_diagonal else PRINCIPAL_AXES
+        for square, direction, axis in zip(squares, directions.T, axes, strict=True):
+            if square > 0.0:
+                column = np.zeros(shifts.parameters.n)
+                column[3 * place : 3 * place + 3] = direction
+                columns.append(column)
+                names.append(f"{ligament}_{bone}_{axis}_mm")
+                sds.append(float(np.sqrt(square)))
+    limits = [min(REACH * x, FARTHEST) for x in sds]
+    made = amplitudes(shifts.name, names, sds, upper=limits)
+    return Recombined(
+        effect=shifts, matrix=np.column_stack(columns), parameters=made.as_nuisances()
+    )
+
+
+def contact_modulus(sd: float) -> SettingChange:
+    """Logarithm of the modulus of the cartilage over the knee's own."""
+    made = amplitudes("contact_modulus", ["ln_modulus"], [sd], upper=[REACH * sd])
+    return SettingChange(name="contact_modulus", parameters=made.as_nuisances(), changed=_stiffened)
+
+
+def contact_exponent(sd: float) -> SettingChange:
+    """Logarithm of the exponent by which contact pressure grows with depth, over the knee's own."""
+    made = amplitudes("contact_exponent", ["ln_exponent"], [sd], upper=[REACH * sd])
+    return SettingChange(name="contact_exponent", parameters=made.as_nuisances(), changed=_curved)
+
+
+def toe_region(sd: float) -> SettingChange:
+    """Logarithm of the strain at which all ligaments' toe region ends, over the knee's own."""
+    made = amplitudes("toe_region", ["ln_strain"], [sd], upper=[REACH * sd])
+    return SettingChange(name="toe_region", parameters=made.as_nuisances(), changed=_uncrimped)
+
+
+def reference_pose(sd_deg: float, sd_mm: float) -> SettingChange:
+    """Turn [deg] and shift [mm] of the tibia in the pose in which lengths were measured."""
+    names = ["flexion_deg", "varus_deg", "internal_deg", "x_mm", "y_mm", "z_mm"]
+    sds = np.array(3 * [sd_deg] + 3 * [sd_mm])
+    used = np.flatnonzero(sds)
+    made = amplitudes(
+        "reference_pose",
+        [names[i] for i in used],
+        sds[used].tolist(),
+        upper=(REACH * sds[used]).tolist(),
+    )
+    changed = partial(_measured_elsewhere, tuple(used.tolist()))
+    return SettingChange(name="reference_pose", parameters=made.as_nuisances(), changed=changed)
+
+
+def _stiffened(setting: Setting, values: Array) -> Setting:
+    law = replace(setting.law, modulus=setting.law.modulus * float(np.exp(values[0])))
+    return replace(setting, law=law)
+
+
+def _curved(setting: Setting, values: Array) -> Setting:
+    law = replace(setting.law, exponent=setting.law.exponent * float(np.exp(values[0])))
+    return replace(setting, law=law)
+
+
+def _uncrimped(setting: Setting, values: Array) -> Setting:
+    longer = np.where(setting.owner >= 0, float(np.exp(values[0])), 1.0)
+    lines = replace(setting.lines, transition=longer * setting.lines.transition)
+    return replace(setting, lines=lines)
+
+
+def _measured_elsewhere(used: tuple[int, ...], setting: Setting, values: Array) -> Setting:
+    """The reference lengths that the other pose gives, of the subject's own ligaments."""
+    whole = np.zeros(6)
+    whole[list(used)] = values
+    turn, shift = np.radians(whole[:3]), whole[3:]
+    pose = setting.start + np.r_[turn[1:], shift]
+    lengths = line_lengths(setting.lines, setting.start_flexion + turn[0], pose)
+    change = np.where(setting.owner >= 0, lengths - setting.lengths_at_start(setting.lines), 0.0)
+    lines = replace(setting.lines, reference_length=setting.lines.reference_length + change)
+    return replace(setting, lines=lines)
+
+
+NAMES = [f"{bone}_{axis}_{unit}" for bone in BONES for unit in ("deg", "mm") for axis in "xyz"]
+
+
+@declared
+class Registration:
+    """The pose of each bone's measured frame in the frame of its geometry [deg, mm].
+
+    A rigid transform of each bone: rotations about and shifts along the axes of the geometry's
+    frame. The model moves between the measured frames: readings, axes and points of the loads and
+    the flexion that the rig prescribes are theirs.
+    """
+
+    sd_deg: float = entry("Prior standard deviation of the rotations; 0 where there are none")
+    sd_mm: float = entry("Prior standard deviation of the shifts; 0 where there are none")
+    name: str = field(init=False, default="registration")
+    parameters: Parameters = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        sds, used = self._sds, self._used
+        made = amplitudes(
+            self.name,
+            [NAMES[i] for i in used],
+            sds[used].tolist(),
+            upper=(REACH * sds[used]).tolist(),
+        )
+        object.__setattr__(self, "parameters", made.as_nuisances())
+
+    def change(self, setting: Setting, values: Array) -> Setting:
+        """The setting whose poses are those between the frames at amplitudes `values`."""
+        return replace(setting, frames=frames_at(self._whole(values[None])[0]))
+
+    def placements(self, values: Array) -> tuple[Array, Array]:
+        """Axes and origins of frames at k rows of amplitudes, ``(k, 2, 3, 3)``, ``(k, 2, 3)``."""
+        return placements(self._whole(values))
+
+    @property
+    def _sds(self) -> Array:
+        return np.array(2 * (3 * [self.sd_deg] + 3 * [self.sd_mm]))
+
+    @property
+    def _used(self) -> list[int]:
+        return [int(x) for x in np.flatnonzero(self._sds)]
+
+    def _whole(self, values: Array) -> Array:
+        whole = np.zeros((len(values), len(NAMES)))
+        whole[:, self._used] = values
+        return whole
+
+
+# Errors that a subject may hold without their being uncertain, at any spread: it does not count.
+_HELD = MappingProxyType[str, Callable[[], Effect]](
+    {
+        "reference_pose": lambda: reference_pose(1.0, 1.0),
+        "contact_modulus": lambda: contact_modulus(1.0),
+        "contact_exponent": lambda: contact_exponent(1.0),
+        "toe_region": lambda: toe_region(1.0),
+        "load_gain": lambda: load_gain(1.0),
+        "load_axes": lambda: load_axes(1.0),
+        "flexion": lambda: flexion(1.0),
+        "registration": lambda: Registration(sd_deg=1.0, sd_mm=1.0),
+    }
+)
+
+
+def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
+    """What the knee states to be uncertain, in the order in which it acts; empty where nothing is.
+
+    Errors that are the same for every parameter are no part of it: see
+    `identknee.model.shared_errors`.
+
+    Examples
+    --------
+    >>> from identknee.subject.reference import reference_knee
+    >>> from identknee.subject.uncertainty import Uncertainty
+    >>> knee = reference_knee().with_uncertainty(Uncertainty(load_gain=0.03))
+    >>> [x.name for x in nuisances_of(knee)]
+    ['load_gain']
+    """
+    stated = knee.uncertainty
+    made: list[Effect] = []
+    if not isinstance(stated.insertions_mm, float) or stated.insertions_mm > 0.0:
+        made.append(insertions(knee))
+    if stated.reference_pose_deg > 0.0 or stated.reference_pose_mm > 0.0:
+        made.append(reference_pose(stated.reference_pose_deg, stated.reference_pose_mm))
+    if stated.contact_modulus > 0.0:
+        made.append(contact_modulus(stated.contact_modulus))
+    if stated.contact_exponent > 0.0:
+        made.append(contact_exponent(stated.contact_exponent))
+    if stated.toe_region > 0.0:
+        made.append(toe_region(stated.toe_region))
+    if stated.load_gain > 0.0:
+        made.append(load_gain(stated.load_gain))
+    if stated.load_axes_deg > 0.0:
+        made.append(load_axes(stated.load_axes_deg))
+    if stated.flexion_deg > 0.0:
+        made.append(flexion(stated.flexion_deg))
+    if stated.registration_deg > 0.0 or stated.registration_mm > 0.0:
+        made.append(Registration(sd_deg=stated.registration_deg, sd_mm=stated.registration_mm))
+    return tuple(made)
+
+
+def contact_rounding(knee: Knee) -> float:
+    """Rounding of the contact law of a knee [mm]: the most where geometry or tests are uncertain.
+
+    There a search goes far along bent valleys, and the stiffness of the joint jumps wherever a
+    contact point begins to touch: kinks at which no derivative tells of the other side. Predictions
+    change by 0.02 mm and 0.04 deg rms at most (two knees, 63 trials). Exact geometry keeps the law
+    it was fitted with, which is the paper's unless the knee says otherwise.
+    """
+    return MOST_ROUNDING if nuisances_of(knee) else knee.contact_rounding_mm
+
+
+def held_errors(knee: Knee) -> tuple[Effect, ...]:
+    """Errors stored with the knee that it does not state to be uncertain, at their stored sizes.
+
+    Raises
+    ------
+    ValueError
+        If a stored error has no such part.
+    """
+    stated = {x.name for x in nuisances_of(knee)}
+    made = []
+    for choice in knee.effects:
+        if choice.name in stated or choice.name not in _HELD:
+            continue
+        effect = _HELD[choice.name]()
+        sizes = dict.fromkeys(effect.parameters.names, 0.0)
+        for name, value in choice.values.items():
+            effect.parameters.index(f"{choice.name}.{name}")
+            sizes[f"{choice.name}.{name}"] = value
+        made.append(held(effect, sizes))
+    return tuple(made)
+
+
+class StoredWithKnee(tuple[Effect, ...]):
+    """Stands for the effects and nuisances of the knee where a model is given none."""
+
+    __slots__ = ()
+
+
+def own_effects(knee: Knee) -> tuple[Effect, ...]:
+    """The effects stored with a knee, then its nuisances.
+
+    An effect that is both is one mechanism: it has the prior of the nuisance, or is held where the
+    knee states none.
+    """
+    errors = (*held_errors(knee), *nuisances_of(knee))
+    names = {x.name for x in errors}
+    if any(x.name in names for x in knee.effects):
+        knee = knee.with_effects([x for x in knee.effects if x.name not in names])
+    return (*effects_of(knee), *errors)
