@@ -39,7 +39,7 @@ STATED = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """A normal distribution cut off at its ends.
+    """A truncated normal distribution.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conditions:
-    """What true parameters, places, contact and errors of blind cases are drawn from.
+    """The distributions of true parameters, sites, contact and errors of blind cases.
 
     Without arguments, those of the standard blind test.
 
@@ -164,7 +164,7 @@ class Conditions:
 
     @property
     def has_stated_errors(self) -> bool:
-        """Whether what is given with the knee is wrong."""
+        """Whether the given geometry has errors."""
         sizes = (self.insertion_mm, self.registration_deg, self.registration_mm)
         return max(*sizes, self.load_axes_deg, self.load_gain) > 0.0
 
@@ -268,7 +268,7 @@ NO_ERRORS = LoadErrors(gains=np.zeros(5), turn_deg=np.zeros(3))
 def drawn_wrong(
     knee: Knee, conditions: Conditions, generator: np.random.Generator
 ) -> tuple[Knee, LoadErrors]:
-    """The knee as it is in the rig, and what the loads are off by."""
+    """The true knee in the rig, and the errors of the loads."""
     return actual_knee(knee, conditions, generator), load_errors(conditions, generator)
 
 

@@ -110,7 +110,7 @@ class Experiment:
 
 @declared
 class Run:
-    """What came out of an experiment."""
+    """The results of an experiment."""
 
     coordinates: Array = entry(
         "As the rig reads them, in the order and units of a laxity table, shape ``(n, 5)``; NaN "

@@ -21,7 +21,7 @@ FULL_MOMENT_NM = 10.0
 
 
 def compression(_scene: Scene, _generator: np.random.Generator) -> Hidden:
-    """The joint is pressed together, in all trials alike."""
+    """A constant joint compression in all trials."""
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         change = np.zeros(5)
@@ -32,7 +32,7 @@ def compression(_scene: Scene, _generator: np.random.Generator) -> Hidden:
 
 
 def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
-    """The shank's weight hangs on the knee, towards the back or the foot of the femur."""
+    """The weight of the shank acts on the knee, posteriorly or distally."""
     angle = float(generator.uniform(0.0, 0.5 * np.pi))
     way = np.array([-np.cos(angle), -np.sin(angle), 0.0])
 
@@ -55,7 +55,7 @@ def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def moment_gain(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
-    """Draw of a moment that is more or less than stated, ``"IE"`` or ``"VV"``."""
+    """Draw of a scale error of a moment, ``"IE"`` or ``"VV"``."""
     which = INTERNAL_MOMENT if axis == "IE" else VARUS_MOMENT
 
     def draw(_scene: Scene, generator: np.random.Generator) -> Hidden:
@@ -70,7 +70,7 @@ def moment_gain(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
 
 
 def moment_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
-    """A constant moment on top, about both axes."""
+    """A constant zero error of the moments about both axes."""
     angle = float(generator.uniform(0.0, 2.0 * np.pi))
     share = np.array([np.sin(angle), np.cos(angle)])
 
@@ -162,7 +162,7 @@ def tibia_frame(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def flexion_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
-    """The knee is flexed more or less than stated."""
+    """An error of the flexion angle."""
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         return replace(experiment, flexion_offset=float(np.radians(amplitude)))
@@ -206,7 +206,7 @@ def creep(scene: Scene, _generator: np.random.Generator) -> Hidden:
 
 
 def drift(scene: Scene, generator: np.random.Generator) -> Hidden:
-    """All readings wander in proportion to the number of trials made."""
+    """All readings drift in proportion to the number of trials made."""
     way = _unit(generator, 5)
     share = (scene.order - 1.0) / max(len(scene.order) - 1, 1) - 0.5
     parts = dict(zip(COORDINATES, way.tolist(), strict=True))

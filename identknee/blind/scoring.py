@@ -19,7 +19,7 @@ ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "ADEQUATE", "NAMED", "AMBIGUOUS", "UNE
 
 @declared
 class Score:
-    """A diagnosis beside the truth."""
+    """A diagnosis compared with the truth."""
 
     verdict: str = entry("Verdict of the diagnosis")
     correct: bool = entry(

@@ -48,7 +48,7 @@ NOTE = "Sealed: `identknee reveal` opens it. Diagnose the data first."
 
 @declared
 class Truth:
-    """What is behind a blind data set."""
+    """The truth of a blind data set."""
 
     seed: int = entry("Seed that it was drawn with", unit="1")
     effects: tuple[str, ...] = entry("Names of the hidden effects; none for a null")

@@ -74,7 +74,7 @@ class OfferedTrials:
     candidates: Protocol = entry("The trials to choose from, each measured as those made were")
 
     def predict(self, model: LaxityModel, theta: Array) -> tuple[Rows, Rows]:
-        """What a model predicts less what was measured, and its derivatives by theta."""
+        """Predicted minus measured values, and their derivatives by theta."""
         compared = LaxityResiduals(model=model, laxity=self.laxity)
         values, jacobian = self._choice(model, theta).predict(theta, range(self.candidates.n))
         noise = plain_noise(self.laxity)
@@ -185,7 +185,7 @@ class Advice:
 
     @property
     def sentence(self) -> str:
-        """What they would do, for a person."""
+        """The expected benefit, as a sentence."""
         n = self.trials.n
         which = "this trial" if n == 1 else f"these {n} trials"
         return (
@@ -236,7 +236,7 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | Non
 
 
 def _depends_on_order(explanation: Refit) -> bool:
-    """Whether it says what trials yield by when they are made, which nobody knows beforehand."""
+    """Whether an effect depends on the trial order, which is unknown for future trials."""
     return any(x in NEEDS_ORDER | NEEDS_PHASE for x in explanation.names)
 
 
@@ -316,7 +316,7 @@ IMITATOR = "insertion"
 
 @declared
 class GroupAdvice:
-    """Trials that would separate effects that the protocol cannot tell apart."""
+    """Trials that would separate effects that the protocol cannot distinguish."""
 
     names: tuple[str, ...] = entry("The effects")
     trials: Protocol = entry("To add, the most useful first")
@@ -328,7 +328,7 @@ class GroupAdvice:
 
 @declared
 class ProtocolIsolability:
-    """What a protocol can and cannot tell."""
+    """Isolability of the library's effects under a protocol."""
 
     protocol: Protocol = entry("The trials that have a prediction")
     visibility: tuple[Visibility, ...] = entry(
@@ -347,7 +347,7 @@ class ProtocolIsolability:
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
-        """The effects that cannot be told apart."""
+        """The groups of effects that cannot be distinguished."""
         return tuple(x.names for x in self.advice)
 
 
@@ -388,7 +388,7 @@ def protocol_isolability(
 def protocol_groups(
     knee: Knee, protocol: Protocol, *, sd_mm: float, sd_deg: float, seed: int = 0
 ) -> tuple[tuple[str, ...], ...]:
-    """The effects in groups that the protocol cannot tell apart, without advice on trials.
+    """The groups of effects that the protocol cannot distinguish, without advice on trials.
 
     Parameters as in `protocol_isolability`; empty where no trial is predicted.
     """
@@ -440,7 +440,7 @@ def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
 
 
 def _among(apart: Distances, names: Sequence[str]) -> Distances:
-    """The distances of these effects from one another."""
+    """The mutual distances of these effects."""
     rows = [apart.effects.index(x) for x in names]
     columns = [apart.rivals.index(x) for x in names]
     values = apart.values[np.ix_(rows, columns)]
@@ -501,7 +501,7 @@ def _rows(fitted: Fitted, variants: Sequence[Variant], offer: OfferedTrials) -> 
 
 
 def _most_alike(candidates: Candidates, effect: Variant, rival: Effect) -> Variant:
-    """The variant of a rival that is hardest to tell from an effect."""
+    """The variant of a rival that is hardest to distinguish from an effect."""
     rivals = [x for x in candidates.variants if x.effect is rival]
     seen = [candidates.projected(effect)]
     values = [worst_distances(seen, ROOT, [candidates.projected(x)]).values[0, 0] for x in rivals]

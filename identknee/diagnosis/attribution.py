@@ -51,7 +51,7 @@ MOST_HELPERS = 2
 
 @declared
 class Step(Candidates):
-    """The scores beside one fit, and the refits that they suggest."""
+    """The scores at one fit, and the refits they suggest."""
 
     at: Refit = entry("The fit")
     scores: Scores = entry("How strongly it speaks for each effect that is not in it")
@@ -67,7 +67,7 @@ class Step(Candidates):
 
 @declared
 class Attribution:
-    """The best explanation of a misfit, and what could stand in its place."""
+    """The best explanation of a misfit, and its alternatives."""
 
     steps: tuple[Step, ...] = entry(
         "The looks taken, from the base model on; the last at the best explanation"
@@ -90,12 +90,12 @@ class Attribution:
 
     @property
     def open_rivals(self) -> tuple[Rival, ...]:
-        """Those that fit too well to be excluded."""
+        """The rivals that are not excluded."""
         return tuple(x for x in self.rivals if x.state is RivalState.OPEN)
 
     @property
     def untested_rivals(self) -> tuple[Rival, ...]:
-        """Those that could not be fitted and whose score leaves them possible."""
+        """The rivals that could not be fitted but are possible by their score."""
         return tuple(x for x in self.rivals if x.state is RivalState.NOT_TESTED and x.could_matter)
 
 
@@ -145,7 +145,7 @@ def attribute(
 
 
 def score_candidates(at: Refit, effects: Sequence[Effect], seed: int) -> Step:
-    """The scores of effects beside a fit, no refits made yet.
+    """The scores of effects at a fit, before any refit.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ class _Task:
 
 
 def _starts(at: Refit, variant: Variant, values: Array, base: Refit) -> list[Array]:
-    """Where a refit begins, the most promising place first.
+    """Start points of a refit, the most promising first.
 
     Where the score expects it, the fit there is, the subject's own values; the fit there is with
     little of the effect.
@@ -353,7 +353,7 @@ def _starts(at: Refit, variant: Variant, values: Array, base: Refit) -> list[Arr
 
 
 def _share(variant: Variant, values: Array, share: float) -> Array:
-    """So much of the way from no effect to `values`."""
+    """Interpolation between no effect and `values`."""
     part = np.array(variant.values)
     part[variant.moved] += share * (values - variant.values)[variant.moved]
     return part

@@ -52,7 +52,7 @@ Sized = tuple[Effect, Array]
 
 @declared
 class Variant:
-    """One signature of an effect, and where a refit with it begins."""
+    """One signature of an effect, and the start of a refit with it."""
 
     effect: Effect = entry("Effect of the library")
     signature: Signature = entry(
@@ -118,12 +118,12 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
 
 
 def _place(effect: Effect) -> str:
-    """What tells effects of one name apart."""
+    """The label that distinguishes effects of one name."""
     return effect.variant if isinstance(effect, MovedInsertion) else ""
 
 
 def _baselines(effect: Effect) -> list[Array]:
-    """Amplitudes at which the effect does nothing."""
+    """Amplitudes of no effect."""
     values = np.array(effect.parameters.center)
     if not isinstance(effect, Structure):
         return [values]
@@ -258,7 +258,7 @@ def _signs(parameters: Parameters) -> IntArray:
 
 @declared
 class Visibility:
-    """Which size of an effect the data, or the trials of a protocol, would show."""
+    """Detectable size of an effect in the data or under a protocol."""
 
     name: str = entry("Name of the effect")
     parameter: str = entry(
@@ -275,7 +275,7 @@ class Visibility:
 
 @declared
 class Exclusion(Visibility):
-    """What data say of one effect: seen, excluded, or beyond their power."""
+    """Result for one effect: detected, excluded, or without power."""
 
     cell: Cell = entry("The answer: significant or not, crossed with power")
     score: float = entry("Score of the effect, as a z-score", unit="1")
@@ -284,13 +284,13 @@ class Exclusion(Visibility):
 
 @declared
 class Candidates:
-    """The effects that may be the cause, and the test that finds them."""
+    """The candidate causes and their score test."""
 
     variants: tuple[Variant, ...] = entry("Signatures of all effects")
     test: ScoreTest = entry("The max-score test of them")
 
     def projected(self, variant: Variant) -> ProjectedSignature:
-        """Signature of a variant without what the fitted parameters explain of it."""
+        """Signature of a variant, projected off the fitted parameters."""
         return self.test.signature(variant.signature.name, variant.signature.variant)
 
     def typical(self, name: str) -> Variant | None:
@@ -302,7 +302,7 @@ class Candidates:
         return min(own, key=_distance_from_prior, default=None)
 
     def visibility(self, effect: Effect) -> Visibility:
-        """Which size of an effect would be seen."""
+        """The detectable size of an effect."""
         relevant = FACTS[effect.name].relevant
         variant = self.typical(effect.name)
         if variant is None:
@@ -320,7 +320,7 @@ class Candidates:
         )
 
     def exclusion(self, effect: Effect, scores: Scores) -> Exclusion:
-        """What scores say of an effect."""
+        """The result of the score test for an effect."""
         seen = self.visibility(effect)
         scored = next((x for x in scores.candidates if x.name == effect.name), None)
         score, p_value = (0.0, 1.0) if scored is None else (scored.score, scored.p_value)

@@ -1,4 +1,4 @@
-"""How large the errors of measured laxity are, and how they hang together."""
+"""The noise of measured laxity and its correlation, from the data."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -131,7 +131,7 @@ def correlation_of_replicates(replicates: Replicates, values: Array) -> float | 
 
 
 class NoiseSource(StrEnum):
-    """What shows how large the errors are."""
+    """The source of a noise estimate."""
 
     REPLICATES = "replicates"
     CURVES = "load curves"
@@ -139,7 +139,7 @@ class NoiseSource(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """How it shows it, for a person, the sizes to follow."""
+        """The source as the start of a sentence."""
         return {
             NoiseSource.REPLICATES: "Repeated trials imply a noise of",
             NoiseSource.CURVES: "The scatter along the load curves implies a noise of",
@@ -169,7 +169,7 @@ class DataNoise:
 
     @property
     def sentence(self) -> str:
-        """Where they come from and how large they are, for a person."""
+        """Source and size of the noise, as a sentence."""
         if self.source is NoiseSource.STATED:
             return self.source.sentence
         sizes = [
@@ -186,7 +186,7 @@ class DataNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Seen:
-    """Noise as the data show it, over the stated one, by unit."""
+    """Empirical noise relative to the stated noise, by unit."""
 
     scales: Mapping[str, EstimatedScale]
     source: NoiseSource

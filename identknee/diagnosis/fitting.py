@@ -49,7 +49,7 @@ LOW_LOADS = 0.5
 
 @declared
 class Weighed:
-    """Residuals of a model in units of a noise model that trials may share."""
+    """Residuals of a model whitened by a noise model, which may correlate trials."""
 
     compared: LaxityResiduals = entry("Model and data, compared in mm and deg")
     noise: NoiseModel = entry("The errors of the measured values")
@@ -77,7 +77,7 @@ def weighed(model: LaxityModel, laxity: Laxity, noise: NoiseModel) -> WithPriors
 
 @declared
 class Fitted:
-    """A model fitted to data: where, and what it leaves."""
+    """A model fitted to data, with its residuals."""
 
     model: LaxityModel = entry("Model that was fitted")
     laxity: Laxity = entry("Data that it was fitted to")
@@ -117,7 +117,7 @@ class Fitted:
 
     @property
     def nuisance_findings(self) -> tuple[Finding, ...]:
-        """Which of them the fit moves beyond what is stated: a cause by itself."""
+        """Nuisances whose estimate is improbable under their prior."""
         problem = weighed(self.model, self.laxity, self.noise)
         return tuple(
             replace(x, sentence=x.sentence.removesuffix(HINT))
@@ -140,7 +140,7 @@ class Fitted:
 
     @property
     def nuisances(self) -> tuple[NuisanceEstimate, ...]:
-        """What the knee states to be uncertain, as the fit leaves it."""
+        """The nuisance parameters of the knee at the fit."""
         return nuisance_estimates(weighed(self.model, self.laxity, self.noise), self.theta)
 
     @property
@@ -152,7 +152,7 @@ class Fitted:
 
     @property
     def projector(self) -> Projector:
-        """What the fitted parameters cannot explain."""
+        """The projector off the fitted parameters."""
         return base_projector(self.evaluation.jacobian)
 
     def columns(self, changes: Array) -> Array:
@@ -267,7 +267,7 @@ def fitted_with_nuisances(fitted: Fitted, sd: Array, correlation: float) -> Fitt
 
 
 def plain_noise(laxity: Laxity) -> NoiseModel:
-    """The errors that data state, without nuisances.
+    """The stated noise, without nuisances.
 
     Raises
     ------

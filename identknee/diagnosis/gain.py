@@ -62,7 +62,7 @@ class Discrepancy:
 def fit_discrepancy(
     problem: Problem, observations: Observations, theta: Array, protocol: Protocol
 ) -> Discrepancy:
-    """The Gaussian process that takes up most of what a fitted model leaves.
+    """The Gaussian process of highest marginal likelihood for the residuals of a fitted model.
 
     A process in each coordinate, smooth in flexion and loads, from which everything is taken out
     that a change of the fitted parameters could do, so that it leaves the fit as it is. Its
@@ -145,7 +145,7 @@ class _Kernel:
         return np.asarray(self._pairs * np.exp(shape) * (spread @ spread.T))
 
     def projected(self, covariance: Array) -> Array:
-        """Whitened, without what the fitted parameters explain."""
+        """Whitened values, projected off the fitted parameters."""
         return np.asarray(self._reduce @ covariance @ self._reduce.T)
 
     def misfit(self, logs: Array, target: Array) -> tuple[float, Array]:
@@ -175,7 +175,7 @@ LEAST_SINGULAR_VALUE = 1e-6
 
 @unique
 class FoldStatus(Enum):
-    """What became of a fold."""
+    """Outcome of a fold."""
 
     SCORED = "scored"
     NOT_MEASURED = "not_measured"
@@ -221,7 +221,7 @@ class FoldScore:
 
 @declared
 class HeldOut:
-    """How well a model predicts the held trials of all folds."""
+    """Cross-validation of a model over all folds."""
 
     observations: Observations = entry("The measured values")
     scores: tuple[FoldScore, ...] = entry("One for each fold")
@@ -302,7 +302,7 @@ def held_out(
 
 
 class _Memory:
-    """A problem of which the first and the last evaluation are remembered."""
+    """A problem that caches its first and last evaluation."""
 
     def __init__(self, problem: Problem, first: Evaluation) -> None:
         self._problem = problem

@@ -133,7 +133,7 @@ class Investigation:
 
     @cached_property
     def exclusions(self) -> tuple[Exclusion, ...]:
-        """What the data say of each effect of the library.
+        """The result for each effect of the library.
 
         Effects in the explanation have the score that they had before they joined it, all others
         the score beside it.
@@ -162,7 +162,7 @@ class Investigation:
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What a reader must know of the fits that the diagnosis stands on."""
+        """Findings about the fits behind the diagnosis."""
         findings = list(_unfinished(self.base, "without causes"))
         if self.explanation is not self.base:
             labels = listed(map(cause_label, self.explanation.names))
@@ -315,7 +315,7 @@ def lower_start(attribution: Attribution) -> Array | None:
 
 
 def layout_of(laxity: Laxity) -> TrialLayout:
-    """How the trials of the data are told apart."""
+    """The layout of the trials on the map of misfit."""
     return TrialLayout(
         flexion_deg=nominal_flexion(laxity.protocol),
         loads=told_loads(laxity.protocol),

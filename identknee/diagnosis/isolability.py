@@ -1,4 +1,4 @@
-"""Which causes a protocol can tell apart, and the trials that would separate those it cannot."""
+"""Isolability of causes under a protocol, and trials that would separate confounded ones."""
 
 from collections.abc import Sequence
 
@@ -36,7 +36,7 @@ class Distances:
 
 
 def visible_root(signature: ProjectedSignature, amplitude: Array) -> float:
-    """Root of the noncentrality: how far the effect stands out of the noise after the fit."""
+    """Square root of the noncentrality of an effect after the fit."""
     return float(np.sqrt(max(float(amplitude @ signature.gram @ amplitude), 0.0)))
 
 
@@ -102,7 +102,7 @@ def worst_distances(
 
 
 def groups(found: Distances, *, least: float = LEAST_DISTANCE) -> tuple[tuple[str, ...], ...]:
-    """Effects that cannot be told apart, directly or by way of others, in the order of the effects.
+    """Groups of effects that cannot be distinguished, directly or through others, in their order.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def groups(found: Distances, *, least: float = LEAST_DISTANCE) -> tuple[tuple[st
 
 @declared
 class Pair:
-    """An effect of known amplitude and the rival that trials are to tell it from."""
+    """An effect of known amplitude and the rival to distinguish it from."""
 
     effect: IntArray = array("Its columns", "amplitude", dtype=int)
     amplitude: Array = array("Its amplitudes", "amplitude")
@@ -141,7 +141,7 @@ class Pair:
 
 @declared
 class AdvisedTrials:
-    """Trials to add, and the distances they bring."""
+    """Trials to add, and the distances that they achieve."""
 
     chosen: tuple[int, ...] = entry(
         "Which candidates, in the order of choice; one may come several times"
@@ -231,7 +231,7 @@ def pair_distances(
 
 
 class _Marginal:
-    """Information of rows about parameters, averaged over nuisances, and what more rows add."""
+    """Information of rows on parameters, nuisances marginalised, and the gain by more rows."""
 
     def __init__(self, rows: Array, n_nuisances: int) -> None:
         self._n = rows.shape[1] - n_nuisances
@@ -282,7 +282,7 @@ def _pair_distances(information: Array, pairs: Sequence[Pair], n_base: int) -> A
 
 
 class _Rival:
-    """What the base parameters and the amplitudes of a rival can explain together."""
+    """The span of the base parameters and the amplitudes of a rival."""
 
     def __init__(self, information: Array, pair: Pair, n_base: int) -> None:
         self._free = np.concatenate([np.arange(n_base), pair.rival])

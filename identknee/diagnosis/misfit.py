@@ -41,12 +41,12 @@ class Projector:
 
     @property
     def rank(self) -> int:
-        """How many directions are taken out."""
+        """Number of directions projected out."""
         return int(self.basis.shape[1])
 
     @property
     def degrees_of_freedom(self) -> int:
-        """What is left for the residuals."""
+        """Residual degrees of freedom."""
         return self.n_rows - self.rank
 
     def padded(self, values: Array) -> Array:
@@ -61,7 +61,7 @@ class Projector:
         return np.concatenate([values, np.zeros((missing, *values.shape[1:]))])
 
     def project(self, values: Array) -> Array:
-        """What of `values` the fitted parameters cannot explain.
+        """`values` projected off the fitted parameters.
 
         Parameters
         ----------
@@ -296,7 +296,7 @@ LEAST_LEFT = 1e-6
 
 @declared
 class TrialLayout:
-    """How the trials are told apart on the map of misfit.
+    """The layout of the trials on the map of misfit.
 
     Raises
     ------
@@ -366,7 +366,7 @@ class Localisation:
 
     @property
     def sentence(self) -> str:
-        """Where the misfit is, for a person."""
+        """The location of the misfit, as a sentence."""
         if not self.region:
             return "No region stands out."
         where = "; ".join(_places(self.region))
@@ -468,7 +468,7 @@ def _p_values(sizes: Array, columns: Array, seed: int) -> Array:
 
 
 def _region(cells: Sequence[CellScore], layout: TrialLayout) -> list[int]:
-    """The significant cells that hang together with the one of the highest score."""
+    """The connected region of significant cells around the highest score."""
     significant = [i for i, x in enumerate(cells) if x.p_value <= LEVEL]
     if not significant:
         return []

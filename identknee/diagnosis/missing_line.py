@@ -301,7 +301,7 @@ class LineFinding:
 
     @property
     def sentence(self) -> str:
-        """The finding in words."""
+        """The finding as a sentence."""
         left = f"residuals of probability {self.refit.misfit_p_value:.2g}"
         if not self.is_line:
             return f"Not a line force: the best line leaves {left}."

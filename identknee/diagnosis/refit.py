@@ -119,7 +119,7 @@ class Refit:
 
     @property
     def promised_fall(self) -> float:
-        """What a straight model says the deviance would still fall by; inf without a prediction."""
+        """Further reduction of the deviance by the linear model; inf without a prediction."""
         evaluation = self.fitted.evaluation
         if not evaluation.is_finite:
             return np.inf
@@ -164,7 +164,7 @@ class Refit:
         return np.asarray(self.fitted.theta[[p.index(x) for x in effect.parameters.names]])
 
     def is_at_end(self, name: str) -> bool:
-        """Whether an amplitude lies at an end of its plausible range other than zero."""
+        """Whether an amplitude lies at a non-zero end of its plausible range."""
         p, places = self.fitted.model.parameters, self.places(name)
         value, low, high = self.fitted.theta[places], p.lower[places], p.upper[places]
         margin = AT_END * (high - low)
@@ -172,7 +172,7 @@ class Refit:
 
 
 def without_causes(base: BaseFit) -> Refit:
-    """The fit of the base model, as the one that others are compared with."""
+    """The fit of the base model, the reference of comparisons."""
     fitted, protocol = base.fitted, base.fitted.laxity.protocol
     patterns = smooth_patterns(protocol.loads, protocol.flexion_deg, fitted.laxity.is_measured)
     return Refit(
@@ -225,7 +225,7 @@ def refit(
 
 
 def refit_by_low_loads(base: Refit, stuck: Refit, start: Array) -> Refit:
-    """A refit begun again where the trials of low loads alone are fitted.
+    """A refit restarted from a fit to the trials of low loads.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def expected_distance(true: Refit, rival: Refit) -> float:
 
 
 class RivalState(StrEnum):
-    """What the data say of another explanation."""
+    """The state of another explanation given the data."""
 
     OPEN = "open"
     EXCLUDED = "excluded"
@@ -295,17 +295,17 @@ class Rival:
 
     @property
     def is_excluded(self) -> bool:
-        """Whether the data speak against it clearly enough."""
+        """Whether the data exclude it."""
         return self.state is RivalState.EXCLUDED
 
     @property
     def could_matter(self) -> bool:
-        """Whether its score leaves it possible that it is the explanation."""
+        """Whether it may be the explanation by its score."""
         return self.score is None or could_matter(self.score, self.highest)
 
     @property
     def reason(self) -> str:
-        """Why it was not tested, as a sentence; empty where it was."""
+        """The reason it was not tested, as a sentence; empty if it was."""
         if self.state is not RivalState.NOT_TESTED:
             return ""
         names = " and ".join(map(cause_label, self.refit.names))

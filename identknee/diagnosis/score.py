@@ -120,7 +120,7 @@ class ProjectedSignature:
 
     @property
     def is_seen(self) -> bool:
-        """Whether anything is left that the fitted parameters do not explain."""
+        """Whether the signature is not fully explained by the fitted parameters."""
         return self.share_left > LEAST_LEFT
 
     def gain(self, correlations: Array) -> Array:
@@ -243,7 +243,7 @@ SMALLEST, LARGEST, PRECISION = 1e-4, 1e4, 1e-3
 
 @declared
 class CandidateScore:
-    """How strongly residuals speak for one candidate cause."""
+    """Score of one candidate cause."""
 
     name: str = entry("Name of the effect")
     variant: str = entry("Its variant that scores highest")
@@ -495,7 +495,7 @@ _SENTENCES = {
 
 
 def judge(*, is_significant: bool, power: float) -> Cell:
-    """What a score says, given the power to find an amplitude that matters."""
+    """Classification of an effect by its score and the power for a relevant size."""
     is_powerful = power >= HIGH_POWER
     if is_significant:
         return Cell.INSPECT if is_powerful else Cell.MISSPECIFIED
@@ -503,7 +503,7 @@ def judge(*, is_significant: bool, power: float) -> Cell:
 
 
 def detection_power(test: ScoreTest, signature: ProjectedSignature, amplitude: Array) -> float:
-    """How often the test would find the effect, by simulation.
+    """Power of the test for the effect, by simulation.
 
     Parameters
     ----------
@@ -521,7 +521,7 @@ def detection_power(test: ScoreTest, signature: ProjectedSignature, amplitude: A
 def detectable_amplitude(
     test: ScoreTest, signature: ProjectedSignature, parameter: int, *, power: float = 0.9
 ) -> float:
-    """The size of one amplitude alone that the test finds that often.
+    """Size of a single amplitude at which the test has that power.
 
     Infinite where more than ten thousand prior standard deviations would be needed.
 

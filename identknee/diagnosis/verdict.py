@@ -1,4 +1,4 @@
-"""What a diagnosis concludes: one of five verdicts, with its reasons."""
+"""The verdict of a diagnosis, with its reasons."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,7 +65,7 @@ _SENTENCES = {
 
 @declared
 class Conclusion:
-    """A verdict and what it stands on."""
+    """A verdict and its basis."""
 
     verdict: Verdict = entry("One of five")
     sentence: str = entry("What it means here")
@@ -114,7 +114,7 @@ def _p_words(p_value: float) -> str:
 
 
 def _ambiguous(n_causes: int, doubts: Sequence[str]) -> str:
-    """What AMBIGUOUS means where one explanation alone fits."""
+    """The sentence for AMBIGUOUS if only one explanation fits."""
     fits = "one known cause fits" if n_causes == 1 else f"{n_causes} known causes together fit"
     return f"The model gets something wrong, and {fits}, with a doubt: {'; '.join(doubts)}."
 
@@ -160,7 +160,7 @@ def _conclusion(
 
 
 def _faults(best: Refit, fits: float) -> list[str]:
-    """Why the best explanation is none."""
+    """Reasons to reject the best explanation."""
     names = " and ".join(map(cause_label, best.names))
     faults = []
     if fits <= HARDLY_FITS:
@@ -182,7 +182,7 @@ class _Doubt:
 
 
 def _doubts(attribution: Attribution, fits: float) -> list[_Doubt]:
-    """What speaks against the best explanation, none of it enough to refuse it."""
+    """Reservations about the best explanation, none of them sufficient to reject it."""
     best = attribution.best
     doubts = [
         _Doubt(

@@ -26,7 +26,7 @@ ALIKE, SAME_FLEXION_DEG = 0.5, 5.0
 
 @declared
 class DominantLoads:
-    """The load that each trial is about."""
+    """The dominant load of each trial."""
 
     axis: IntArray = array("Its place among the loads; -1 where there is none", "trial", dtype=int)
     size: Array = array(
@@ -82,7 +82,7 @@ def _changes(protocol: Protocol) -> Array:
 
 
 def nominal_flexion(protocol: Protocol) -> Array:
-    """Flexion at which each trial was meant to be [deg], shape ``(n,)``.
+    """Nominal flexion of each trial [deg], shape ``(n,)``.
 
     Where most trials have an angle of their own, as a robot reads them, angles that are close
     together are one, their rounded mean; elsewhere they are what they are.
@@ -96,7 +96,7 @@ def nominal_flexion(protocol: Protocol) -> Array:
 
 
 def load_words(protocol: Protocol, trial: int) -> str:
-    """The load that a trial is about, in words.
+    """The dominant load of a trial, in words.
 
     Examples
     --------

@@ -16,7 +16,7 @@ TrialsLike = Protocol | PathLike
 
 
 def read_tests(given: TrialsLike) -> Protocol | Laxity:
-    """The trials that are meant, as a laxity table where they stand in one.
+    """The trials of a protocol or table, as a laxity table if they come from one.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def read_tests(given: TrialsLike) -> Protocol | Laxity:
 
 
 def read_trials(given: TrialsLike) -> Protocol:
-    """The trials that are meant, whatever they are read from; see `read_tests`.
+    """The trials of a protocol or table; see `read_tests`.
 
     Examples
     --------

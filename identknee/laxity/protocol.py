@@ -133,7 +133,7 @@ def _error(file: Path, fault: Fault) -> InputError:
 
 
 def _place(place: Place) -> str:
-    """A place as a person would name it.
+    """A place in the file, in words.
 
     Examples
     --------

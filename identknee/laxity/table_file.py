@@ -390,7 +390,7 @@ def mean_curves(
 
 
 def _ramped(path: Path, ramp: str, samples: Array) -> int:
-    """Place of the load that a ramp is about."""
+    """Index of the load that varies in a ramp."""
     where = f"ramp {ramp}"
     if (np.diff(samples[:, 0]) < 0.0).any():
         why, remedy = "time goes back", "Give each ramp a name of its own in a column trial."

@@ -37,7 +37,7 @@ def from_zero(values: Array, protocol: Protocol, zero: str) -> Array:
 
 
 def zero_trials(protocol: Protocol, zero: str) -> tuple[IntArray, ...]:
-    """Indices of the trials that each trial is counted from, one array a trial.
+    """Indices of the reference trials of each trial, one array per trial.
 
     A trial without an opposite one is counted from itself: its change says nothing.
 

@@ -1,4 +1,4 @@
-"""Where the middle of some values lies, and how widely they scatter."""
+"""Median and spread of some values."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ BOOTSTRAP_DRAWS = 9999
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """Where the middle of some values lies, and how widely they scatter.
+    """Median and spread of some values.
 
     Attributes
     ----------

@@ -16,7 +16,7 @@ MATH = "\\mathdefault"
 
 @contextmanager
 def names_as_they_are(figure: Figure) -> Iterator[None]:
-    """Write the user's names letter by letter: no formulas between dollar signs.
+    """Draw the user's names literally, without mathtext.
 
     A letter that the font lacks is drawn as a box, without a warning.
     """

@@ -33,7 +33,7 @@ _HEADINGS = {
 
 @declared
 class Statement:
-    """A sentence for a person, and what it stands on."""
+    """A sentence with its tables and figures."""
 
     question: Question = entry("What it answers")
     sentence: str = entry("One or a few whole sentences")

@@ -7,7 +7,7 @@ from identknee.verbs.answer import Answer
 
 
 def terminal_lines(answer: Answer) -> list[str]:
-    """What a person is told of an answer: sentences with their tables, then what to know."""
+    """The terminal text of an answer: sentences with their tables, then findings."""
     lines: list[str] = []
     for statement in statements_of(answer):
         lines += [statement.sentence, *(f"\n{x}\n" for x in statement.tables)]

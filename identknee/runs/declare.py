@@ -403,7 +403,7 @@ Number = Annotated[float, number()]
 
 
 def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
-    """What a TOML file holds, whatever it is.
+    """The content of a TOML file.
 
     Raises
     ------
@@ -427,7 +427,7 @@ def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
 
 
 def read_json(path: PathLike, remedy: str, limit_mb: float = 512) -> Any:
-    """What a JSON file holds, whatever it is.
+    """The content of a JSON file.
 
     Raises
     ------

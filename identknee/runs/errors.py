@@ -1,4 +1,4 @@
-"""What a person is told about a file that cannot be used."""
+"""Errors about files that cannot be used, for the user."""
 
 import difflib
 import os

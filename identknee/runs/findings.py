@@ -26,7 +26,7 @@ _PREFIXES = {Severity.INFO: "", Severity.WARNING: "Warning: ", Severity.ERROR: "
 
 @declared
 class Finding:
-    """One thing that a reader of a result must know.
+    """A finding about a result.
 
     Terminal, ``result.json`` and report show the same findings.
     """

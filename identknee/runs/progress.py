@@ -114,7 +114,7 @@ _plans: list["_Plan"] = []
 
 
 class Advance(Protocol):
-    """What is told how far the work is."""
+    """A receiver of progress."""
 
     def __call__(self, count: int, /) -> None:
         """So many items more are done."""
@@ -358,7 +358,7 @@ class _Plan:
         self._advance = advance
 
     def part(self, description: str, total: int, before: int, known: Sequence[float]) -> Advance:
-        """What is told of one map, whose first items were there before."""
+        """The progress of one map, whose first items are done already."""
         costs = self._costs.get(description)
         if not costs:
             return _Silent()

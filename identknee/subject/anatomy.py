@@ -82,7 +82,7 @@ _PLACES = (
 
 @declared
 class Anatomy:
-    """What the geometry of a knee tells about its anatomy."""
+    """Anatomical sites from the geometry of a knee."""
 
     size: float = entry(
         "Width of the plateaus over the typical one; lengths from the literature are multiplied by "
@@ -126,7 +126,7 @@ class MeniscusSpring:
 
 
 def anatomy(knee: Knee) -> Anatomy:
-    """The places that a knee's surfaces, frames and insertions tell.
+    """Anatomical sites from a knee's surfaces, frames and insertions.
 
     The flexion axis is the line through the centres of spheres fitted to the posterior condyles
     [1]_; the anatomical epicondyles lie 6.5 mm (lateral) and 8.4 mm (medial) off it on average

@@ -1,4 +1,4 @@
-"""What looks wrong with a knee's geometry, each finding one sentence with its remedy."""
+"""Checks of a knee's geometry, each finding one sentence with its remedy."""
 
 from collections.abc import Iterable, Iterator
 from itertools import combinations
@@ -47,7 +47,7 @@ FORWARD_SHARE = 0.1
 
 @declared
 class GeometryFinding(Finding):
-    """Something a check of a knee found."""
+    """A finding of a geometry check."""
 
     where: str = entry("What it is about, such as a surface or a ligament", key="subject")
     remedy: str = entry("What to do about it; empty where there is nothing to do")
@@ -73,7 +73,7 @@ def check_geometry(knee: Knee) -> tuple[GeometryFinding, ...]:
 
 
 def unusable(knee: Knee) -> tuple[GeometryFinding, ...]:
-    """The errors that forbid any use of the knee; quick enough for every reading."""
+    """Errors that make the knee unusable; fast enough for every reading."""
     # Metres make the other tests meaningless, and so does a wrong side.
     return (
         tuple(_metres(knee))
@@ -189,7 +189,7 @@ def _facing_up(surface: Surface, others: Iterable[Surface], superior: Array) -> 
 
 
 def _flipped(knee: Knee) -> Iterator[GeometryFinding]:
-    """Where the bones face each other, the femur looks down and the tibia up."""
+    """Surfaces whose normals point the wrong way where the bones face each other."""
     superior = knee.tibia_frame.axes[1]
     up = {"femur": -_facing_up(knee.femur, knee.tibia, superior)}
     for name, surface in _surfaces(knee)[1:]:

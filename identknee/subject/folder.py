@@ -301,7 +301,7 @@ def read_tables(path: PathLike) -> SubjectTables:
 
 
 def place_of(place: Place, values: Mapping[str, Any], key: str = "") -> str:
-    """A place in a subject file as a person would name it.
+    """A place in a subject file, in words.
 
     Examples
     --------
@@ -638,7 +638,7 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
 
 
 def _stated_lines(knee: Knee) -> list[str]:
-    """What the subject states of its uncertainty, its priors and its bounds."""
+    """The stated uncertainty, priors and bounds of a subject."""
     stated = {x.name: getattr(knee.uncertainty, x.name) for x in fields(Uncertainty)}
     numbers = [(name, x) for name, x in stated.items() if isinstance(x, float) and x > 0.0]
     spreads = stated["insertions_mm"]

@@ -55,7 +55,7 @@ MOVES = 20
 
 @declared
 class Site:
-    """Where a line ligament would be attached."""
+    """A site of a line ligament."""
 
     name: str = entry("Name of the line, different for every line")
     femur: Array = entry(

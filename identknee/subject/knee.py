@@ -201,11 +201,11 @@ class Knee:
         return replace(self, ligaments=tuple(ligaments))
 
     def with_effects(self, effects: Sequence[EffectChoice]) -> "Knee":
-        """A copy whose model is extended by other effects."""
+        """A copy with other effects."""
         return replace(self, effects=tuple(effects))
 
     def with_uncertainty(self, uncertainty: Uncertainty) -> "Knee":
-        """A copy whose geometry and tests are known so well."""
+        """A copy with another stated uncertainty."""
         return replace(self, uncertainty=uncertainty)
 
     def as_scanned(self, points: Array) -> Array:

@@ -110,7 +110,7 @@ MERGED = {"ACL": ("ACL",), "PCL": ("PCL",), "LCL": ("LCL",), "MCL": ("MCLs", "sM
 
 @declared
 class OsimEnd:
-    """Where a ligament holds on to a bone."""
+    """An attachment of a ligament to a bone."""
 
     element: Element = entry("The XML of its point")
     frame: Transform = entry("Where the frame in which that is given is in the common frame [m]")
@@ -206,7 +206,7 @@ def line_for(name: str, bundle: Sequence[Ligament]) -> Ligament:
 
 
 def slack_length(ligament: Ligament) -> float:
-    """Length at which a ligament begins to pull [m].
+    """Slack length of a ligament [m].
 
     Examples
     --------

@@ -76,7 +76,7 @@ def write_minimal_model(knee: Knee, folder: Path) -> Path:
 
 
 def file_name(name: str, ending: str = "") -> str:
-    """A name that a file and an XML path may have.
+    """A valid file name and XML path.
 
     Examples
     --------

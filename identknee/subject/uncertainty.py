@@ -93,7 +93,7 @@ class Uncertainty:
 
     @property
     def is_exact(self) -> bool:
-        """Whether nothing is stated to be uncertain."""
+        """Whether no uncertainty is stated."""
         return not any(isinstance(x, Mapping) or x > 0.0 for _, x in self._values())
 
     @property
@@ -103,7 +103,7 @@ class Uncertainty:
 
     @property
     def sentence(self) -> str:
-        """What was taken as uncertain and what as exact."""
+        """What is treated as uncertain and what as exact."""
         meanings = {x.name: str(x.metadata["meaning"]) for x in fields(self)}
         if self.is_exact:
             return (
@@ -281,7 +281,7 @@ EXACTLY = Uncertainty()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatedPrior:
-    """What is known of a parameter before any test.
+    """A stated prior of a parameter.
 
     Attributes
     ----------

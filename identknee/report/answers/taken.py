@@ -8,7 +8,7 @@ MOST_NAMED = 8
 
 
 def taken_for_granted(answer: Answer) -> tuple[str, ...]:
-    """The sentences to know beside what an answer says."""
+    """The assumptions of an answer, as sentences."""
     trials = answer.trials_used
     if not trials:
         return answer.assumptions

@@ -13,7 +13,7 @@ ERROR = Severity.ERROR.prefix
 
 
 def told_once(sentences: Iterable[tuple[str, str]]) -> list[str]:
-    """Warnings without those that another result gives too, errors first.
+    """Warnings without duplicates of other results, errors first.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ class Said:
 
 
 def all_said(results: Sequence[Result]) -> list[Said]:
-    """What results say: fits of one table side by side, what several take for granted once."""
+    """The statements of results: fits of one table compared, common assumptions once."""
     fits = [x.answer for x in results if isinstance(x.answer, Calibration)]
     together = _together(results)
     said = []
@@ -62,7 +62,7 @@ def _warnings(result: Result, fits: Sequence[Calibration]) -> Iterator[Statement
 
 
 def _taken(results: Sequence[Result]) -> Iterator[Said]:
-    """What results take for granted; what only some of them do says which."""
+    """The assumptions of results, with their source if not shared by all."""
     taken = {_source(x): taken_for_granted(x.answer) for x in results}
     sources = [x for x in taken if taken[x]]
     by_sources: dict[tuple[str, ...], list[str]] = {}

@@ -121,7 +121,7 @@ def _rounded(values: Array, decimals: int) -> Any:
 
 
 def _in_words(scene: KneeScene) -> str:
-    """What the picture shows, for who cannot see it move."""
+    """Alternative text of the interactive figure."""
     forces = np.array([x.tensions for x in scene.trials])
     knee, n = scene.knee, len(scene.trials)
     said = [f"The {knee.side} knee {knee.name} in {n} trials, its ligaments coloured by force."]
