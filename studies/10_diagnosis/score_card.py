@@ -76,9 +76,9 @@ def sentences(record: Row) -> dict[str, str]:
         f"{' '.join(by_signal)} A wrong name is given in {wrong.count} of all {len(cases)} cases "
         f"(at most {100 * wrong.upper:.0f} % with 95 % confidence), and an alarm is raised in "
         f"{alarms} of the {len(nulls)} cases with nothing hidden. In the {len(right)} cases named "
-        f"rightly the median error of the stiffnesses falls from {errors[0]:.2f} to "
-        f"{errors[1]:.2f} kN, and {held[1]:.0f} % of the parameters' 95 % intervals hold the truth "
-        f"instead of {held[0]:.0f} %."
+        f"correctly the median error of the stiffnesses falls from {errors[0]:.2f} to "
+        f"{errors[1]:.2f} kN, and {held[1]:.0f} % of the parameters' 95 % intervals contain the "
+        f"true value instead of {held[0]:.0f} %."
     )
     seconds = [x["seconds"] for x in cases]
     cost = (
@@ -99,7 +99,7 @@ def _named(signal: float, own: Sequence[Row]) -> str:
     kinds = [ending(x) for x in own]
     return (
         f"At a signal of {signal:g}, {kinds.count(Ending.RIGHT)} of {len(own)} single effects are "
-        f"named rightly and {kinds.count(Ending.GROUP)} more are in the group of causes given "
+        f"named correctly and {kinds.count(Ending.GROUP)} more are in the group of causes given "
         f"(missed: {kinds.count(Ending.MISSED)})."
     )
 
