@@ -1,4 +1,4 @@
-"""The best fit among the parameter sets that give a quantity a wanted value."""
+"""Bounded least squares, with an optional equality constraint on a quantity."""
 
 from collections.abc import Callable
 
@@ -26,7 +26,7 @@ LEAST_DIAGONAL = 1e-6
 
 @declared
 class Step:
-    """The lowest point of a linear model, and what holds it there.
+    """The constrained minimum of a linear model, with its active bounds.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Step:
 def bounded_step(
     matrix: Array, data: Array, bounds: tuple[Array, Array], constraint: tuple[Array, float] | None
 ) -> Step:
-    """The step d that makes ``|matrix d + data|`` least within bounds and on a plane.
+    """The step d that minimises ``|matrix d + data|`` within bounds and on a plane.
 
     A primal active-set method: from a point within the bounds and on the plane it goes to the
     lowest point over the components that are free, holds the first component that meets a bound on
@@ -74,14 +74,14 @@ def bounded_step(
 
 
 def attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
-    """The number nearest to `wanted` that ``normal d`` can be within the bounds."""
+    """The value nearest to `wanted` that ``normal d`` can attain within the bounds."""
     has_say = normal != 0.0
     ends = np.array([normal[has_say] * bounds[0][has_say], normal[has_say] * bounds[1][has_say]])
     return float(np.clip(wanted, ends.min(axis=0).sum(), ends.max(axis=0).sum()))
 
 
 def point_on_plane(normal: Array, bounds: tuple[Array, Array], wanted: float) -> Array:
-    """A point within the bounds at which ``normal d`` is `wanted`, which they must allow.
+    """A feasible point at which ``normal d`` equals `wanted`; one must exist.
 
     It is the point of the shortest way along the normal, cut off at the bounds.
     """
@@ -100,7 +100,7 @@ def point_on_plane(normal: Array, bounds: tuple[Array, Array], wanted: float) ->
 
 
 class _ActiveSet:
-    """The state of one search: where it is and which components are held."""
+    """The state of one active-set search: its point and its active bounds."""
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class _ActiveSet:
         return Step(step=self._at, multiplier=multiplier, is_held=self._held)
 
     def _go_to_lowest(self) -> bool:
-        """Move over the free components; False if a bound was met on the way."""
+        """Minimise over the free components; False if a bound became active on the way."""
         free = np.flatnonzero(~self._held)
         move = np.zeros(len(self._at))
         move[free] = self._free_move(free)
@@ -159,7 +159,7 @@ class _ActiveSet:
         return np.asarray(basis @ _lowest_move(matrix @ basis, missing, least))
 
     def _let_go(self) -> bool:
-        """Free the held component that pulls hardest inward; False if none does."""
+        """Drop the active bound with the most negative multiplier; False if there is none."""
         _, force = self._forces()
         inward = np.where(self._at >= self._upper, force, -force)
         inward[~self._held | (self._lower == self._upper)] = 0.0
@@ -171,7 +171,7 @@ class _ActiveSet:
         return True
 
     def _forces(self) -> tuple[float, Array]:
-        """Multiplier of the constraint, and the derivatives that it leaves, shape ``(n,)``."""
+        """Multiplier of the constraint, and the remaining gradient, shape ``(n,)``."""
         slope = self._matrix.T @ (self._matrix @ self._at + self._data)
         if self._normal is None:
             return 0.0, slope
@@ -186,7 +186,7 @@ class _ActiveSet:
 def _near_the_lowest(
     matrix: Array, data: Array, bounds: tuple[Array, Array]
 ) -> tuple[Array, BoolArray]:
-    """A point within the bounds near the lowest one, and what is held there.
+    """A feasible point near the minimum, and the bounds active there.
 
     All components that a bound stops or lets go change sides at once, which seldom takes more than
     a few rounds but need not end: a beginning for a search that does.
@@ -215,7 +215,7 @@ def _near_the_lowest(
 
 
 def _is_of_full_rank(triangle: Array) -> bool:
-    """Whether the square of a triangle can be solved with."""
+    """Whether the normal equations of a triangular factor are solvable."""
     diagonal = np.abs(np.diagonal(triangle))
     if len(triangle) < triangle.shape[1] or not diagonal.size:
         return False
@@ -223,7 +223,7 @@ def _is_of_full_rank(triangle: Array) -> bool:
 
 
 def _lowest_move(matrix: Array, missing: Array, least: float) -> Array:
-    """The shortest move to where ``matrix d + missing`` is least.
+    """The least-norm step that minimises ``matrix d + missing``.
 
     Singular values up to `least` count as zero.
     """
@@ -240,7 +240,7 @@ def _lowest_move(matrix: Array, missing: Array, least: float) -> Array:
 
 
 def _null_space(normal: Array) -> Array:
-    """Orthonormal directions across `normal`, as columns; all directions where it is zero."""
+    """Orthonormal basis of the null space of `normal`, as columns; of the whole space if zero."""
     n = len(normal)
     if not normal.any():
         return np.eye(n)
@@ -259,7 +259,7 @@ MOST_EXCHANGES, MOST_HALVINGS = 12, 40
 
 
 class Kinks:
-    """What one search knows of kinks near the point where it is.
+    """Linear models collected across kinks near the current point.
 
     Where a contact begins or ends, the derivatives of the residuals jump. At a minimum on such a
     kink those of either side promise a decrease on the other, so that steps by one of them zigzag
@@ -276,11 +276,11 @@ class Kinks:
 
     @property
     def is_met(self) -> bool:
-        """Whether any step did not keep its promise."""
+        """Whether any step achieved less than its predicted reduction."""
         return bool(self._points)
 
     def remember(self, point: Linearised) -> None:
-        """Take in a point from which, or to which, a step did not keep its promise."""
+        """Add a point at either end of a step that achieved less than predicted."""
         self._points = [point, *self._points[: REMEMBERED - 1]]
 
     def models(self, at: Linearised, scales: Array, *, length: float, slack: float) -> Array:
@@ -317,7 +317,7 @@ class Kinks:
 def lowest_of_the_highest(
     models: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None, gap: float
 ) -> tuple[Step, float]:
-    """The step to where the highest of several models is lowest, and the deviance there.
+    """The step that minimises the maximum of several models, and the deviance there.
 
     It is found through its dual: a weighted sum of the models whose minimum is as high as can be.
     That sum also has the multiplier of the constraint on the kink.
@@ -357,7 +357,7 @@ def lowest_of_the_highest(
 def _lowest(
     models: Array, weights: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None
 ) -> tuple[Step, Array]:
-    """The step to the minimum of a weighted sum of models, and how high each is there, ``(k,)``."""
+    """The minimiser of a weighted sum of models, and the value of each there, ``(k,)``."""
     used = weights > 0.0
     rows = np.concatenate(np.sqrt(weights[used])[:, None, None] * models[used])
     step = bounded_step(rows[:, :-1], rows[:, -1], box, constraint)
@@ -476,7 +476,7 @@ def minimise(
     most_steps: int = MAX_STEPS,
     is_enough: IsEnough | None = None,
 ) -> Constrained:
-    """The parameter set of least deviance within the bounds, reached downhill from `start`.
+    """The parameter set of least deviance within the bounds, by descent from `start`.
 
     Parameters
     ----------
@@ -513,7 +513,7 @@ class _Point:
 
 @declared
 class _Plan:
-    """The step the model around a point wants, and what it promises."""
+    """The step proposed by the model around a point, and its predicted reduction."""
 
     theta: Array
     step: Step
@@ -526,7 +526,7 @@ class _Plan:
 
 
 class _Search:
-    """One search: its settings, its trust region and the price of missing the target."""
+    """One search: its settings, trust region and penalty for missing the target."""
 
     def __init__(
         self,
@@ -576,7 +576,7 @@ class _Search:
         return self._result(point, plan, Outcome.VALLEY, before)
 
     def _on_target(self, start: Array) -> Array:
-        """The start with the target put in where the quantity is one of the parameters."""
+        """The start with the target inserted if the quantity is a parameter."""
         if self._quantity is None:
             return start
         value, gradient = self._quantity.evaluate(start)
@@ -648,7 +648,7 @@ class _Search:
         return not plan.is_boxed and missing - plan.remaining <= self._tolerance * missing
 
     def _next(self, point: _Point, plan: _Plan) -> _Point:
-        """The next point: the planned one if it keeps enough of its promise."""
+        """The next point: the planned one if actual over predicted reduction is large enough."""
         new = self._point(plan.theta)
         if not new.is_finite:
             self._met_cliff = True
@@ -708,7 +708,7 @@ class _Search:
         )
 
     def _tangent(self, point: _Point, held: BoolArray) -> Array:
-        """The way of least rise by which the quantity grows by one, held parameters staying."""
+        """Least-increase direction in which the quantity grows by one, active bounds kept."""
         gradient = point.gradient
         if gradient is None:  # pragma: no cover - asked for with a quantity only
             raise AssertionError
@@ -727,7 +727,7 @@ class _Search:
 
 
 def _reduction(matrix: Array, data: Array, step: Step) -> float:
-    """How much lower a model has the deviance after its step."""
+    """Predicted reduction of the deviance by a model after its step."""
     change = matrix @ step.step
     return float(-2.0 * data @ change - change @ change)
 

@@ -1,4 +1,4 @@
-"""The Complex method as the paper used it: ask for candidates, be told their deviances."""
+"""The Complex method as the paper used it, as an ask-and-tell search."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What makes a fit doubtful: a misfit beyond the noise, bounds, starts that end apart."""
+"""Warnings about a fit: lack of fit, active bounds, starts that disagree."""
 
 from collections.abc import Sequence
 
@@ -26,7 +26,7 @@ MISTAKES = "a sign, a unit or a side of the data may be wrong, or the model lack
 
 
 def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Finding, ...]:
-    """Whether a fit leaves more than noise of the stated size would.
+    """Whether the residuals of a fit exceed the stated noise.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Fi
 
 
 def too_few_findings(n_values: int, n_parameters: int) -> tuple[Finding, ...]:
-    """Whether fewer values were measured than parameters are fitted to them."""
+    """Whether fewer values were measured than parameters are fitted."""
     if n_values >= n_parameters:
         return ()
     values = "1 value was" if n_values == 1 else f"{n_values} values were"
@@ -62,7 +62,7 @@ def too_few_findings(n_values: int, n_parameters: int) -> tuple[Finding, ...]:
 
 
 def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Finding, ...]:
-    """The same where the data state no noise: against errors that no instrument should have.
+    """Lack of fit where the data state no noise, against the largest expected errors.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Findi
 def bound_findings(
     theta: Array, parameters: Parameters, fixed: Sequence[str] = ()
 ) -> tuple[Finding, ...]:
-    """Which fitted parameters stand at a bound: there the bound decided, and not the data."""
+    """Which fitted parameters lie at an active bound, where the data do not determine them."""
     margin = AT_END * (parameters.upper - parameters.lower)
     standing = [
         f"{label_without_unit(name)} ({amount(end, unit_of(name))})"
@@ -111,7 +111,7 @@ def bound_findings(
 
 
 def at_zero(theta: Array, parameters: Parameters) -> tuple[str, ...]:
-    """Names of the parameters that stand at a lower bound of zero, as what is absent does."""
+    """Names of the parameters at a lower bound of zero, as of an absent structure."""
     zero = (theta <= 0.0) & (parameters.lower == 0.0)
     return tuple(x for x, is_zero in zip(parameters.names, zero, strict=True) if is_zero)
 

@@ -1,4 +1,4 @@
-"""Residuals of a problem and their derivatives, counted, and the best of them remembered."""
+"""Residuals of a problem and their derivatives, counted, with the best point kept."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Linearised(Protocol):
 
 
 class Curvature:
-    """The second derivatives of half the deviance beyond Gauss-Newton's, learned from points met.
+    """Quasi-Newton estimate of the second-order term that Gauss-Newton omits.
 
     They are the sum of the residuals times their second derivatives. Where they are not small
     beside the squared Jacobian, as in the bent valleys of uncertain geometry, Gauss-Newton steps
@@ -63,11 +63,11 @@ class Curvature:
 
     @property
     def is_known(self) -> bool:
-        """Whether anything has been learned."""
+        """Whether any update has been made."""
         return bool(self._matrix.any())
 
     def learn(self, before: Linearised, after: Linearised) -> None:
-        """Take in what two points with derivatives say."""
+        """Update from two points with derivatives."""
         step = after.theta - before.theta
         gradient = after.jacobian.T @ after.residuals
         change = gradient - before.jacobian.T @ before.residuals
@@ -115,7 +115,7 @@ NEAR = 0.1
 
 
 class Ended(Exception):  # noqa: N818 - not an error: it says how a search ended
-    """Raised inside a search to leave it, whichever library owns its loop."""
+    """Raised inside a search to end it, whichever library owns the loop."""
 
     def __init__(self, outcome: Outcome) -> None:
         super().__init__(outcome)
@@ -269,7 +269,7 @@ class Evaluator:
         return simulation
 
     def _joins(self, end: Evaluation, theta: Array) -> bool:
-        """Whether a search that comes to `theta` joins one that found as much or more."""
+        """Whether `theta` is near an earlier search that ended at least as low."""
         if not (self.n_simulations and end.deviance <= self.best_deviance):
             return False
         return sum_of_squares(end.jacobian @ (theta - end.theta)) <= NEAR**2

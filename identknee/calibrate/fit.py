@@ -43,7 +43,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 
 
 class Settings(TypedDict, total=False):
-    """What `fit_many` passes on to each `fit`, by the same names."""
+    """Options that `fit_many` passes on to each `fit`, under the same names."""
 
     method: str
     budget: int | None
@@ -119,7 +119,7 @@ def fit(
     fixed: Sequence[str] = (),
     priors: bool = False,
 ) -> Fit:
-    """The parameter set an optimizer finds from one start.
+    """The parameter set that an optimizer finds from one start.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def _message(outcome: Outcome, evaluator: Evaluator) -> str:
 
 
 def _gradient_norm(evaluator: Evaluator) -> float | None:
-    """Not counted as a simulation: theta was one already."""
+    """Norm of the gradient; not counted, because theta was simulated already."""
     if evaluator.best_theta is None:
         return None
     here = evaluator(evaluator.best_theta)

@@ -1,4 +1,4 @@
-"""Bounded least squares with the exact Jacobian, which sees a cliff and steps around it."""
+"""Bounded least squares with the exact Jacobian, which detects cliffs and steps around them."""
 
 import numpy as np
 import scipy.linalg
@@ -120,7 +120,7 @@ def way_around(evaluator: Evaluator, theta: Array, generator: np.random.Generato
 
 
 class _Poll:
-    """Trial steps from one point, in coordinates where the linear model is a distance."""
+    """Trial steps from one point, in coordinates in which the linear model is a distance."""
 
     def __init__(self, evaluator: Evaluator, theta: Array) -> None:
         self._evaluator = evaluator
@@ -135,7 +135,7 @@ class _Poll:
         self.distance = float(np.linalg.norm(self.target))
 
     def lowest(self, steps: Array) -> Array | None:
-        """The lowest point after any of the `steps`, None where none is low enough."""
+        """The lowest point after any of the `steps`; None if none is low enough."""
         tried = [self.after(step) for step in steps]
         deviance, point = min(tried, key=lambda pair: pair[0])
         return point if self.is_lower(deviance) else None
@@ -158,7 +158,7 @@ class _Poll:
 
 
 def _slide(poll: _Poll, across: Array, tilt: float, length: float) -> Array | None:
-    """The lowest point along the way to the target, tilted sideways by an angle [rad]."""
+    """The lowest point along directions tilted from the target by an angle [rad]."""
     toward = np.cos(tilt) * poll.target
     sideways = np.sin(tilt) * poll.distance
     reach = length * np.cos(tilt)
@@ -175,7 +175,7 @@ def _slide(poll: _Poll, across: Array, tilt: float, length: float) -> Array | No
 
 
 def _across(target: Array, generator: np.random.Generator) -> Array:
-    """Orthonormal directions across `target`, as rows, turned at random."""
+    """Orthonormal directions orthogonal to `target`, as rows, randomly rotated."""
     basis = scipy.linalg.null_space(target[None])
     turn, _ = np.linalg.qr(generator.standard_normal((basis.shape[1], basis.shape[1])))
     return np.asarray((basis @ turn).T)
@@ -268,7 +268,7 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
 
 
 class _Watch:
-    """Residuals and Jacobian for scipy, which leave its loop where it would waste simulations.
+    """Residuals and Jacobian for scipy, which end its loop when it stagnates.
 
     It asks for a Jacobian at each point it accepts and nowhere else. It shrinks its steps fourfold
     after residuals that are not finite, without an end to that.
@@ -292,7 +292,7 @@ class _Watch:
         return residuals
 
     def _stop_creeping(self) -> None:
-        """End the search where its steps have long been too short to matter, as along a kink."""
+        """End the search when its steps stay negligibly short, as along a kink."""
         lowest = self._evaluator.best_deviance
         self._n_above_goal += 1
         if lowest < self._goal:
@@ -311,7 +311,7 @@ class _Watch:
 
 
 def _is_on_a_kink(evaluator: Evaluator) -> bool:
-    """Whether the derivatives promise next to nothing where the search could not go on.
+    """Whether the predicted reduction is negligible where the search stopped.
 
     Where a contact point just touches, the derivatives of both sides differ and may point at each
     other: the lowest place is there, and no derivative vanishes at it.
@@ -321,7 +321,7 @@ def _is_on_a_kink(evaluator: Evaluator) -> bool:
 
 
 def _settle(evaluator: Evaluator) -> None:
-    """Take the last Gauss-Newton step, which ends on an active bound and not just before it."""
+    """Take a last Gauss-Newton step, which ends on the active bound, not just before it."""
     theta = _best(evaluator)
     parameters = evaluator.parameters
     step = gauss_newton(evaluator(theta), parameters).step

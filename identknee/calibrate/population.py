@@ -44,14 +44,14 @@ def minimise_by_particle_swarm(
 def minimise_by_cma_es(
     evaluator: Evaluator, start: Array, generator: np.random.Generator
 ) -> Outcome:
-    """How CMA-ES ended; its first normal has the variance of the uniform box."""
+    """How CMA-ES ended; its initial normal has the variance of the uniform box."""
     return run_search(CmaSearch(evaluator.parameters, start, generator), evaluator)
 
 
 def minimise_by_annealing(
     evaluator: Evaluator, start: Array, generator: np.random.Generator
 ) -> Outcome:
-    """How scipy's generalised simulated annealing ended; it has no end but the budget.
+    """How scipy's generalised simulated annealing ended; only the budget ends it.
 
     Local searches are off, because they would take differences of the deviance, blind to cliffs.
     """
@@ -108,7 +108,7 @@ class PymooSearch:
 
     @property
     def population(self) -> Array:
-        """The last offspring or particles: mutation keeps them apart while there is hope."""
+        """The last offspring or particles."""
         return np.asarray(self._asked.get("X"), dtype=np.float64)
 
     def ask(self) -> Array:

@@ -45,7 +45,7 @@ def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
 
 
 def floors(parameters: Parameters) -> Array:
-    """The least value that has a meaning, shape ``(n,)``.
+    """The least admissible value of each parameter, shape ``(n,)``.
 
     Zero for stiffnesses and for whatever has a lognormal prior, minus infinity for the rest.
     """
@@ -68,7 +68,7 @@ def by_unit(
 
 
 class Problem(Protocol):
-    """Anything with residuals to be made small: a laxity model with data, or a user's own model."""
+    """A least-squares problem: a laxity model with data, or a user's own model."""
 
     @property
     def parameters(self) -> Parameters:
@@ -86,7 +86,7 @@ class Problem(Protocol):
 
 @declared
 class Restricted:
-    """A problem in which only some parameters move.
+    """A problem in which only some parameters are free.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Restricted:
 
     @property
     def parameters(self) -> Parameters:
-        """Those that move."""
+        """The free parameters."""
         return self.free.parameters
 
     def residuals(self, theta: Array) -> Array:
@@ -109,7 +109,7 @@ class Restricted:
         return self.problem.residuals(self.free.expand(theta))
 
     def jacobian(self, theta: Array) -> Array:
-        """Derivatives by the parameters that move, shape ``(m, n_free)``."""
+        """Derivatives by the free parameters, shape ``(m, n_free)``."""
         return self.free.restrict(self.problem.jacobian(self.free.expand(theta)))
 
 
@@ -230,7 +230,7 @@ def without_priors(problem: Problem) -> Problem:
 
 
 def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> Restricted:
-    """The problem with the parameters named `fixed` held at their `values`, shape ``(n,)``.
+    """The problem with the parameters named `fixed` fixed at their `values`, shape ``(n,)``.
 
     Raises
     ------

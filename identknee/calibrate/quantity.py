@@ -1,4 +1,4 @@
-"""Numbers that follow from the parameters: a parameter itself or any function of them."""
+"""Scalar functions of the parameters, with derivatives."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -19,7 +19,7 @@ class Quantity(Protocol):
 
     @property
     def name(self) -> str:
-        """What to call it, for example ``"ACL force, trial 12"``."""
+        """Its name, for example ``"ACL force, trial 12"``."""
         ...
 
     @property
@@ -62,7 +62,7 @@ class ParameterQuantity:
 
     @property
     def index(self) -> int:
-        """Where it stands in theta."""
+        """Its index in theta."""
         return self.parameters.index(self.name)
 
     def evaluate(self, theta: Array) -> tuple[float, Array]:
@@ -121,7 +121,7 @@ class UserQuantity:
 
 @declared
 class RestrictedQuantity:
-    """A quantity of all parameters where only some of them move.
+    """A quantity of all parameters of which only some are free.
 
     Attributes
     ----------
@@ -145,6 +145,6 @@ class RestrictedQuantity:
         return self.quantity.unit
 
     def evaluate(self, theta: Array) -> tuple[float, Array]:
-        """Value and gradient by the parameters that move, shape ``(n_free,)``."""
+        """Value and gradient by the free parameters, shape ``(n_free,)``."""
         value, gradient = self.quantity.evaluate(self.free.expand(theta))
         return value, self.free.restrict(gradient)

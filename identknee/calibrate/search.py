@@ -1,4 +1,4 @@
-"""The one loop of all searches that ask for candidates and are told their deviances."""
+"""The common loop of all ask-and-tell searches."""
 
 from typing import Protocol
 
@@ -13,7 +13,7 @@ SPREAD_TOLERANCE = 1e-3
 
 
 class Search(Protocol):
-    """A search without its loop: what to try next, and what to learn from it."""
+    """An ask-and-tell search."""
 
     @property
     def population(self) -> Array:
@@ -21,7 +21,7 @@ class Search(Protocol):
         ...
 
     def ask(self) -> Array:
-        """Candidates to evaluate, shape ``(m, n)``; none if it can think of no new one."""
+        """Candidates to evaluate, shape ``(m, n)``; none if there is no new one."""
         ...
 
     def tell(self, values: Array) -> None:

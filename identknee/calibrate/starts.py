@@ -88,7 +88,7 @@ def named_start(name: str, parameters: Parameters) -> Array:
 
 
 def read_start(path: str | os.PathLike[str], parameters: Parameters) -> Array:
-    """Theta from a TOML file, shape ``(n,)``; what the file leaves out keeps the subject's value.
+    """Theta from a TOML file, shape ``(n,)``; omitted parameters keep the subject's value.
 
     The file has a table for each ligament, such as::
 
@@ -186,7 +186,7 @@ class SecondSearch:
 
     @property
     def finding(self) -> Finding:
-        """Whether both agree, as a sentence."""
+        """Whether both fits agree, as a finding."""
         first, second = self.first.objective, self.second.objective
         ended = f"a second search, least squares from {self.name}, ended"
         if self.second.outcome is Outcome.START_FAILED:
@@ -230,7 +230,7 @@ def _alike(objective: float) -> float:
 
 
 def second_search(problem: Problem, first: Fit) -> SecondSearch:
-    """Least squares from the first named start that is not the one of a fit.
+    """Least squares from the first named start other than that of a fit.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def second_search(problem: Problem, first: Fit) -> SecondSearch:
 
 
 def _other_start(first: Fit) -> tuple[str, Array]:
-    """A start by name with a free parameter elsewhere; the middle of the bounds failing that."""
+    """A named start that differs in a free parameter, or else the middle of the bounds."""
     parameters = first.parameters
     free = parameters.with_fixed(first.fixed, first.start)
     for name in start_names():

@@ -26,7 +26,7 @@ SMALLEST = 1e-9
 def fit_student(
     problem: Problem, units: IntArray, start: Array, search: Callable[[Problem, Array], Fit]
 ) -> Fit:
-    """The most likely fit where errors follow Student's t of unknown scale.
+    """The maximum-likelihood fit for Student's t errors of unknown scale.
 
     Least squares again and again, each value weighted by what the fit before left of it, until no
     scale changes by a thousandth. Nuisances keep their priors.
@@ -99,7 +99,7 @@ def student_scales(data: Problem, units: IntArray, theta: Array) -> tuple[Array,
 
 
 def _degrees_left(jacobian: Array, units: IntArray) -> Array:
-    """Degrees of freedom that the parameters leave to the values of each unit, at least 1."""
+    """Residual degrees of freedom of the values of each unit, at least 1."""
     left, size, _ = np.linalg.svd(jacobian, full_matrices=False)
     leverage = np.sum(left[: units.size, size > size[0] * RANK_TOLERANCE] ** 2, axis=1)
     return np.maximum(np.bincount(units, weights=1.0 - leverage, minlength=2), 1.0)

@@ -101,8 +101,8 @@ MaybeData = Annotated[
 ]
 # What every option that takes trials knows.
 PROTOCOLS = (
-    "seed63, table2, drawer, a protocol (TOML file), or the trials of a laxity table (CSV file, "
-    "or the name of a subject that comes with one)"
+    "seed63, table2, drawer, a protocol file (TOML), a laxity table (CSV), "
+    "or a named subject with measured laxity"
 )
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
 Seed = Annotated[

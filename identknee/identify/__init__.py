@@ -1,4 +1,4 @@
-"""What a calibration can know: sweeps, profiles, posterior, sensitivity, equivalents, design."""
+"""Identifiability: sweeps, profiles, posterior, sensitivity, equivalent sets and design."""
 
 from lazy_loader import attach_stub
 

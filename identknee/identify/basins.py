@@ -1,4 +1,4 @@
-"""Basins of attraction: polished ends of searches that are one minimum."""
+"""Basins of attraction: polished ends of searches that share a minimum."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -41,7 +41,7 @@ class Basin:
 
 @declared
 class Basins:
-    """The minima that the polished ends of searches show, the lowest first."""
+    """The minima at the polished ends of searches, the lowest first."""
 
     parameter_names: tuple[str, ...] = array(
         "Names of the parameters", "parameter", is_in_arrays=False
@@ -145,7 +145,7 @@ def has_barrier(problem: Problem, first: Array, second: Array) -> bool:
 
 
 def _joined(problem: Problem, searches: Searches, end: int, leaders: list[int]) -> int | None:
-    """Place of the leader that `end` is one minimum with, None if it is one of its own."""
+    """Index of the basin that `end` belongs to; None if it is a new one."""
     scales = typical_steps(searches.parameters)
     away = np.max(np.abs(searches.polished[leaders] - searches.polished[end]) / scales, axis=1)
     for place in np.argsort(away, kind="stable")[:N_NEIGHBOURS]:
@@ -156,7 +156,7 @@ def _joined(problem: Problem, searches: Searches, end: int, leaders: list[int]) 
 
 @declared
 class Unseen:
-    """The mass of basins not seen, among starts that lead to any."""
+    """Good-Turing estimate of the mass of unseen basins, among starts that end in any."""
 
     n: int = entry("Starts that ended in a basin", unit="1", key="n_starts")
     n_basins: int = entry("Basins seen", unit="1")
@@ -216,7 +216,7 @@ OFTEN = 0.9
 
 @declared
 class Radius:
-    """The distance within which a start recovers with a stated probability."""
+    """The radius within which a start recovers the target with a stated probability."""
 
     probability: float = entry("Probability stated", unit="1")
     value: float = entry(
@@ -230,7 +230,7 @@ class Radius:
 
 @declared
 class Recovery:
-    """Shares of starts that recovered a target, by their distance from it."""
+    """Proportions of starts that recovered a target, by their distance from it."""
 
     distances: Array = array(
         "Mean distance from the target of the starts in each group, ascending",
@@ -273,7 +273,7 @@ def is_recovered(
 
 
 def recovery(distances: Array, recovered: BoolArray) -> Recovery:
-    """The share recovered at each distance of the starts, or in ten groups of equal size.
+    """The proportion recovered at each distance of the starts, or in ten groups of equal size.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def radius(found: Recovery, *, probability: float = OFTEN) -> Radius:
 
 
 def _crossing(distances: Array, curve: Array, level: float) -> float:
-    """Where a falling curve comes below `level`."""
+    """Where a decreasing curve crosses `level`."""
     below = np.flatnonzero(curve < level)
     if below.size == 0:
         return np.inf
@@ -344,7 +344,7 @@ WITHIN = 0.5
 
 @declared
 class Survey:
-    """Searches and what is read from them."""
+    """Searches and their basins, recovery and cliffs."""
 
     searches: Searches = entry("The searches", group="optimization", is_inline=True)
     basins: Basins = entry(
@@ -381,7 +381,7 @@ def survey(
     target: ArrayLike | None = None,
     within: float = WITHIN,
 ) -> Survey:
-    """What searches say of the landscape of their problem.
+    """Basins, recovery and cliffs seen by many searches.
 
     Parameters
     ----------

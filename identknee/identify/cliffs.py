@@ -1,4 +1,4 @@
-"""The cliffs of a landscape: where the prediction is lost on the paths from starts to a target."""
+"""Cliffs: where the equilibrium is lost on straight paths from starts to a target."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -149,7 +149,7 @@ def map_cliffs(
 
 
 def plane(problem: Problem, center: Array, axes: tuple[int, int], n: int) -> tuple[Array, Array]:
-    """Objectives on a plane through a point, for a picture of basins and cliffs.
+    """Objectives on a plane through a point, for a figure of basins and cliffs.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""Which trials to add, so that the data tell what they leave open: chosen, predicted, verified.
+"""Experimental design: trials that narrow the intervals most, chosen, predicted and verified.
 
-Where equilibria begin at measured poses, a small change of parameters may lead from one to another.
-What a profile finds then hangs on these jumps; the slopes at the best fit do not.
+Where equilibria are sought from measured poses, a small change of parameters may lead from one to
+another. A profile then depends on these jumps; the Jacobian at the best fit does not.
 
-Both tell of the errors, so that what a trial tells depends on the others. Known as well as the
-others leave them, errors widen what it measures, and it is a trial with noise of its own again.
+All trials carry information on shared nuisance parameters, so that the information of one trial
+depends on the others. Conditional on these, the nuisances only add to the trial's own noise.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -49,7 +49,7 @@ def choose(
     allowed: BoolArray,
     n_chosen: int,
 ) -> tuple[int, ...]:
-    """The trials to add, in the order in which they help most; a trial may come more than once.
+    """The trials to add, the most helpful first; a trial may be repeated.
 
     Trials are added one by one, each time the one that lowers the loss most. Then each in turn is
     exchanged for the one that is best in its place, until no exchange helps.
@@ -99,7 +99,7 @@ def _in_order(
     beside: Callable[[Sequence[int]], tuple[Array, Array]],
     chosen: list[int],
 ) -> tuple[int, ...]:
-    """The chosen ones, each the most helpful of those left after the ones before."""
+    """The chosen trials in greedy order."""
     left, ordered = list(chosen), list[int]()
     while left:
         made, trials = beside(ordered)
@@ -110,7 +110,7 @@ def _in_order(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StraightProblem:
-    """Residuals at theta ``(m,)``, and their slopes ``(m, n)`` wherever they are asked for."""
+    """A problem linearised at theta: residuals ``(m,)`` and Jacobian ``(m, n)``."""
 
     parameters: Parameters
     theta: Array
@@ -128,7 +128,7 @@ class StraightProblem:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StraightCandidates:
-    """Values of all candidates at theta ``(k, m)``, and their slopes ``(k, m, n)``."""
+    """Candidates linearised at theta: values ``(k, m)`` and Jacobians ``(k, m, n)``."""
 
     names: tuple[str, ...]
     theta: Array
@@ -144,7 +144,7 @@ class StraightCandidates:
 def straight(
     problem: Problem, theta: Array, candidates: Candidates
 ) -> tuple[Problem, StraightCandidates]:
-    """Both as they are at theta and along their slopes there, priors of nuisances as they are."""
+    """Problem and candidates linearised at theta, priors of nuisances kept."""
     data = without_priors(problem)
     lines = StraightProblem(
         parameters=problem.parameters,
@@ -165,7 +165,7 @@ SHARE = 0.5
 
 @declared
 class Narrowing:
-    """What one more trial, or one stated error known twice as well, leaves of each target.
+    """Narrowing of each target by one more trial, or by halving one stated error.
 
     Widths are predicted along the profiles, as `WidthLoss` says.
     """
@@ -196,12 +196,12 @@ class Narrowing:
 
     @property
     def by_trial(self) -> Array:
-        """Share by which each candidate narrows each target, shape ``(k, t)``; NaN if excluded."""
+        """Relative narrowing of each target by each candidate, ``(k, t)``; NaN if excluded."""
         return np.asarray(1.0 - self.with_trial / self.now)
 
     @property
     def by_error(self) -> Array:
-        """Share by which each error known better narrows each target, shape ``(e, t)``."""
+        """Relative narrowing of each target by halving each error, shape ``(e, t)``."""
         return np.asarray(1.0 - self.with_error_halved / self.now)
 
 
@@ -211,7 +211,7 @@ def narrowing(
     allowed: BoolArray,
     halved: Mapping[str, Array],
 ) -> Narrowing:
-    """How trials and errors known better narrow the targets, one at a time.
+    """Narrowing of the targets by each trial and each halved error, one at a time.
 
     Parameters
     ----------
@@ -240,13 +240,13 @@ def narrowing(
 def errors_halved(
     width: WidthLoss, points: CandidatePredictions, parameters: Parameters
 ) -> dict[str, Array]:
-    """Features of errors that are parameters, their standard deviations halved, ``(1, f)`` each."""
+    """Features of nuisance parameters with their standard deviations halved, ``(1, f)`` each."""
     groups = nuisance_places(parameters)
     return {name: width.of_trials(*_as_trial(points, parameters, x)) for name, x in groups.items()}
 
 
 def mean_share(shares: Array) -> float:
-    """The share by which intervals narrow by the geometric mean of what is left of them.
+    """Narrowing by the geometric mean of the relative widths.
 
     Examples
     --------
@@ -264,7 +264,7 @@ def _widths(width: WidthLoss, features: Array) -> Array:
 def _as_trial(
     points: CandidatePredictions, parameters: Parameters, places: list[int]
 ) -> tuple[Array, Array]:
-    """The parameters at `places` measured so well that their priors narrow to `SHARE`.
+    """A measurement of the parameters at `places` that narrows their priors to `SHARE`.
 
     Values ``(q, 1, m)`` in units of that measurement's noise, derivatives ``(q, 1, m, n)`` by the
     scaled parameters.
@@ -278,7 +278,7 @@ def _as_trial(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Marginal:
-    """A problem in which errors change residuals along straight lines and are averaged over.
+    """A linear-Gaussian problem with its nuisance parameters marginalised.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class Marginal:
         return self.problem.parameters
 
     def residuals(self, theta: Array) -> Array:
-        """Residuals, errors at the middle of their priors, in units of noise and errors, (m,)."""
+        """Residuals at the nuisances' prior means, whitened by the total covariance, ``(m,)``."""
         residuals = self.problem.residuals(theta)
         if not np.isfinite(residuals).all():
             return residuals
@@ -318,7 +318,7 @@ class Marginal:
 
 
 def marginal(problem: Problem, theta: Array) -> Marginal:
-    """The problem of the parameters of interest alone.
+    """The problem of the parameters of interest, nuisances marginalised at theta.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def marginal(problem: Problem, theta: Array) -> Marginal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AtBestErrors:
-    """Candidates as they would be with the errors as they fit best.
+    """Candidates with the nuisance parameters at their best fit.
 
     Attributes
     ----------
@@ -370,7 +370,7 @@ class AtBestErrors:
 
 
 class Known(NamedTuple):
-    """Errors as some trials leave them, at q points: mean, its slope and covariance."""
+    """Gaussian posterior of the nuisances at q points: mean, its derivatives, covariance."""
 
     mean: Array
     slope: Array
@@ -379,7 +379,7 @@ class Known(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedErrors:
-    """A problem whose nuisances its candidates share.
+    """A problem that shares its nuisance parameters with the candidates.
 
     Attributes
     ----------
@@ -400,7 +400,7 @@ class SharedErrors:
     groups: dict[str, list[int]]
 
     def with_trials(self, chosen: tuple[int, ...], theta: Array) -> Marginal:
-        """The problem with the chosen trials as they would come out at theta, without errors."""
+        """The problem with the chosen trials as predicted at theta, without errors."""
         measured, _ = self.candidates.predict(theta, chosen)
         whole = WithTrials(
             problem=self.problem.problem,
@@ -412,7 +412,7 @@ class SharedErrors:
         return replace(self.problem, problem=whole, slopes=np.vstack([self.problem.slopes, added]))
 
     def known(self, points: CandidatePredictions) -> Known:
-        """The errors as the trials made leave them, less their best fit, at the points."""
+        """Posterior of the nuisances given the data, relative to their best fit, at the points."""
         slopes, inner = self.problem.slopes, self.problem.problem
         covariance = np.asarray(np.linalg.inv(np.eye(slopes.shape[1]) + slopes.T @ slopes), float)
         gain = -covariance @ slopes.T
@@ -426,7 +426,7 @@ class SharedErrors:
 
 
 def told(known: Known, values: Array, jacobians: Array, slopes: Array) -> tuple[Array, Array]:
-    """What k trials tell beside those that the errors are known from, as of independent noise.
+    """Conditional information of k trials, given those that determine the nuisances.
 
     Parameters
     ----------
@@ -448,7 +448,7 @@ def told(known: Known, values: Array, jacobians: Array, slopes: Array) -> tuple[
 
 
 def better_known(known: Known, value: Array, jacobian: Array, slopes: Array) -> Known:
-    """The errors with one more trial, its change from the best fit ``(q, m)`` and ``(q, m, n)``."""
+    """Posterior of the nuisances after one more trial, given its values and Jacobian."""
     spread = np.eye(len(slopes)) + slopes @ known.covariance @ slopes.T
     gain = np.linalg.solve(spread, slopes @ known.covariance).T
     # Beyond what the data allow a trial may have no prediction: it then says nothing.
@@ -462,7 +462,7 @@ def better_known(known: Known, value: Array, jacobian: Array, slopes: Array) -> 
 
 
 def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> SharedErrors:
-    """The nuisances of a problem as errors that its candidates share, about the best fit theta."""
+    """The nuisances of a problem as errors shared with its candidates, about the best fit."""
     parameters = problem.parameters
     is_asked = parameters.is_of_interest
     _, jacobians = candidates.predict(theta, range(len(candidates.names)))
@@ -478,7 +478,7 @@ def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> Sha
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Telling:
-    """Features of the trials made with some added, and of each trial that may follow.
+    """Features of the data with some trials added, and of each further candidate.
 
     Attributes
     ----------
@@ -530,7 +530,7 @@ class Telling:
         return found
 
     def _of(self, trials: list[int]) -> tuple[Array, Array, Array]:
-        """Changes of trials from the best fit, their derivatives, and their slopes."""
+        """Changes of trials from the best fit, with derivatives by parameters and nuisances."""
         if self.shared is None:  # pragma: no cover - asked for with shared errors only
             raise AssertionError
         values = self.points.values[:, trials]
@@ -545,7 +545,7 @@ ProfilesOf = Callable[[Problem, ArrayLike, Sequence[Quantity]], tuple[Profile, .
 
 @declared
 class ChosenTrials:
-    """Trials to add, with what was predicted of them and what they achieve."""
+    """Trials to add, with their predicted and achieved intervals."""
 
     criterion: Criterion = entry("What was made small")
     names: tuple[str, ...] = array("Names of the candidates", "candidate", is_in_arrays=False)
@@ -613,7 +613,7 @@ class ChosenTrials:
         "error's standard deviation halved; the geometric mean over the targets, predicted"
     )
     def ranking(self) -> tuple[dict[str, Any], ...]:
-        """Trials and errors known better, in the order in which they narrow the targets."""
+        """Trials and halved errors, ranked by how much they narrow the targets."""
         parts = (
             ("trial", self.names, self.narrowing.by_trial),
             ("error", self.narrowing.errors, self.narrowing.by_error),
@@ -649,7 +649,7 @@ def design(
     executor: Executor = serial,
     **settings: Unpack[ProfileSettings],
 ) -> ChosenTrials:
-    """The trials that, added to the data, close or shrink the intervals of the targets most.
+    """The trials that, added to the data, close or narrow the targets' intervals most.
 
     The targets are profiled on the data. Every candidate is predicted along these profiles; one
     that has no prediction at a parameter set that the data allow is excluded. The trials are chosen
@@ -742,7 +742,7 @@ def _check(problem: Problem, n_trials: int, criterion: Criterion) -> None:
 def _shared(
     problem: Problem, theta: Array, candidates: Candidates, targets: Sequence[Quantity]
 ) -> SharedErrors | None:
-    """The nuisances averaged over; None without any, or where a target is no parameter."""
+    """The marginalised nuisances; None without any, or if a target is no parameter."""
     is_error = ~problem.parameters.is_of_interest
     if not (is_error.any() and all(isinstance(x, ParameterQuantity) for x in targets)):
         return None
@@ -756,7 +756,7 @@ def _of_interest(target: Quantity, parameters: Parameters) -> Quantity:
 def _profiled(
     problem: Problem, theta: Array, profiles_of: ProfilesOf, targets: Sequence[Quantity]
 ) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
-    """The targets and their profiles; those that need it most where none is given."""
+    """The targets and their profiles; unbounded ones by default."""
     if not targets:
         return _needy(problem, theta, profiles_of)
     return tuple(targets), profiles_of(problem, theta, targets)
@@ -765,7 +765,7 @@ def _profiled(
 def _needy(
     problem: Problem, theta: ArrayLike, profiles_of: ProfilesOf
 ) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
-    """Those of interest with an open interval, all where none is, and their profiles."""
+    """Default targets: parameters with an unbounded interval, or else all, with profiles."""
     parameters = problem.parameters
     every = [ParameterQuantity(parameters=parameters, name=x) for x in parameters.names_of_interest]
     profiles = profiles_of(problem, theta, every)
@@ -788,6 +788,6 @@ def _intervals(width: WidthLoss, features: Array) -> Array:
 def _with_trials(
     problem: Problem, candidates: Candidates, chosen: tuple[int, ...], theta: Array
 ) -> WithTrials:
-    """The problem with the chosen trials as they would come out at theta, without errors."""
+    """The problem with the chosen trials as predicted at theta, without errors."""
     measured, _ = candidates.predict(theta, chosen)
     return WithTrials(problem=problem, candidates=candidates, chosen=chosen, measured=measured)

@@ -1,4 +1,4 @@
-"""What makes a set of added trials good: losses that a sum over the trials determines.
+"""Design criteria: losses that are functions of a sum over the added trials.
 
 Every trial has features, numbers that add up over the trials of a set; a loss is a function of the
 sum. A set is then judged without another simulation.
@@ -32,7 +32,7 @@ END_TOLERANCE = 1e-3
 
 
 class Loss(Protocol):
-    """A number to be made small."""
+    """A design criterion to be minimised."""
 
     def of_made(self, information: Array) -> Array:
         """Features of the trials made, shape ``(f,)``, from their scaled information at the points.
@@ -227,7 +227,7 @@ class WidthLoss:
 
 
 def directions_across(gradients: Array) -> Array:
-    """Orthonormal directions across each gradient (s, n), shape ``(s, n, n - 1)``."""
+    """Orthonormal directions orthogonal to each gradient (s, n), shape ``(s, n, n - 1)``."""
     _, _, rows = np.linalg.svd(gradients[:, None, :], full_matrices=True)
     return np.asarray(np.swapaxes(rows[:, 1:], 1, 2))
 
@@ -311,7 +311,7 @@ class WithTrials:
 
 @declared
 class Excluded:
-    """A candidate that is not offered, and why."""
+    """An excluded candidate, and the reason."""
 
     name: str = entry("Name of the trial", key="trial")
     failures: int = entry(
@@ -323,7 +323,7 @@ class Excluded:
     @property
     @derived("Why it is not offered", key="reason")
     def sentence(self) -> str:
-        """Why, in a sentence."""
+        """The reason, in a sentence."""
         if self.at_fit:
             return f"{self.name} has no prediction at the best fit."
         return (

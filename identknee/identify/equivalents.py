@@ -1,4 +1,4 @@
-"""Parameter sets that a measurement could not tell apart, and what follows wrongly from them."""
+"""Parameter sets that a measurement cannot distinguish, and the ranges over them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum, unique
@@ -126,7 +126,7 @@ def farthest_first(points: Array, first: IntArray, n: int, least: float) -> IntA
 
 
 def _reach(blocks: Blocks, direction: Array) -> float:
-    """How far along the direction the linear model stays just inside; inf if for ever."""
+    """Distance along the direction at which the linear model leaves the region; inf if never."""
     slope = blocks.slopes @ direction
     square = np.einsum("bk,bk->b", slope, slope)
     half = np.einsum("bk,bk->b", slope, blocks.offsets)
@@ -137,7 +137,7 @@ def _reach(blocks: Blocks, direction: Array) -> float:
 
 
 def _to_bounds(view: RegionView, origin: Array, direction: Array) -> float:
-    """How far along the direction the bounds are."""
+    """Distance to the bounds along the direction."""
     wall = np.where(direction > 0, view.upper, view.lower)
     with np.errstate(divide="ignore", invalid="ignore"):
         lengths = (wall - origin) / direction
@@ -213,7 +213,7 @@ class Searches:
 
     @property
     def steps(self) -> Array:
-        """What distances are counted in, shape ``(n,)``."""
+        """The unit of distance in each parameter, shape ``(n,)``."""
         return self._view.steps
 
     @property
@@ -292,7 +292,7 @@ class Searches:
         return blocks, np.array([row["quantities"] for row in rows])
 
     def axis_pairs(self) -> list[Array]:
-        """Pairs to begin with: where the longest axes of the linear model leave the region."""
+        """Initial pairs: where the longest axes of the linear model leave the region."""
         center = self._region.center
         pairs = []
         for axis in longest_axes(self._view, center)[:AXES]:
@@ -303,7 +303,7 @@ class Searches:
         return pairs
 
     def far_pairs(self) -> list[Array]:
-        """Pairs to begin with: points of the pool far apart, each pair with another first point."""
+        """Initial pairs: points of the pool far apart, each with another first point."""
         points = self.pool
         partner, apart = _farthest(points / self.steps)
         found: list[Array] = []
@@ -442,7 +442,7 @@ _SENTENCES = {
 
 @declared
 class Extrema:
-    """What could be concluded wrongly about one quantity: its range over a region."""
+    """The range of one quantity over a region."""
 
     name: str = entry("Name of the quantity")
     unit: str = entry("Unit of the quantity")
@@ -465,7 +465,7 @@ class Extrema:
 
 @declared
 class EquivalentSets:
-    """Parameter sets equivalent to a fit, as different from one another as they come."""
+    """Parameter sets equivalent to a fit, as different from one another as possible."""
 
     outcome: Completeness = entry("Whether there are as many sets as asked for")
     limit: float = entry("Largest value of a block", unit="1")

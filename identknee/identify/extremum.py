@@ -38,7 +38,7 @@ class Step:
 
 @declared
 class Model:
-    """What a search knows around a point, in the units of its steps.
+    """The local model around a point, in the units of its steps.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ TINY = float(np.finfo(float).tiny)
 
 @unique
 class End(Enum):
-    """What stops a quantity from growing further; the value is the word written to files."""
+    """What limits a quantity; the value is the word written to files."""
 
     LIMIT = "limit"
     BOUND = "bound"
@@ -217,7 +217,7 @@ def extremise(inside: Inside, quantity: Quantity, start: Array, *, sign: float) 
 
 
 def at_bounds(theta: Array, inside: Inside) -> Array:
-    """Which parameters stand on one of their bounds, shape ``(n,)``."""
+    """Which parameters lie on one of their bounds, shape ``(n,)``."""
     tolerance = BOUND_TOLERANCE * inside.steps
     return np.asarray((theta <= inside.lower + tolerance) | (theta >= inside.upper - tolerance))
 
@@ -263,7 +263,7 @@ def farthest_pair(view: RegionView, first: Array, second: Array) -> Extreme:
 
 
 class _Search:
-    """A trust-region search that maximises sign * quantity less a price of leaving the region."""
+    """A trust-region search that maximises sign * quantity less a penalty outside the region."""
 
     def __init__(self, inside: Inside, quantity: Quantity, sign: float) -> None:
         self._inside = inside
@@ -308,7 +308,7 @@ class _Search:
         return best, End.BUDGET
 
     def _model_step(self, here: _Point, radius: float) -> tuple[Step, float]:
-        """The model's best step in typical steps, and what it promises."""
+        """The model's best step in typical steps, and its predicted gain."""
         inside, steps = self._inside, self._inside.steps
         model = Model(
             gain=self._sign * here.gradient * steps / self._unit,

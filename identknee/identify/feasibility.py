@@ -1,4 +1,4 @@
-"""How much of what the data allow the model cannot predict."""
+"""Proportion of the posterior mass for which the model has no equilibrium."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ NOTEWORTHY = 0.02
 def share_without_prediction(
     problem: Problem, theta: Array, *, n_draws: int = N_DRAWS, seed: int = 0
 ) -> Share:
-    """How many parameter sets that fit about as well as `theta` have no prediction.
+    """Proportion of parameter sets near `theta` in fit that have no prediction.
 
     They are drawn from the normal density around theta whose precision is that of the data and the
     priors, within the bounds.
@@ -52,7 +52,7 @@ def share_without_prediction(
 
 
 def feasibility_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
-    """Whether the feasibility boundary of the model, and not the data, makes limits near a fit."""
+    """Whether the feasibility boundary, not the data, limits intervals near a fit."""
     lost = share_without_prediction(problem, theta)
     if lost.value < NOTEWORTHY:
         return ()

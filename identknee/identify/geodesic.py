@@ -1,4 +1,4 @@
-"""Where the sloppiest direction leads: a geodesic on the model's surface, to the surface's edge."""
+"""Geodesics of the model manifold along the sloppiest direction, to its boundary."""
 
 from enum import Enum
 
@@ -36,7 +36,7 @@ class Boundary(Enum):
 
     @property
     def sentence(self) -> str:
-        """It, as a full sentence to which the parameters involved are added."""
+        """The same as a full sentence, to which the parameters involved are added."""
         return _SENTENCES[self]
 
 
@@ -53,7 +53,7 @@ _SENTENCES = {
 
 @declared
 class Geodesic:
-    """A straightest path on the surface of predictions, from a point along a direction."""
+    """A geodesic of the model manifold, from a point along a direction."""
 
     boundary: Boundary = entry("What ended it")
     involved: tuple[str, ...] = entry("Parameters that its sentence is about")
@@ -78,7 +78,7 @@ class Geodesic:
 
     @property
     def lengths(self) -> Array:
-        """Way from the start to each point on the surface, in units of the noise, ``(k,)``."""
+        """Arc length from the start to each point, in units of the noise, ``(k,)``."""
         steps = np.linalg.norm(np.diff(self.thetas / self.scales, axis=0), axis=1)
         return np.concatenate(
             [[0.0], np.cumsum(steps * 0.5 * (self.speeds[1:] + self.speeds[:-1]))]
@@ -100,7 +100,7 @@ class Geodesic:
     @property
     @derived("Length on the surface of predictions, in units of the noise", unit="1")
     def length(self) -> float:
-        """Way from the start to the end on the surface, in units of the noise."""
+        """Arc length from the start to the end, in units of the noise."""
         return float(self.lengths[-1])
 
     @property
@@ -159,7 +159,7 @@ def geodesics(
 
 
 class _Walk:
-    """One geodesic while it is followed."""
+    """The integration of one geodesic."""
 
     def __init__(self, problem: Problem, scales: Array, budget: int) -> None:
         self._evaluator = Evaluator(problem, budget=budget)
@@ -238,7 +238,7 @@ class _Walk:
         return self._evaluator(np.clip(theta, self._parameters.lower, self._parameters.upper))
 
     def _bending(self, at: Evaluation, along: Array) -> Array:
-        """Derivative of the unit direction by the way, in scaled units, shape ``(n,)``.
+        """Geodesic acceleration: derivative of the unit direction by arc length, ``(n,)``.
 
         The second derivative of the residuals along the way, taken off by the parameters as far
         as they can (equation 20 of the reference of `geodesics`), less its part along the way.
@@ -255,7 +255,7 @@ class _Walk:
         return np.asarray(bending - along * (along @ bending))
 
     def _end(self, at: Evaluation, along: Array) -> tuple[Boundary, tuple[str, ...]] | None:
-        """The boundary that the path has arrived at, with the parameters that name it."""
+        """The boundary reached by the path, with the parameters involved."""
         low, high = at.theta <= self._parameters.lower, at.theta >= self._parameters.upper
         out = (low & (along < 0)) | (high & (along > 0))
         if out.any():
@@ -277,7 +277,7 @@ class _Walk:
         return tuple(np.array(self._parameters.names)[chosen].tolist())
 
     def _most(self, along: Array) -> tuple[str, ...]:
-        """Those with at least half the share of the one that moves most."""
+        """The parameters with at least half the share of the dominant one."""
         return self._names(np.asarray(np.abs(along) >= 0.5 * np.abs(along).max()))
 
 

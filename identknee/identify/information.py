@@ -1,4 +1,4 @@
-"""What the data say about the parameters at one point: the Fisher information, taken apart."""
+"""The Fisher information at one point, with its spectrum and collinearity."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -151,7 +151,7 @@ ROUNDING = 1e-12
 
 @declared
 class Eigenvalue:
-    """How well the data know one combination of parameters."""
+    """How well the data determine one combination of parameters."""
 
     value: float = entry("Eigenvalue of the information in scaled units", unit="1")
     floor: float = entry("Value below which it is the solver's noise", unit="1")
@@ -161,7 +161,7 @@ class Eigenvalue:
 
 @declared
 class Collinear:
-    """Parameters that can stand in for one another."""
+    """Parameters whose effects are nearly collinear."""
 
     parameters: tuple[str, ...] = entry("Names of the parameters")
     collinearity: float = entry("Collinearity index of the set", unit="1")
@@ -238,7 +238,7 @@ class Information:
     @property
     @derived("Number of eigenvalues above the noise", unit="1")
     def n_above_noise(self) -> int:
-        """How many eigenvalues are larger than the errors of the derivatives would make them."""
+        """Number of eigenvalues above the errors of the derivatives."""
         return int(np.sum(self.eigenvalues > self.floors))
 
     @property
@@ -281,7 +281,7 @@ class Information:
         return combination(self.parameter_names, self.eigenvectors[:, i])
 
     def collinearity(self, names: Sequence[str] | None = None) -> float:
-        """How nearly a change of one of the parameters can be undone by the others named.
+        """Collinearity index of the parameters named.
 
         One over the least length of a unit combination of their columns, each of length 1: 1 for
         columns at right angles, infinite for dependent ones. From 10 to 15 on, changes of one
@@ -319,7 +319,7 @@ class Information:
     @property
     @derived("Collinearity index of all parameters", unit="1", key="collinearity")
     def collinearity_of_all(self) -> float:
-        """How nearly any parameter can be made up for by all others."""
+        """Collinearity index of all parameters."""
         return self.collinearity()
 
     @property
@@ -457,7 +457,7 @@ def combination(names: Sequence[str], direction: Array) -> str:
 
 
 def _jacobian_rounding(jacobian: Array) -> float:
-    """What rounding alone does to the singular values."""
+    """The effect of rounding on the singular values."""
     return float(max(jacobian.shape) * np.finfo(np.float64).eps * np.linalg.norm(jacobian, 2))
 
 

@@ -1,4 +1,4 @@
-"""The posterior near a fit as a Gaussian cut off at the bounds: intervals and evidence."""
+"""Laplace approximation truncated at the bounds: intervals and evidence."""
 
 from dataclasses import dataclass
 
@@ -45,7 +45,7 @@ class BoxIntervals:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Draws:
-    """Some components within their bounds: points in units of their Cholesky factor, weighted."""
+    """Weighted draws of some components within their bounds, in units of their Cholesky factor."""
 
     components: IntArray
     factor: Array
@@ -120,7 +120,7 @@ def log_interval_mass(low: Array, high: Array) -> Array:
 def _cut(
     mean: Array, covariance: Array, bounds: tuple[Array, Array], least: float
 ) -> tuple[Array, IntArray]:
-    """Log share of each component within its bounds; which are cut off, the most first."""
+    """Log probability of each component within its bounds; which are truncated, the most first."""
     sd = np.sqrt(np.diag(covariance))
     low, high = ((x - mean) / sd for x in bounds)
     inside = log_interval_mass(low, high)
@@ -168,7 +168,7 @@ def _interval(
 def _quantile(
     share: float, log_weights: Array, middles: Array, sd: float, low: Array, high: Array
 ) -> float:
-    """Where a share of a mixture of normal variables between bounds lies to the left."""
+    """Quantile of a mixture of truncated normal variables."""
     whole = log_weights + log_interval_mass(low, high)
     # A middle far beyond the bounds has no share within them.
     used = whole > whole.max() - NEGLIGIBLE
@@ -192,7 +192,7 @@ def _quantile(
 
 
 def _within(low: Array, high: Array, share: Array) -> Array:
-    """Where a `share` of a standard normal variable between two ends lies to the left."""
+    """Quantile `share` of a standard normal variable truncated between two ends."""
     mirrored = low > -high
     low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
     share = np.where(mirrored, 1.0 - share, share)
@@ -249,7 +249,7 @@ class Laplace:
 
 
 def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Laplace:
-    """The posterior around a fit, priors normal or lognormal and cut off at the bounds.
+    """The Laplace approximation around a fit, priors truncated at the bounds.
 
     Exact for a model that is linear in these coordinates, also where a bound holds the fit.
 

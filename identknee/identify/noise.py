@@ -15,7 +15,7 @@ SMALLEST_SD = 1e-9
 
 @declared
 class EstimatedNoise:
-    """A problem with the noise that its best fit leaves."""
+    """A problem with the noise estimated from its residuals."""
 
     problem: Problem = entry("The problem, its residuals in units of that noise")
     sds: Array = array("Standard deviation of each group, in the units of the data", "group")
@@ -26,7 +26,7 @@ class EstimatedNoise:
 
 
 def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> EstimatedNoise:
-    """The problem in units of its noise, estimated from what the best fit leaves.
+    """The problem in units of its noise, estimated from the residuals of the best fit.
 
     The weighted fit and the standard deviations are repeated until neither changes. Each group's
     variance is its sum of squares over its own degrees of freedom: its residuals less its share of

@@ -1,4 +1,4 @@
-"""What the data say of nuisances: how far each is from the middle of its prior."""
+"""Nuisance parameters at the fit: estimates relative to their priors."""
 
 import numpy as np
 
@@ -39,12 +39,12 @@ class NuisanceEstimate:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of best fits: next to none where the data hardly see the nuisance."""
+        """Standard deviation of the estimate; near zero if the data hardly depend on it."""
         return float(np.sqrt(max(self.prior_sd**2 - self.sd**2, 0.0)))
 
     @property
     def away(self) -> float:
-        """Distance from the middle of the prior in its standard deviations."""
+        """Distance from the prior mean in prior standard deviations."""
         return (self.value - self.center) / self.prior_sd
 
 
@@ -118,7 +118,7 @@ def nuisance_places(parameters: Parameters) -> dict[str, list[int]]:
 
 
 def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
-    """A finding for each group of nuisances that lies beyond its prior.
+    """A finding for each group of nuisances that is improbable under its prior.
 
     Parameters as in `nuisance_estimates`.
     """
@@ -176,7 +176,7 @@ def group_name(name: str) -> str:
 
 
 def _covariance(problem: Problem, theta: Array) -> Array:
-    """Covariance of all parameters to first order, what data and priors do not see left out."""
+    """First-order covariance of all parameters, without undetermined directions."""
     jacobian = evaluate(problem, theta).jacobian
     p = problem.parameters
     scaled = jacobian * p.prior_sd_in_own_units

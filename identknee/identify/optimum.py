@@ -1,4 +1,4 @@
-"""The best fit that all questions of identifiability start from."""
+"""The best fit from which identifiability is analysed."""
 
 import numpy as np
 from scipy.stats import qmc
@@ -70,7 +70,7 @@ def best_fits(
 
 
 def check_inside(theta: Array, parameters: Parameters) -> None:
-    """Refuse a theta outside the bounds.
+    """Raise for a theta outside the bounds.
 
     Raises
     ------

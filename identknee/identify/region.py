@@ -1,4 +1,4 @@
-"""The region of parameter sets whose predictions are as good as a given one's."""
+"""The region of parameter sets with predictions equivalent to a given one's."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -64,7 +64,7 @@ def noise_region(problem: Problem, center: Array, *, limit: float = 1.0) -> Regi
 
 
 def power_of_best_test(squared_distance: float) -> float:
-    """Chance that the best one-sided 5 % test tells two predictions apart by one measurement.
+    """Power of the best one-sided 5 % test between two predictions by one measurement.
 
     Both predictions are known and the noise is normal, so that the likelihood-ratio test is the
     most powerful one there is (Neyman and Pearson); it sees a shift of D standard deviations.
@@ -112,7 +112,7 @@ class Blocks:
 
 
 class Inside(Protocol):
-    """Constraints that a search for an extremum keeps to."""
+    """Constraints of a search for an extremum."""
 
     @property
     def lower(self) -> Array:

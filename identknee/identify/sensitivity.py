@@ -1,4 +1,4 @@
-"""Which parameters the outputs of a model depend on, over a box or over given draws."""
+"""Global sensitivity of a model's outputs, over a box or over given draws."""
 
 import base64
 from collections.abc import Callable, Mapping
@@ -32,7 +32,7 @@ MORRIS_LEVELS = 4
 
 @declared
 class Box:
-    """A range for every parameter, each value in it as likely as any other.
+    """A uniform distribution over a box.
 
     Raises
     ------
@@ -177,7 +177,7 @@ RULES = {
 
 
 class Outputs(Protocol):
-    """What an analysis asks of a model: numbers that follow from theta, in groups."""
+    """The outputs of a model as functions of theta, in groups."""
 
     @property
     def parameters(self) -> Parameters:
@@ -196,7 +196,7 @@ class Outputs(Protocol):
 
 @declared
 class Sensitivity:
-    """What a global sensitivity analysis found.
+    """The result of a global sensitivity analysis.
 
     The last group is ``"failure"``: 1 where any output has no prediction, 0 elsewhere, analysed as
     an output of its own.

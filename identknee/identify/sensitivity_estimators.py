@@ -335,7 +335,7 @@ def converging_indices(
 
 
 def leading_component(outputs: Array) -> tuple[Array, float]:
-    """The one number that tells most of a group of outputs, and its share of their variance.
+    """The first principal component of a group of outputs, and its share of their variance.
 
     Parameters
     ----------

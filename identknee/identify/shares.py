@@ -1,4 +1,4 @@
-"""A share counted in a sample, with its exact confidence limits."""
+"""A binomial proportion with its exact confidence limits."""
 
 from scipy.stats import binomtest
 
@@ -9,7 +9,7 @@ LEVEL = 0.95
 
 @declared
 class Share:
-    """A share of a sample, with Clopper-Pearson limits of the share of all."""
+    """A binomial proportion with Clopper-Pearson limits."""
 
     count: int = entry("How many", unit="1")
     n: int = entry("Of how many", unit="1")
@@ -23,7 +23,7 @@ class Share:
     @property
     @derived("Share in the sample; null where that is empty", unit="1", key="share")
     def value(self) -> float:
-        """The share in the sample; NaN where that is empty."""
+        """The proportion in the sample; NaN for an empty one."""
         return self.count / self.n if self.n else float("nan")
 
     # typing.override came with Python 3.12.
@@ -36,7 +36,7 @@ class Share:
 
 
 def share(count: int, n: int) -> Share:
-    """The share `count` of `n`, with its limits.
+    """The proportion `count` of `n`, with its limits.
 
     Raises
     ------

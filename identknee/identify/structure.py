@@ -1,4 +1,4 @@
-"""Whether the parameters could be known from data without noise: the rank at random points."""
+"""Structural identifiability: the rank of the sensitivities at random points."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -22,7 +22,7 @@ NO_INFLUENCE = 1e-12
 
 
 class Structure(Enum):
-    """What the ranks at random points say."""
+    """The verdict on structural identifiability."""
 
     FULL_RANK = "full_rank"
     RANK_DEFICIENT = "rank_deficient"
@@ -97,7 +97,7 @@ class StructureCheck:
     @property
     @derived("Whether data without noise would determine every parameter")
     def verdict(self) -> Structure:
-        """What that says about the parameters."""
+        """The verdict on the parameters."""
         if self.rank == NO_RANK:
             return Structure.UNKNOWN
         is_full = self.rank == self.thetas.shape[1]

@@ -1,4 +1,4 @@
-"""Many searches from many starts: where each ended, why it ended there, and where it goes on to."""
+"""Multi-start searches: where each ended, why, and where polishing leads."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -173,7 +173,7 @@ class Searches:
 
 
 def tenths(values: Array) -> list[Array]:
-    """`values` in ten parts in their order, fewer where there are fewer values.
+    """`values` split into up to ten consecutive parts.
 
     Examples
     --------
@@ -246,7 +246,7 @@ def search_seed(seed: int, number: int) -> int:
 
 
 def kind_of_end(problem: Problem, end: Fit) -> Outcome:
-    """What is at the end of a search: a minimum, a valley, a cliff, or nothing at all."""
+    """The kind of end of a search: a minimum, a valley, a cliff or a failure."""
     if end.outcome is Outcome.START_FAILED:
         return Outcome.START_FAILED
     if end.method == "least-squares" and end.outcome in {Outcome.MINIMUM, Outcome.CLIFF}:
@@ -417,7 +417,7 @@ def shell_starts(
 
 
 def distance(thetas: ArrayLike, target: ArrayLike, parameters: Parameters) -> Array:
-    """How far parameter sets are from one, as the paper counts it, shape ``(...,)``.
+    """Distance of parameter sets from a given one, as in the paper, shape ``(...,)``.
 
     The mean absolute difference of the stiffnesses [kN] or of the reference strains [%], whichever
     is larger; parameters in other units count in typical steps, and nuisances do not count.
@@ -443,7 +443,7 @@ def distance(thetas: ArrayLike, target: ArrayLike, parameters: Parameters) -> Ar
 
 
 def distance_units(parameters: Parameters) -> Array:
-    """What counts as a distance of 1, shape ``(p,)``: 1 kN, 1 %, or a typical step."""
+    """The unit of distance, shape ``(p,)``: 1 kN, 1 %, or a typical step."""
     is_known = [name.endswith((STIFFNESS_UNIT, STRAIN_UNIT)) for name in parameters.names]
     return np.where(is_known, 1.0, typical_steps(parameters))
 

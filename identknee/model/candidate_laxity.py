@@ -1,4 +1,4 @@
-"""Laxity trials that might be added to the data, as the model of the knee predicts them."""
+"""Candidate laxity trials, as predicted by the model of the knee."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
 
 
 def at_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
-    """The model with the poses that it takes itself at theta while the loads grow.
+    """The model started from its own equilibria at theta, continued under increasing loads.
 
     Equilibria are followed from the poses of the model under a growing share of the loads. A trial
     that has no equilibrium under some share goes on from where it was.
@@ -51,7 +51,7 @@ def _moved(poses: Array, prediction: Prediction) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidateLaxity:
-    """Trials to choose from, each measured as the trials made were.
+    """Candidate trials, measured like those of the data.
 
     A trial that is added has the coordinates that the data have, counted from the same zero, with
     the errors `sd` and the correlation within a trial that the data state.
@@ -121,12 +121,12 @@ class CandidateLaxity:
 
     @property
     def trials(self) -> Protocol:
-        """The trials to choose from, and after them what else would be measured for their zero."""
+        """The candidates, followed by the trials that define their zero."""
         is_counted = zero_of_more(self.laxity.zero) == UNLOADED
         return with_unloaded(self.protocol) if is_counted else self.protocol
 
     def begun_at(self, theta: Array) -> "CandidateLaxity":
-        """The same trials; where the model begins at poses, those not made from its own at `theta`.
+        """The same candidates; unmeasured ones start at the poses predicted at `theta`.
 
         These are followed under growing loads from between the poses of the data. `theta` is that
         of `predict`.
@@ -149,7 +149,7 @@ class CandidateLaxity:
 
 
 def offered_trials(model: LaxityModel, made: Protocol) -> Protocol:
-    """Trials that might be added to those made: `candidate_trials` at angles that the model knows.
+    """Candidate trials: `candidate_trials` at the flexion angles of the model.
 
     Where it begins at poses, these are the angles among or close to those of the trials made.
     """

@@ -1,9 +1,9 @@
 """How effects change what a model predicts, and how that changes with their amplitudes.
 
-Settings are smooth functions in closed form, and are differenced. Copies of a setting, each with
-one amplitude moved a little, go through the effects that act later together, as one setting. What
-they do to the lines is a table of differences, and the gradient's slopes by all that is in the
-table are taken once for all amplitudes.
+Mechanics inputs are smooth closed-form functions of the amplitudes and are differentiated
+numerically. Replicas of the inputs, each with one amplitude perturbed, pass through the later
+effects together, as one batch. Their changes of the lines are a table of differences, and the
+derivatives of the gradient by the entries of the table are computed once for all amplitudes.
 """
 
 from collections.abc import Sequence
@@ -83,14 +83,14 @@ def gradient_columns(
 
 
 def low_and_high(values: Array, steps: Array) -> Array:
-    """Values (a,) with the first a step smaller, a step larger, then the next, ``(2 a, a)``."""
+    """Values (a,) for central differences: each a step smaller, then larger, ``(2 a, a)``."""
     moves = np.repeat(np.diag(steps), 2, axis=0)
     moves[::2] *= -1.0
     return np.asarray(values + moves)
 
 
 class _Copies:
-    """Copies 2 k and 2 k + 1 of a setting, in which amplitude k is a little smaller and larger.
+    """Replicas 2 k and 2 k + 1 of the inputs, with amplitude k perturbed down and up.
 
     All in one setting: first the one in which none is moved, as copy -1, then the lines and the
     nodes that an amplitude changes. The contact law is one; effects add to its logarithm and to its
@@ -104,7 +104,7 @@ class _Copies:
         self._laws = np.zeros((2, n_values))
 
     def change(self, effect: MechanicalEffect, values: Array, after: Setting) -> None:
-        """Change all copies alike, by an effect that made the setting `after`."""
+        """Apply to all replicas an effect that turned the inputs into `after`."""
         if self._all is None:
             return
         if moves_frames(effect):
@@ -197,7 +197,7 @@ def _moves_of_frames(turns: Array, shifts: Array, setting: Setting) -> Array:
 
 
 def _by_lines(table: Array, moves: Array, flexion: Array, poses: Array) -> Array:
-    """What small `moves` (a, m, 12) of a table of lines change in the gradient, ``(n, 5, a)``."""
+    """Change of the gradient by small `moves` (a, m, 12) of a table of lines, ``(n, 5, a)``."""
     steps = np.abs(moves).max(axis=0, initial=0.0)
     line, entry = np.nonzero(steps > SMALLEST_DIFFERENCE * (1.0 + np.abs(table)))
     low, high = table[line], table[line]
@@ -221,7 +221,7 @@ def _by_lines(table: Array, moves: Array, flexion: Array, poses: Array) -> Array
 
 
 def _table(setting: Setting) -> Array:
-    """All that the gradient of each line depends on, shape ``(m, 12)``."""
+    """All quantities that the gradient of each line depends on, shape ``(m, 12)``."""
     x = setting.measured_lines
     courses = (x.reference_length, x.transition, x.wrap_offset, x.wrap_place)
     laws = (setting.stiffness, setting.reference_strain)
@@ -236,7 +236,7 @@ COORDINATE_STEP = 1e-4  # mm, deg
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Extension:
-    """The effects of a model, and where their amplitudes stand in a vector of all of them.
+    """The effects of a model, and the indices of their amplitudes in one vector.
 
     Attributes
     ----------
@@ -266,14 +266,14 @@ class Extension:
         return joined([x.parameters for x in self.effects]) if self.effects else None
 
     def changes(self, setting: Setting, values: Array) -> list[Setting]:
-        """The setting, then with one effect more each time, all at amplitudes `values`."""
+        """The inputs, then with one more effect each time, all at amplitudes `values`."""
         settings = [setting]
         for effect, part in self._mechanical:
             settings.append(effect.change(settings[-1], values[part]))
         return settings
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with all effects at amplitudes `values`."""
+        """The inputs with all effects at amplitudes `values`."""
         return self.changes(setting, values)[-1]
 
     def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:

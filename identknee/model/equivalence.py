@@ -1,4 +1,4 @@
-"""When two parameter sets count as equivalent, and in which trials their forces are compared."""
+"""Criteria of equivalence of parameter sets, and the trials in which forces are compared."""
 
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -1,4 +1,4 @@
-"""Insertions moved within their uncertainty: what restores trials, and a knee that settles."""
+"""Moving insertions within their uncertainty until all trials have an equilibrium."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -33,7 +33,7 @@ Score = tuple[int, float, float]
 
 @declared
 class InsertionMove:
-    """One insertion moved along an axis of its bone's frame, and what that gains."""
+    """One insertion moved along an axis of its bone's frame, and the gain."""
 
     ligament: str = entry("Ligament whose insertion is moved")
     bone: str = entry("Bone of the insertion, femur or tibia")
@@ -52,7 +52,7 @@ class InsertionMove:
 
 @declared
 class MovedInsertion:
-    """An insertion that is no longer where it was given."""
+    """An insertion with its displacement."""
 
     ligament: str = entry("Ligament whose insertion moved")
     bone: str = entry("Bone of the insertion, femur or tibia")
@@ -75,7 +75,7 @@ class MovedInsertion:
 
 @declared
 class SettledKnee:
-    """A knee with insertions moved until its trials converge, or as far as moves helped."""
+    """A knee with insertions moved until its trials converge, or no move helps."""
 
     knee: Knee = entry("The subject with the insertions moved")
     moved: tuple[MovedInsertion, ...] = entry("The insertions that moved")
@@ -217,7 +217,7 @@ class _Search:
         return float(margins.min()) if margins.size else float("nan")
 
     def fewest(self, shifts: Array, score: Score) -> tuple[Array, Score]:
-        """The shifts without those insertions that might as well stay."""
+        """The shifts without those that are not needed."""
         for place in sorted(np.ndindex(shifts.shape[:2]), key=lambda x: np.linalg.norm(shifts[x])):
             if not shifts[place].any():
                 continue

@@ -1,4 +1,4 @@
-"""The mechanical joint of a knee: surfaces and ligaments as arrays in femoral and tibial axes."""
+"""Contact geometry of a knee: surfaces and ligaments as arrays in femoral and tibial axes."""
 
 import hashlib
 import io
@@ -32,7 +32,7 @@ Sheet = tuple[Array, IntArray]
 
 @declared
 class Joint:
-    """A knee as the kernel takes it."""
+    """The arrays of a knee for the kernel."""
 
     field: DistanceField = entry("Signed distance to the femur, in femoral axes")
     contact: ContactPoints = entry("Points of the tibia that carry contact, in tibial axes")

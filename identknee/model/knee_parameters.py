@@ -1,4 +1,4 @@
-"""The parameters of a knee's model, with what the knee states of them."""
+"""The parameters of a knee's model, with the priors and bounds of the knee."""
 
 from collections.abc import Mapping
 from dataclasses import field, replace
@@ -46,7 +46,7 @@ def with_priors(parameters: Parameters, priors: Mapping[str, StatedPrior]) -> Pa
 
 @declared
 class Tied:
-    """Units with one stiffness and one strain each: a group of ligaments, or one alone."""
+    """Parameter groups with one stiffness scale and strain offset: several ligaments or one."""
 
     names: tuple[str, ...] = entry("Names of the u units, in the order of their first ligaments")
     member: Array = entry(
@@ -84,7 +84,7 @@ class Tied:
 
 
 def tied(knee: Knee) -> Tied:
-    """The units whose parameters are calibrated: the knee's groups, and its other ligaments.
+    """The parameter groups of a knee: its ligament groups, and its other ligaments alone.
 
     Examples
     --------

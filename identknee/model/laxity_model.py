@@ -41,7 +41,7 @@ def solve_past_folds(
     fallback_poses: Array | None,
     **how: Any,
 ) -> Equilibria:
-    """The equilibria at the nodes of `paths`, those of trials without one from a pose of their own.
+    """The equilibria at the nodes of `paths`; beyond folds from each trial's own pose.
 
     The path to a trial may end, or its unloaded knee lie loose, for a small error of the geometry
     where the knee that was measured had a pose. Its whole load is then put on the knee there.
@@ -84,7 +84,7 @@ _GENERALISED = np.array(
 
 
 class _Last(threading.local):
-    """The model that each thread last asked for one prediction, and that prediction."""
+    """Cache of the last prediction of each thread."""
 
     made: "tuple[LaxityModel, Prediction] | None" = None
 
@@ -174,11 +174,11 @@ class LaxityModel:
 
     @property
     def n_ligament_parameters(self) -> int:
-        """How many parameters come before those of the effects."""
+        """Number of ligament parameters, which precede those of the effects."""
         return 2 * self.tied.n
 
     def with_protocol(self, protocol: Protocol) -> "LaxityModel":
-        """The same model under another protocol, run nobody knows when; itself under its own."""
+        """A copy under another protocol with unknown trial order; self if unchanged."""
         if protocol is self.protocol:
             return self
         made = self.protocol
@@ -192,7 +192,7 @@ class LaxityModel:
         )
 
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
-        """The same model under the protocol of measured laxity, its trials run as measured."""
+        """A copy under the protocol of measured laxity, with its trial order and phase."""
         model = self.with_protocol(laxity.protocol)
         poses = fallback = None
         if self.continuation == "continuation":
@@ -207,7 +207,7 @@ class LaxityModel:
         )
 
     def with_effects(self, effects: Sequence[Effect]) -> "LaxityModel":
-        """The same model with these effects in place of its own."""
+        """A copy with these effects in place of its own."""
         return replace(self, effects=tuple(effects))
 
     def predict(
@@ -259,7 +259,7 @@ class LaxityModel:
         return self._prediction(np.array(theta, float), settings, found, derivatives=derivatives)
 
     def setting(self, theta: Array, *, is_changed: bool = True) -> Setting:
-        """Loads, lines and contact at theta, with the effects (`is_changed`) or without.
+        """Mechanics inputs at theta, with the effects (`is_changed`) or without.
 
         Raises
         ------
@@ -285,7 +285,7 @@ class LaxityModel:
         return self.extension.change(setting, self.amplitudes(theta)) if is_changed else setting
 
     def surfaces(self, setting: Setting) -> tuple[ContactPoints, DistanceField]:
-        """The surfaces of tibia and femur in a setting, for poses between its measured frames."""
+        """The surfaces of tibia and femur, for poses between the measured frames of the inputs."""
         contact, field = self.joint.contact, self.joint.field
         if self.effects:
             contact = replace(contact, law=setting.law)
@@ -296,7 +296,7 @@ class LaxityModel:
 
     @property
     def tests(self) -> Tests:
-        """The trials as they were run."""
+        """The trials as they were made, with order and phase."""
         x = self.protocol
         return Tests(
             flexion_deg=x.flexion_deg,
@@ -306,7 +306,7 @@ class LaxityModel:
         )
 
     def predict_once(self, theta: Array) -> Prediction:
-        """The prediction at theta with its Jacobian, not made again where it was the last one.
+        """The prediction at theta with its Jacobian, cached for the last theta.
 
         Residuals, their Jacobian and the quantities of one model thus share one simulation. Each
         thread remembers one. It raises as `predict` does; mesh contact has no derivatives.
@@ -337,7 +337,7 @@ class LaxityModel:
         return self.tied.stiffness(theta[:u]) * PER_KN, strain
 
     def _unsound(self, theta: Array) -> ValueError:
-        """The error that names the first value that no ligament has."""
+        """The error for the first inadmissible parameter value."""
         u = self.tied.n
         is_finite = np.isfinite(theta)
         strain = self.tied.strain(np.where(is_finite, theta, 0.0)[u : 2 * u]) * PER_PCT

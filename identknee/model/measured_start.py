@@ -1,4 +1,4 @@
-"""Where a model of a measured table begins: poses and strains as the table has them."""
+"""Start poses and strains of a model of a measured table."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ BLUNDER = 0.2
 
 
 def measured_poses(laxity: Laxity) -> Array | None:
-    """The measured pose of each trial, where its equilibrium is looked for, shape ``(n, 5)``.
+    """The measured pose of each trial, from which its equilibrium is sought, ``(n, 5)``.
 
     None where the trials have nominal angles (most share one, or all are whole degrees), where the
     coordinates count from an unloaded pose, or where one was never measured. A cell not measured
@@ -47,7 +47,7 @@ def fallback_poses(knee: Knee, laxity: Laxity) -> Array | None:
 
 
 def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
-    """Pose of each trial that the knee is known to take, shape ``(n, 5)``; None if it states none.
+    """Stated pose of each trial, shape ``(n, 5)``; None if the knee states none.
 
     No load is looked at: it is the pose in the middle of what the loads do at that flexion angle.
     """
@@ -57,7 +57,7 @@ def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
 
 
 def poses_of_tests(knee: Knee, laxity: Laxity) -> tuple[Array | None, Array | None]:
-    """Where the equilibria of measured trials are looked for, and where if their path has none.
+    """Start poses of measured trials, and fallback poses for paths without an equilibrium.
 
     First the measured poses, or those that the knee is known to take; None without both. Then
     `fallback_poses`, where that is so.
@@ -68,7 +68,7 @@ def poses_of_tests(knee: Knee, laxity: Laxity) -> tuple[Array | None, Array | No
 
 
 def are_same(some: Sequence[Array | None], others: Sequence[Array | None]) -> bool:
-    """Whether poses are the same one by one; NaN is the same as NaN."""
+    """Whether poses are equal one by one; NaN equals NaN."""
     return all(
         x is y if x is None or y is None else np.array_equal(x, y, equal_nan=True)
         for x, y in zip(some, others, strict=True)
@@ -95,7 +95,7 @@ def poses_of(protocol: Protocol, coordinates: Array) -> tuple[KnownPose, ...]:
 
 
 def poses_between(made: Protocol, poses: Array | None, asked: Protocol) -> Array | None:
-    """Where the trials asked for begin, from the poses ``(n, 5)`` of those made, ``(k, 5)``.
+    """Start poses of trials interpolated from measured poses ``(n, 5)``, ``(k, 5)``.
 
     None where those begin at none. A trial that was made begins where it did, another in the
     middle of what the loads do at its flexion angle, on straight lines between the angles of those
@@ -110,7 +110,7 @@ def poses_between(made: Protocol, poses: Array | None, asked: Protocol) -> Array
 
 
 def poses_of_made(made: Protocol, poses: Array | None, asked: Protocol) -> Array | None:
-    """The poses ``(n, 5)`` of those trials asked for that were made, NaN for others, ``(k, 5)``."""
+    """Measured poses of the trials that were made, NaN for others, ``(k, 5)``."""
     if poses is None:
         return None
     known = dict(zip(_keys(made), poses, strict=True))

@@ -1,4 +1,4 @@
-"""What the laxity model hands to the mechanics, before and after effects have changed it."""
+"""Mechanics inputs at each load step, before and after effects."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -96,7 +96,7 @@ def placements(values: Array) -> tuple[Array, Array]:
 
 
 def motions(turns: Array, shifts: Array) -> Array:
-    """How contact moves where frames give way to nearly equal ones, shape ``(k, 12)``.
+    """Motion of contact between nearly equal frames, shape ``(k, 12)``.
 
     Small rotation vectors and shifts [rad, mm] that move places of the femoral frame within the
     femur, then the tibia's within the tibial frame.
@@ -177,7 +177,7 @@ class Setting:
 
     @property
     def first_pose(self) -> Array:
-        """Where searches begin: the measured pose of each node, ``(n, 5)``, or the scanned one."""
+        """Start pose of each node: the measured pose, ``(n, 5)``, or the scanned one."""
         if self.measured is not None or self.frames is None:
             return self.start if self.measured is None else self.measured
         return self.frames.pose(self.start_flexion, self.start)
@@ -188,7 +188,7 @@ class Setting:
         return owned
 
     def as_copy(self, number: int) -> "Setting":
-        """The same setting as one copy among several."""
+        """The same inputs as one replica of a batch."""
         return replace(self, copy=np.full(self.stiffness.size, number))
 
     def lengths_at_start(self, lines: Lines) -> Array:
@@ -199,7 +199,7 @@ class Setting:
 def with_lines(
     setting: Setting, added: Lines, stiffness: Array, reference_strain: Array
 ) -> Setting:
-    """The setting with lines added that belong to none of the subject's ligaments."""
+    """The inputs with added lines that belong to none of the subject's ligaments."""
     none = np.full(len(added.femoral), -1)
     others = replace(
         setting,
@@ -216,7 +216,7 @@ def with_lines(
 def with_copies(
     setting: Setting, others: Sequence[Setting], *, lines: bool, nodes: bool
 ) -> Setting:
-    """The setting with the lines, the nodes or both of others after its own."""
+    """The inputs with the lines, nodes or both of others appended."""
     parts = [setting, *others]
     changes: dict[str, Any] = {}
     if nodes:
@@ -237,7 +237,7 @@ def with_copies(
 
 
 def repeated(setting: Setting, n: int) -> Setting:
-    """The setting `n` times in one, as copies 0, 1 and so on."""
+    """A batch of `n` replicas of the inputs."""
 
     def again(values: Array | IntArray) -> Any:
         return np.concatenate(n * [values])

@@ -77,11 +77,11 @@ class Recombined:
         return self.effect.name
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect."""
+        """The inputs with the effect."""
         return self.effect.change(setting, self.matrix @ values)
 
     def change_copies(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect at amplitudes ``values[i]`` in copy i."""
+        """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
         return self.effect.change_copies(setting, values @ self.matrix.T)
 
 
@@ -91,7 +91,7 @@ PRINCIPAL_AXES = ("1st", "2nd", "3rd")
 
 
 def insertions(knee: Knee) -> Recombined:
-    """Shifts of the insertions whose places are uncertain [mm].
+    """Shifts of the uncertain insertions [mm].
 
     Along the axes of the bone, or along the principal axes of a covariance that is not the same
     along all of them.
@@ -211,7 +211,7 @@ class Registration:
         object.__setattr__(self, "parameters", made.as_nuisances())
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting whose poses are those between the frames at amplitudes `values`."""
+        """The inputs with poses measured between the frames at amplitudes `values`."""
         return replace(setting, frames=frames_at(self._whole(values[None])[0]))
 
     def placements(self, values: Array) -> tuple[Array, Array]:
@@ -248,7 +248,7 @@ _HELD = MappingProxyType[str, Callable[[], Effect]](
 
 
 def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
-    """What the knee states to be uncertain, in the order in which it acts; empty where nothing is.
+    """The stated nuisance parameters of a knee, in the order in which they act; may be empty.
 
     Errors that are the same for every parameter are no part of it: see
     `identknee.model.shared_errors`.
@@ -296,7 +296,7 @@ def contact_rounding(knee: Knee) -> float:
 
 
 def held_errors(knee: Knee) -> tuple[Effect, ...]:
-    """Errors stored with the knee that it does not state to be uncertain, at their stored sizes.
+    """Stored errors of the knee that are not stated as uncertain, fixed at their sizes.
 
     Raises
     ------
@@ -318,7 +318,7 @@ def held_errors(knee: Knee) -> tuple[Effect, ...]:
 
 
 class StoredWithKnee(tuple[Effect, ...]):
-    """Stands for the effects and nuisances of the knee where a model is given none."""
+    """Default argument: the effects and nuisances stored with the knee."""
 
     __slots__ = ()
 

@@ -1,4 +1,4 @@
-"""The model of a knee under tests, whether they are planned or were measured."""
+"""The model of a knee under planned or measured tests."""
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
@@ -7,7 +7,7 @@ from identknee.subject.knee import Knee
 
 
 def model_of_tests(knee: Knee, tests: Protocol | Laxity) -> LaxityModel:
-    """The model of a knee under these tests, measured trials run as a fit to them would run them.
+    """The model of a knee under these tests, set up as for a fit to them.
 
     A knee that states the poses of its fit begins at those, also in measured trials.
     """

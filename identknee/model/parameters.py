@@ -65,12 +65,12 @@ class Parameters:
 
     @property
     def is_of_interest(self) -> BoolArray:
-        """Which are asked for, and are no nuisances, shape ``(n,)``."""
+        """Which are parameters of interest, not nuisances, shape ``(n,)``."""
         return np.ones(self.n, bool) if self.is_nuisance is None else ~self.is_nuisance
 
     @property
     def names_of_interest(self) -> tuple[str, ...]:
-        """Names of those that are no nuisances."""
+        """Names of the parameters of interest."""
         return tuple(x for x, asked in zip(self.names, self.is_of_interest, strict=True) if asked)
 
     @property
@@ -86,7 +86,7 @@ class Parameters:
         return self.center if self.own is None else self.own
 
     def index(self, name: str) -> int:
-        """Where `name` stands in theta."""
+        """Index of `name` in theta."""
         try:
             return self.names.index(name)
         except ValueError:

@@ -1,4 +1,4 @@
-"""Errors that no parameter stands for and nobody wants named: zeros, angles, surfaces, the toe."""
+"""Marginalised nuisances without parameters: zeros, single angles, surfaces, toe region."""
 
 from collections.abc import Sequence
 
@@ -41,7 +41,7 @@ class SurfaceBumps:
         return np.asarray(bumps / np.linalg.norm(bumps, axis=1, keepdims=True))
 
     def rises(self, heights: Array, moves: Array) -> Array:
-        """How each bump's `heights` (n, k) at n places grow in all, as these are moved.
+        """Derivatives of the bumps' `heights` (n, k) by moving the n places.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ TOE = 0.15  # %; how well any formula of the toe region describes ligaments
 
 
 def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
-    """What nuisances change in the coordinates of all trials, and their prior spreads.
+    """Derivatives of all coordinates by nuisances, and their prior standard deviations.
 
     Rough surfaces, a force-strain curve whose toe is not quite the one of the equations, unless
     that is one of the model's effects, and the shared errors that the knee states.
@@ -184,13 +184,13 @@ def roughness_of(knee: Knee) -> float:
 
 
 def has_shared_errors(uncertainty: Uncertainty) -> bool:
-    """Whether a knee states errors that are averaged over and have no parameters."""
+    """Whether a knee states errors that are marginalised without parameters."""
     x = uncertainty
     return max(x.zero_mm, x.zero_deg, x.trial_flexion_deg, x.surface_mm) > 0.0
 
 
 def shared_errors(model: LaxityModel, theta: Array) -> Array:
-    """What errors of one standard deviation change in the coordinates, shape ``(n, 5, k)``.
+    """Change of the coordinates by errors of one standard deviation, shape ``(n, 5, k)``.
 
     An offset of each coordinate for every angle of flexion, an error of flexion for every trial,
     and smooth offsets of the cartilage sheets, as far as the knee states them. The two last are

@@ -1,4 +1,4 @@
-"""What later results must say of the knee they rest on: its stability, and contact near rims."""
+"""Checks of the model behind a result: stability, and contact near rims."""
 
 from collections.abc import Sequence
 
@@ -40,7 +40,7 @@ def stability_findings(model: LaxityModel) -> tuple[Finding, ...]:
 
 
 def rim_findings(trials: Sequence[str], found: Prediction) -> tuple[Finding, ...]:
-    """Which of the trials press near a rim, where the cartilage surface ends."""
+    """Trials with contact near a rim, where the cartilage surface ends."""
     near = np.flatnonzero(found.is_near_rim)
     if not near.size:
         return ()

@@ -1,4 +1,4 @@
-"""How well posed a subject is: its margin over a protocol, over a box of parameters, by contact."""
+"""Stability of a subject: margins over a protocol, over a parameter box, by contact points."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -347,7 +347,7 @@ _ENDED = {
 
 
 def counted_outcomes(outcomes: Sequence[Outcome]) -> str:
-    """How many trials ended in each way but the good one, in words."""
+    """Counts of the trials without an equilibrium by outcome, in words."""
     return _counted(Counter(x for x in outcomes if x is not Outcome.CONVERGED))
 
 

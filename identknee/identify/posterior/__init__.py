@@ -1,1 +1,1 @@
-"""The posterior: density, ensembles of walkers, the check to stop at, a second opinion."""
+"""The posterior: density, ensembles of walkers, convergence check, nested sampling."""

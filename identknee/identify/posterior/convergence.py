@@ -42,7 +42,7 @@ def autocorrelation(values: Array) -> Array:
 
 
 def autocorrelation_time(values: Array) -> float:
-    """Steps after which draws are as good as independent: the integrated autocorrelation time.
+    """The integrated autocorrelation time in steps.
 
     At least 1, so that there are never more effective draws than draws; infinite where nothing
     moves.
@@ -66,7 +66,7 @@ def autocorrelation_time(values: Array) -> float:
 
 
 def effective_draws(values: Array) -> float:
-    """Number of independent draws worth as much for the mean: all draws over tau.
+    """Effective sample size for the mean: all draws over the autocorrelation time.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def normal_scores(values: Array) -> Array:
 
 
 def bulk_draws(values: Array) -> Array:
-    """Effective draws of the ranks, by ensemble, shape ``(ensembles,)``; their sum is the total.
+    """Effective sample size of the bulk (ranks) by ensemble, ``(ensembles,)``; they add up.
 
     References
     ----------
@@ -94,7 +94,7 @@ def bulk_draws(values: Array) -> Array:
 
 
 def tail_draws(values: Array) -> Array:
-    """Effective draws of being below the 5 or above the 95 % quantile, the fewer, by ensemble."""
+    """Effective sample size of the tails (5 and 95 % quantile), the smaller, by ensemble."""
     low, high = np.quantile(values, [TAIL, 1.0 - TAIL])
     return np.minimum(
         _by_ensemble((values <= low).astype(float)), _by_ensemble((values >= high).astype(float))
@@ -102,7 +102,7 @@ def tail_draws(values: Array) -> Array:
 
 
 def split_rhat(values: Array) -> float:
-    """Rank-normalised R-hat over the halves of the ensembles, of place or of spread, the larger.
+    """Rank-normalised split R-hat of the ensembles, of location or of scale, the larger.
 
     A chain is one half of one ensemble, all its walkers together: walkers of an ensemble are not
     independent, ensembles are.
@@ -191,7 +191,7 @@ _SENTENCES = {
 
 @declared
 class StopRule:
-    """What a sample must reach, all of it, before sampling stops, and when it stops anyway."""
+    """Convergence criteria, all to be met before sampling stops, and its budget."""
 
     autocorrelation_times: float = entry(
         "Steps after burn-in, in the largest autocorrelation time", unit="1", default=50.0
@@ -229,7 +229,7 @@ class StopRule:
 
 @declared
 class ConvergenceCheck:
-    """The numbers the stop rule looks at, after some steps."""
+    """Convergence diagnostics after some steps."""
 
     rule: StopRule = entry("The stop rule")
     steps: int = entry("Steps of every walker so far, those of burn-in included")
@@ -348,7 +348,7 @@ def check_convergence(
 
 
 def _each(function: Callable[[Array], Array | float], values: Sequence[Array]) -> Array:
-    """What the function finds for each parameter."""
+    """The diagnostic for each parameter."""
     return np.array([function(one) for one in values])
 
 
@@ -412,7 +412,7 @@ def outlook(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, st
 
 
 def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
-    """Steps by which every other sample has found a drift below its bar."""
+    """Median number of steps until the drift criterion is met."""
     if len(checks) < 2:
         return 0.0
     latest, seen = checks[-1], checks[FIRST_CHECKS:]
@@ -428,7 +428,7 @@ def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
 
 
 def _drift_times_steps(latest: ConvergenceCheck, block: float) -> float:
-    """What the noise of autocorrelation times lets one expect.
+    """Drift expected from the noise of autocorrelation times.
 
     The error of one, estimated over a window of 5 of them, is that of Sokal; it changes with the
     steps since the check that it is compared with.

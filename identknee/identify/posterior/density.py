@@ -73,7 +73,7 @@ def log_prior(theta: Array, parameters: Parameters) -> Array:
 
 
 def mass_within_bounds(parameters: Parameters) -> float:
-    """What part of the priors, were they not cut off, lies within the bounds."""
+    """Prior mass within the bounds, before truncation."""
     return float(np.exp(np.sum(_log_masses(parameters))))
 
 
@@ -110,7 +110,7 @@ def prior_draws(parameters: Parameters, n: int, generator: np.random.Generator) 
 
 @declared
 class ExcludedMass:
-    """How much of the prior the posterior cannot reach."""
+    """Prior mass without a prediction or beyond the bounds."""
 
     beyond_bounds: float = entry("Part of the priors that the bounds cut off, exact", unit="1")
     without_prediction: float = entry(
@@ -147,7 +147,7 @@ def excluded_mass(parameters: Parameters, is_predicted: BoolArray) -> ExcludedMa
 
 @declared
 class NewtonKernel:
-    """The density at a point, and the normal one that a Gauss-Newton step from it proposes."""
+    """The density at a point, and the Gaussian proposal of its Gauss-Newton step."""
 
     log_density: float = entry(
         "Log density of the posterior in working coordinates, without a constant; -inf where "
@@ -197,7 +197,7 @@ def _working_bounds(parameters: Parameters) -> tuple[Array, Array]:
 
 
 def _log_masses(parameters: Parameters) -> Array:
-    """Logarithm of the part of each prior within its bounds, shape ``(n,)``."""
+    """Log mass of each prior within its bounds, shape ``(n,)``."""
     low, high = _working_bounds(parameters)
     center, sd = working_center(parameters), parameters.prior_sd
     with np.errstate(divide="ignore"):

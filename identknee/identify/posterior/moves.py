@@ -102,7 +102,7 @@ def _gradient(points: Array, blobs: Array) -> Array:
 
 
 class OwnKernelMove(Move):  # type: ignore[misc]
-    """Steps of random length that leave the Gauss-Newton kernel of the walker that moves as it is.
+    """Steps of random length that leave the walker's own Gauss-Newton kernel invariant.
 
     Each walker carries its kernel as its blob, as for `identknee.identify.posterior.moves`. From
     far out on a bent ridge, where the kernels of other walkers do not reach, a mixture of them
@@ -280,7 +280,7 @@ class SnookerMove(RedBlueMove):  # type: ignore[misc]
 
 
 def newton_moves() -> list[tuple[Move, float]]:
-    """The default: mostly Newton, now and then what leads in walkers that others do not reach."""
+    """The default: mostly Newton moves, with a few that bring back outlying walkers."""
     return [(NewtonMove(), 0.85), (OwnKernelMove(), 0.05), (DEMove(), 0.08), (SnookerMove(), 0.02)]
 
 

@@ -1,4 +1,4 @@
-"""A second opinion on the posterior, by nested sampling, and the evidence of the model."""
+"""The posterior by nested sampling, for comparison, and the evidence of the model."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -67,7 +67,7 @@ class NestedPosterior:
 
     @property
     def effective_draws(self) -> float:
-        """How many equally weighted draws are worth as much (Kish)."""
+        """Effective sample size of weighted draws (Kish)."""
         return float(1.0 / np.sum(self.weights**2))
 
     def quantiles(self, probabilities: ArrayLike = QUANTILES) -> Array:

@@ -1,4 +1,4 @@
-"""A sample of the posterior, with all that says whether it can be trusted."""
+"""A sample of the posterior with its convergence diagnostics."""
 
 import math
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ APART = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Posterior:
-    """A sample of the posterior, with all that says whether it can be trusted.
+    """A sample of the posterior with its convergence diagnostics.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Posterior:
         return np.array([[quantile_error(x, p) for p in probabilities] for x in each])
 
     def independent(self, n_draws: int, *, or_fewer: bool = False) -> IntArray:
-        """Places (ensemble, walker, kept step) of draws as good as independent, ``(n_draws, 3)``.
+        """Indices (ensemble, walker, kept step) of nearly independent draws, ``(n_draws, 3)``.
 
         They are spread over all ensembles and walkers, and two of one walker lie at least two of
         the longest autocorrelation times apart.

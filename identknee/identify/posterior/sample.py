@@ -57,7 +57,7 @@ Block = Mapping[str, Any]
 
 @declared
 class Ensemble:
-    """What one ensemble of a sample is asked to do, the same for all of its blocks.
+    """The task of one ensemble, the same for all of its blocks.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Ensemble:
 
 
 def optimum_near_prior(task: Ensemble, number: int) -> Block:
-    """Theta of the highest posterior density uphill from a draw of the prior; None without one.
+    """The posterior mode reached from a draw of the prior; None without a prediction.
 
     A least-squares fit from the first draw with a prediction; where that ends within `FIT_EACH`
     simulations a parameter, it is the mode in working coordinates.
@@ -139,7 +139,7 @@ def started(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
 
 
 def learned(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
-    """The surrogate that an ensemble's trajectories will follow; None where it is of no use.
+    """The trained surrogate of an ensemble; None if it is not useful.
 
     Each ensemble learns its own, so that ensembles stay independent.
 
@@ -278,7 +278,7 @@ KEPT_S = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ensembles:
-    """How many walkers go how far, and how.
+    """Number of ensembles and walkers, their moves and block lengths.
 
     Attributes
     ----------
@@ -414,7 +414,7 @@ def sample(
 
 
 class _Run:
-    """The ensembles under way; every part of the work is a resumable map over them."""
+    """The running ensembles; every part of the work is a resumable map over them."""
 
     def __init__(
         self, task: Ensemble, n_ensembles: int, executor: Executor, store: Store | None

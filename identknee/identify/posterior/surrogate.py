@@ -1,7 +1,7 @@
-"""A posterior whose residuals are quadratic functions of the parameters: a stand-in for the model.
+"""A surrogate posterior whose residuals are quadratic functions of the parameters.
 
-Residuals bend little where a posterior has its mass, even in dozens of parameters. On the surrogate
-trajectories are as good as free, so that one simulation at their end is all that a draw costs.
+Residuals are weakly nonlinear over the mass of a posterior, even in dozens of parameters.
+Trajectories on the surrogate cost almost nothing, so a draw costs one simulation at their end.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ REACH = 1e3
 
 @declared
 class Surrogate:
-    """Minus a log posterior density in standard coordinates, its residuals taken for quadratic.
+    """Negative log posterior density in standard coordinates, with quadratic residuals.
 
     In standard coordinates z the optimum is 0 and the Gauss-Newton precision there the identity:
     the working coordinates are ``origin + inv(factor.T) @ z``.

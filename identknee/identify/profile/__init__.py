@@ -1,1 +1,1 @@
-"""Profile likelihoods: what each parameter or prediction may be, and which ends are open."""
+"""Profile likelihoods of parameters and predictions."""

@@ -1,4 +1,4 @@
-"""The profile of a pair of parameters: which combinations of their values the data allow."""
+"""The joint profile of a pair of parameters."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -48,7 +48,7 @@ class PairRay:
 
 @declared
 class PairProfile:
-    """The pairs of values that the data do not exclude, as paths outward from the best pair."""
+    """The joint confidence set of two parameters, as rays from the best pair."""
 
     names: tuple[str, str] = entry("Names of the two parameters", key="parameters")
     level: float = entry("Confidence level of the set for both at once", unit="1")
@@ -62,7 +62,7 @@ class PairProfile:
     n_simulations: int = entry("Simulations made, each with its Jacobian", unit="1")
 
     def contour(self, level: float) -> Array:
-        """The edge of the likely pairs at a level up to the profile's own, shape ``(n_rays, 2)``.
+        """The contour of the joint set at a level up to the profile's own, ``(n_rays, 2)``.
 
         A row is NaN where the way does not reach that level.
 
@@ -94,7 +94,7 @@ def profile_pair(
     executor: Executor = serial,
     store: Store | None = None,
 ) -> PairProfile:
-    """The profile of two parameters at once, all others fitted.
+    """The joint profile of two parameters, all others refitted.
 
     The set's edge is solved for along 24 straight paths from the optimum, evenly spread in units of
     the pair's covariance, each as one side of a profile of a single quantity.
@@ -164,7 +164,7 @@ def profile_pair(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AlongRay:
-    """A problem in which two parameters move together, along a straight way.
+    """A problem in which two parameters vary together along a ray.
 
     Attributes
     ----------
@@ -224,7 +224,7 @@ class AlongRay:
 
 
 def _shape(jacobian: Array, parameters: Parameters, pair: tuple[int, int]) -> Array:
-    """The matrix (2, 2) that turns a unit circle into the pair's ellipse of one deviance.
+    """The matrix (2, 2) that maps the unit circle to the pair's ellipse of equal deviance.
 
     Directions that the data do not see are cut off at the parameters' typical steps.
     """
@@ -240,7 +240,7 @@ def _shape(jacobian: Array, parameters: Parameters, pair: tuple[int, int]) -> Ar
 
 
 def _room(parameters: Parameters, origin: Array, pair: tuple[int, int], direction: Array) -> float:
-    """How far the way stays within the bounds."""
+    """Length of the ray within the bounds."""
     lengths = [np.inf]
     for i, change in zip(pair, direction, strict=True):
         bound = parameters.upper[i] if change > 0 else parameters.lower[i]

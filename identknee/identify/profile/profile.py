@@ -1,4 +1,4 @@
-"""The profile of a parameter or of any other quantity: which of its values the data allow."""
+"""The profile likelihood of a parameter or any other quantity."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -71,7 +71,7 @@ Region = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Branch:
-    """The profile walked from one local optimum, downward and upward."""
+    """The profile from one local optimum, downward and upward."""
 
     lower: Leg
     upper: Leg
@@ -104,7 +104,7 @@ def walk_branch(walk: Walk, origin: Point) -> Branch:
 
 
 def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
-    """The branches of a quantity that does not change around the optimum, as a slack line's force.
+    """The branches of a quantity that is locally constant, such as a slack line's force.
 
     Its set begins as that one value. Where it is another one at an end of the confidence set of a
     parameter, by the covariance at the optimum, the fit there with the largest and the smallest
@@ -137,7 +137,7 @@ def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
 
 
 def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
-    """Theta with each parameter almost at an end of its confidence set, the others following."""
+    """Theta near each end of each parameter's confidence set, the others adjusted."""
     parameters = walk.evaluator.parameters
     at = origin.evaluation
     scales = typical_steps(parameters)
@@ -154,7 +154,7 @@ def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
 
 
 def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
-    """The optimum's branch and those of other likely optima, as far as found.
+    """The branches of the optimum and of other local optima found.
 
     Fits without a constraint start from the middle of what lies beyond each closed end, and from
     each of `starts`. Where one ends at a likely optimum that is not on a path walked before, its
@@ -192,7 +192,7 @@ def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
 
 
 def _beside(branch: Branch, region: Region) -> list[Region]:
-    """What a branch leaves of a region, below and above."""
+    """The parts of a region below and above a branch."""
     low, high = branch.limits
     below, above = (region[0], low), (high, region[1])
     return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]
@@ -267,7 +267,7 @@ def _glance(
     most_steps: int = GLANCE_STEPS,
     is_enough: IsEnough | None = None,
 ) -> Point | None:
-    """A rough fit at a value, None where there is none or it saw enough on its way."""
+    """A rough constrained fit at a value; None if it failed or stopped early."""
     solved = walk.solve(
         value,
         start,
@@ -304,7 +304,7 @@ def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch
 
 
 def _joins(walk: Walk, ends: Sequence[Point], at: Evaluation) -> bool:
-    """Whether a fit that comes to `at` would go on to one of the fits known.
+    """Whether `at` is close to a known fit that ended as low.
 
     It would where the residuals change between both as the derivatives at either say: the next step
     leads there.
@@ -414,7 +414,7 @@ def _union(branches: Sequence[Branch]) -> tuple[tuple[Interval, ...], tuple[Side
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Reach:
-    """From where to where a branch is likely, infinite where open, and how it ends there."""
+    """The confidence interval of a branch, infinite where open, and how it ends."""
 
     low: float
     high: float
@@ -427,7 +427,7 @@ class _Reach:
         return cls(low=_reach(lower, -np.inf), high=_reach(upper, np.inf), lower=lower, upper=upper)
 
     def goes_on_to(self, other: "_Reach") -> bool:
-        """Whether no value between this and one that begins higher is excluded by the data."""
+        """Whether this interval overlaps with the next higher one."""
         at_boundary = SideStatus.OPEN_AT_FEASIBILITY
         is_gap = at_boundary in {self.upper.status, other.lower.status}
         return other.low <= self.high or is_gap
@@ -471,7 +471,7 @@ def curve_slopes(walk: Walk, points: Sequence[Point]) -> Array:
 
 
 def _height(walk: Walk, branch: Branch, value: float) -> float:
-    """Rise of the deviance of a branch at a value, infinite outside of what was walked."""
+    """Rise of the deviance of a branch at a value; infinite outside its range."""
     for left, right in pairwise(branch.points):
         if left.value <= value <= right.value and left.value < right.value:
             return cubic(
@@ -501,7 +501,7 @@ def _verdict(
 
 
 def _is_unseen(walk: Walk, origin: Point) -> bool:
-    """Whether the quantity changes along a direction in which no residual does."""
+    """Whether the quantity varies along a direction in which no residual does."""
     scales = conditional_sds(origin.evaluation.jacobian, walk.evaluator.parameters)
     gradient = walk.quantity.evaluate(origin.evaluation.theta)[1] * scales
     matrix = origin.evaluation.jacobian * scales
@@ -527,7 +527,7 @@ OPTIMUM_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Settled:
-    """An optimum polished as profiles want it, from `settled`.
+    """An optimum polished for profiles, from `settled`.
 
     Attributes
     ----------
@@ -548,7 +548,7 @@ def profile(
     budget: int = BUDGET,
     starts: ArrayLike = (),
 ) -> Profile:
-    """The best fit at each value of a quantity, and the set of values that the data do not exclude.
+    """The profile likelihood of a quantity and its confidence set.
 
     The optimum is polished first. From it the profile is walked outward on both sides; then a fit
     far beyond each end looks for another valley and approaches the end from there. A better fit
@@ -606,7 +606,7 @@ def profile(
 def settled(
     problem: Problem, optimum_theta: ArrayLike, *, threshold: float, budget: int = BUDGET
 ) -> Settled:
-    """The optimum polished, as profiles begin from it: once for several of them.
+    """The polished optimum, shared by several profiles.
 
     Parameters
     ----------

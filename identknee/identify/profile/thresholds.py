@@ -1,4 +1,4 @@
-"""How far the deviance may rise before a value is excluded: by chi2, by F, by simulated data."""
+"""Thresholds on the rise of the deviance: by chi2, by F, by parametric bootstrap."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -80,7 +80,7 @@ def threshold_below(threshold: float, level: float, wanted: float, n_quantities:
 
 
 def f_threshold(level: float, degrees_of_freedom: int, n_quantities: int = 1) -> float:
-    """The same where the noise was estimated from what the fit leaves.
+    """The same for noise estimated from the residuals of the fit.
 
     The rise of the deviance, in units of the estimated noise, divided by `n_quantities` has an F
     distribution for a linear model.
@@ -120,7 +120,7 @@ def f_threshold(level: float, degrees_of_freedom: int, n_quantities: int = 1) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BootstrapStatistics:
-    """Likelihood ratios of the truth, from data simulated again and again at one parameter set.
+    """Parametric bootstrap of the likelihood ratio at one parameter set.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ class BootstrapStatistics:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Resimulated:
-    """A problem with other data: those predicted at one parameter set, with noise of its own.
+    """A problem with data simulated at one parameter set.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Along a profile: exact steps, curves between fits, and the way to an end."""
+"""Stepping along a profile, interpolation between fits, and its ends."""
 
 from dataclasses import dataclass
 
@@ -88,7 +88,7 @@ def fit_around(
 
 
 def promised_reduction(evaluator: Evaluator, at: Evaluation, gradient: Array | None) -> float:
-    """How much lower the deviance could be by the linear model, had every point a prediction.
+    """Reduction predicted by the linear model if every point had a prediction.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class Point:
 
     @property
     def curvature(self) -> float:
-        """Half the second derivative of the deviance by the value, by Gauss and Newton."""
+        """Half the Gauss-Newton second derivative of the deviance by the value."""
         change = self.evaluation.jacobian @ self.tangent
         return float(change @ change)
 
@@ -326,7 +326,7 @@ class Walk:
 
 
 def step_to(rise: float, slope: float, curvature: float) -> float:
-    """How far a parabola goes before it has risen; infinite where it never does.
+    """The step at which a parabola has risen by the threshold; infinite if never.
 
     Parameters
     ----------
@@ -384,7 +384,7 @@ ENOUGH = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Leg:
-    """One side walked.
+    """The profile on one side.
 
     Attributes
     ----------
@@ -424,7 +424,7 @@ def march(walk: Walk, origin: Point, direction: int) -> Leg:
 
 
 class _March:
-    """The state of one walk outward."""
+    """The state of the profile on one side."""
 
     def __init__(self, walk: Walk, origin: Point, direction: int) -> None:
         self._walk = walk
@@ -499,7 +499,7 @@ class _March:
         return solved.is_on_target and not self._walk.is_settled(self._walk.point(solved))
 
     def _meet_gap(self, value: float, tolerance: float) -> Side | None:
-        """Go on beyond values without prediction where there are others; else come nearer."""
+        """Continue beyond a gap without predictions if there are fits beyond; else step back."""
         is_new = not self._is_gap
         self._blocked, self._is_gap = value, True
         if self._outside is not None:
@@ -577,7 +577,7 @@ class _March:
     # What came back.
 
     def _missed(self, value: float, solved: Constrained, tolerance: float) -> Side | None:
-        """Take a fit that is not on target: the end of the range, a gap or a failure."""
+        """Handle a fit that missed its target: the end of the range, a gap or a failure."""
         if solved.outcome is Outcome.MINIMUM:
             point = self._walk.point(solved)
             self._bound = point.value
@@ -619,7 +619,7 @@ class _March:
             self._inside = point
 
     def _mismatch(self, point: Point, start: Array) -> float:
-        """How much higher a point is than the slopes say, where it is not where it was expected."""
+        """Excess of a point over its prediction from the slopes."""
         at = self._inside
         moved = point.evaluation.jacobian @ (point.evaluation.theta - start)
         if float(moved @ moved) < JUMP * self._walk.threshold:
@@ -703,7 +703,7 @@ class _March:
         return max(abs(self._inside.value - self._points[0].value), self._unit)
 
     def _error(self, point: Point) -> float:
-        """What the way to the end and the fit may be off, as a length of the value."""
+        """Estimated error of the end, in units of the value."""
         missing = abs(self._walk.delta(point) - self._walk.threshold)
         slope = max(abs(point.slope), 1e-300)
         return float((SLOPE_ERROR * missing + LEFT * AT_END * self._walk.threshold) / slope)

@@ -1,4 +1,4 @@
-"""Cartilage that is softer, or bends its law, and menisci."""
+"""Effects of the contact law and of the menisci."""
 
 from dataclasses import field, replace
 
@@ -41,7 +41,7 @@ class Cartilage:
         object.__setattr__(self, "parameters", made)
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting under the other contact law."""
+        """The inputs with the other contact law."""
         law = replace(
             setting.law,
             modulus=setting.law.modulus * float(np.exp(values[0])),
@@ -51,7 +51,7 @@ class Cartilage:
 
 
 def contact_nuisance() -> Cartilage:
-    """How far any contact law may be from the knee's own, as a nuisance that is no cause."""
+    """Uncertainty of the contact law, as a nuisance parameter."""
     return Cartilage(name=CONTACT_LAW, modulus_sd=NUMERICAL_SD)
 
 
@@ -84,7 +84,7 @@ class Meniscus:
         object.__setattr__(self, "parameters", made)
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the springs in place."""
+        """The inputs with the springs added."""
         springs = Lines(
             femoral=self.femoral,
             tibial=self.tibial,

@@ -1,4 +1,4 @@
-"""What an effect is: a physical cause that changes what a knee does or what is measured of it."""
+"""Effects: physical causes that change the mechanics of a knee or its measurement."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ class MechanicalEffect(Effect, Protocol):
     """An effect on loads, flexion, lines or contact."""
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect at amplitudes `values`, shape ``(n,)``."""
+        """The inputs with the effect at amplitudes `values`, shape ``(n,)``."""
         ...
 
 
@@ -53,28 +53,28 @@ class SelfContainedEffect(MechanicalEffect, Protocol):
 
 @runtime_checkable
 class CopiesEffect(MechanicalEffect, Protocol):
-    """A mechanical effect that may have other amplitudes in each of several copies of a setting.
+    """A mechanical effect whose amplitudes may differ between replicas of the inputs.
 
     Its derivatives are had faster then.
     """
 
     def change_copies(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect at amplitudes ``values[i]`` in copy i, values ``(k, a)``."""
+        """The inputs with the effect at amplitudes ``values[i]`` in replica i, ``(k, a)``."""
         ...
 
 
 @runtime_checkable
 class ObservationEffect(Effect, Protocol):
-    """An effect on what is measured of a pose, not on the pose."""
+    """An effect on the measurement of a pose, not on the pose."""
 
     def observe(self, coordinates: Array, values: Array, tests: "Tests") -> Array:
-        """What is measured, shape ``(n, 5)``, where the coordinates (n, 5) are as given."""
+        """Measured coordinates, shape ``(n, 5)``, for the true coordinates (n, 5)."""
         ...
 
 
 @runtime_checkable
 class CopiesObservation(ObservationEffect, Protocol):
-    """An effect on what is measured that may have other amplitudes in each copy of all trials."""
+    """An effect on the measurement whose amplitudes may differ between replicas of the trials."""
 
     def observe_copies(self, coordinates: Array, values: Array, tests: "Tests") -> Array:
         """What is measured in k copies of the trials, copy i with amplitudes ``values[i]``."""
@@ -96,23 +96,23 @@ def moves_frames(effect: Effect) -> TypeGuard[FramesEffect]:
 
 
 def is_self_contained(effect: Effect) -> TypeGuard[SelfContainedEffect]:
-    """Whether an effect knows the derivatives of its lines itself."""
+    """Whether an effect computes the derivatives of its own lines."""
     return hasattr(effect, "gradient_columns")
 
 
 def is_changed_in_copies(effect: Effect) -> TypeGuard[CopiesEffect]:
-    """Whether an effect may have other amplitudes in each copy of a setting."""
+    """Whether the amplitudes of an effect may differ between replicas of the inputs."""
     return hasattr(effect, "change_copies")
 
 
 def is_read_in_copies(effect: Effect) -> TypeGuard[CopiesObservation]:
-    """Whether an effect may have other amplitudes in each copy of all trials."""
+    """Whether the amplitudes of an effect may differ between replicas of the trials."""
     return hasattr(effect, "observe_copies")
 
 
 @declared
 class Tests:
-    """The trials as they were run."""
+    """The trials as they were made, with order and phase."""
 
     flexion_deg: Array = entry("Flexion as stated")
     loads: Array = entry(
@@ -187,16 +187,16 @@ class SettingChange:
     )
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect at amplitudes `values`."""
+        """The inputs with the effect at amplitudes `values`."""
         return self.changed(setting, values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CopiesChange(SettingChange):
-    """The same whose function also takes amplitudes (k, a) of each copy."""
+    """The same, vectorised over amplitudes (k, a) of k replicas."""
 
     def change_copies(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect at amplitudes ``values[i]`` in copy i."""
+        """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
         return self.changed(setting, values)
 
 
@@ -217,7 +217,7 @@ class ReadingError:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CopiesError(ReadingError):
-    """The same whose function also takes amplitudes (k, a) of k copies of the trials."""
+    """The same, vectorised over amplitudes (k, a) of k replicas of the trials."""
 
     def observe_copies(self, coordinates: Array, values: Array, tests: Tests) -> Array:
         """The coordinates read in k copies of the trials, copy i with amplitudes ``values[i]``."""
@@ -225,7 +225,7 @@ class CopiesError(ReadingError):
 
 
 def remeasured(setting: Setting, lines: Lines, changed: BoolArray) -> Setting:
-    """The setting with other lines, those `changed` (m,) as long as they are in the scanned pose.
+    """The inputs with other lines, `changed` ones (m,) with their length in the scanned pose.
 
     A ligament's reference length is measured between its insertions: where they are put elsewhere,
     or the way between them is another, so is what was measured.
@@ -235,7 +235,7 @@ def remeasured(setting: Setting, lines: Lines, changed: BoolArray) -> Setting:
 
 
 def held(effect: Effect, fixed: Mapping[str, float]) -> Effect:
-    """The effect with some of its amplitudes, by their whole names, held at given values."""
+    """The effect with some of its amplitudes, by their full names, fixed at given values."""
     free = effect.parameters.with_fixed([*fixed], effect.parameters.vector(fixed))
     if isinstance(effect, MechanicalEffect):
         changed = partial(_change_held, effect, free)

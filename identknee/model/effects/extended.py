@@ -1,4 +1,4 @@
-"""The subject with the effects that a fit found, and the values to begin its fit at."""
+"""The subject with fitted effects, and the start values of its fit."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,4 @@
-"""What a user reads of each cause: what it is, where its size comes from, from when on it matters.
+"""Facts about each cause: its meaning, plausible size with source, and relevant size.
 
 Sizes whose source is called an estimate are ours or common knowledge of the field.
 
@@ -32,7 +32,7 @@ NOT_OFFERED = (MISSING_LINE, REMOUNTING)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EffectFacts:
-    """What there is to say about a cause.
+    """Label, meaning, size and source of a cause.
 
     Attributes
     ----------
@@ -309,7 +309,7 @@ FACTS: Mapping[str, EffectFacts] = MappingProxyType({x.name: x for x in _ALL})
 
 
 def cause_label(name: str) -> str:
-    """What prose calls a cause; a caller's own effect by its name.
+    """The label of a cause in sentences; the name for a caller's own effect.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Frames: axes of the bones taken for others than they are, and flexion for another angle."""
+"""Misaligned anatomical frames, and offset flexion."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""History: readings that depend on when a trial was made and on whether the load was growing."""
+"""History: readings that depend on the order of trials and the phase of loading."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Insertions: the subject's ligaments begin and end beside where they were segmented."""
+"""Insertion errors: ligament attachments displaced from their segmented positions."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -70,11 +70,11 @@ class MovedInsertion:
         return f"{self.ligament}_{self.bone}"
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect."""
+        """The inputs with the effect."""
         return self.shifts.change(setting, self._whole(values))
 
     def change_copies(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the effect at shifts ``values[i]`` in copy i."""
+        """The inputs with the effect at shifts ``values[i]`` in replica i."""
         return self.shifts.change_copies(setting, self._whole(values))
 
     def applied(self, knee: Knee, values: Array) -> Knee:
@@ -113,7 +113,7 @@ def moved_insertion(knee: Knee, ligament: str, bone: str) -> MovedInsertion:
 
 
 def direction_words(shifts: Mapping[str, float]) -> str:
-    """Where an insertion lies from where it is given; empty for anything but such shifts.
+    """Direction in which an insertion is displaced; empty for other causes.
 
     Parameters
     ----------

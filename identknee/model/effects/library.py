@@ -68,7 +68,7 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
 
 
 def effect_named(knee: Knee, name: str) -> Effect:
-    """The effect called `name`, on a subject: of the library or what it allows for.
+    """The effect called `name` on a subject, from the library or its nuisances.
 
     Raises
     ------
@@ -90,7 +90,7 @@ Maker = Callable[[Knee], Effect]
 
 
 def _anywhere(make: Callable[[], Effect]) -> Maker:
-    """A maker of an effect that is the same on every subject."""
+    """A factory of an effect that is the same on every subject."""
     return lambda _knee: make()
 
 

@@ -1,4 +1,4 @@
-"""Errors of the loads: what acted on the knee was not what was meant or recorded."""
+"""Errors of the loads: the loads that acted differ from those recorded."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +28,7 @@ class LoadError:
     )
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the loads that acted."""
+        """The inputs with the loads that acted."""
         return replace(setting, loads=self.acted(setting.loads, setting.flexion, values))
 
 

@@ -1,4 +1,4 @@
-"""Errors of zero that all trials of a flexion angle share: the knee was mounted again for each."""
+"""Zero errors shared by all trials of a flexion angle, as from remounting the knee."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ class Remounting(CopiesError):  # noqa: N818 - an error of reading
     """Offsets of the five coordinates at every flexion angle [mm, deg]."""
 
     def applied(self, knee: Knee, values: Array) -> Knee:
-        """The knee that states errors of zero of the size found, which averages over them."""
+        """The knee with stated zero errors of the size found, to be marginalised."""
         offsets = values.reshape(-1, len(COORDINATES))
         mm, deg = (float(np.sqrt(np.mean(offsets[:, x] ** 2))) for x in (TRANSLATIONS, ROTATIONS))
         return knee.with_uncertainty(replace(knee.uncertainty, zero_mm=mm, zero_deg=deg))

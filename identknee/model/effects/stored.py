@@ -1,4 +1,4 @@
-"""Effects that are stored with a subject: their way to plain data and back."""
+"""Effects stored with a subject: conversion to plain data and back."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ from identknee.subject.knee import Knee
 
 @lru_cache(maxsize=16)
 def effects_of(knee: Knee) -> tuple[Effect, ...]:
-    """The effects stored with a knee, those amplitudes held that are fixed.
+    """The effects stored with a knee, with its fixed amplitudes fixed.
 
     Each has the prior of its kind, whatever amplitudes are stored.
 

@@ -51,11 +51,11 @@ class MissingStructure:
 
     @property
     def first_shift(self) -> int:
-        """Where the shifts begin among the amplitudes, after the reference strain."""
+        """Index of the first shift among the amplitudes, after the reference strain."""
         return 2
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with the structure in place."""
+        """The inputs with the structure added."""
         m = len(self.femoral)
         lines = _measured(setting, *self.insertions(values))
         stiffness, strain = np.full(m, PER_KN * values[0]), np.full(m, PER_PCT * values[1])
@@ -176,11 +176,11 @@ class PosteriorCapsule:
 
     @property
     def first_shift(self) -> int:
-        """Where the shifts begin among the amplitudes, after the reference strain."""
+        """Index of the first shift among the amplitudes, after the reference strain."""
         return 3
 
     def change(self, setting: Setting, values: Array) -> Setting:
-        """The setting with both lines in place."""
+        """The inputs with both lines added."""
         medial, lateral = self._of_sides(values)
         return self.lateral.change(self.medial.change(setting, medial), lateral)
 

@@ -1,4 +1,4 @@
-"""Toe region: how much strain it takes until a ligament's fibres are straight."""
+"""Toe region: the strain at which a ligament's fibres are straight."""
 
 from dataclasses import replace
 

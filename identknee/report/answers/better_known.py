@@ -34,9 +34,9 @@ def better_known_statements(answer: Design) -> Iterator[Statement]:
     yield Statement(
         question=Question.NEXT,
         sentence=f"Knowing the {error_words(best['name'])} twice as well"
-        f"{sizes_words(answer.nuisances, best['name'])} narrows {of} by {_percent(best)}, "
-        f"{than} of the {len(trials)} candidate trials (one more {_trial(answer, trial['name'])}: "
-        f"{_percent(trial)}).",
+        f"{sizes_words(answer.nuisances, best['name'])} narrows {of} by {_percent(best)}. "
+        f"That is {than} of the {len(trials)} candidate trials "
+        f"(one more {_trial(answer, trial['name'])}: {_percent(trial)}).",
         tables=(_ranking(answer),),
     )
 

@@ -71,7 +71,7 @@ def _one_by_one(profiles: Sequence[Profile]) -> str:
             words = words.partition("'s ")[0] + "'s"
         clauses.append(f"{words} {clause(profile)}")
         before = quantity
-    return capital("; ".join(clauses)) + "."
+    return " ".join(f"{capital(x)}." for x in clauses)
 
 
 def clause(profile: Profile) -> str:

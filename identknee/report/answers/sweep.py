@@ -105,8 +105,8 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
         )
     return (
         f"Nine in ten starts within {_kN_and_pct(radius.value)} of the best fit lead {searches} "
-        f"back to it, to within {_kN_and_pct(within)} (95 % limits of that distance: "
-        f"{_kN_and_pct(radius.lower)} to {_kN_and_pct(radius.upper)})."
+        f"back to it, to within {_kN_and_pct(within)}. The 95 % limits of that distance are "
+        f"{_kN_and_pct(radius.lower)} to {_kN_and_pct(radius.upper)}."
     )
 
 

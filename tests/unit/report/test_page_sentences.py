@@ -79,8 +79,8 @@ def test_known_and_unknown_stand_in_one_sentence() -> None:
     )
     assert said == (
         "At 95 % confidence the data bound 1 of the 3 ligament parameters on both "
-        "sides. The ACL's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN); "
-        "the band's has no upper limit (at least 6 kN); the LCL's is not known: "
+        "sides. The ACL's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN). "
+        "The band's has no upper limit (at least 6 kN). The LCL's is not known: "
         "these data bound it on neither side."
     )
 
