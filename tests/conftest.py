@@ -34,6 +34,7 @@ settings.register_profile(
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--slow", action="store_true", help="run the slow tests too")
+    parser.addoption("--golden", action="store_true", help="write the golden texts anew")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -12,7 +12,7 @@ from identknee.mechanics.contact_elements import contact_element
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.energy import evaluate
-from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, LigamentArrays, Point
+from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, POINT, record
 from identknee.mechanics.pose import rotation_matrix
 from identknee.mechanics.workspace import workspace
 from identknee.model.joint import Joint
@@ -40,6 +40,13 @@ class Evaluation:
         return float(np.linalg.norm(self.gradient / SCALE))
 
 
+def point_at(pose: Array) -> Any:
+    """A point of the kernel at this pose, nothing known of it yet."""
+    point = record(POINT)
+    point.pose = pose
+    return point
+
+
 class Evaluator:
     """The energy of a joint; its list of candidates lives on from one pose to the next."""
 
@@ -48,9 +55,9 @@ class Evaluator:
         self.work = workspace(len(joint.contact.points)).evaluation
 
     def __call__(
-        self, flexion: float, pose: Array, ligaments: LigamentArrays, load: Array = NO_LOAD
+        self, flexion: float, pose: Array, ligaments: Any, load: Array = NO_LOAD
     ) -> Evaluation:
-        at = Point(np.array(pose, float), np.zeros(5), np.zeros((5, 5)), np.zeros(5))
+        at = point_at(pose)
         energy = evaluate(flexion, load, self._contact, self._field, ligaments, self.work, at)
         carries = np.linalg.norm(self.contact_forces(), axis=1) > 0.0
         return Evaluation(
@@ -70,19 +77,19 @@ class Evaluator:
         return np.array([felt for _, _, _, felt, _ in self._contact_elements()])
 
     def _contact_elements(self) -> list[Any]:
-        work, law = self.work, (self._contact.exponent[0], self._contact.rounding[0])
+        work, placed, law = self.work, self.work.placed, self._contact.law
         return [
-            contact_element(work.expansion, i, work.rotation, work.translation, *law)
-            for i in range(work.counts[N_TOUCHING])
+            contact_element(work.expansion, i, placed.rotation, placed.translation, *law)
+            for i in range(placed.counts[N_TOUCHING])
         ]
 
     @property
     def n_listings(self) -> int:
         """How often the list of candidates was made."""
-        return int(self.work.counts[N_LISTINGS])
+        return int(self.work.placed.counts[N_LISTINGS])
 
 
-def ligaments_of(model: LaxityModel, theta: Array) -> LigamentArrays:
+def ligaments_of(model: LaxityModel, theta: Array) -> Any:
     """The ligaments at theta as the kernel takes them."""
     return model.joint.lines.arrays(*model._unpacked(theta))
 
@@ -130,13 +137,13 @@ def oracle_of(joint: Joint) -> OracleKnee:
     )
 
 
-def state_of(flexion: complex, load: Array, ligaments: LigamentArrays) -> State:
+def state_of(flexion: complex, load: Array, ligaments: Any) -> State:
     """Trial and ligaments for the oracle; flexion may carry a complex step."""
     return State(
         flexion=flexion,  # type: ignore[arg-type]
         load=load.tolist(),
-        stiffness=ligaments.properties[:, 0].tolist(),
-        strain=ligaments.properties[:, 1].tolist(),
+        stiffness=ligaments.stiffness.tolist(),
+        strain=ligaments.reference_strain.tolist(),
     )
 
 

@@ -5,12 +5,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from evaluation import point_at
 from oracle import OracleKnee
 
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.energy import evaluate
-from identknee.mechanics.memory import N_TOUCHING, ROTATION_SCALE, Point
+from identknee.mechanics.memory import N_TOUCHING, ROTATION_SCALE
 from identknee.mechanics.workspace import workspace
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
@@ -92,7 +93,7 @@ class PoseEnergy:
     @property
     def n_touching(self) -> int:
         """Contact points that may touch the femur at the pose evaluated last."""
-        return int(self._work.counts[N_TOUCHING])
+        return int(self._work.placed.counts[N_TOUCHING])
 
     def loaded(self, flexion: float, load: Array) -> Callable[[Array], tuple[float, Array, Array]]:
         """`at` under another flexion and load, sharing this one's memory."""
@@ -106,7 +107,7 @@ class PoseEnergy:
     def _evaluated(
         self, flexion: float, pose: Array, load: Array
     ) -> tuple[float, Array, Array, Array]:
-        at = Point(np.array(pose, float), np.zeros(5), np.zeros((5, 5)), np.zeros(5))
+        at = point_at(pose)
         energy = evaluate(flexion, load, *self._arrays, self._work, at)
         return float(energy), at.gradient, at.hessian, at.gradient_by_flexion
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identknee.blind.compiling import compiled
 from identknee.runs.arrays import Array
+from identknee.runs.compiling import compiled
 
 # A rotation counts as much as this displacement [mm/rad].
 LEVER = 40.0

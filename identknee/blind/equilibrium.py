@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from identknee.blind.compiling import compiled
 from identknee.blind.energy import (
     about_flexion_axis,
     candidates,
     energy_of,
     moved,
 )
+from identknee.runs.compiling import compiled
 
 FORCE_TOLERANCE = 2e-6
 # Tangent step of the differenced Hessian [mm].

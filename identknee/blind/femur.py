@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.blind.compiling import cache_root
 from identknee.runs.arrays import Array, IntArray
+from identknee.runs.cache_folder import cache_folder
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import prepare_folder
@@ -113,7 +113,7 @@ def _cache_file(knee: Knee, local: Surface) -> Path:
     name = hashlib.sha256(f"{FORMAT} {SPACING_MM} {BAND_MM} {NEIGHBOURS} {WIDTH}".encode())
     name.update(local.vertices.tobytes() + local.faces.tobytes())
     name.update(repr(knee.femur_distance).encode() if knee.femur_distance is not None else b"")
-    return cache_root() / f"femur-{name.hexdigest()[:24]}.npy"
+    return cache_folder() / "blind" / f"femur-{name.hexdigest()[:24]}.npy"
 
 
 def _kept(path: Path) -> Array | None:

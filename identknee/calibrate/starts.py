@@ -15,10 +15,11 @@ from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import Problem, typical_steps
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import Fault, declared, number, read_toml, validated
+from identknee.runs.declare import declared
 from identknee.runs.errors import InputError, suggestion
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
+from identknee.runs.schema import Fault, number, read_toml, validated
 from identknee.runs.words import either
 
 SUBJECT = "subject"

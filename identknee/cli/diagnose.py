@@ -45,8 +45,8 @@ def diagnose(
     The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the
     other causes that would fit, and the trials that would tell them apart. The folder extended
     holds the subject with the causes found, for use with every other command. With --protocol
-    instead of DATA.csv, it says which causes such trials could show and tell apart. The load
-    paths of each simulation are shared among the workers.
+    instead of DATA.csv, it says which causes such trials could show and tell apart. One
+    process does the work: more workers change nothing.
     """
     answer = run_verb(context, ik.diagnose)
     # This loads matplotlib.

@@ -104,6 +104,7 @@ def fit(
     """Fit the parameters of SUBJECT to DATA.csv.
 
     Writes the fitted parameters, the error that is left and how the search ended to
-    result.json. The load paths of each simulation are shared among the workers.
+    result.json. One process does the work:
+    more workers change nothing.
     """
     run_verb(context, ik.fit)

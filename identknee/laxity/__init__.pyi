@@ -8,10 +8,6 @@ from .dominant import told_loads as told_loads
 from .protocol import LOADS as LOADS
 from .protocol import concatenate as concatenate
 from .protocol import trial_name as trial_name
-from .published import TABLE2 as TABLE2
-from .published import TABLE5 as TABLE5
-from .published import PublishedLaxity as PublishedLaxity
-from .published import table2_laxity as table2_laxity
 from .rmse import LaxityError as LaxityError
 from .scenarios import laxity_groups as laxity_groups
 from .scenarios import load_scenarios as load_scenarios

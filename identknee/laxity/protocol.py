@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import (
+from identknee.runs.declare import array, declared, entry, name_axis
+from identknee.runs.errors import InputError, suggestion
+from identknee.runs.files import PathLike
+from identknee.runs.schema import (
     Fault,
     Part,
     Place,
-    array,
-    declared,
-    entry,
-    name_axis,
     number,
     otherwise,
     read_toml,
@@ -27,8 +26,6 @@ from identknee.runs.declare import (
     shown,
     validated,
 )
-from identknee.runs.errors import InputError, suggestion
-from identknee.runs.files import PathLike
 
 FORMAT = 1
 LARGEST_MB = 10

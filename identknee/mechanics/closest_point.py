@@ -15,12 +15,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from identknee.mechanics.machine_code import MachineCode
 from identknee.runs.arrays import Array, BoolArray, IntArray
 
 LEAF_SIZE = 4
 DEEPEST = 128  # levels of a tree: more than any mesh has
-signed_distances = MachineCode("identknee.mechanics.closest_triangle", "signed_distances")
 
 
 def mesh_distance(vertices: Array, faces: IntArray) -> Callable[[Array], Array]:
@@ -38,6 +36,9 @@ def mesh_distance(vertices: Array, faces: IntArray) -> Callable[[Array], Array]:
     normals, on_rim = _pseudonormals(vertices, faces)
     triangles = np.ascontiguousarray(corners[order])
     normals, on_rim = np.ascontiguousarray(normals[order]), np.ascontiguousarray(on_rim[order])
+
+    # The compiler takes half a second to load.
+    from identknee.mechanics.closest_triangle import signed_distances
 
     def distance(points: Array) -> Array:
         result, points = np.empty(len(points)), np.ascontiguousarray(points)

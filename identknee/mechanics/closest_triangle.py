@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled_in_place
+from identknee.mechanics.compiled import compiled
 
 
-@compiled_in_place
+@compiled
 def closest_on_triangle(p0, p1, p2, corner, closest):
     """Write the closest point of a triangle; return which feature it lies on.
 
@@ -52,7 +52,7 @@ def closest_on_triangle(p0, p1, p2, corner, closest):
     return feature
 
 
-@compiled_in_place
+@compiled
 def box_distance(p0, p1, p2, box):
     """Squared distance of a point to a box."""
     x = max(box[0, 0] - p0, 0.0, p0 - box[1, 0])
@@ -61,7 +61,7 @@ def box_distance(p0, p1, p2, box):
     return x * x + y * y + z * z
 
 
-@compiled_in_place
+@compiled
 def signed_distances(points, triangles, boxes, spans, normals, on_rim, work, result):
     """Write the signed distance of every point to the mesh into `result`."""
     stack, closest, best_point = work

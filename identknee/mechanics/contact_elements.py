@@ -2,16 +2,10 @@
 
 import math
 
-from identknee.mechanics.compiled import compiled_in_place, compiled_into_callers
+from identknee.mechanics.compiled import compiled, compiled_into_callers
 from identknee.mechanics.contact_law import REFERENCE_DEPTH
 from identknee.mechanics.elements import NOTHING, added
 from identknee.mechanics.memory import N_TOUCHING
-
-
-@compiled_in_place
-def law_of(contact):
-    """Exponent and rounding of the contact law."""
-    return contact.exponent[0], contact.rounding[0]
 
 
 @compiled_into_callers
@@ -42,18 +36,19 @@ def contact_element(expansion, i, R, t, exponent, rounding):
     with the depth as the law feels it.
     """
     y0, y1, y2 = expansion[0, i], expansion[1, i], expansion[2, i]
+    x0, x1, x2 = expansion[3, i], expansion[4, i], expansion[5, i]
+    spring, distance = expansion[6, i], expansion[7, i]
+    gx, gy, gz = expansion[8, i], expansion[9, i], expansion[10, i]
+    xx, yy, zz = expansion[11, i], expansion[12, i], expansion[13, i]
+    xy, xz, yz = expansion[14, i], expansion[15, i], expansion[16, i]
     p0 = R[0] * y0 + R[1] * y1 + R[2] * y2
     p1 = R[3] * y0 + R[4] * y1 + R[5] * y2
     p2 = R[6] * y0 + R[7] * y1 + R[8] * y2
-    x, y, z = p0 + t[0] - expansion[3, i], p1 + t[1] - expansion[4, i], p2 + t[2] - expansion[5, i]
-    xx, yy, zz = expansion[11, i], expansion[12, i], expansion[13, i]
-    xy, xz, yz = expansion[14, i], expansion[15, i], expansion[16, i]
+    x, y, z = p0 + t[0] - x0, p1 + t[1] - x1, p2 + t[2] - x2
     bx, by, bz = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
-    gx, gy, gz = expansion[8, i], expansion[9, i], expansion[10, i]
-    distance = expansion[7, i] + x * (gx + 0.5 * bx) + y * (gy + 0.5 * by) + z * (gz + 0.5 * bz)
+    distance += x * (gx + 0.5 * bx) + y * (gy + 0.5 * by) + z * (gz + 0.5 * bz)
     gx, gy, gz = gx + bx, gy + by, gz + bz
     felt, steepness, work = felt_depth(-distance, exponent, rounding)
-    spring = expansion[6, i]
     if exponent != 1.0 and felt > 0.0:
         spring *= (felt / REFERENCE_DEPTH) ** (exponent - 1.0)
     k1, k2 = -spring * felt, spring * exponent * steepness
@@ -66,59 +61,52 @@ def contact_element(expansion, i, R, t, exponent, rounding):
     )
 
 
-@compiled_in_place
-def sum_contact(n, R, t, law, work):
-    """Sums over n expanded points at a pose near by, and their energy."""
+@compiled
+def sum_contact(law, placed, expansion):
+    """Sums over the expanded points at the pose placed last, and their energy."""
+    n, R, t = placed.counts[N_TOUCHING], placed.rotation, placed.translation
     exponent, rounding = law
     total, energy = NOTHING, 0.0
     # Written twice, as the compiler keeps a power out of the loop only where there is none.
     if exponent == 1.0:
         for i in range(n):
-            first, squares, products, _, stored = contact_element(
-                work.expansion, i, R, t, 1.0, rounding
-            )
+            first, squares, products, _, stored = contact_element(expansion, i, R, t, 1.0, rounding)
             total = added(total, first, squares, products)
             energy += stored
     else:
         for i in range(n):
             first, squares, products, _, stored = contact_element(
-                work.expansion, i, R, t, exponent, rounding
+                expansion, i, R, t, exponent, rounding
             )
             total = added(total, first, squares, products)
             energy += stored
     return total, energy
 
 
-@compiled_in_place
-def write_pushes(contact, work):
-    """Write how every expanded point is pushed at the pose evaluated last into `work.pushes`."""
-    R, t, pushes = work.rotation, work.translation, work.pushes
-    exponent, rounding = law_of(contact)
-    # Written twice, as above.
-    if exponent == 1.0:
-        for i in range(work.counts[N_TOUCHING]):
-            first, _, _, felt, _ = contact_element(work.expansion, i, R, t, 1.0, rounding)
-            for k in range(6):
-                pushes[k, i] = first[k]
-            pushes[6, i] = felt
-    else:
-        for i in range(work.counts[N_TOUCHING]):
-            first, _, _, felt, _ = contact_element(work.expansion, i, R, t, exponent, rounding)
-            for k in range(6):
-                pushes[k, i] = first[k]
-            pushes[6, i] = felt
+@compiled
+def write_pushes(law, work):
+    """Write how every expanded point is pushed at the pose placed last into `work.pushes`."""
+    placed, expansion, pushes = work.placed, work.expansion, work.pushes
+    R, t = placed.rotation, placed.translation
+    exponent, rounding = law
+    for i in range(placed.counts[N_TOUCHING]):
+        first, _, _, felt, _ = contact_element(expansion, i, R, t, exponent, rounding)
+        for k in range(6):
+            pushes[k, i] = first[k]
+        pushes[6, i] = felt
 
 
-@compiled_in_place
+@compiled
 def contact_centres(contact, work, centres):
     """Write force [N] and centre of force in tibial and femoral axes (7) of every compartment.
 
     It is that of the pushes last written.
     """
-    t, expansion, touching, pushes = work.translation, work.expansion, work.touching, work.pushes
+    t, expansion = work.placed.translation, work.expansion
+    touching, pushes = work.touching, work.pushes
     for c in range(centres.shape[0]):
         total, y0, y1, y2, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(work.counts[N_TOUCHING]):
+        for i in range(work.placed.counts[N_TOUCHING]):
             f0, f1, f2 = pushes[3, i], pushes[4, i], pushes[5, i]
             is_here = contact.compartment[touching[i]] == c
             force = math.sqrt(f0 * f0 + f1 * f1 + f2 * f2) if is_here else 0.0
@@ -139,16 +127,16 @@ def contact_centres(contact, work, centres):
         centres[c, 6] += share * x2
 
 
-@compiled_in_place
+@compiled
 def contact_columns(work, columns, first):
     """Write d gradient / d (ln modulus, exponent) of the contact into `columns`, from `first` on.
 
     It is that of the pushes last written.
     """
-    axes, pushes = work.axes, work.pushes
+    axes, pushes = work.placed.axes, work.pushes
     for k in range(2):
         f0, f1, f2, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(work.counts[N_TOUCHING]):
+        for i in range(work.placed.counts[N_TOUCHING]):
             felt, w = pushes[6, i], 1.0
             if k == 1:
                 w = math.log(felt / REFERENCE_DEPTH) if felt > 0.0 else 0.0

@@ -4,18 +4,18 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled_in_place, compiled_into_callers
-from identknee.mechanics.memory import FIRST_ROUNDED, N_LISTED, N_LISTINGS, NEAR_CELLS
-from identknee.mechanics.spline_lanes import spline_at
+from identknee.mechanics.compiled import compiled, compiled_into_callers
+from identknee.mechanics.memory import FIRST_ROUNDED, N_LISTED, N_LISTINGS, N_TOUCHING, NEAR_CELLS
+from identknee.mechanics.spline import spline_at
 
 KEPT_GAP = 0.1  # mm; points farther from contact are no part of an expansion
 
 
-@compiled_in_place
-def list_is_valid(R, t, radius, spacing, work):
+@compiled
+def list_is_valid(radius, spacing, placed):
     """Whether no point has moved farther than the list of candidates allows for."""
-    listed_pose = work.listed_pose
-    if work.counts[N_LISTED] < 0:
+    R, t, listed_pose = placed.field_rotation, placed.field_translation, placed.listed_pose
+    if placed.counts[N_LISTED] < 0:
         return False
     turn = 0.0
     for j in range(9):
@@ -33,14 +33,16 @@ def bit(bits, k):
     return np.uint64((bits >> k) & np.uint32(1))
 
 
-@compiled_in_place
-def list_candidates(R, t, contact, field, work):
+@compiled
+def list_candidates(contact, field, work):
     """Copy the points that may touch the femur at this pose or within a cell's width of it."""
+    placed, shape = work.placed, field.grid.shape
+    R, t, listed_pose = placed.field_rotation, placed.field_translation, placed.listed_pose
     points, stiffness, near = contact.points, contact.stiffness, field.near
-    listed, which, listed_pose, cells = work.listed, work.which, work.listed_pose, work.cells
-    ny, padded = field.shape[1], 8 * ((field.shape[2] + 7) // 8)
-    last_x, last_y, last_z = field.shape[0] - 1.0, field.shape[1] - 1.0, field.shape[2] - 1.0
-    origin, inverse = field.origin, 1.0 / field.spacing[0]
+    listed, which, cells = work.listed, work.which, work.cells
+    ny, padded = shape[1], 8 * ((shape[2] + 7) // 8)
+    last_x, last_y, last_z = shape[0] - 1.0, shape[1] - 1.0, shape[2] - 1.0
+    origin, inverse = field.grid.origin, 1.0 / field.grid.spacing
     o0, o1, o2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8]
     # Cells at the grid's faces are not near, so that points beyond them may be looked up there.
@@ -62,18 +64,18 @@ def list_candidates(R, t, contact, field, work):
         i = which[j]
         listed[0, j], listed[1, j], listed[2, j] = points[0, i], points[1, i], points[2, i]
         listed[3, j] = stiffness[i]
-    work.counts[N_LISTED] = n
-    work.counts[N_LISTINGS] += 1
+    placed.counts[N_LISTED] = n
+    placed.counts[N_LISTINGS] += 1
     for j in range(9):
         listed_pose[j] = R[j]
     for j in range(3):
         listed_pose[9 + j] = t[j]
 
 
-@compiled_in_place
-def place_points(n, points, R, t, field, moved):
+@compiled
+def place_points(n, points, R, t, grid, moved):
     """Write where n points (columns) lie in the grid, in its units."""
-    origin, inverse = field.origin, 1.0 / field.spacing[0]
+    origin, inverse = grid.origin, 1.0 / grid.spacing
     o0, o1, o2 = t[0] - origin[0], t[1] - origin[1], t[2] - origin[2]
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8]
     for j in range(n):
@@ -83,20 +85,19 @@ def place_points(n, points, R, t, field, moved):
         moved[2, j] = (r6 * y0 + r7 * y1 + r8 * y2 + o2) * inverse
 
 
-@compiled_in_place
-def expand_contact(R, t, rounding, field, work):
-    """Expand the distance of every point that may touch the femur; return their number.
+@compiled
+def expand_contact(law, field, work):
+    """Expand the distance of every point that may touch the femur, and count them.
 
     Around the present pose the distance of a point is known from its value, gradient and Hessian
     here, with an error that grows with the cube of how far it moves.
     """
-    reach, listed, moved = field.reach, work.listed, work.moved
-    touching = work.touching
+    placed, grid, rounding = work.placed, field.grid, law[1]
+    reach, listed, moved, touching = field.reach, work.listed, work.moved, work.touching
     cells, eighths = work.cells, work.eighths
-    ny, nz = field.shape[1], field.shape[2]
-    stride_x, stride_y = ny * nz, nz
-    n_listed, first = work.counts[N_LISTED], FIRST_ROUNDED if rounding > 0.0 else 0
-    place_points(n_listed, listed, R, t, field, moved)
+    stride_x, stride_y = grid.shape[1] * grid.shape[2], grid.shape[2]
+    n_listed, first = placed.counts[N_LISTED], FIRST_ROUNDED if rounding > 0.0 else 0
+    place_points(n_listed, listed, placed.field_rotation, placed.field_translation, grid, moved)
     for j in range(n_listed):
         # Listed points stay inside the grid: cells near its faces hold no contact and are not near.
         x, y, z = moved[0, j], moved[1, j], moved[2, j]
@@ -111,22 +112,24 @@ def expand_contact(R, t, rounding, field, work):
     for j in range(n_listed):
         touching[n] = j
         n += bit(reach[cells[j]], eighths[j])
-    return expand_spline(np.int64(n), stride_x, stride_y, rounding + KEPT_GAP, field, work)
+    placed.counts[N_TOUCHING] = expand_spline(
+        np.int64(n), stride_x, stride_y, rounding + KEPT_GAP, field, work
+    )
 
 
-@compiled_in_place
+@compiled
 def expand_spline(n, stride_x, stride_y, gap, field, work):
     """Expand the distance of n listed points by the spline; keep those below `gap`, count them."""
     expansion, moved, listed = work.expansion, work.moved, work.listed
     touching, which, cells = work.touching, work.which, work.cells
-    inverse = 1.0 / field.spacing[0]
+    coefficients, inverse = field.coefficients, 1.0 / field.grid.spacing
     square = inverse * inverse
     kept = np.uint64(0)
     for i in range(n):
         j = touching[i]
         x, y, z = moved[0, j], moved[1, j], moved[2, j]
         d, gx, gy, gz, hxx, hyy, hzz, hxy, hxz, hyz = spline_at(
-            field.coefficients,
+            coefficients,
             cells[j] - stride_x - stride_y - 1,
             stride_x,
             stride_y,
@@ -147,10 +150,10 @@ def expand_spline(n, stride_x, stride_y, gap, field, work):
     return np.int64(kept)
 
 
-@compiled_in_place
-def place_expansion(n, work):
+@compiled
+def place_expansion(n, placed, expansion):
     """Write where the points of the expansion are at the present pose."""
-    R, t, expansion = work.rotation, work.translation, work.expansion
+    R, t = placed.rotation, placed.translation
     for i in range(n):
         y0, y1, y2 = expansion[0, i], expansion[1, i], expansion[2, i]
         expansion[3, i] = R[0] * y0 + R[1] * y1 + R[2] * y2 + t[0]
@@ -158,7 +161,7 @@ def place_expansion(n, work):
         expansion[5, i] = R[6] * y0 + R[7] * y1 + R[8] * y2 + t[2]
 
 
-@compiled_in_place
+@compiled
 def turn_expansion(n, turn, expansion):
     """Turn gradients and Hessians of n points from the axes of the field into those of poses."""
     a, b, c = turn[0], turn[1], turn[2]

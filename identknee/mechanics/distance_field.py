@@ -6,7 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.mechanics.contact_law import MOST_ROUNDING
-from identknee.mechanics.memory import FIRST_ROUNDED, NEAR_CELLS, FieldArrays
+from identknee.mechanics.memory import (
+    FIRST_ROUNDED,
+    GRID,
+    NEAR_CELLS,
+    FieldArrays,
+    read_only,
+    record,
+)
 from identknee.runs.arrays import Array, BitArray, ReachArray
 from identknee.runs.declare import declared, entry
 
@@ -38,26 +45,20 @@ class DistanceField:
     )
     shift: Array | None = entry("Origin of that frame [mm], shape ``(3,)``", default=None)
 
-    def __post_init__(self) -> None:
-        # The compiler makes another version of its code for arrays that can be written to.
-        for name in ("coefficients", "reach", "near", "origin"):
-            array = np.ascontiguousarray(getattr(self, name))
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-
     def arrays(self) -> FieldArrays:
         """The field as the kernel takes it."""
-        return FieldArrays(
+        grid = record(GRID)
+        grid.origin, grid.spacing = self.origin, self.spacing
+        grid.shape, grid.is_apart = self.coefficients.shape, self.turn is not None
+        grid.turn = np.ravel(np.eye(3) if self.turn is None else self.turn)
+        grid.shift = 0.0 if self.shift is None else self.shift
+        arrays = FieldArrays(
             coefficients=self.coefficients.reshape(-1),
             reach=self.reach.reshape(-1),
             near=self.near.reshape(-1),
-            origin=self.origin,
-            spacing=np.array([self.spacing]),
-            shape=np.array(self.coefficients.shape, np.int64),
-            is_apart=np.array([self.turn is not None], np.int64),
-            turn=np.ravel(np.eye(3) if self.turn is None else self.turn),
-            shift=np.zeros(3) if self.shift is None else self.shift,
+            grid=grid,
         )
+        return read_only(arrays)
 
     def seen_from(self, turn: Array, shift: Array) -> "DistanceField":
         """The same field under poses of another femoral frame, given by its axes and origin."""

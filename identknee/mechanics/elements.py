@@ -7,7 +7,7 @@ position of its point alone, so one set of sums gives gradient and Hessian of th
 
 import math
 
-from identknee.mechanics.compiled import compiled_in_place, compiled_into_callers
+from identknee.mechanics.compiled import compiled, compiled_into_callers
 from identknee.mechanics.ligament_law import tension
 
 NOTHING = (0.0,) * 33  # sums over no element
@@ -38,7 +38,7 @@ def added(sums, first, squares, products):
     )
 
 
-@compiled_in_place
+@compiled
 def write_sums(total, sums):
     """Write the sums with every element of their symmetric matrices (39)."""
     for k in range(12):
@@ -55,7 +55,7 @@ def write_sums(total, sums):
     sums[36], sums[37], sums[38] = c02, c12, c22
 
 
-@compiled_in_place
+@compiled
 def line_shape(e0, e1, e2, wrap_offset, place, shape):
     """Write length (1), gradient (3) and Hessian (xx yy zz xy xz yz) of a line into `shape`.
 
@@ -90,7 +90,7 @@ def line_shape(e0, e1, e2, wrap_offset, place, shape):
         shape[9] -= a * y * z
 
 
-@compiled_in_place
+@compiled
 def line_force(strain, stiffness, transition):
     """Force of a line, its slope with strain and its integral over strain.
 
@@ -101,23 +101,23 @@ def line_force(strain, stiffness, transition):
     return tension(strain, stiffness, transition)
 
 
-@compiled_in_place
-def sum_ligaments(total, R, t, ligaments, shape):
+@compiled
+def sum_ligaments(total, ligaments, placed):
     """The sums `total` with every ligament, and the energy of these."""
-    femoral, tibial, properties = ligaments
+    R, t, shape = placed.rotation, placed.translation, placed.line
     energy = 0.0
-    for i in range(femoral.shape[0]):
-        y0, y1, y2 = tibial[i, 0], tibial[i, 1], tibial[i, 2]
+    for line in ligaments:
+        y0, y1, y2 = line.tibial[0], line.tibial[1], line.tibial[2]
         p0 = R[0] * y0 + R[1] * y1 + R[2] * y2
         p1 = R[3] * y0 + R[4] * y1 + R[5] * y2
         p2 = R[6] * y0 + R[7] * y1 + R[8] * y2
-        e0 = p0 + t[0] - femoral[i, 0]
-        e1 = p1 + t[1] - femoral[i, 1]
-        e2 = p2 + t[2] - femoral[i, 2]
-        line_shape(e0, e1, e2, properties[i, 4], properties[i, 5], shape)
-        slack_length = properties[i, 2] / (1.0 + properties[i, 1])
+        e0 = p0 + t[0] - line.femoral[0]
+        e1 = p1 + t[1] - line.femoral[1]
+        e2 = p2 + t[2] - line.femoral[2]
+        line_shape(e0, e1, e2, line.wrap_offset, line.wrap_place, shape)
+        slack_length = line.reference_length / (1.0 + line.reference_strain)
         strain = shape[0] / slack_length - 1.0
-        force, slope, work = line_force(strain, properties[i, 0], properties[i, 3])
+        force, slope, work = line_force(strain, line.stiffness, line.transition)
         energy += slack_length * work
         b = slope / slack_length
         g0, g1, g2 = shape[1], shape[2], shape[3]

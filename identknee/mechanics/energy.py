@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled_in_place
-from identknee.mechanics.contact_elements import law_of, sum_contact
+from identknee.mechanics.compiled import compiled
+from identknee.mechanics.contact_elements import sum_contact
 from identknee.mechanics.contact_expansion import (
     expand_contact,
     list_candidates,
@@ -28,7 +28,7 @@ from identknee.mechanics.small_matrices import scale_of
 SAME_CONTACT = 1e-5  # mm; as near as that a pose is evaluated once for contact forces
 
 
-@compiled_in_place
+@compiled
 def place_tibia(flexion, q, R, t):
     """Write rotation and origin of the tibia in femoral axes into R (9) and t (3)."""
     ca, sa = math.cos(flexion), math.sin(flexion)
@@ -41,24 +41,21 @@ def place_tibia(flexion, q, R, t):
     t[0], t[1], t[2] = ca * q[2] + sa * q[3], -sa * q[2] + ca * q[3], q[4]
 
 
-@compiled_in_place
-def place_in_field(R, t, field, R_field, t_field):
+@compiled
+def place_in_field(grid, placed):
     """Write rotation and origin of the tibia in the frame of the distance field."""
-    if not field.is_apart[0]:
-        for i in range(9):
-            R_field[i] = R[i]
-        for i in range(3):
-            t_field[i] = t[i]
-        return
-    turn, shift = field.turn, field.shift
+    R, t, turn, shift = placed.rotation, placed.translation, grid.turn, grid.shift
+    R_field, t_field = placed.field_rotation, placed.field_translation
     for i in range(3):
         a, b, c = turn[3 * i], turn[3 * i + 1], turn[3 * i + 2]
         for j in range(3):
-            R_field[3 * i + j] = a * R[j] + b * R[3 + j] + c * R[6 + j]
-        t_field[i] = a * t[0] + b * t[1] + c * t[2] + shift[i]
+            x = a * R[j] + b * R[3 + j] + c * R[6 + j]
+            R_field[3 * i + j] = x if grid.is_apart else R[3 * i + j]
+        x = a * t[0] + b * t[1] + c * t[2] + shift[i]
+        t_field[i] = x if grid.is_apart else t[i]
 
 
-@compiled_in_place
+@compiled
 def motion_axes(flexion, R, t, axes):
     """Write how the coordinates move the tibia, in femoral axes.
 
@@ -75,7 +72,7 @@ def motion_axes(flexion, R, t, axes):
     axes[6, 0], axes[6, 1], axes[6, 2] = t[1], -t[0], 0.0
 
 
-@compiled_in_place
+@compiled
 def bilinear(a, i, M, k, b, j):
     """Row i of `a` times the 3 x 3 matrix at M[k:] times row j of `b`."""
     return (
@@ -85,13 +82,13 @@ def bilinear(a, i, M, k, b, j):
     )
 
 
-@compiled_in_place
+@compiled
 def dot(a, i, b, j):
     """Product of row i of `a` with row j of `b`."""
     return a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]
 
 
-@compiled_in_place
+@compiled
 def generalised(sums, axes, g, H, h):
     """Turn the sums over elements into gradient g, Hessian H and d g / d flexion."""
     # Where the matrices begin in the sums, and rows of the axes. Plain constants would have the
@@ -132,66 +129,64 @@ def generalised(sums, axes, g, H, h):
     h[3] += sums[0] * axes[3, 1] - sums[1] * axes[3, 0]
 
 
-@compiled_in_place
-def place_joint(flexion, q, field, work):
+@compiled
+def place_joint(flexion, q, grid, placed):
     """Write where the pose puts the tibia, in the axes of poses and of the field."""
-    place_tibia(flexion, q, work.rotation, work.translation)
-    motion_axes(flexion, work.rotation, work.translation, work.axes)
-    place_in_field(
-        work.rotation, work.translation, field, work.field_rotation, work.field_translation
-    )
+    place_tibia(flexion, q, placed.rotation, placed.translation)
+    motion_axes(flexion, placed.rotation, placed.translation, placed.axes)
+    place_in_field(grid, placed)
     for i in range(5):
-        work.pose[i] = q[i]
+        placed.pose[i] = q[i]
 
 
-@compiled_in_place
-def sum_up(load, contact, ligaments, work, at):
+@compiled
+def sum_up(load, law, ligaments, placed, expansion, at):
     """Energy of the pose placed last, from the expansion; derivatives are written to `at`."""
-    R, t = work.rotation, work.translation
-    total, energy = sum_contact(work.counts[N_TOUCHING], R, t, law_of(contact), work)
-    total, pulled = sum_ligaments(total, R, t, ligaments, work.line)
+    total, energy = sum_contact(law, placed, expansion)
+    total, pulled = sum_ligaments(total, ligaments, placed)
     energy += pulled
-    write_sums(total, work.sums)
-    generalised(work.sums, work.axes, at.gradient, at.hessian, at.gradient_by_flexion)
+    write_sums(total, placed.sums)
+    generalised(placed.sums, placed.axes, at.gradient, at.hessian, at.gradient_by_flexion)
     for i in range(5):
-        energy -= load[i] * work.pose[i]
+        energy -= load[i] * placed.pose[i]
         at.gradient[i] -= load[i]
     return energy
 
 
-@compiled_in_place
+@compiled
 def evaluate(flexion, load, contact, field, ligaments, work, at):
     """Energy of the pose of a point, whose derivatives are written; contact is expanded there."""
-    place_joint(flexion, at.pose, field, work)
-    R, t = work.field_rotation, work.field_translation
-    if not list_is_valid(R, t, contact.radius[0], field.spacing[0], work):
-        list_candidates(R, t, contact, field, work)
-    work.counts[N_TOUCHING] = expand_contact(R, t, contact.rounding[0], field, work)
-    place_expansion(work.counts[N_TOUCHING], work)
-    if field.is_apart[0]:
-        turn_expansion(work.counts[N_TOUCHING], field.turn, work.expansion)
-    work.counts[N_EVALUATIONS] += 1
+    placed, grid = work.placed, field.grid
+    place_joint(flexion, at.pose, grid, placed)
+    if not list_is_valid(contact.radius, grid.spacing, placed):
+        list_candidates(contact, field, work)
+    expand_contact(contact.law, field, work)
+    n = placed.counts[N_TOUCHING]
+    place_expansion(n, placed, work.expansion)
+    if grid.is_apart:
+        turn_expansion(n, grid.turn, work.expansion)
+    placed.counts[N_EVALUATIONS] += 1
     for i in range(5):
-        work.expanded[i] = at.pose[i]
-    return sum_up(load, contact, ligaments, work, at)
+        placed.expanded[i] = at.pose[i]
+    return sum_up(load, contact.law, ligaments, placed, work.expansion, at)
 
 
-@compiled_in_place
-def evaluate_near(flexion, load, contact, field, ligaments, work, at):
+@compiled
+def evaluate_near(flexion, load, law, grid, ligaments, placed, expansion, at):
     """The same from the contact as expanded last, at a fifth of the cost.
 
     Exact but for the third derivatives of the distance to the femur, and for points that came near
     it since.
     """
-    place_joint(flexion, at.pose, field, work)
-    work.counts[N_EXPANDED] += 1
-    return sum_up(load, contact, ligaments, work, at)
+    place_joint(flexion, at.pose, grid, placed)
+    placed.counts[N_EXPANDED] += 1
+    return sum_up(load, law, ligaments, placed, expansion, at)
 
 
-@compiled_in_place
+@compiled
 def evaluate_there(flexion, q, load, contact, field, ligaments, work):
     """Make the elements those of a pose, unless the pose evaluated last is about the same."""
-    at, last, far = work.solver.trial, work.evaluation.pose, 0.0
+    at, last, far = work.solver.trial, work.evaluation.placed.pose, 0.0
     for i in range(5):
         far = max(far, abs(q[i] - last[i]) * scale_of(i))
     if far > SAME_CONTACT:
@@ -200,23 +195,23 @@ def evaluate_there(flexion, q, load, contact, field, ligaments, work):
         evaluate(flexion, load, contact, field, ligaments, work.evaluation, at)
 
 
-@compiled_in_place
+@compiled
 def parameter_columns(R, t, ligaments, axes, shape, columns):
     """Write d gradient / d (stiffness [N], reference strain) of every ligament into `columns`."""
-    femoral, tibial, properties = ligaments
-    m = femoral.shape[0]
+    m = len(ligaments)
     for i in range(m):
-        y0, y1, y2 = tibial[i, 0], tibial[i, 1], tibial[i, 2]
+        line = ligaments[i]
+        y0, y1, y2 = line.tibial[0], line.tibial[1], line.tibial[2]
         p0 = R[0] * y0 + R[1] * y1 + R[2] * y2
         p1 = R[3] * y0 + R[4] * y1 + R[5] * y2
         p2 = R[6] * y0 + R[7] * y1 + R[8] * y2
-        e0 = p0 + t[0] - femoral[i, 0]
-        e1 = p1 + t[1] - femoral[i, 1]
-        e2 = p2 + t[2] - femoral[i, 2]
-        line_shape(e0, e1, e2, properties[i, 4], properties[i, 5], shape)
-        strain = shape[0] * (1.0 + properties[i, 1]) / properties[i, 2] - 1.0
-        force, slope, _ = line_force(strain, 1.0, properties[i, 3])
-        by_strain = properties[i, 0] * slope * shape[0] / properties[i, 2]
+        e0 = p0 + t[0] - line.femoral[0]
+        e1 = p1 + t[1] - line.femoral[1]
+        e2 = p2 + t[2] - line.femoral[2]
+        line_shape(e0, e1, e2, line.wrap_offset, line.wrap_place, shape)
+        strain = shape[0] * (1.0 + line.reference_strain) / line.reference_length - 1.0
+        force, slope, _ = line_force(strain, 1.0, line.transition)
+        by_strain = line.stiffness * slope * shape[0] / line.reference_length
         e0, e1, e2 = shape[1], shape[2], shape[3]
         m0, m1, m2 = p1 * e2 - p2 * e1, p2 * e0 - p0 * e2, p0 * e1 - p1 * e0
         for a in range(5):

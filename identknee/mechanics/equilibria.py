@@ -1,30 +1,29 @@
 """Equilibria of a set of trials: the kernel's door for the rest of the package."""
 
-import threading
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from identknee.mechanics.branch_threads import run_shared
 from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.load_paths import LoadPaths, loaded_at_once
-from identknee.mechanics.machine_code import MachineCode, Packed
+from identknee.mechanics.load_paths import LoadPaths
 from identknee.mechanics.memory import (
+    LINE,
     NO_EQUILIBRIUM,
     ROTATION_SCALE,
     ContactArrays,
     Equilibria,
-    LigamentArrays,
+    FieldArrays,
     NodeArrays,
+    read_only,
 )
-from identknee.mechanics.workspace import KeptWorkspace
+from identknee.mechanics.workspace import kept_workspace
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
 
 TRANSITION_STRAIN = 0.03
-simulate_path = MachineCode("identknee.mechanics.kernel", "simulate_path")
+_COURSE = ("reference_length", "transition", "wrap_offset", "wrap_place")
 
 
 @declared
@@ -47,15 +46,14 @@ class ContactPoints:
     def arrays(self) -> ContactArrays:
         """The points as the kernel takes them."""
         law = self.law or ContactLaw()
-        radius = np.array([np.linalg.norm(self.points, axis=1).max()])
-        return ContactArrays(
+        arrays = ContactArrays(
             points=np.ascontiguousarray(self.points.T),
-            radius=radius,
+            radius=float(np.linalg.norm(self.points, axis=1).max()),
             stiffness=law.modulus * self.areas,
             compartment=self.compartment,
-            exponent=np.array([law.exponent]),
-            rounding=np.array([law.rounding]),
+            law=(float(law.exponent), float(law.rounding)),
         )
+        return read_only(arrays)
 
 
 @declared
@@ -83,18 +81,21 @@ class Lines:
         m = len(self.femoral)
         for name in ("femoral", "tibial"):
             object.__setattr__(self, name, frozen(getattr(self, name), m, 3, name=name))
-        for name in ("reference_length", "transition", "wrap_offset", "wrap_place"):
+        for name in _COURSE:
             values = getattr(self, name)
             values = np.full(m, values) if np.ndim(values) == 0 else values
             object.__setattr__(self, name, frozen(values, m, name=name))
 
-    def arrays(self, stiffness: Array, reference_strain: Array) -> LigamentArrays:
-        """The ligaments with stiffness [N] and reference strain, as the kernel takes them."""
-        course = (self.reference_length, self.transition, self.wrap_offset, self.wrap_place)
-        properties = np.empty((len(self.femoral), 6))
-        for i, column in enumerate((stiffness, reference_strain, *course)):
-            properties[:, i] = column
-        return LigamentArrays(femoral=self.femoral, tibial=self.tibial, properties=properties)
+    def arrays(self, stiffness: Array, reference_strain: Array) -> Any:
+        """The ligaments with stiffness [N] and reference strain, as the kernel takes them.
+
+        An array of `identknee.mechanics.memory.LINE`.
+        """
+        lines = np.recarray(len(self.femoral), LINE)
+        lines.stiffness, lines.reference_strain = stiffness, reference_strain
+        for name in ("femoral", "tibial", *_COURSE):
+            lines[name] = getattr(self, name)
+        return lines
 
 
 def solve(
@@ -102,7 +103,7 @@ def solve(
     start: Array,
     contact: ContactPoints,
     field: DistanceField,
-    ligaments: LigamentArrays,
+    ligaments: Any,
     *,
     derivatives: bool = True,
     guesses: Array | None = None,
@@ -114,11 +115,16 @@ def solve(
     start
         Varus, internal [rad], x, y, z [mm], shape ``(5,)``, or one for each node, ``(n_nodes, 5)``.
         Those of nodes reached from others are not looked at.
+    ligaments
+        As `Lines.arrays` gives them.
     guesses
         Poses to try first, shape ``(n_nodes, 5)``. A guess is kept only if the equilibrium found
         from it agrees with its neighbour's tangents, as one found without must.
     """
-    n, m = len(paths.flexion), len(ligaments.femoral)
+    # The compiler takes half a second to load.
+    from identknee.mechanics.kernel import simulate_path
+
+    n, m = len(paths.flexion), len(ligaments)
     found = Equilibria(
         poses=np.zeros((n, 5)),
         hessians=np.zeros((n, 5, 5)),
@@ -131,70 +137,35 @@ def solve(
         centres=np.zeros((n, contact.n_compartments, 7)),
         solves=np.zeros(n, np.int64),
     )
-    starts = np.empty((n, 5))
-    starts[:] = start
-    before, n_columns = _packed_nodes(paths), found.sensitivities.shape[2]
-    # Packed once for all threads.
-    between = (
-        Packed(starts),
-        Packed(np.zeros((n, 5)) if guesses is None else np.array(guesses)),
+    simulate_path(
+        _node_arrays(paths),
+        np.array(np.broadcast_to(start, (n, 5))),
+        np.zeros((n, 5)) if guesses is None else np.array(guesses),
         guesses is not None,
-        _packed_contact(contact),
-        _packed_field(field),
-        Packed(ligaments),
+        _contact_arrays(contact),
+        _field_arrays(field),
+        ligaments,
         derivatives,
+        kept_workspace(len(contact.points), found.sensitivities.shape[2]),
+        found,
     )
-    after = Packed(found)
-
-    def arguments_of(share: Packed, kept: KeptWorkspace) -> tuple[Any, ...]:
-        return before, share, *between, kept.fitting(len(contact.points), n_columns), after
-
-    run_shared(simulate_path, paths.parent, arguments_of)
     return found
 
 
-@cache
-def begin_compiling() -> None:
-    """Have the compiled code made or loaded while the caller does something that takes longer."""
-    threading.Thread(target=_solve_the_smallest, daemon=True).start()
-
-
-def _solve_the_smallest() -> None:
-    """Solve one trial of a joint that has one contact point and no ligament."""
-    contact = ContactPoints(
-        points=np.zeros((1, 3)), areas=np.ones(1), compartment=np.zeros(1, np.int64)
-    )
-    nowhere = np.zeros((4, 4, 4))
-    field = DistanceField(
-        coefficients=nowhere,
-        reach=nowhere.astype(np.uint16),
-        near=nowhere.astype(np.uint8),
-        origin=np.zeros(3),
-        spacing=1.0,
-    )
-    none = np.zeros((0, 3))
-    lines = Lines(femoral=none, tibial=none, reference_length=np.zeros(0))
-    ligaments = lines.arrays(np.zeros(0), np.zeros(0))
-    solve(loaded_at_once(np.zeros(1), np.zeros((1, 5))), np.zeros(5), contact, field, ligaments)
-
-
+# The same for many simulations.
 @lru_cache(maxsize=4)
-def _packed_nodes(paths: LoadPaths) -> Packed:
-    """The tree of load paths as the kernel takes it, packed once for many simulations."""
-    farthest = np.array([paths.farthest])
-    return Packed(NodeArrays(paths.flexion, paths.loads, paths.parent, farthest))
+def _node_arrays(paths: LoadPaths) -> NodeArrays:
+    return read_only(NodeArrays(paths.flexion, paths.loads, paths.parent, float(paths.farthest)))
 
 
 @lru_cache(maxsize=8)
-def _packed_contact(contact: ContactPoints) -> Packed:
-    """The contact points, likewise."""
-    return Packed(contact.arrays())
+def _contact_arrays(contact: ContactPoints) -> ContactArrays:
+    return contact.arrays()
 
 
 @lru_cache(maxsize=4)
-def _packed_field(field: DistanceField) -> Packed:
-    """The distance field, likewise."""
-    return Packed(field.arrays())
+def _field_arrays(field: DistanceField) -> FieldArrays:
+    return field.arrays()
 
 
 def stability_margins(hessians: Array) -> Array:

@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled_in_place
+from identknee.mechanics.compiled import compiled
 from identknee.mechanics.contact_elements import (
     contact_centres,
     contact_columns,
-    law_of,
     sum_contact,
     write_pushes,
 )
@@ -23,21 +22,12 @@ from identknee.mechanics.memory import (
     CONVERGED,
     FOLD,
     MOST_HALVINGS,
-    N_TOUCHING,
     UNCONSTRAINED,
-    WORD,
     Segment,
 )
 from identknee.mechanics.minimum import FLOOR_MARGIN, find_minimum
-from identknee.mechanics.shared_calls import count_up, offer, read, replace, take_back
 from identknee.mechanics.small_matrices import factorise, scale_of, substitute
-from identknee.mechanics.states import (
-    copy_state,
-    keep_state,
-    read_state,
-    take_state,
-    write_state,
-)
+from identknee.mechanics.states import copy_point, read_state, write_state
 
 SMALLEST_STEP = 0.5**MOST_HALVINGS
 LARGEST_MOVE = 6.0  # mm; a corrector that goes farther from its prediction has left the branch
@@ -47,7 +37,7 @@ BRANCH_RELATIVE = 0.25  # the same, as a share of the step's length
 GUESS_TOLERANCE = 0.25
 
 
-@compiled_in_place
+@compiled
 def tangent(state, load_change, flexion_change, L, right):
     """Write how an equilibrium moves when load and flexion change: -H^-1 d(gradient)."""
     for i in range(5):
@@ -59,7 +49,7 @@ def tangent(state, load_change, flexion_change, L, right):
             state.tangent[i] = 0.0
 
 
-@compiled_in_place
+@compiled
 def off_branch(before, after, share, tolerance):
     """Whether a step disagrees with the tangents at its ends more than a smooth branch would.
 
@@ -76,7 +66,7 @@ def off_branch(before, after, share, tolerance):
     return math.sqrt(off) > tolerance * allowed
 
 
-@compiled_in_place
+@compiled
 def follow(segment, guess, guessed, contact, field, ligaments, work):
     """Follow the path of equilibria from one end of a segment to the other.
 
@@ -88,8 +78,9 @@ def follow(segment, guess, guessed, contact, field, ligaments, work):
 
     Returns (outcome, share of the segment reached, residual, number of solves).
     """
-    L, right = work.solver.factor, work.solver.right
-    here, there, far, goals, load, change = work.path
+    L, right, path = work.solver.factor, work.solver.right, work.path
+    here, there, far, goals = path.here, path.there, path.far, path.goals
+    load, change = path.load, path.change
     flexion_change = segment.flexion_after - segment.flexion_before
     for i in range(5):
         change[i] = segment.load_after[i] - segment.load_before[i]
@@ -101,7 +92,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work):
         outcome = CONVERGED
         is_known = n_far > 0 and goal == goals[n_far - 1]
         if is_known:
-            take_state(far, n_far - 1, there)
+            copy_point(far[n_far - 1], there)
         else:
             for i in range(5):
                 there.pose[i] = guess[i] if guessed else here.pose[i] + share * here.tangent[i]
@@ -114,7 +105,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work):
             tangent(there, change, flexion_change, L, right)
         tolerance = GUESS_TOLERANCE if guessed else 1.0
         if outcome == CONVERGED and not off_branch(here, there, share, tolerance):
-            copy_state(there, here)
+            copy_point(there, here)
             reached = goal
             n_far -= is_known
             share = goals[n_far - 1] - reached if n_far > 0 else 2.0 * share
@@ -122,7 +113,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work):
             guessed = False
         else:
             if outcome == CONVERGED and not is_known:
-                keep_state(there, far, n_far)
+                copy_point(there, far[n_far])
                 goals[n_far] = goal
                 n_far += 1
             share *= 0.5
@@ -132,7 +123,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work):
     return CONVERGED, 1.0, residual, solves
 
 
-@compiled_in_place
+@compiled
 def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_sums):
     """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
 
@@ -140,17 +131,16 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
     contact modulus and the exponent of the contact law. With contact, that of the pushes last
     written, the sums over its elements are written to `contact_sums`.
     """
-    evaluation, solver, m = work.evaluation, work.solver, ligaments.femoral.shape[0]
-    R, t, axes = evaluation.rotation, evaluation.translation, evaluation.axes
+    placed, solver, m = work.evaluation.placed, work.solver, len(ligaments)
+    R, t, axes = placed.rotation, placed.translation, placed.axes
     L, right, step = solver.factor, solver.right, solver.step
     if S.shape[1] > 2 * m:
-        contact_columns(evaluation, columns, 2 * m)
-        n_touching, law = evaluation.counts[N_TOUCHING], law_of(contact)
-        total, _ = sum_contact(n_touching, R, t, law, evaluation)
+        contact_columns(work.evaluation, columns, 2 * m)
+        total, _ = sum_contact(contact.law, placed, work.evaluation.expansion)
         write_sums(total, contact_sums)
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
-    parameter_columns(R, t, ligaments, axes, evaluation.line, columns)
+    parameter_columns(R, t, ligaments, axes, placed.line, columns)
     factorise(H, 0.0, L)
     for j in range(S.shape[1]):
         for i in range(5):
@@ -160,16 +150,18 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
             S[i, j] = step[i]
 
 
-@compiled_in_place
-def solve_pieces(first, last, share, task):
-    """Solve the nodes of some pieces, each from its parent's state, which was solved before.
+@compiled
+def simulate_path(
+    nodes, starts, guesses, has_guess, contact, field, ligaments, derivatives, work, results
+):
+    """Solve the nodes of a tree of load paths, each from its parent's state, which comes before.
 
-    A node n without parent starts the search at the pose ``starts[n]``.
+    A node n without parent starts the search at the pose ``starts[n]``. `results` are the arrays of
+    `identknee.mechanics.memory.Equilibria`, to be written to. `work` holds no list and no
+    evaluation.
     """
-    nodes, starts, guesses, has_guess, contact, field, ligaments, derivatives, work, results = task
-    here, load, columns = work.path.here, work.path.load, work.solver.columns
-    for place in range(share.ends[first - 1] if first else 0, share.ends[last - 1]):
-        n = share.nodes[place]
+    here, load, columns = work.path.here, work.path.load, work.columns
+    for n in range(len(nodes.parent)):
         before, angle = nodes.parent[n], nodes.flexion[n]
         for i in range(5):
             load[i] = nodes.loads[n, i]
@@ -177,7 +169,7 @@ def solve_pieces(first, last, share, task):
             for i in range(5):
                 here.pose[i] = starts[n, i]
             outcome, results.residuals[n] = find_minimum(
-                angle, here, load, nodes.farthest[0], contact, field, ligaments, work
+                angle, here, load, nodes.farthest, contact, field, ligaments, work
             )
             results.reached[n] = 1.0
             results.solves[n] = 1
@@ -197,63 +189,10 @@ def solve_pieces(first, last, share, task):
         # The last pose evaluated may be one that was searched on the way, or not kept. Whatever the
         # load, contact is that of the pose.
         evaluate_there(angle, here.pose, load, contact, field, ligaments, work)
-        write_pushes(contact, work.evaluation)
+        write_pushes(contact.law, work.evaluation)
         contact_centres(contact, work.evaluation, results.centres[n])
         if derivatives and outcome == CONVERGED:
             slopes, sums = results.sensitivities[n], results.contact_sums[n]
             sensitivities(
                 angle, here.pose, here.hessian, contact, ligaments, work, columns, slopes, sums
             )
-
-
-@compiled_in_place
-def take_branches(first, last, begun, share, task):
-    """Solve pieces that no other thread has begun, until none is left."""
-    piece = first + count_up(begun)
-    while piece < last:
-        solve_pieces(piece, piece + 1, share, task)
-        piece = first + count_up(begun)
-
-
-@compiled_in_place
-def simulate_path(
-    nodes, share, starts, guesses, has_guess, contact, field, ligaments, derivatives, work, results
-):
-    """Solve this thread's share of the nodes of a tree of load paths.
-
-    `results` are the arrays of `identknee.mechanics.memory.Equilibria`, to be written to. `work`
-    holds no list and no evaluation.
-    """
-    task = (
-        nodes,
-        starts,
-        guesses,
-        has_guess,
-        contact,
-        field,
-        ligaments,
-        derivatives,
-        work,
-        results,
-    )
-    early = share.begun.ctypes.data
-    late, trunk = early + WORD, early + 2 * WORD
-    n_pieces = len(share.ends)
-    first_late = 2 + share.n_early[0]
-    if share.is_helper[0]:
-        take_branches(2, first_late, early, share, task)
-        while not read(trunk):
-            pass
-        take_branches(first_late, n_pieces, late, share, task)
-        return
-    solve_pieces(0, 1, share, task)
-    for helper in share.helpers:
-        offer(helper)
-    solve_pieces(1, 2, share, task)
-    replace(trunk, 0, 1)
-    for helper in share.helpers:
-        offer(helper)
-    take_branches(first_late, n_pieces, late, share, task)
-    take_branches(2, first_late, early, share, task)
-    for helper in share.helpers:
-        take_back(helper)

@@ -1,9 +1,9 @@
 """The force of a line ligament. Another law is another function of this form."""
 
-from identknee.mechanics.compiled import compiled_in_place
+from identknee.mechanics.compiled import compiled
 
 
-@compiled_in_place
+@compiled
 def tension(strain, stiffness, transition):
     """Force of a line ligament, its slope with strain and its integral over strain.
 

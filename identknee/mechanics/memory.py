@@ -1,10 +1,11 @@
 """What the compiled code reads and writes, by name: arrays in groups, and one thread's memory.
 
-Compiled code takes named tuples as it takes others. Single numbers travel as arrays of one, which
-leaves the machine code, and so the last bits of every sum, as it is.
+Compiled code takes named tuples as it takes others.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
 
 from identknee.runs.arrays import Array, BitArray, IndexArray, IntArray, ReachArray
 
@@ -12,13 +13,6 @@ from identknee.runs.arrays import Array, BitArray, IndexArray, IntArray, ReachAr
 CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = range(4)
 # Places in the counters of an evaluation.
 N_LISTED, N_TOUCHING, N_EVALUATIONS, N_LISTINGS, N_EXPANDED = range(5)
-
-# What stands at the head of a call's table, in words of so many bytes: the state of the call, then
-# whether its helper is to leave.
-WORD, HEAD = 8, 2
-# An ordinary call before and after it ran; a helper that is away, looks for an offer, has one, took
-# it.
-ALONE, ENDED, ASLEEP, AWAKE, OFFERED, TAKEN = range(6)
 
 # One radian of rotation weighs as much as so many millimetres wherever the two are compared.
 ROTATION_SCALE = 40.0
@@ -29,32 +23,20 @@ MOST_HALVINGS = 10  # of the way from one node of the load path to the next
 NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
 
 
-class Share(NamedTuple):
-    """What one thread is to do of the nodes of the load paths.
+Group = TypeVar("Group", bound=tuple[Any, ...])
 
-    Attributes
-    ----------
-    nodes
-        The nodes, piece after piece: the root, the trunk, early branches, late ones.
-    ends
-        Where each piece ends, shape ``(pieces,)``.
-    n_early
-        How many of the pieces are early branches, shape ``(1,)``.
-    begun
-        Of all threads: how many early branches and how many late ones are begun, and whether the
-        trunk is solved, shape ``(3,)``.
-    helpers
-        Addresses of the helpers' tables, shape ``(helpers,)``.
-    is_helper
-        Whether this thread is a helper, shape ``(1,)``.
+
+def read_only(group: Group) -> Group:
+    """The group with read-only views of its arrays.
+
+    The compiler makes another version of its code for arrays that can be written to, and whether
+    one can hangs on where it comes from: a pickled array forgets that it could not.
     """
-
-    nodes: IntArray
-    ends: IntArray
-    n_early: IntArray
-    begun: IntArray
-    helpers: IntArray
-    is_helper: IntArray
+    views = [x.view() if isinstance(x, np.ndarray) else x for x in group]
+    for view in views:
+        if isinstance(view, np.ndarray):
+            view.flags.writeable = False
+    return type(group)(*views)
 
 
 class ContactArrays(NamedTuple):
@@ -65,23 +47,40 @@ class ContactArrays(NamedTuple):
     points
         [mm], shape ``(3, n)``.
     radius
-        Distance of the farthest from the tibial origin [mm], shape ``(1,)``.
+        Distance of the farthest from the tibial origin [mm].
     stiffness
         Contact modulus times tributary area [N/mm], shape ``(n,)``.
     compartment
         Which tibial surface each belongs to, shape ``(n,)``.
-    exponent
-        Exponent of the contact law, shape ``(1,)``.
-    rounding
-        Its rounding [mm], shape ``(1,)``.
+    law
+        Exponent and rounding [mm] of the contact law.
     """
 
     points: Array
-    radius: Array
+    radius: float
     stiffness: Array
     compartment: IntArray
-    exponent: Array
-    rounding: Array
+    law: tuple[float, float]
+
+
+def record(kind: np.dtype[Any]) -> Any:
+    """A record of zeros."""
+    return np.zeros(1, kind).view(np.recarray)[0]
+
+
+# Where the distance field is: its first node [mm], the distance between nodes [mm], their number
+# along x, y and z; whether the femoral frame of poses and ligaments is another than the field's,
+# the rotation from that frame into the field's (9), and its origin there [mm].
+GRID = np.dtype(
+    [
+        ("origin", float, 3),
+        ("spacing", float),
+        ("shape", np.int64, 3),
+        ("is_apart", np.int64),
+        ("turn", float, 9),
+        ("shift", float, 3),
+    ]
+)
 
 
 class FieldArrays(NamedTuple):
@@ -91,45 +90,31 @@ class FieldArrays(NamedTuple):
     ----------
     coefficients, reach, near
         Those of all nodes, flat.
-    origin
-        [mm], shape ``(3,)``.
-    spacing
-        [mm], shape ``(1,)``.
-    shape
-        Numbers of nodes, shape ``(3,)``.
-    is_apart
-        Whether the femoral frame of poses and ligaments is another than the field's, ``(1,)``.
-    turn, shift
-        Rotation from that frame into the field's (9) and its origin there [mm] (3).
+    grid
+        Where they are, a record of `GRID`.
     """
 
     coefficients: Array
     reach: ReachArray
     near: BitArray
-    origin: Array
-    spacing: Array
-    shape: IntArray
-    is_apart: IntArray
-    turn: Array
-    shift: Array
+    grid: Any
 
 
-class LigamentArrays(NamedTuple):
-    """The line ligaments.
-
-    Attributes
-    ----------
-    femoral, tibial
-        Insertions [mm], shape ``(m, 3)``.
-    properties
-        Stiffness [N], reference strain, reference length [mm], transition strain (negative for a
-        spring that pushes too), how far the line is pushed aside [mm] and at which share of the way
-        from the tibia, shape ``(m, 6)``.
-    """
-
-    femoral: Array
-    tibial: Array
-    properties: Array
+# A line ligament: insertions [mm], stiffness [N], reference strain, reference length [mm],
+# transition strain (negative for a spring that pushes too), how far the line is pushed aside [mm]
+# and at which share of the way from the tibia.
+LINE = np.dtype(
+    [
+        ("femoral", float, 3),
+        ("tibial", float, 3),
+        ("stiffness", float),
+        ("reference_strain", float),
+        ("reference_length", float),
+        ("transition", float),
+        ("wrap_offset", float),
+        ("wrap_place", float),
+    ]
+)
 
 
 class NodeArrays(NamedTuple):
@@ -144,13 +129,13 @@ class NodeArrays(NamedTuple):
     parent
         The node each is reached from; the search begins anew at -1; shape ``(n,)``.
     farthest
-        How far from its start such a search may end [mm], shape ``(1,)``.
+        How far from its start such a search may end [mm].
     """
 
     flexion: Array
     loads: Array
     parent: IntArray
-    farthest: Array
+    farthest: float
 
 
 class Segment(NamedTuple):
@@ -170,105 +155,68 @@ class Segment(NamedTuple):
     load_after: Array
 
 
-class State(NamedTuple):
-    """An equilibrium, and where it goes.
+# What follows up to the workspace is of fixed size, and kept in records, whose fields compiled code
+# reads and writes by name.
 
-    Attributes
-    ----------
-    pose
-        Shape ``(5,)``.
-    hessian
-        Second derivatives of the energy, shape ``(5, 5)``.
-    gradient_by_flexion
-        d gradient / d flexion, shape ``(5,)``.
-    tangent
-        How the pose moves along the present segment, shape ``(5,)``.
-    """
-
-    pose: Array
-    hessian: Array
-    gradient_by_flexion: Array
-    tangent: Array
-
-
-class Point(NamedTuple):
-    """A pose, and the energy's derivatives there.
-
-    Attributes
-    ----------
-    pose
-        Shape ``(5,)``.
-    gradient
-        Shape ``(5,)``.
-    hessian
-        Shape ``(5, 5)``.
-    gradient_by_flexion
-        d gradient / d flexion, shape ``(5,)``.
-    """
-
-    pose: Array
-    gradient: Array
-    hessian: Array
-    gradient_by_flexion: Array
-
-
-class SolverMemory(NamedTuple):
-    """What the search for one minimum needs.
-
-    Attributes
-    ----------
-    factor
-        Cholesky factor of the Hessian, shape ``(5, 5)``.
-    right
-        Right-hand side of a linear system, shape ``(5,)``.
-    step
-        Its solution, shape ``(5,)``.
-    trial
-        The point tried.
-    candidate
-        The point looked at next on the way to it.
-    start
-        The pose the search began at, shape ``(5,)``.
-    gradient
-        The energy's gradient where the search is, shape ``(5,)``.
-    columns
-        How the gradient changes with each parameter, a column each.
-    """
-
-    factor: Array
-    right: Array
-    step: Array
-    trial: Point
-    candidate: Point
-    start: Array
-    gradient: Array
-    columns: Array
-
-
-class PathMemory(NamedTuple):
-    """What following a branch along one segment needs.
-
-    Attributes
-    ----------
-    here
-        The last equilibrium accepted.
-    there
-        The one found next.
-    far, goals
-        Those found too far away for one step, one closer than the other, kept until they are near
-        enough, and where on the segment they are.
-    load
-        The load at `there`, shape ``(5,)``.
-    change
-        The whole segment's change of load, shape ``(5,)``.
-    """
-
-    here: State
-    there: State
-    far: State
-    goals: Array
-    load: Array
-    change: Array
+# A pose, the energy's derivatives there (`gradient_by_flexion` is d gradient / d flexion), and how
+# an equilibrium moves along the present segment of the load path.
+POINT = np.dtype(
+    [
+        ("pose", float, 5),
+        ("gradient", float, 5),
+        ("hessian", float, (5, 5)),
+        ("gradient_by_flexion", float, 5),
+        ("tangent", float, 5),
+    ]
+)
+# What the search for one minimum needs: Cholesky factor of the Hessian, right-hand side and
+# solution of a linear system, the point tried, the one looked at next on the way to it, and the
+# pose the search began at.
+SOLVER = np.dtype(
+    [
+        ("factor", float, (5, 5)),
+        ("right", float, 5),
+        ("step", float, 5),
+        ("trial", POINT),
+        ("candidate", POINT),
+        ("start", float, 5),
+    ]
+)
+# What following a branch along one segment needs: the last equilibrium accepted, and that found
+# next; those found too far away for one step, one closer than the other, kept until they are near
+# enough, and where on the segment they are; the load at `there`, and its change on the segment.
+PATH = np.dtype(
+    [
+        ("here", POINT),
+        ("there", POINT),
+        ("far", POINT, MOST_HALVINGS + 1),
+        ("goals", float, MOST_HALVINGS + 1),
+        ("load", float, 5),
+        ("change", float, 5),
+    ]
+)
+# The pose evaluated last, and that where the contact was expanded; rotation and translation of the
+# tibia there, in femoral axes and in the frame of the distance field, and those for which points
+# were listed; how the coordinates move the tibia, as `identknee.mechanics.energy.motion_axes`
+# writes it; the sums over the elements, as `identknee.mechanics.elements.write_sums` writes them;
+# length, gradient (3) and Hessian (6) of a line; how many points are listed (-1: no list yet) and
+# may touch, how many evaluations, listings and evaluations of the expansion were made, at the
+# places `N_LISTED` to `N_EXPANDED`.
+PLACED = np.dtype(
+    [
+        ("pose", float, 5),
+        ("expanded", float, 5),
+        ("rotation", float, 9),
+        ("translation", float, 3),
+        ("field_rotation", float, 9),
+        ("field_translation", float, 3),
+        ("listed_pose", float, 12),
+        ("axes", float, (9, 3)),
+        ("sums", float, 39),
+        ("line", float, 10),
+        ("counts", np.int64, 5),
+    ]
+)
 
 
 class EvaluationMemory(NamedTuple):
@@ -276,32 +224,16 @@ class EvaluationMemory(NamedTuple):
 
     Attributes
     ----------
+    placed
+        The pose evaluated last and what belongs to it, a record of `PLACED`.
     expansion
         Of each point that may touch: its place in tibial axes (3), that in the field where its
         distance was looked up (3), its stiffness, and there the distance [mm] with its gradient (3)
         and Hessian (xx yy zz xy xz yz), shape ``(17, n)``.
     listed
         Points near enough to touch soon (3), and their stiffness, shape ``(4, n)``.
-    counts
-        How many points are listed (-1: no list yet) and how many may touch, how many evaluations,
-        listings and evaluations of the expansion were made, at the places `N_LISTED` to
-        `N_EXPANDED`, shape ``(5,)``.
-    listed_pose
-        Rotation (9) and translation (3) for which the points were listed.
     cells, eighths
         First spline coefficient of each point's cell, and the eighth of the cell, shape ``(n,)``.
-    pose, expanded
-        The pose evaluated last, and that where the contact was expanded, shape ``(5,)``.
-    rotation, translation
-        Placement of the tibia, shapes ``(9,)`` and ``(3,)``.
-    field_rotation, field_translation
-        The same in the frame of the distance field.
-    sums
-        Sums over the elements, as `identknee.mechanics.elements.write_sums` writes them, shape
-        ``(39,)``.
-    axes
-        How the coordinates move the tibia, as `identknee.mechanics.energy.motion_axes` writes it,
-        shape ``(9, 3)``.
     touching
         Contact point of each contact element, shape ``(n,)``.
     pushes
@@ -311,37 +243,34 @@ class EvaluationMemory(NamedTuple):
         Contact point of each listed one, shape ``(n,)``.
     moved
         Place of listed points in their cells, from 0 to 1, shape ``(3, n)``.
-    line
-        Length, gradient (3) and Hessian (6) of a line, shape ``(10,)``.
     """
 
+    placed: Any
     expansion: Array
     listed: Array
-    counts: IntArray
-    listed_pose: Array
     cells: IndexArray
     eighths: IndexArray
-    pose: Array
-    expanded: Array
-    rotation: Array
-    translation: Array
-    field_rotation: Array
-    field_translation: Array
-    sums: Array
-    axes: Array
     touching: IndexArray
     pushes: Array
     which: IndexArray
     moved: Array
-    line: Array
 
 
 class Workspace(NamedTuple):
-    """Memory of one thread for one simulation, of its three nested loops."""
+    """Memory of one thread for one simulation.
+
+    Attributes
+    ----------
+    evaluation, solver, path
+        Of its three nested loops; the last two are records of `SOLVER` and `PATH`.
+    columns
+        How the gradient changes with each parameter, a column each.
+    """
 
     evaluation: EvaluationMemory
-    solver: SolverMemory
-    path: PathMemory
+    solver: Any
+    path: Any
+    columns: Array
 
 
 class Equilibria(NamedTuple):

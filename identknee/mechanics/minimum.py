@@ -2,9 +2,9 @@
 
 import math
 
-from identknee.mechanics.compiled import compiled_in_place
+from identknee.mechanics.compiled import compiled
 from identknee.mechanics.energy import evaluate, evaluate_near
-from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, UNCONSTRAINED, Point
+from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, UNCONSTRAINED
 from identknee.mechanics.small_matrices import (
     factorise,
     residual_norm,
@@ -12,6 +12,7 @@ from identknee.mechanics.small_matrices import (
     scaled_norm,
     trust_region_step,
 )
+from identknee.mechanics.states import copy_point
 
 # N and mm; a search this close, by either, ends at the minimum of the energy with the contact
 # expanded there. What that leaves out is far below what a difference between two ways of solving
@@ -27,17 +28,7 @@ SLACK_RESIDUAL = 1e-3  # N; with less than this and no stiffness, the search wou
 MOST_ITERATIONS = 200
 
 
-@compiled_in_place
-def copy_point(point, to):
-    """Copy a pose with the energy's derivatives there."""
-    for i in range(5):
-        to.pose[i], to.gradient[i] = point.pose[i], point.gradient[i]
-        to.gradient_by_flexion[i] = point.gradient_by_flexion[i]
-        for j in range(5):
-            to.hessian[i, j] = point.hessian[i, j]
-
-
-@compiled_in_place
+@compiled
 def promise(g, H, step):
     """How much lower the energy is a step away, by gradient and Hessian."""
     lower = 0.0
@@ -49,7 +40,7 @@ def promise(g, H, step):
     return lower
 
 
-@compiled_in_place
+@compiled
 def distance_between(a, b):
     """Distance of two poses in mm."""
     s = 0.0
@@ -58,13 +49,13 @@ def distance_between(a, b):
     return math.sqrt(s)
 
 
-@compiled_in_place
+@compiled
 def rounding_of(energy):
     """How much the sums of an energy may be off."""
     return 1e-13 * (abs(energy) + 1e4)
 
 
-@compiled_in_place
+@compiled
 def descend(flexion, point, energy, radius, load, contact, field, ligaments, work):
     """Move the trial point to the minimum within `radius` of a point, as seen from there.
 
@@ -75,7 +66,8 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
     """
     trial, candidate = work.solver.trial, work.solver.candidate
     L, right, step = work.solver.factor, work.solver.right, work.solver.step
-    is_expanded = distance_between(point.pose, work.evaluation.expanded) == 0.0
+    placed, expansion = work.evaluation.placed, work.evaluation.expansion
+    is_expanded = distance_between(point.pose, placed.expanded) == 0.0
     copy_point(point, trial)
     lowest, away, within = energy, 0.0, radius
     for k in range(MOST_NEAR_STEPS):
@@ -91,7 +83,9 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
             return energy - lowest + lower, far, shift == 0.0 and length < SETTLED
         if k > 0 and far > min(radius, EXPANSION_REACH):
             break
-        found = evaluate_near(flexion, load, contact, field, ligaments, work.evaluation, candidate)
+        found = evaluate_near(
+            flexion, load, contact.law, field.grid, ligaments, placed, expansion, candidate
+        )
         rounding = rounding_of(lowest)
         if lowest - found > 0.1 * lower - rounding:
             lowest, away = found, far
@@ -103,21 +97,20 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
     return energy - lowest, away, False
 
 
-@compiled_in_place
-def find_minimum(flexion, state, load, farthest, contact, field, ligaments, work):
-    """Move the pose of a state to a minimum of the energy; return (outcome, residual).
+@compiled
+def find_minimum(flexion, point, load, farthest, contact, field, ligaments, work):
+    """Move a point to a minimum of the energy; return (outcome, residual).
 
     Each step goes to the minimum of the energy with the contact expanded where the last one ended,
     inside a trust region on the energy itself. `farthest` [mm] ends the search when the pose moves
     farther than that from where it began.
     """
     evaluation, solver = work.evaluation, work.solver
-    L, trial, start, g = solver.factor, solver.trial, solver.start, solver.gradient
-    point = Point(state.pose, g, state.hessian, state.gradient_by_flexion)
+    L, trial, start = solver.factor, solver.trial, solver.start
     for i in range(5):
         start[i] = point.pose[i]
     energy = evaluate(flexion, load, contact, field, ligaments, evaluation, point)
-    residual = residual_norm(g)
+    residual = residual_norm(point.gradient)
     radius = 3.0
     for _ in range(MOST_ITERATIONS):
         if residual < SLACK_RESIDUAL and not factorise(point.hessian, -FLOOR_MARGIN, L):

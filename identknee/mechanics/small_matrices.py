@@ -2,17 +2,17 @@
 
 import math
 
-from identknee.mechanics.compiled import compiled_in_place
+from identknee.mechanics.compiled import compiled
 from identknee.mechanics.memory import ROTATION_SCALE
 
 
-@compiled_in_place
+@compiled
 def scale_of(i):
     """Millimetres that one unit of coordinate i is worth."""
     return ROTATION_SCALE if i < 2 else 1.0
 
 
-@compiled_in_place
+@compiled
 def factorise(H, shift, L):
     """Write the Cholesky factor of H + shift scale^2 into L; whether that is positive definite."""
     for i in range(5):
@@ -31,7 +31,7 @@ def factorise(H, shift, L):
     return True
 
 
-@compiled_in_place
+@compiled
 def substitute(L, b, x):
     """Solve L L^T x = b."""
     for i in range(5):
@@ -46,7 +46,7 @@ def substitute(L, b, x):
         x[i] = s / L[i, i]
 
 
-@compiled_in_place
+@compiled
 def scaled_norm(x):
     """Length of a pose change in mm."""
     s = 0.0
@@ -55,7 +55,7 @@ def scaled_norm(x):
     return math.sqrt(s)
 
 
-@compiled_in_place
+@compiled
 def residual_norm(g):
     """Size of a generalised force in N, moments divided by the rotation scale."""
     s = 0.0
@@ -64,7 +64,7 @@ def residual_norm(g):
     return math.sqrt(s)
 
 
-@compiled_in_place
+@compiled
 def trust_region_step(g, H, radius, L, minus_g, step):
     """Write the step that minimises the quadratic model within `radius`; return its shift."""
     for i in range(5):

@@ -4,104 +4,61 @@ import threading
 
 import numpy as np
 
-from identknee.mechanics.machine_code import Packed
 from identknee.mechanics.memory import (
-    MOST_HALVINGS,
     N_LISTED,
+    PATH,
+    PLACED,
+    SOLVER,
     EvaluationMemory,
-    PathMemory,
-    Point,
-    SolverMemory,
-    State,
     Workspace,
+    record,
 )
 
 
-class KeptWorkspace:
-    """The memory that one thread used last, used again where it fits."""
+class _Kept(threading.local):
+    """The workspace that a thread used last."""
 
-    def __init__(self) -> None:
-        self._size = (-1, -1)
-        self.packed: Packed | None = None
-
-    def fitting(self, n_points: int, n_columns: int) -> Packed:
-        """Memory that has forgotten what the last simulation evaluated."""
-        if self.packed is None or self._size != (n_points, n_columns):
-            self.packed, self._size = Packed(workspace(n_points, n_columns)), (n_points, n_columns)
-        else:
-            _forget(self.packed.arrays.evaluation)
-        return self.packed
+    size = (-1, -1)
+    last: Workspace
 
 
-class _OfThread(threading.local):
-    def __init__(self) -> None:
-        self.kept = KeptWorkspace()
+_kept = _Kept()
 
 
-_OF_THREAD = _OfThread()
-
-
-def kept_by_thread() -> KeptWorkspace:
-    """That of the calling thread."""
-    return _OF_THREAD.kept
+def kept_workspace(n_points: int, n_columns: int) -> Workspace:
+    """The calling thread's workspace, which has forgotten what the last simulation evaluated."""
+    if _kept.size != (n_points, n_columns):
+        _kept.last, _kept.size = workspace(n_points, n_columns), (n_points, n_columns)
+    _forget(_kept.last.evaluation)
+    return _kept.last
 
 
 def workspace(n_points: int, n_columns: int = 0) -> Workspace:
     """Memory for the work with so many contact points, and columns of sensitivities."""
     n = n_points + 1
-    solver = SolverMemory(
-        factor=np.zeros((5, 5)),
-        right=np.zeros(5),
-        step=np.zeros(5),
-        trial=_point(),
-        candidate=_point(),
-        start=np.zeros(5),
-        gradient=np.zeros(5),
-        columns=np.zeros((5, n_columns)),
-    )
-    path = PathMemory(
-        here=_states(),
-        there=_states(),
-        far=_states(MOST_HALVINGS + 1),
-        goals=np.zeros(MOST_HALVINGS + 1),
-        load=np.zeros(5),
-        change=np.zeros(5),
-    )
     evaluation = EvaluationMemory(
+        placed=record(PLACED),
         expansion=np.zeros((17, n)),
         listed=np.zeros((4, n)),
-        counts=np.zeros(5, np.int64),
-        listed_pose=np.zeros(12),
         cells=np.zeros(n, np.uint32),
         eighths=np.zeros(n, np.uint32),
-        pose=np.zeros(5),
-        expanded=np.zeros(5),
-        rotation=np.zeros(9),
-        translation=np.zeros(3),
-        field_rotation=np.zeros(9),
-        field_translation=np.zeros(3),
-        sums=np.zeros(39),
-        axes=np.zeros((9, 3)),
         touching=np.zeros(n, np.uint32),
         pushes=np.zeros((7, n)),
         which=np.zeros(n, np.uint32),
         moved=np.zeros((3, n)),
-        line=np.zeros(10),
     )
     _forget(evaluation)
-    return Workspace(evaluation=evaluation, solver=solver, path=path)
-
-
-def _point() -> Point:
-    return Point(np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(5))
-
-
-def _states(*n: int) -> State:
-    return State(np.zeros((*n, 5)), np.zeros((*n, 5, 5)), np.zeros((*n, 5)), np.zeros((*n, 5)))
+    return Workspace(
+        evaluation=evaluation,
+        solver=record(SOLVER),
+        path=record(PATH),
+        columns=np.zeros((5, n_columns)),
+    )
 
 
 def _forget(evaluation: EvaluationMemory) -> None:
-    evaluation.counts[:] = 0
-    evaluation.counts[N_LISTED] = -1
-    evaluation.pose[:] = np.inf
-    evaluation.expanded[:] = np.inf
+    placed = evaluation.placed
+    placed.counts[:] = 0
+    placed.counts[N_LISTED] = -1
+    placed.pose[:] = np.inf
+    placed.expanded[:] = np.inf

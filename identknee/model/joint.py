@@ -15,7 +15,7 @@ from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.contact_points import DEFAULT_NUMBER, contact_points
 from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
-from identknee.mechanics.equilibria import ContactPoints, Lines, begin_compiling
+from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.pose import start_pose
 from identknee.mechanics.rims import RimDistance, rim_distance
 from identknee.model.nuisances import contact_rounding
@@ -100,7 +100,6 @@ def _field(knee: Knee, femoral: Array) -> DistanceField:
     cached = _read_field(path)
     if cached is not None:
         return cached
-    begin_compiling()
     field = build_field(
         distance or mesh_distance(femoral, knee.femur.faces),
         femoral.min(axis=0),

@@ -17,7 +17,7 @@ from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
-from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria, LigamentArrays
+from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
 from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model import measured_start
@@ -37,7 +37,7 @@ from identknee.subject.knee import Knee
 def solve_past_folds(
     paths: LoadPaths,
     start: Array,
-    knee: tuple[ContactPoints, DistanceField, LigamentArrays],
+    knee: tuple[ContactPoints, DistanceField, Any],
     fallback_poses: Array | None,
     **how: Any,
 ) -> Equilibria:

@@ -5,14 +5,12 @@ will do. The results do not depend on the choice, bit for bit, because each task
 seed and shares nothing.
 """
 
-import ctypes
 import hashlib
 import multiprocessing
 import os
 import pickle
 import shutil
 import signal
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -32,8 +30,6 @@ from identknee.runs.unforeseen import are_warnings_logged, log_warnings
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-# From <linux/prctl.h>: the signal a process gets when its parent dies.
-PR_SET_PDEATHSIG = 1
 
 
 class Executor(Protocol):
@@ -185,23 +181,12 @@ def _start_worker(line: Connection, folder: str, has_log: bool) -> None:  # noqa
     use_one_library_thread()
     if has_log:
         log_warnings()
-    if sys.platform == "linux":
-        _end_soon_after_parent()
     threading.Thread(target=_end_with, args=(line, folder), daemon=True).start()
 
 
-def _end_soon_after_parent() -> None:
-    # The thread below waits for the interpreter lock, which compiled code may hold for long. So the
-    # kernel tells of the parent's death too: by a signal whose handler is `alarm` itself. It takes
-    # the signal's number, 3, for the seconds that are left to clean up in.
-    library = ctypes.CDLL(None)
-    library.signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
-    library.signal(int(signal.SIGQUIT), ctypes.cast(library.alarm, ctypes.c_void_p))
-    library.prctl(PR_SET_PDEATHSIG, int(signal.SIGQUIT))
-
-
 def _end_with(line: Connection, folder: str) -> None:
-    # The other end is closed by the parent where its work is broken off, or by its death.
+    # The other end is closed by the parent where its work is broken off, or by its death. Compiled
+    # code runs without the interpreter's lock, so that this thread comes to its turn meanwhile.
     with suppress(EOFError, OSError):
         line.recv_bytes()
     shutil.rmtree(folder, ignore_errors=True)

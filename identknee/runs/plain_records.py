@@ -9,8 +9,9 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 import numpy as np
 from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
-from identknee.runs.declare import Entry, Fault, derived_entries, entries, is_declared, validated
+from identknee.runs.declare import Entry, derived_entries, entries, is_declared
 from identknee.runs.errors import InputError
+from identknee.runs.schema import Fault, validated
 
 Made = TypeVar("Made")
 _HINTS: dict[Any, dict[str, Any]] = {}

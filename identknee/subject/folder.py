@@ -13,7 +13,9 @@ import numpy as np
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
 from identknee.runs.arrays import too_far
-from identknee.runs.declare import (
+from identknee.runs.errors import InputError
+from identknee.runs.files import PathLike, prepare_folder, write_atomically
+from identknee.runs.schema import (
     Fault,
     Number,
     Part,
@@ -24,8 +26,6 @@ from identknee.runs.declare import (
     remedy_of,
     validated,
 )
-from identknee.runs.errors import InputError
-from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.check import unusable
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.examples import known_names, named_subject

@@ -6,9 +6,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry, shown
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
+from identknee.runs.schema import shown
 from identknee.subject.surface import Surface
 
 Element = ET.Element

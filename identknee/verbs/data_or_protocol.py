@@ -85,7 +85,7 @@ def diagnose(
     seed
         Seed of all random numbers.
     workers
-        Threads that share the load paths of each simulation.
+        Without effect: one process does the work.
 
     Raises
     ------

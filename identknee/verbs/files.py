@@ -13,10 +13,10 @@ from typing import Any, TypeVar
 import xarray
 
 from identknee.runs.array_groups import axis_fault, groups_of, with_arrays
-from identknee.runs.declare import Fault, read_json, shown
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, digest, part_beside, plain, write_atomically, write_json
 from identknee.runs.plain_records import from_plain, summary_of
+from identknee.runs.schema import Fault, read_json, shown
 from identknee.verbs.answer import Answer
 
 SUMMARY, ARRAYS = "result.json", "result.nc"

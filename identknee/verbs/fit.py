@@ -196,7 +196,7 @@ def fit(
     seed
         Seed of all random numbers.
     workers
-        Threads that share the load paths of each simulation.
+        Without effect: one process does the work.
 
     Raises
     ------

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
 from itertools import groupby
+from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
@@ -210,7 +211,9 @@ def _version_of(requirement: Requirement) -> Check:
 
 
 def _n_compiled() -> int:
-    """How many functions that Python calls are kept compiled for this version of the sources."""
-    from identknee.mechanics.compiled_folder import compiled_folder
+    """How many functions are kept compiled for this version of the sources."""
+    # The compiler takes half a second to load.
+    from identknee.runs.compiling import compiled_folder
 
-    return len(list(compiled_folder().glob("*.o")))
+    mechanics = Path(__file__).parents[1] / "mechanics"
+    return len(list(compiled_folder(mechanics).rglob("*.nbc")))

@@ -88,7 +88,7 @@ def isolability(
     seed
         Seed of all random numbers.
     workers
-        Threads that share the load paths of each simulation.
+        Without effect: one process does the work.
 
     Raises
     ------

@@ -173,7 +173,7 @@ def simulate(
     seed
         Seed of the noise.
     workers
-        Threads that share the load paths of the simulation.
+        Without effect: one process does the work.
 
     Raises
     ------

@@ -12,7 +12,6 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
-from identknee.mechanics.branch_threads import branch_threads
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.runs.executors import Executor
 from identknee.runs.files import PathLike, digest, prepare_folder
@@ -192,8 +191,6 @@ def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator
     deciding = {key: x for key, x in settings.items() if key not in beside}
     workers = arguments.get("workers", 1)
     with ExitStack() as stack:
-        # What other processes do not take is shared by threads of this one.
-        stack.enter_context(branch_threads(workers if isinstance(workers, int) else 1))
         run = Run(
             knee=knee,
             measured=laxity,

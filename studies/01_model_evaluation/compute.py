@@ -11,7 +11,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from common import records
+from common import published, records
 from common.problems import model_of
 from common.records import Row, rounded, study_knee, write_record
 
@@ -57,9 +57,9 @@ def table2(knee: ik.Knee) -> Row:
     """Response to each row of Table 2 [mm or deg], with the outcome and margin of its trial."""
     model = ik.LaxityModel(knee=knee, protocol=ik.load_protocol("table2"))
     prediction = model.predict(model.parameters.center, derivatives=False)
-    rows = [model.protocol.trials.index(row.trial) for row in ik.laxity.TABLE2]
+    rows = [model.protocol.trials.index(row.trial) for row in published.TABLE2]
     return {
-        "response": rounded(ik.laxity.table2_laxity(model.simulate(model.parameters.center))),
+        "response": rounded(published.table2_laxity(model.simulate(model.parameters.center))),
         "outcome": [prediction.outcomes[i].value for i in rows],
         "margin_N_per_mm": rounded(prediction.margins[rows]),
         "unloaded": {
@@ -104,7 +104,7 @@ def all_vertices(knee: ik.Knee) -> Row:
     """Table 2 with every tibial vertex as a contact point, beside the default."""
     model = ik.LaxityModel(knee=knee, protocol=ik.load_protocol("table2"), n_points=None)
     laxity = model.simulate(model.parameters.center)
-    return {"response_all_vertices": rounded(ik.laxity.table2_laxity(laxity))}
+    return {"response_all_vertices": rounded(published.table2_laxity(laxity))}
 
 
 def ramps(knee: ik.Knee, executor: ik.runs.Executor) -> list[Row]:

@@ -8,6 +8,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
+from common import published
 from common.page import draw_study, table
 from common.paper_figures import evaluation_figure, margin_figure
 from common.rows_of_paper import laxity_table
@@ -28,7 +29,7 @@ def main() -> None:
 
 def figure_1(record: Row) -> Figure:
     """Table 2: the measurements, the paper's model and the well-posed knees."""
-    return evaluation_figure(ik.laxity.TABLE2, responses(record, WELL_POSED))
+    return evaluation_figure(published.TABLE2, responses(record, WELL_POSED))
 
 
 def figure_2(record: Row) -> Figure:
@@ -68,7 +69,7 @@ FIGURE_OF: Mapping[str, Callable[[Row], Figure]] = {
 def tables(record: Row) -> dict[str, ik.report.Table]:
     """All tables of the page by the name of their place in it."""
     return {
-        "table 2": laxity_table(ik.laxity.TABLE2, responses(record, WELL_POSED)),
+        "table 2": laxity_table(published.TABLE2, responses(record, WELL_POSED)),
         "raw centroids": raw_table(record),
         "ends": ends_table(record),
         "single step": single_step_table(record),

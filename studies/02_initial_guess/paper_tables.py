@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from common import published
 from common.page import Cell, table
 from common.rows_of_paper import error_table, start_table
 
@@ -141,7 +142,7 @@ def table_5(record: Row) -> ik.report.Table:
         errors = np.median([row["rmse_by_flexion"] for row in rows(part, "IG4")], axis=0)
         for angle, row in zip(part["profile"]["flexion_angles_deg"], errors, strict=True):
             own[f"{knee}, Complex from IG4, {angle:g} deg"] = row[chosen]
-    return error_table(ik.laxity.TABLE5, own)
+    return error_table(published.TABLE5, own)
 
 
 def force_table(record: Row, key: str, paper: Row, title: str) -> ik.report.Table:

@@ -11,7 +11,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from common import records
+from common import published, records
 from common.records import BUNDLES, Row, rounded, study_knee, write_record
 
 import identknee as ik
@@ -40,7 +40,7 @@ def main() -> None:
     options = records.parsed_options(__file__, seed=0)
     began = time.perf_counter()
     record = records.begun(options, KNEES, assumed_sds=ASSUMED_SDS)
-    record["rows"] = [row_facts(x) for x in ik.laxity.TABLE2]
+    record["rows"] = [row_facts(x) for x in published.TABLE2]
     for name in KNEES:
         knee = study_knee(name)
         part = record["knees"][name] = {"as_it_is": as_it_is(knee)}
@@ -57,7 +57,7 @@ def main() -> None:
     write_record(options.record, record)
 
 
-def row_facts(row: ik.laxity.PublishedLaxity) -> Row:
+def row_facts(row: published.PublishedLaxity) -> Row:
     """One measured value, positive the way the load pushes."""
     return {
         "load": row.load,
@@ -83,7 +83,7 @@ def as_it_is(knee: ik.Knee) -> Row:
     row: Row = rounded(
         {
             "n_ligaments": len(knee.ligaments),
-            "values": ik.laxity.table2_laxity(model.simulate(theta)),
+            "values": published.table2_laxity(model.simulate(theta)),
             "not_converged": lost,
         }
     )
@@ -97,7 +97,7 @@ def measured(sd: float | None, without: str = "") -> ik.Laxity:
     """
     protocol = ik.load_protocol("table2")
     coordinates, sds = (np.full((protocol.n, len(ik.laxity.COORDINATES)), np.nan) for _ in range(2))
-    for row, trial in zip(ik.laxity.TABLE2, places(protocol), strict=True):
+    for row, trial in zip(published.TABLE2, places(protocol), strict=True):
         if row.study == without:
             continue
         coordinate = ik.laxity.COORDINATES.index(row.coordinate)
@@ -108,7 +108,7 @@ def measured(sd: float | None, without: str = "") -> ik.Laxity:
 
 def places(protocol: ik.Protocol) -> list[int]:
     """Which trial of the protocol each published value belongs to."""
-    return [protocol.trials.index(row.trial) for row in ik.laxity.TABLE2]
+    return [protocol.trials.index(row.trial) for row in published.TABLE2]
 
 
 def by_row(laxity: ik.Laxity, values: ik.runs.Array) -> ik.runs.Array:
@@ -116,7 +116,7 @@ def by_row(laxity: ik.Laxity, values: ik.runs.Array) -> ik.runs.Array:
     return np.array(
         [
             row.sign * values[trial, ik.laxity.COORDINATES.index(row.coordinate)]
-            for row, trial in zip(ik.laxity.TABLE2, places(laxity.protocol), strict=True)
+            for row, trial in zip(published.TABLE2, places(laxity.protocol), strict=True)
         ]
     )
 

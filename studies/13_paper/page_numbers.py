@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from beyond_tables import AT_TRUTH, CRITERION, SHELLS, is_truth
+from common import published
 from page_tables import (
     BASINS,
     CHECKS,
@@ -54,22 +55,22 @@ def numbers(found: Found) -> Callable[[str], str]:
 def of_laxity(found: Found) -> dict[str, str]:
     """How far the models are from the measured means."""
     mean, sd, printed = (
-        np.array([getattr(x, key) for x in ik.laxity.TABLE2])
+        np.array([getattr(x, key) for x in published.TABLE2])
         for key in ("mean", "sd", "paper_model")
     )
     sizes = {"paper": (printed - mean) / sd}
     sizes |= {name: (responses(found, name) - mean) / sd for name in knees(found)}
-    made = {"laxity_rows": str(len(ik.laxity.TABLE2))}
+    made = {"laxity_rows": str(len(published.TABLE2))}
     for name, values in sizes.items():
         made[f"laxity_within_{name}"] = str(int((np.abs(values) <= 1).sum()))
         made[f"laxity_beyond2_{name}"] = str(int((np.abs(values) > 2).sum()))
     made["laxity_stiffest_stable"] = f"{-np.nanmin(sizes['lenhart2015_stable']):.1f}"
     outward = [
-        values[[x.load.split()[0] == "external" for x in ik.laxity.TABLE2]] for values in own(found)
+        values[[x.load.split()[0] == "external" for x in published.TABLE2]] for values in own(found)
     ]
     made["laxity_external"] = low_high(np.concatenate(outward), 0)
     valgus = [
-        values[[x.load.split()[0] == "valgus" for x in ik.laxity.TABLE2]] for values in own(found)
+        values[[x.load.split()[0] == "valgus" for x in published.TABLE2]] for values in own(found)
     ]
     made["laxity_valgus"] = low_high(np.concatenate(valgus), 1)
     unloaded = []

@@ -6,6 +6,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from common import published
 from common.page import table
 from other_studies import module_of
 
@@ -80,7 +81,7 @@ def table_1(found: Found) -> ik.report.Table:
 
 def table_2(found: Found) -> ik.report.Table:
     """Response to each load, beside the measured one and the paper's."""
-    models = {"the paper's model": np.array([x.paper_model for x in ik.laxity.TABLE2])}
+    models = {"the paper's model": np.array([x.paper_model for x in published.TABLE2])}
     models |= {name: responses(found, name) for name in knees(found)}
     body = [
         (
@@ -88,7 +89,7 @@ def table_2(found: Found) -> ik.report.Table:
             f"{x.mean:.1f} ({x.sd:.1f})",
             *(f"{v[i]:.1f} ({(v[i] - x.mean) / x.sd:+.1f})" for v in models.values()),
         )
-        for i, x in enumerate(ik.laxity.TABLE2)
+        for i, x in enumerate(published.TABLE2)
     ]
     return table(
         "Response to each load, and in brackets how many sds from the measured mean",
@@ -102,12 +103,12 @@ def arc_table(found: Found) -> ik.report.Table:
     body = []
     for flexion, (one, other) in product((0, 30, 60), OPPOSITE):
         index = {
-            x.load.split()[0]: i for i, x in enumerate(ik.laxity.TABLE2) if x.flexion_deg == flexion
+            x.load.split()[0]: i for i, x in enumerate(published.TABLE2) if x.flexion_deg == flexion
         }
         if one not in index or other not in index:
             continue
         both = [index[one], index[other]]
-        rows = [ik.laxity.TABLE2[i] for i in both]
+        rows = [published.TABLE2[i] for i in both]
         mean, sd = sum(x.mean for x in rows), float(np.hypot(*(x.sd for x in rows)))
         sums = [sum(x.paper_model for x in rows)]
         sums += [responses(found, name)[both].sum() for name in knees(found)]

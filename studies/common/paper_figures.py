@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from identknee.laxity.published import PublishedLaxity
+from common.published import PublishedLaxity
 from identknee.mechanics.ligament_wrench import line_tensions
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
 from identknee.runs.arrays import Array

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.laxity.published import PublishedError, PublishedLaxity
+from common.published import PublishedError, PublishedLaxity
 from identknee.model.parameter_error import parameter_error
 from identknee.report.tables import Cell, Column, Table
 from identknee.runs.arrays import Array

@@ -8,11 +8,9 @@ from rows import Measure, Row, median_of
 
 from identknee.blind.case import blind_case
 from identknee.diagnosis.investigation import investigate
-from identknee.mechanics.branch_threads import branch_threads
 from identknee.runs.library_threads import one_library_thread
 
 MOST_S, LONGEST_S = 3.0, 8.0
-THREADS = 2
 # Every third effect of the library, drawn with seeds of their own, and nothing.
 CASES = (
     (),
@@ -30,14 +28,14 @@ SIGNAL, FIRST_SEED = 10.0, 160_000
 
 
 def measure(options: argparse.Namespace) -> Row:
-    """The time of each case in one process of two threads, as in `diagnose`, without compiling."""
+    """The time of each case in one process, as in `diagnose`, without compiling."""
     subject = knee("reference")
     seconds, notes = [], []
     for i, effects in enumerate(CASES):
         signal = SIGNAL if effects else None
         case = blind_case(subject, seed=FIRST_SEED + i, effect=effects or None, signal=signal)
         began = time.perf_counter()
-        with one_library_thread(), branch_threads(THREADS):
+        with one_library_thread():
             found = investigate(subject, case.laxity)
         seconds.append(time.perf_counter() - began)
         verdict = "NOT_TESTABLE" if found is None else found.conclusion.verdict.value
@@ -47,7 +45,7 @@ def measure(options: argparse.Namespace) -> Row:
     )
     typical = median_of("diagnosis of a blind case, signal 10", seconds, "s", bar=MOST_S)
     return Row(
-        line="one diagnosis, 63 trials, full library, two cores: median <= 3 s, longest <= 8 s",
+        line="one diagnosis, 63 trials, full library, one core: median <= 3 s, longest <= 8 s",
         measures=[typical, longest],
         notes=notes,
     )

@@ -201,14 +201,14 @@ def _moved_arrays(before: Path, after: Path) -> Iterator[str]:
                 if _VOLATILE.search(place) or values.dtype.kind not in "fiu":
                     continue
                 try:
-                    other = trees[1][path][name]
+                    other = trees[1][f"{path}/{name}"]
                 except KeyError:
                     yield f"{place} is gone"
                     continue
                 if values.shape != other.shape:
                     yield f"{place}: {values.shape}, now {other.shape}"
                     continue
-                x, y = values.values.astype(float), other.values.astype(float)
+                x, y = np.asarray(values, float), np.asarray(other, float)
                 scale = np.nanmax(np.abs(x), initial=0.0)
                 apart = ~np.isclose(x, y, rtol=RELATIVE, atol=ABSOLUTE + RELATIVE * scale)
                 apart &= ~(np.isnan(x) & np.isnan(y))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, Lines, solve
 from identknee.mechanics.load_paths import load_paths
-from identknee.mechanics.memory import CONVERGED, Equilibria, LigamentArrays
+from identknee.mechanics.memory import CONVERGED, Equilibria
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
@@ -31,12 +31,11 @@ def _solved(
     paths = load_paths(
         model.paths.flexion[nodes], model.paths.loads[nodes] * moment, joint.start_flexion
     )
-    lines = LigamentArrays(
-        femoral=joint.lines.femoral,
-        tibial=joint.lines.tibial,
-        properties=ligaments_of(model, model.parameters.center).properties
-        * [force, 1.0, length, 1.0, length, 1.0],
-    )
+    lines = ligaments_of(model, model.parameters.center)
+    lines.femoral, lines.tibial = joint.lines.femoral, joint.lines.tibial
+    lines.stiffness *= force
+    lines.reference_length *= length
+    lines.wrap_offset *= length
     found = solve(paths, joint.start, joint.contact, joint.field, lines, derivatives=False)
     assert (found.codes[paths.trial_node] == CONVERGED).all()
     return found._replace(poses=found.poses[paths.trial_node])

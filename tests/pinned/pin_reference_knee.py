@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common.published import TABLE2
 
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.published import TABLE2
 from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel

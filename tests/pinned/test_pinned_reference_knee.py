@@ -6,10 +6,10 @@ from typing import Any
 import data_files
 import numpy as np
 import pytest
+from common.published import TABLE2
 from pin_reference_knee import PATH, numbers, table2
 from tolerances import PINNED, PUBLISHED_MM_OR_DEG
 
-from identknee.laxity.published import TABLE2
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array

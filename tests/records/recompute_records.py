@@ -74,6 +74,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=zlib.crc32(commit().encode()))
     parser.add_argument("--share", type=float, default=SHARE)
     parser.add_argument("--study", help="the folder of one study; all of them without")
+    parser.add_argument("--seconds", type=float, default=MOST_SECONDS, help="of one study")
     options = parser.parse_args()
     began = time.perf_counter()
     n = 0
@@ -85,7 +86,7 @@ def main() -> int:
             problems += [f"{study}: {x}" for x in head_problems(record)]
             entries = [Entry(name=x, recorded=y, recompute=z) for x, y, z in load(study)(record)]
             n_wanted = int(np.ceil(options.share * count(record["knees"])))
-            for entry in draw(entries, n_wanted, options.seed):
+            for entry in draw(entries, n_wanted, options.seed, options.seconds):
                 found = differences(entry.recorded, rounded(plain(entry.recompute())))
                 told = known if study in SUPERSEDED else problems
                 told += [f"{study}: {entry.name}: {x}" for x in found]
@@ -135,11 +136,15 @@ def head_problems(record: Any) -> list[str]:
     return problems
 
 
-def draw(entries: Iterable[Entry], n_wanted: int, seed: int) -> Iterator[Entry]:
-    """Entries at random, each the likelier the more numbers it holds, until enough are drawn."""
+def draw(
+    entries: Iterable[Entry], n_wanted: int, seed: int, left: float = MOST_SECONDS
+) -> Iterator[Entry]:
+    """Entries at random, each the likelier the more numbers it holds, until enough are drawn.
+
+    None takes longer than what is `left` of the time [s], as it was recorded.
+    """
     pool = list(entries)
     generator = np.random.default_rng(seed)
-    left = MOST_SECONDS
     while n_wanted > 0 and (pool := [x for x in pool if x.n_numbers and x.seconds <= left]):
         weights = np.array([x.n_numbers for x in pool], float)
         entry = pool.pop(int(generator.choice(len(pool), p=weights / weights.sum())))

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from identknee.laxity.protocol import Protocol
-from identknee.runs.declare import declared, entry, read_json
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
+from identknee.runs.schema import read_json
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis

@@ -1,8 +1,7 @@
 """Figures as SVG inside a page: text stays text, colours follow the page's light or dark."""
 
 import io
-import re
-from html import escape
+import xml.etree.ElementTree as ET
 
 import matplotlib as mpl
 import numpy as np
@@ -25,11 +24,7 @@ RASTER_DPI = 130
 # Of the text's colour, at least: what is lighter is hard to read.
 TEXT_SHARE = 0.72
 PAGE_COLOURS = {colour.lower(): f"var(--series-{k})" for k, colour in enumerate(COLOURS)}
-PAPER = re.compile(r'(<g id="patch_\d+">\s*<path[^>]*?style="fill: )#ffffff')
-IDENTITY = re.compile(r'\bid="([^"]+)"')
-REFERENCE = re.compile(r'(url\(#|href="#)')
-HEX = re.compile(r"(fill|stroke): (#[0-9a-f]{6})")
-FONT = re.compile(r"(font-family: |font: [^;\"]*?px )[^;\"]*")
+SVG, LINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}href"
 
 
 def inline_svg(figure: Figure, identity: str, description: str) -> str:
@@ -51,42 +46,74 @@ def inline_svg(figure: Figure, identity: str, description: str) -> str:
         mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": identity}),
     ):
         figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = PAPER.sub(r"\1none", text).replace("xlink:href", "href")
-    text = IDENTITY.sub(rf'id="{identity}-\1"', text)
-    text = REFERENCE.sub(rf"\1{identity}-", text)
-    text = FONT.sub(r"\1var(--figure-font)", HEX.sub(_page_colour, text))
-    return _titled(text, figure, identity, description)
-
-
-def _titled(text: str, figure: Figure, identity: str, description: str) -> str:
-    """With the page's class, its own width, and the description where readers look for it."""
+    root = ET.fromstring(buffer.getvalue())
+    for element in root.findall(f"{SVG}metadata"):
+        root.remove(element)
+    # The paper of the figure and of its axes is that of the page.
+    for patch in root.iterfind(f".//{SVG}g"):
+        paper = patch.find(f"{SVG}path")
+        if paper is not None and patch.get("id", "").startswith("patch_"):
+            paper.set("style", paper.get("style", "").replace("fill: #ffffff", "fill: none"))
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(SVG)
+        element.attrib = {
+            ("href" if key == LINK else key): _for_page(key, value, identity)
+            for key, value in element.items()
+        }
+    # Its own width beside the page's class, and the description where readers look for it.
     width, height = 72.0 * np.asarray(figure.get_size_inches()) + (2.0 * MARGIN, 0.0)
     letters = [float(x.get_fontsize()) for x in figure.findobj(Text) if x.get_text().strip()]
     least = width * min(1.0, LEAST_LETTERS / min(letters, default=width))
-    head = (
-        f'<svg class="drawing" role="img" aria-labelledby="{identity}-title" '
-        f'viewBox="{-MARGIN:g} 0 {width:g} {height:g}" '
-        f'style="--width: {width * 4 / 3:.0f}px; --least: {least * 4 / 3:.0f}px">'
-        f'<title id="{identity}-title">{escape(description)}</title>'
-    )
-    return re.sub(r"<svg[^>]*>", lambda _: head, text, count=1)
+    root.attrib = {
+        "class": "drawing",
+        "role": "img",
+        "aria-labelledby": f"{identity}-title",
+        "viewBox": f"{-MARGIN:g} 0 {width:g} {height:g}",
+        "style": f"--width: {width * 4 / 3:.0f}px; --least: {least * 4 / 3:.0f}px",
+    }
+    title = ET.Element("title", id=f"{identity}-title")
+    title.text = description
+    root.insert(0, title)
+    return ET.tostring(root, encoding="unicode")
 
 
-def _page_colour(match: re.Match[str]) -> str:
-    attribute, colour = match[1], match[2]
+def _for_page(key: str, value: str, identity: str) -> str:
+    """An attribute whose names are this figure's alone, and whose colours and fonts the page's."""
+    if key == "id":
+        return f"{identity}-{value}"
+    if key == LINK and value.startswith("#"):
+        return f"#{identity}-{value[1:]}"
+    value = value.replace("url(#", f"url(#{identity}-")
+    if key != "style":
+        return value
+    rules = [x.partition(": ") for x in value.split("; ")]
+    return "; ".join(f"{name}{colon}{_page_style(name, x)}" for name, colon, x in rules)
+
+
+def _page_style(name: str, value: str) -> str:
+    """The value of a rule of a style."""
+    if name in ("fill", "stroke"):
+        return _page_colour(value)
+    if name == "font-family":
+        return "var(--figure-font)"
+    if name == "font":  # such as "italic 10px 'DejaVu Sans'"
+        return f"{value[: value.index('px')]}px var(--figure-font)"
+    return value
+
+
+def _page_colour(colour: str) -> str:
     if colour in PAGE_COLOURS:
-        return f"{attribute}: {PAGE_COLOURS[colour]}"
+        return PAGE_COLOURS[colour]
+    if not colour.startswith("#") or colour in (FIXED_BLACK, "#ffffff"):
+        return colour
     red, green, blue = to_rgb(colour)
-    if not (red == green == blue) or colour in (FIXED_BLACK, "#ffffff"):
-        return match[0]
+    if not (red == green == blue):
+        return colour
     if red == 0.0:
-        return f"{attribute}: currentColor"
+        return "currentColor"
     share = 1.0 - red
     share = max(share, TEXT_SHARE) if share >= 0.45 else share
-    return f"{attribute}: color-mix(in srgb, currentColor {100 * share:.0f}%, transparent)"
+    return f"color-mix(in srgb, currentColor {100 * share:.0f}%, transparent)"
 
 
 def _fix_colours(figure: Figure) -> None:

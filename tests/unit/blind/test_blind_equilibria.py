@@ -89,7 +89,7 @@ def test_the_distance_to_the_femur_is_that_of_its_formula_or_its_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The reference knee has both: the mesh is off by less than what its facets are flat."""
-    monkeypatch.setattr(femur, "cache_root", lambda: tmp_path)
+    monkeypatch.setattr(femur, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(femur, "SPACING_MM", 3.0)
     knee = reference_knee()
     assert knee.femur_distance is not None

@@ -9,8 +9,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from common.published import TABLE2
 
-from identknee.laxity.published import TABLE2
 from identknee.report.tables import Table
 
 ROOT = Path(__file__).parents[3]

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from evaluation import NO_LOAD, SCALE, Evaluator, ligaments_of
+from evaluation import NO_LOAD, SCALE, Evaluator, ligaments_of, point_at
 
 from identknee.mechanics.energy import evaluate_near
-from identknee.mechanics.memory import Point
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 
@@ -25,9 +24,10 @@ def _errors(model: LaxityModel, trial: int, direction: Array) -> tuple[Array, Ar
         there = pose + distance * direction / SCALE
         exact = evaluate(flexion, there, ligaments)
         evaluate(flexion, pose, ligaments)
-        near = Point(np.array(there), np.zeros(5), np.zeros((5, 5)), np.zeros(5))
-        arrays = (evaluate._contact, evaluate._field, ligaments)
-        evaluate_near(flexion, NO_LOAD, *arrays, evaluate.work, near)
+        near = point_at(there)
+        law, grid = evaluate._contact.law, evaluate._field.grid
+        placed, expansion = evaluate.work.placed, evaluate.work.expansion
+        evaluate_near(flexion, NO_LOAD, law, grid, ligaments, placed, expansion, near)
         gradients.append(np.abs((near.gradient - exact.gradient) / SCALE).max())
         hessians.append(np.abs((near.hessian - exact.hessian) / SCALE / SCALE[:, None]).max())
     return np.array(gradients), np.array(hessians)
@@ -58,9 +58,10 @@ def test_at_the_pose_itself_nothing_is_left_out(reference_model: LaxityModel) ->
         flexion = float(np.radians(reference_model.protocol.flexion_deg[trial]))
         pose = np.array(prediction.poses[trial])
         exact = evaluate(flexion, pose, ligaments)
-        near = Point(pose, np.zeros(5), np.zeros((5, 5)), np.zeros(5))
-        arrays = (evaluate._contact, evaluate._field, ligaments)
-        evaluate_near(flexion, NO_LOAD, *arrays, evaluate.work, near)
+        near = point_at(pose)
+        law, grid = evaluate._contact.law, evaluate._field.grid
+        placed, expansion = evaluate.work.placed, evaluate.work.expansion
+        evaluate_near(flexion, NO_LOAD, law, grid, ligaments, placed, expansion, near)
         gradients.append(np.abs(near.gradient - exact.gradient).max())
         hessians.append(np.abs(near.hessian - exact.hessian).max())
     assert max(gradients) < 1e-8

@@ -1,9 +1,19 @@
 """Finding one minimum, following a branch, and saying how it ended."""
 
+from typing import Any
+
 import numpy as np
 import oracle
 import pytest
-from evaluation import SCALE, Evaluator, ligaments_of, oracle_of, random_parameters, state_of
+from evaluation import (
+    SCALE,
+    Evaluator,
+    ligaments_of,
+    oracle_of,
+    point_at,
+    random_parameters,
+    state_of,
+)
 from tolerances import RESIDUAL_N, SAME_POSE
 
 from identknee.mechanics import kernel
@@ -14,7 +24,6 @@ from identknee.mechanics.memory import (
     NO_EQUILIBRIUM,
     UNCONSTRAINED,
     Segment,
-    State,
 )
 from identknee.mechanics.minimum import find_minimum
 from identknee.mechanics.workspace import workspace
@@ -26,14 +35,11 @@ from identknee.runs.arrays import Array
 INDEPENDENT_MM = 1e-5
 
 
-def _state(pose: Array, slope: Array) -> State:
+def _state(pose: Array, slope: Array) -> Any:
     """An equilibrium that moves along `slope`, without stiffness."""
-    return State(
-        pose=pose,
-        hessian=np.zeros((5, 5)),
-        gradient_by_flexion=np.zeros(5),
-        tangent=np.array(slope),
-    )
+    state = point_at(pose)
+    state.tangent = slope
+    return state
 
 
 SLOPE = np.array([0.02, 0.05, 1.0, -0.5, 0.3])

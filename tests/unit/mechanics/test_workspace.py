@@ -8,13 +8,18 @@ from evaluation import ligaments_of
 
 from identknee.mechanics.energy import evaluate
 from identknee.mechanics.memory import N_LISTED, Workspace
-from identknee.mechanics.workspace import kept_by_thread
+from identknee.mechanics.workspace import kept_workspace
 from identknee.model.laxity_model import LaxityModel
 
 
 def _arrays(group: Any) -> Iterator[np.ndarray]:
     for x in group:
-        yield from _arrays(x) if isinstance(x, tuple) else (x,)
+        if isinstance(x, np.record):
+            yield from _arrays(x[name] for name in x.dtype.names)
+        elif isinstance(x, np.ndarray) and x.dtype.names:
+            yield from _arrays(x)
+        else:
+            yield from _arrays(x) if isinstance(x, tuple) else (x,)
 
 
 def _list_nothing(model: LaxityModel, work: Workspace) -> None:
@@ -23,21 +28,21 @@ def _list_nothing(model: LaxityModel, work: Workspace) -> None:
     joint, theta = model.joint, model.parameters.center
     point.pose[:] = model.setting(theta).first_pose
     knee = joint.contact.arrays(), joint.field.arrays(), ligaments_of(model, theta)
-    work.evaluation.counts[N_LISTED] = -1
+    work.evaluation.placed.counts[N_LISTED] = -1
     evaluate(joint.start_flexion, np.zeros(5), *knee, work.evaluation, point)
-    work.evaluation.counts[N_LISTED] = 0
+    work.evaluation.placed.counts[N_LISTED] = 0
 
 
 def test_a_simulation_reads_nothing_that_the_one_before_left(reference_model: LaxityModel) -> None:
     theta = reference_model.parameters.center
     before = reference_model.predict(theta)
     size = len(reference_model.joint.contact.points), 2 * len(reference_model.knee.ligaments)
-    work = kept_by_thread().fitting(*size)
-    for array in _arrays(work.arrays):
+    work = kept_workspace(*size)
+    for array in _arrays(work):
         array[...] = np.nan if array.dtype == float else 7
-    _list_nothing(reference_model, work.arrays)
+    _list_nothing(reference_model, work)
     after = reference_model.predict(theta)
-    assert kept_by_thread().fitting(*size) is work
+    assert kept_workspace(*size) is work
     assert after.poses.tobytes() == before.poses.tobytes()
     assert np.asarray(after.hessians).tobytes() == np.asarray(before.hessians).tobytes()
     assert np.asarray(after.jacobian).tobytes() == np.asarray(before.jacobian).tobytes()

@@ -32,17 +32,6 @@ def _turned_tibia(knee: Knee) -> Knee:
     return replace(knee, tibia_frame=Frame(origin=np.array([1.0, -2.0, 3.0]), axes=rotation.T))
 
 
-def test_the_code_is_made_while_a_field_is_built_and_only_then(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    begun: list[bool] = []
-    monkeypatch.setattr(module, "begin_compiling", lambda: begun.append(True))
-    for expected in (1, 1):
-        joint_of.cache_clear()
-        joint_of(small_knee())
-        assert len(begun) == expected
-
-
 def test_lengths_and_the_start_are_those_of_the_scanned_pose() -> None:
     knee = small_knee()
     joint = joint_of(knee)

@@ -10,9 +10,9 @@ from common.paper_figures import (
     parameters_figure,
     profile_figure,
 )
+from common.published import TABLE2
 from matplotlib.figure import Figure
 
-from identknee.laxity.published import TABLE2
 from identknee.report.picture import png, vector
 
 TRUTH = np.array([10.0, 18.0, 8.0, -4.0])

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
+from common.published import TABLE2, TABLE5
 from common.rows_of_paper import error_table, laxity_table, start_table
 
-from identknee.laxity.published import TABLE2, TABLE5
 from identknee.report.comparison import spread
 from identknee.report.tables import (
     Column,

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import pytest
 
-from identknee.runs.declare import (
+from identknee.runs.errors import InputError
+from identknee.runs.schema import (
     Fault,
     Number,
     Part,
@@ -19,7 +20,6 @@ from identknee.runs.declare import (
     shown,
     validated,
 )
-from identknee.runs.errors import InputError
 
 
 class Inner(Part):

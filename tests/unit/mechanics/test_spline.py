@@ -1,26 +1,20 @@
-"""The four-lane spline at one point against scipy."""
+"""The spline at one point against scipy."""
 
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 from tolerances import DERIVATIVE
 
-from identknee.mechanics.compiled import compiled
-from identknee.mechanics.spline_lanes import spline_at
+from identknee.mechanics.spline import spline_at
 from identknee.runs.arrays import Array
 
 SHAPE = (9, 8, 7)
 
 
-@compiled
-def _at(coefficients, first, x, y, z):  # type: ignore[no-untyped-def]
-    return spline_at(coefficients, first, 56, 7, x, y, z)
-
-
 def _found(coefficients: Array, place: Array) -> Array:
     cell = np.floor(place).astype(int)
     first = int((cell - 1) @ [56, 7, 1])
-    return np.array(_at(coefficients.reshape(-1), first, *(place - cell)))
+    return np.array(spline_at(coefficients.reshape(-1), first, 56, 7, *(place - cell)))
 
 
 def _value(coefficients: Array, place: Array) -> float:
