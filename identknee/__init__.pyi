@@ -1,13 +1,13 @@
 from . import blind as blind
 from . import blind_test as blind_test
 from . import calibrate as calibrate
+from . import checks as checks
 from . import diagnosis as diagnosis
 from . import identify as identify
 from . import laxity as laxity
 from . import model as model
 from . import report as report
 from . import runs as runs
-from . import scrutiny as scrutiny
 from . import subject as subject
 from . import verbs as verbs
 from .calibrate.starts import load_start as load_start

@@ -17,10 +17,10 @@ NOISE = 0.5  # mm and deg
 
 @dataclass(frozen=True, kw_only=True)
 class Planted:
-    """How a convention is broken, and words of the sentence that names it."""
+    """How a convention is broken, and how the change that puts it right begins."""
 
     broken: Callable[[Laxity], Laxity]
-    said: str
+    what: str
 
 
 def clean_table(name: str, seed: int) -> tuple[LaxityModel, Laxity]:
@@ -63,9 +63,9 @@ def _with_loads(protocol: Protocol, loads: np.ndarray) -> Protocol:
 def _flipped(name: str) -> Planted:
     if name in LOADS:
         k = LOADS.index(name)
-        return Planted(broken=lambda x: _loads(x, [k], -1.0), said=f"Negating {name} removes")
+        return Planted(broken=lambda x: _loads(x, [k], -1.0), what=f"negating {name}")
     k = COORDINATES.index(name)
-    return Planted(broken=lambda x: _coordinates(x, [k], -1.0), said=f"Negating {name} removes")
+    return Planted(broken=lambda x: _coordinates(x, [k], -1.0), what=f"negating {name}")
 
 
 def _exchanged(one: str, other: str) -> Planted:
@@ -74,7 +74,7 @@ def _exchanged(one: str, other: str) -> Planted:
     order[i], order[j] = j, i
     return Planted(
         broken=lambda x: replace(x, coordinates=x.coordinates[:, order]),
-        said=f"Exchanging {one} and {other} removes",
+        what=f"exchanging {one} and {other}",
     )
 
 
@@ -86,21 +86,21 @@ PLANTED: Mapping[str, Planted] = {
     "varus moment flipped": _flipped("varus_moment_Nm"),
     "anterior force flipped": _flipped("anterior_force_N"),
     "angles in radians": Planted(
-        broken=lambda x: _coordinates(x, ROTATIONS, np.pi / 180.0), said="Taking angles for radians"
+        broken=lambda x: _coordinates(x, ROTATIONS, np.pi / 180.0), what="taking angles for radians"
     ),
     "lengths in m": Planted(
-        broken=lambda x: _coordinates(x, TRANSLATIONS, 0.001), said="Taking lengths for m "
+        broken=lambda x: _coordinates(x, TRANSLATIONS, 0.001), what="taking lengths for m "
     ),
     "forces in kN": Planted(
-        broken=lambda x: _loads(x, slice(2, 5), 0.001), said="Taking forces for kN"
+        broken=lambda x: _loads(x, slice(2, 5), 0.001), what="taking forces for kN"
     ),
     "left for right": Planted(
         broken=lambda x: _loads(_coordinates(x, [0, 3, 4], -1.0), [0, 1, 4], -1.0),
-        said="Taking coordinates and loads for those of the other side",
+        what="taking coordinates and loads for those of the other side",
     ),
     "angles exchanged": _exchanged("varus_deg", "internal_deg"),
     "zeroed unloaded": Planted(
         broken=lambda x: replace(relative_to_unloaded(x), sd=x.sd, zero="absolute"),
-        said="Counting coordinates from the unloaded pose",
+        what="counting coordinates from the unloaded pose",
     ),
 }

@@ -6,6 +6,7 @@ from identknee.verbs.documented import page_of_answers
 from pages.api import write_api
 from pages.commands import write_commands
 from pages.figures import write_figures
+from pages.findings import write_findings
 from pages.flow import write_flow
 from pages.records import write_records
 from pages.studies import write_studies
@@ -17,6 +18,7 @@ def write_pages(docs: Path) -> None:
     parts.mkdir(exist_ok=True)
     write_api(docs / "api")
     write_commands(parts / "commands.md")
+    write_findings(parts / "findings.md")
     write_figures(parts / "figures.md", docs.parent / "studies")
     write_flow(parts / "flow.html")
     write_records(parts / "records.md", docs.parent / "tests")

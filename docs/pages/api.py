@@ -9,7 +9,7 @@ import identknee as ik
 ROOT = Path(ik.__file__).parent
 # In the order of the flow; the command line has a page of its own.
 PACKAGES = (
-    *("subject", "laxity", "model", "calibrate", "identify", "scrutiny", "diagnosis"),
+    *("subject", "laxity", "model", "calibrate", "identify", "checks", "diagnosis"),
     *("verbs", "report", "blind", "blind_test", "mechanics", "runs"),
 )
 

@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 
+from identknee.checks.fit_warnings import BEYOND_PRIOR
 from identknee.diagnosis.fitting import Fitted
 from identknee.diagnosis.refit import FAR_EVIDENCE, Refit, refit
 from identknee.diagnosis.score import (
@@ -22,7 +23,6 @@ from identknee.diagnosis.score import (
     project_signature,
     score_test,
 )
-from identknee.identify.nuisances import IMPROBABLE
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.grood_suntay import coordinate_jacobian
 from identknee.mechanics.ligament_tensions import ligament_tensions
@@ -394,7 +394,7 @@ def insertions_beyond(fitted: Fitted) -> BeyondPrior:
     places = {f"insertion.{x.name}_{y}": (x.name, y) for x in knee.ligaments for y in BONES}
     groups = fitted.nuisance_groups
     chance = {x.name: len(groups) * x.p_value for x in groups if x.name in places}
-    beyond = {name: p_value for name, p_value in chance.items() if p_value < IMPROBABLE}
+    beyond = {name: p_value for name, p_value in chance.items() if p_value < BEYOND_PRIOR}
     return BeyondPrior(
         causes=tuple(moved_insertion(knee, *places[name]) for name in beyond),
         p_value=min(beyond.values(), default=1.0),

@@ -8,15 +8,14 @@ import numpy as np
 from identknee.calibrate.bounded_least_squares import Constrained, minimise
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import WithPriors
+from identknee.checks.fit_warnings import nuisance_findings
 from identknee.diagnosis.data_noise import DataNoise, noise_of
 from identknee.diagnosis.misfit import Projector, base_projector
 from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
 from identknee.identify.nuisances import (
-    HINT,
     NuisanceEstimate,
     NuisanceGroup,
     nuisance_estimates,
-    nuisance_findings,
     nuisance_groups,
 )
 from identknee.identify.optimum import sobol_around
@@ -119,10 +118,7 @@ class Fitted:
     def nuisance_findings(self) -> tuple[Finding, ...]:
         """Nuisances whose estimate is improbable under their prior."""
         problem = weighed(self.model, self.laxity, self.noise)
-        return tuple(
-            replace(x, sentence=x.sentence.removesuffix(HINT))
-            for x in nuisance_findings(problem, self.theta)
-        )
+        return nuisance_findings(problem, self.theta, hint="")
 
     @property
     def differences(self) -> Array:

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from identknee.calibrate.doubts import at_zero, bound_findings
 from identknee.calibrate.starts import load_start
+from identknee.checks.fit_warnings import at_zero, bound_findings
+from identknee.checks.subject_checks import stability_findings
 from identknee.diagnosis.advice import Advice, advise
 from identknee.diagnosis.attribution import (
     FAR_FROM_DONE,
@@ -35,9 +36,8 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.soundness import stability_findings
 from identknee.runs.arrays import Array
-from identknee.runs.findings import Finding, Severity
+from identknee.runs.findings import Finding, Severity, finding
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import stage
 from identknee.runs.words import listed
@@ -176,10 +176,12 @@ class Investigation:
         findings += bound_findings(fitted.theta, parameters, held)
         findings += fitted.nuisance_findings
         findings += [
-            Finding(
-                severity=Severity.WARNING if x.could_matter else Severity.INFO,
+            finding(
+                "cause-not-compared",
+                " and ".join(x.refit.names),
+                {"causes": x.refit.names},
                 sentence=x.reason,
-                where=" and ".join(x.refit.names),
+                severity=Severity.WARNING if x.could_matter else Severity.INFO,
             )
             for x in self.attribution.rivals
             if x.reason
@@ -338,4 +340,5 @@ def _unfinished(refit: Refit, which: str) -> list[Finding]:
         f"The fit {which} did not reach its minimum, and a straight model promises a misfit lower "
         f"by {refit.promised_fall:.2g}: {fitted.outcome.sentence} Begin it elsewhere with --start."
     )
-    return [Finding(severity=Severity.WARNING, sentence=sentence, where="starts")]
+    values = {"explanation": refit.names, "promised_fall": refit.promised_fall}
+    return [finding("fit-unfinished", "starts", values, sentence=sentence)]

@@ -369,9 +369,9 @@ class Localisation:
         """The location of the misfit, as a sentence."""
         if not self.region:
             return "No region stands out."
-        where = "; ".join(_places(self.region))
-        return f"{self.region[0].coordinate} {where}, {self.share:.0%} of the excess".replace(
-            "%", " %"
+        return (
+            f"{self.region[0].coordinate} {places_words(self.region)}, "
+            f"{100 * self.share:.0f} % of the excess"
         )
 
 
@@ -501,8 +501,8 @@ def _share_of_excess(
     return float(np.clip(fallen / excess, 0.0, 1.0)) if excess > 0 else 0.0
 
 
-def _places(region: Sequence[CellScore]) -> list[str]:
-    """Directions with their angles, those with the same angles in one phrase."""
+def places_words(region: Sequence[CellScore]) -> str:
+    """Directions of load with their angles, those with the same angles in one phrase."""
     angles = {
         direction: tuple(x.flexion_deg for x in region if x.direction == direction)
         for direction in dict.fromkeys(x.direction for x in region)
@@ -511,4 +511,4 @@ def _places(region: Sequence[CellScore]) -> list[str]:
     for shared in dict.fromkeys(angles.values()):
         directions = listed(x for x, own in angles.items() if own == shared)
         places.append(f"under {directions} at {listed(f'{x:g}' for x in shared)} deg")
-    return places
+    return "; ".join(places)

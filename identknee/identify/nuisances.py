@@ -7,22 +7,11 @@ from identknee.calibrate.problem import Problem
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding, Severity
-from identknee.runs.words import amount, error_words
 
-# Joint distance of a group of nuisances from their prior that is worth a word: 3 standard
-# deviations of one of them, shared by all groups that are looked at.
-IMPROBABLE = 0.0027
 # Share of its prior variance that the data must take from a combination of nuisances to speak of
 # it: what they hardly see has no scatter of its own.
 LEAST_SEEN = 1e-6
-TINY = 1e-12
-
-
 OF_NUISANCE = "mm, deg or a plain number, as its name says"
-
-# Where more is said of them, for those who do not stand there already.
-HINT = " See: identknee diagnose"
 
 
 @declared
@@ -115,51 +104,6 @@ def nuisance_places(parameters: Parameters) -> dict[str, list[int]]:
     for i in np.flatnonzero(~parameters.is_of_interest).tolist():
         groups.setdefault(group_name(parameters.names[i]), []).append(i)
     return groups
-
-
-def nuisance_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
-    """A finding for each group of nuisances that is improbable under its prior.
-
-    Parameters as in `nuisance_estimates`.
-    """
-    groups = nuisance_groups(problem, theta)
-    found = []
-    values = {x.name: x for x in nuisance_estimates(problem, theta)}
-    for group in groups:
-        if group.p_value * len(groups) >= IMPROBABLE:
-            continue
-        own = [x for name, x in values.items() if group_name(name) == group.name]
-        farthest = max(own, key=lambda x: abs(x.value - x.center) / max(x.scatter, TINY))
-        unit, where = shift_words(farthest.name)
-        together = f" for its {group.n} values together" * (group.n > 1)
-        sentence = (
-            f"The fit moves the {error_words(group.name)} beyond its stated uncertainty: by "
-            f"{amount(farthest.value - farthest.center, unit)}{where}, where an error stated to "
-            f"{amount(farthest.prior_sd, unit)} leaves at most "
-            f"{amount(2.0 * farthest.scatter, unit)} in 95 % of fits (p = {group.p_value:.2g}"
-            f"{together}). The stated uncertainty is too small, or another cause stands behind "
-            f"it.{HINT}"
-        )
-        found.append(Finding(severity=Severity.WARNING, sentence=sentence, where=group.name))
-    return tuple(found)
-
-
-def shift_words(name: str) -> tuple[str, str]:
-    """Unit of a nuisance, and what of its group it moves.
-
-    Examples
-    --------
-    >>> shift_words("insertion.ACL_femur_x_mm"), shift_words("load_gain.varus_moment")
-    (('mm', ' along x'), ('1', ' in varus moment'))
-    """
-    *words, last = name.rpartition(".")[2].split("_")
-    unit = last if last in ("mm", "deg") else "1"
-    what = words if unit != "1" else [*words, last]
-    if what[0] == "ln":
-        return unit, " in its logarithm"
-    if what[-1] in ("x", "y", "z"):
-        return unit, f" {'along' if unit == 'mm' else 'about'} {what[-1]}"
-    return unit, "" if what == ["offset"] else f" in {' '.join(what)}"
 
 
 def group_name(name: str) -> str:

@@ -164,16 +164,12 @@ TARGET = 0.02
 DEFAULT_SAMPLES = {"sobol": 1024, "morris": 256}
 DEFAULT_DRAWS = 2048
 RULES = {
-    "sobol": (
-        "an output without a prediction takes its mean over the simulations that have one; "
-        "`complete` uses only blocks without any failure of the output"
-    ),
-    "morris": (
-        "every pair of neighbours that both have a prediction counts; `complete` uses only "
-        "trajectories without any failure of the output"
-    ),
+    "sobol": "an output without a prediction takes its mean over the simulations that have one",
+    "morris": "every pair of neighbours that both have a prediction counts",
     "given": "the indices of a group use the draws at which all its outputs have a prediction",
 }
+# What the columns `complete` of the arrays use.
+COMPLETE = {"sobol": "blocks", "morris": "trajectories"}
 
 
 class Outputs(Protocol):
@@ -233,6 +229,14 @@ class Sensitivity:
     @derived("What was done about simulations without a prediction", key="failures")
     def rule(self) -> str:
         """What was done about simulations without a prediction."""
+        if self.method not in COMPLETE:
+            return self.rule_of_lost
+        only = f"`complete` uses only {COMPLETE[self.method]} without any failure of the output"
+        return f"{self.rule_of_lost}; {only}"
+
+    @property
+    def rule_of_lost(self) -> str:
+        """The same without what is said of columns that only the arrays have."""
         return RULES.get(self.method, RULES["given"])
 
     @property

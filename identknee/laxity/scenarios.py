@@ -5,9 +5,9 @@ from dataclasses import replace
 from identknee.laxity.dominant import DIRECTIONS, nominal_flexion, told_loads
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
+from identknee.runs.declare import declared, derived, entry
 
 UNLOADED = "unloaded"
-SEPARATOR = ", "
 
 
 def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
@@ -28,7 +28,27 @@ def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
     )
 
 
-def laxity_groups(protocol: Protocol) -> tuple[str, ...]:
+@declared
+class LaxityGroup:
+    """Outputs of one kind: a coordinate at a flexion angle under a kind of load."""
+
+    coordinate: str = entry("Name of the coordinate")
+    flexion_deg: float = entry("Nominal flexion", unit="deg")
+    load: str = entry("Kind of load; unloaded for none")
+
+    @property
+    @derived("Name of the group")
+    def name(self) -> str:
+        """Name of the group, such as ``"varus_deg, 0 deg, valgus moment"``."""
+        return f"{self.coordinate}, {self.place}"
+
+    @property
+    def place(self) -> str:
+        """Flexion angle and load."""
+        return f"{self.flexion_deg:g} deg, {self.load}"
+
+
+def laxity_groups(protocol: Protocol) -> tuple[LaxityGroup, ...]:
     """Group of every coordinate of every trial: coordinate, flexion angle and kind of load.
 
     Where a rig reads its own angle in each trial, angles close together are one. Stray loads are
@@ -37,12 +57,12 @@ def laxity_groups(protocol: Protocol) -> tuple[str, ...]:
     Examples
     --------
     >>> from identknee.laxity.protocol import load_protocol
-    >>> laxity_groups(load_protocol("seed63"))[3]
+    >>> laxity_groups(load_protocol("seed63"))[3].name
     'varus_deg, 0 deg, valgus moment'
     """
     scenarios = load_scenarios(replace(protocol, loads=told_loads(protocol)))
     return tuple(
-        SEPARATOR.join((coordinate, f"{flexion:g} deg", scenario))
+        LaxityGroup(coordinate=coordinate, flexion_deg=float(flexion), load=scenario)
         for flexion, scenario in zip(nominal_flexion(protocol), scenarios, strict=True)
         for coordinate in COORDINATES
     )

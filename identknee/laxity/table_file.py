@@ -17,7 +17,7 @@ from identknee.laxity.dominant import DIRECTIONS, SAME_FLEXION_DEG, STRAY, TYPIC
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.zeros import ZEROS, zero_fault
 from identknee.runs.arrays import Array
-from identknee.runs.errors import InputError, suggestion
+from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.files import PathLike, check_readable
 
 OPENSIM, OPENSIM_END = (".sto", ".mot"), "endheader"
@@ -317,9 +317,10 @@ def written(cells: Iterable[str]) -> str:
 def _column_remedy(name: str, known: tuple[str, ...]) -> str:
     """The closest known column, or how to name one; a different unit changes its values too."""
     remedy, quantity = suggestion(name, known), name.rpartition("_")[0]
-    if not remedy.startswith("Did you mean"):
+    close = closest(name, known)
+    if not close:
         return f"{remedy} To read it as one of them, begin the file: # column: ONE = 1 * {name}"
-    if not quantity or remedy.removeprefix("Did you mean ").rpartition("_")[0] != quantity:
+    if not quantity or close.rpartition("_")[0] != quantity:
         return remedy
     return f"{remedy} If so, convert its values to that unit."
 

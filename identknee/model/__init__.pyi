@@ -17,6 +17,3 @@ from .quantities import ligament_forces as ligament_forces
 from .quantities import predicted_quantities as predicted_quantities
 from .quantities import quantity_named as quantity_named
 from .quantities import tensions_of as tensions_of
-from .stability import StabilityReport as StabilityReport
-from .stability import box_sample as box_sample
-from .stability import check_stability as check_stability

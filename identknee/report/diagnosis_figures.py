@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from identknee.diagnosis.data_noise import load_curves
 from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
-from identknee.diagnosis.misfit import LEVEL, CellScore
+from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
 from identknee.diagnosis.noise_model import Curve
 from identknee.diagnosis.verdict import Estimate
 from identknee.laxity.protocol import LOADS, Protocol
@@ -35,19 +35,25 @@ DARK = 0.6
 QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "reference strain [%]"}
 
 
-def misfit_words(sentence: str) -> str:
+def misfit_words(region: Sequence[CellScore], share: float) -> str:
     """Where the misfit is, its coordinate in words.
 
-    Examples
-    --------
-    >>> misfit_words("internal_deg under varus moment at 30 deg, 24 % of the excess")
-    'internal rotation under varus moment at 30 deg, 24 % of the excess misfit'
+    Parameters
+    ----------
+    region
+        Fields of the map that stand out together.
+    share
+        Share of the excess misfit that is there.
     """
-    coordinate, _, rest = sentence.removesuffix(".").partition(" ")
-    return f"{coordinate_words(coordinate)} {rest}{' misfit' * rest.endswith('excess')}"
+    if not region:
+        return "No region stands out"
+    return (
+        f"{coordinate_words(region[0].coordinate)} {places_words(region)}, {100 * share:.0f} % of "
+        "the excess misfit"
+    )
 
 
-def misfit_figure(cells: Sequence[CellScore], sentence: str) -> Figure:
+def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
     """The map of misfit: scores by coordinate, flexion and load direction.
 
     Red where more was measured than predicted, blue where less; bold and framed where noise alone
@@ -58,8 +64,8 @@ def misfit_figure(cells: Sequence[CellScore], sentence: str) -> Figure:
     ----------
     cells
         Fields of the map.
-    sentence
-        Where the misfit is.
+    title
+        Where the misfit is, from `misfit_words`.
     """
     rows = [x for x in COORDINATES if x in {y.coordinate for y in cells}]
     angles = sorted({x.flexion_deg for x in cells})
@@ -68,7 +74,7 @@ def misfit_figure(cells: Sequence[CellScore], sentence: str) -> Figure:
     scores = np.full((len(rows), len(columns)), np.nan)
     size = (2.9 + 0.5 * len(columns), 2.1 + 0.42 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle(misfit_words(sentence), fontsize=9)
+    figure.suptitle(title, fontsize=9)
     if not cells:
         return figure
     axes = figure.add_subplot()

@@ -4,6 +4,7 @@ from enum import Enum, unique
 
 from identknee.report.tables import Table
 from identknee.runs.declare import declared, entry
+from identknee.runs.findings import Finding
 
 
 @unique
@@ -39,6 +40,7 @@ class Statement:
     sentence: str = entry("One or a few whole sentences")
     tables: tuple[Table, ...] = entry("The numbers behind it", default=())
     is_answer: bool = entry("Whether it leads its part of the page", default=False)
-    is_warning: bool = entry(
-        "Whether it speaks against the result, and so stands at the head of the page", default=False
+    warning: Finding | None = entry(
+        "What speaks against the result, where the sentence does; it leads the page",
+        default=None,
     )

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from identknee.laxity.protocol import FLEXION, LOADS
-from identknee.runs.words import UNITS, between, listed
+from identknee.runs.words import UNITS, interval, listed
 
 OPPOSITES = {
     "internal_moment_Nm": "external moment",
@@ -66,7 +66,7 @@ def interval_words(lower: float | None, upper: float | None, unit: str) -> str:
     """
     if lower is None and upper is None:
         return "open on both sides"
-    return between((lower, upper), unit).removeprefix("from ")
+    return interval((lower, upper), unit)
 
 
 def _load_name(name: str, value: float) -> str:

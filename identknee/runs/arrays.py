@@ -61,18 +61,22 @@ def frozen_integers(values: ArrayLike) -> IntArray:
     return array
 
 
+# What to do about points that are too far away.
+CHECK_UNITS = "check the units and the export"
+
+
 def too_far(points: ArrayLike) -> str:
-    """What is wrong with points [mm] that lie beyond any measurement; empty where nothing is.
+    """How far points [mm] lie beyond any measurement, in words; empty where none does.
 
     Examples
     --------
     >>> too_far([0.0, 1e9, 0.0])
-    '1e+09 mm away, which no measurement is; check the units and the export'
+    '1e+09 mm away, which no measurement is'
     """
     largest = float(np.abs(points).max(initial=0.0))
     if largest <= FARTHEST_MM:
         return ""
-    return f"{largest:g} mm away, which no measurement is; check the units and the export"
+    return f"{largest:g} mm away, which no measurement is"
 
 
 def _is_frozen(values: ArrayLike) -> TypeGuard[Array]:

@@ -55,14 +55,26 @@ def suggestion(word: str, known: Iterable[str], *, most: int | None = None) -> s
     >>> suggestion("speed", ["varus_deg", "internal_deg"])
     'Known are varus_deg, internal_deg.'
     """
+    names = list(known)
+    if close := closest(word, names):
+        return f"Did you mean {close}?"
+    shown = names[:most]
+    more = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
+    return f"Known are {', '.join(shown)}{more}."
+
+
+def closest(word: str, known: Iterable[str]) -> str:
+    """The closest of the `known` words; empty where none is close.
+
+    Examples
+    --------
+    >>> closest("varus", ["varus_deg", "internal_deg"]), closest("speed", ["varus_deg"])
+    ('varus_deg', '')
+    """
     names = {name.casefold(): name for name in known}
     close = difflib.get_close_matches(word.casefold(), list(names), n=1, cutoff=0.55)
     close = close or [name for name in names if name.startswith(word.casefold())]
-    if close:
-        return f"Did you mean {names[close[0]]}?"
-    shown = list(names.values())[:most]
-    more = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
-    return f"Known are {', '.join(shown)}{more}."
+    return names[close[0]] if close else ""
 
 
 class NotComputed(Exception):  # noqa: N818 - said to a person as a sentence

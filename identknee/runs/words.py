@@ -25,6 +25,18 @@ def parameter_words(name: str) -> str:
     return f"{whole} in trial {trial}" if trial else whole
 
 
+def owner_words(name: str) -> str:
+    """Whose quantity it is, where the quantity was named before; its words where it has no owner.
+
+    Examples
+    --------
+    >>> owner_words("ACL.stiffness_kN"), owner_words("varus_deg")
+    ("the ACL's", 'varus angulation')
+    """
+    owner = name.partition("@")[0].rpartition(".")[0]
+    return f"the {owner}'s" if owner else parameter_words(name)
+
+
 def coordinate_words(name: str) -> str:
     """A coordinate, or any name that ends in its unit, in words.
 
@@ -149,16 +161,27 @@ def capital(sentence: str) -> str:
 
 
 def between(ends: tuple[float | None, float | None], unit: str) -> str:
-    """A range, open ends included.
+    """A range as in a sentence, open ends included.
 
     Examples
     --------
     >>> between((1.0, 2.5), "kN"), between((1.0, None), "kN"), between((None, 2.5), "kN")
     ('from 1 to 2.5 kN', 'from 1 kN upwards', 'up to 2.5 kN')
     """
+    return interval(ends, unit) if ends[0] is None else f"from {interval(ends, unit)}"
+
+
+def interval(ends: tuple[float | None, float | None], unit: str) -> str:
+    """A range as in a table, open ends included.
+
+    Examples
+    --------
+    >>> interval((1.0, 2.5), "kN"), interval((1.0, None), "kN"), interval((None, 2.5), "kN")
+    ('1 to 2.5 kN', '1 kN upwards', 'up to 2.5 kN')
+    """
     low, high = ends
     if low is not None and high is not None:
-        return f"from {amount(low, '')} to {amount(high, unit)}"
+        return f"{amount(low, '')} to {amount(high, unit)}"
     if low is not None:
-        return f"from {amount(low, unit)} upwards"
+        return f"{amount(low, unit)} upwards"
     return "any value" if high is None else f"up to {amount(high, unit)}"

@@ -1,6 +1,6 @@
 """Checks of a knee's geometry, each finding one sentence with its remedy."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 from typing import Any
 
@@ -10,7 +10,7 @@ from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.pose import angles_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding, Severity, gravest_first
+from identknee.runs.findings import Finding, finding, gravest_first
 from identknee.subject import check as sheets
 from identknee.subject.frames import (
     Frame,
@@ -20,6 +20,7 @@ from identknee.subject.frames import (
     joint_centre,
 )
 from identknee.subject.knee import Knee
+from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface
 
 # Lengths in mm below which a knee's dimensions can only be metres.
@@ -59,6 +60,34 @@ class GeometryFinding(Finding):
         return f"{self.severity.prefix}{self.where}: {self.sentence} {self.remedy}".rstrip()
 
 
+def geometry_finding(
+    code: str,
+    where: str,
+    sentence: str,
+    values: Mapping[str, Any] | None = None,
+    *,
+    remedy: str | None = None,
+) -> GeometryFinding:
+    """A finding of a registered kind about a knee.
+
+    Parameters
+    ----------
+    code, where, sentence, values
+        As for `identknee.runs.findings.finding`.
+    remedy
+        What to do; that of the kind where None.
+    """
+    made = finding(code, where, values, sentence=sentence)
+    return GeometryFinding(
+        code=code,
+        severity=made.severity,
+        where=where,
+        sentence=sentence,
+        values=made.values,
+        remedy=made.kind.remedy if remedy is None else remedy,
+    )
+
+
 def check_geometry(knee: Knee) -> tuple[GeometryFinding, ...]:
     """Everything found about surfaces, their contact, ligaments and frames; errors first."""
     findings = [
@@ -89,45 +118,39 @@ def _surfaces(knee: Knee) -> tuple[tuple[str, Surface], ...]:
 
 
 def _metres(knee: Knee) -> Iterator[GeometryFinding]:
-    multiply = "If these are metres, multiply by 1000."
     for name, surface in _surfaces(knee):
         size = sheets.extent(surface)
         if size < METRES:
-            yield _error(
-                name, f"The surface is only {size:.3g} mm across; lengths are in mm.", multiply
-            )
+            sentence = f"The surface is only {size:.3g} mm across; lengths are in mm."
+            yield geometry_finding("in-metres", name, sentence, {"size_mm": size})
     for ligament in knee.ligaments:
-        if ligament.length < METRES:
-            yield _error(
-                f"ligament {ligament.name}",
-                f"It is only {ligament.length:.3g} mm long; lengths are in mm.",
-                multiply,
-            )
+        size = ligament.length
+        if size < METRES:
+            sentence = f"It is only {size:.3g} mm long; lengths are in mm."
+            yield geometry_finding("in-metres", _of(ligament), sentence, {"size_mm": size})
     apart = [
         float(np.linalg.norm(a.position - b.position)) for a, b in combinations(knee.landmarks, 2)
     ]
     if apart and max(apart) < LEG_IN_METRES:
-        yield _error(
-            "landmarks",
-            f"They are at most {max(apart):.3g} mm apart; lengths are in mm.",
-            multiply,
-        )
+        sentence = f"They are at most {max(apart):.3g} mm apart; lengths are in mm."
+        yield geometry_finding("in-metres", "landmarks", sentence, {"size_mm": max(apart)})
+
+
+def _of(ligament: Ligament) -> str:
+    return f"ligament {ligament.name}"
 
 
 def _impossible(knee: Knee) -> Iterator[GeometryFinding]:
     for ligament in knee.ligaments:
-        if ligament.stiffness_kN > IMPOSSIBLE_STIFFNESS:
-            yield _error(
-                f"ligament {ligament.name}",
-                f"Its stiffness is {ligament.stiffness_kN:g} kN per unit strain.",
-                "If this is N per unit strain, divide by 1000.",
-            )
-        if abs(ligament.reference_strain_pct) > IMPOSSIBLE_STRAIN:
-            yield _error(
-                f"ligament {ligament.name}",
-                f"Its reference strain is {ligament.reference_strain_pct:g} %.",
-                "Give the strain in the scanned pose in %, a few at most.",
-            )
+        stiffness, strain = ligament.stiffness_kN, ligament.reference_strain_pct
+        if stiffness > IMPOSSIBLE_STIFFNESS:
+            sentence = f"Its stiffness is {stiffness:g} kN per unit strain."
+            values = {"stiffness_kN": stiffness}
+            yield geometry_finding("stiffness-impossible", _of(ligament), sentence, values)
+        if abs(strain) > IMPOSSIBLE_STRAIN:
+            sentence = f"Its reference strain is {strain:g} %."
+            values = {"reference_strain_pct": strain}
+            yield geometry_finding("strain-impossible", _of(ligament), sentence, values)
 
 
 def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
@@ -135,26 +158,30 @@ def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
     medial, lateral = knee.tibia
     across = (lateral.centroid - medial.centroid) @ knee.tibia_frame.axes[2]
     if _exchanged_epicondyles(knee):
-        yield _error(
+        yield geometry_finding(
+            "epicondyles-exchanged",
             "landmarks",
             "The medial epicondyle lies above tibia_lateral, and the lateral one above "
             "tibia_medial, so that the femur faces backwards.",
-            "Exchange medial_epicondyle and lateral_epicondyle.",
         )
     elif across <= 0.0:
-        yield _error(
+        yield geometry_finding(
+            "wrong-side",
             "side",
             f"For a {knee.side} knee, tibia_medial lies {-across:.1f} mm to the lateral side of "
             "tibia_lateral.",
-            f'Write side = "{other}" if it is a {other} knee; else exchange the two files or '
-            "correct the axes of the tibial frame.",
+            {"side": knee.side, "across_mm": across},
+            remedy=f'Write side = "{other}" if it is a {other} knee; else exchange the two files '
+            "or correct the axes of the tibial frame.",
         )
     elif _curls_up_in_front(knee):
-        yield _error(
+        yield geometry_finding(
+            "wrong-side",
             "side",
             f"For a {knee.side} knee, the rounded back of the femoral condyles points forwards.",
-            f'Write side = "{other}" if it is a {other} knee; else exchange the medial and lateral '
-            "landmarks or turn the femoral axes, x forwards and z to the subject's right.",
+            {"side": knee.side},
+            remedy=f'Write side = "{other}" if it is a {other} knee; else exchange the medial and '
+            "lateral landmarks or turn the femoral axes, x forwards and z to the subject's right.",
         )
 
 
@@ -196,70 +223,44 @@ def _flipped(knee: Knee) -> Iterator[GeometryFinding]:
         up[name] = _facing_up(surface, [knee.femur], superior)
     for name, component in up.items():
         if component < 0.0:
-            yield _error(
-                name,
-                "Its normals point into the bone where it faces the joint.",
-                "Flip the normals of the surface (reverse its triangles), or correct the superior "
-                "axis of the tibial frame.",
-            )
+            sentence = "Its normals point into the bone where it faces the joint."
+            yield geometry_finding("normals-inward", name, sentence, {"upward": component})
 
 
 def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:
     if surface.is_closed:
-        yield _warning(
-            name,
-            "The surface is closed: it has a bone side as well.",
-            "Keep the articular side only: force must keep growing with penetration.",
-        )
+        sentence = "The surface is closed: it has a bone side as well."
+        yield geometry_finding("surface-closed", name, sentence)
     if n := sheets.count_turned_edges(surface):
-        yield _warning(
-            name,
-            f"At {n} edges neighbouring triangles face opposite ways.",
-            "Make the winding consistent and all normals point outward.",
-        )
+        sentence = f"At {n} edges neighbouring triangles face opposite ways."
+        yield geometry_finding("winding-inconsistent", name, sentence, {"n": n})
     if n := sheets.count_shared_edges(surface):
-        yield _warning(
-            name, f"{n} edges belong to more than two triangles.", "Remove inner or doubled sheets."
-        )
+        sentence = f"{n} edges belong to more than two triangles."
+        yield geometry_finding("edges-shared", name, sentence, {"n": n})
     if n := sheets.count_near_duplicates(surface, NEAR_DUPLICATE):
-        yield _warning(
-            name,
-            f"{n} pairs of vertices are closer than {NEAR_DUPLICATE:g} mm but not the same.",
-            "Merge vertices within a small tolerance.",
-        )
+        sentence = f"{n} pairs of vertices are closer than {NEAR_DUPLICATE:g} mm but not the same."
+        yield geometry_finding("vertices-near-duplicate", name, sentence, {"n": n})
     if n := sheets.count_slivers(surface, SLIVER):
-        yield _warning(
-            name,
-            f"{n} triangles are degenerate: they have hardly any area.",
-            "Collapse them or remesh the surface.",
-        )
+        sentence = f"{n} triangles are degenerate: they have hardly any area."
+        yield geometry_finding("triangles-degenerate", name, sentence, {"n": n})
 
 
 def _contact_findings(knee: Knee) -> Iterator[GeometryFinding]:
     for name, surface in _surfaces(knee)[1:]:
         gap = sheets.gap_between(knee.femur, surface)
         if gap > WIDEST_GAP:
-            yield _warning(
-                name,
-                f"In the scanned pose it is {gap:.1f} mm away from the femur.",
-                "Use cartilage surfaces, not bone, and check that both bones are in one frame.",
-            )
+            sentence = f"In the scanned pose it is {gap:.1f} mm away from the femur."
+            yield geometry_finding("surfaces-apart", name, sentence, {"gap_mm": gap})
             continue
         depth = _depth(knee, surface)
         if depth > DEEPEST_OVERLAP:
-            yield _warning(
-                name,
-                f"In the scanned pose it reaches {depth:.1f} mm into the femur.",
-                "Check that both bones are in one frame and the pose is the scanned one.",
-            )
+            sentence = f"In the scanned pose it reaches {depth:.1f} mm into the femur."
+            yield geometry_finding("surfaces-overlap", name, sentence, {"depth_mm": depth})
         else:
             state = f"overlaps the femur by {depth:.2f} mm" if depth > 0 else f"is {gap:.2f} mm off"
-            yield GeometryFinding(
-                severity=Severity.INFO,
-                where=name,
-                sentence=f"In the scanned pose it {state}.",
-                remedy="",
-            )
+            sentence = f"In the scanned pose it {state}."
+            values = {"gap_mm": gap, "depth_mm": depth}
+            yield geometry_finding("surface-contact", name, sentence, values)
 
 
 def _depth(knee: Knee, surface: Surface) -> float:
@@ -272,73 +273,52 @@ def _depth(knee: Knee, surface: Surface) -> float:
 def _ligament_findings(knee: Knee) -> Iterator[GeometryFinding]:
     shortest, longest = LIGAMENT_LENGTH
     for ligament in knee.ligaments:
-        subject = f"ligament {ligament.name}"
-        if not shortest <= ligament.length <= longest:
-            yield _warning(
-                subject,
-                f"It is {ligament.length:.1f} mm long in the scanned pose.",
-                "Check its insertions: both are points of the common frame in mm.",
-            )
-        if ODD_STIFFNESS < ligament.stiffness_kN <= IMPOSSIBLE_STIFFNESS:
-            yield _warning(
-                subject,
-                f"Its stiffness is {ligament.stiffness_kN:g} kN per unit strain.",
-                "If this is N per unit strain, divide by 1000.",
-            )
-        elif ligament.stiffness_kN == 0.0:
-            yield _warning(
-                subject,
-                "Its stiffness is zero, so that it carries nothing.",
-                "Give it a stiffness or remove it.",
-            )
+        where, length, stiffness = _of(ligament), ligament.length, ligament.stiffness_kN
+        if not shortest <= length <= longest:
+            sentence = f"It is {length:.1f} mm long in the scanned pose."
+            yield geometry_finding("ligament-length-odd", where, sentence, {"length_mm": length})
+        if ODD_STIFFNESS < stiffness <= IMPOSSIBLE_STIFFNESS:
+            sentence = f"Its stiffness is {stiffness:g} kN per unit strain."
+            yield geometry_finding("stiffness-odd", where, sentence, {"stiffness_kN": stiffness})
+        elif stiffness == 0.0:
+            sentence = "Its stiffness is zero, so that it carries nothing."
+            yield geometry_finding("stiffness-zero", where, sentence)
     strains = np.abs([x.reference_strain_pct for x in knee.ligaments])
     if strains.any() and strains.max() <= 0.2:
-        yield _warning(
-            "ligaments",
-            f"No reference strain exceeds {strains.max():g} %.",
-            "If these are fractions, multiply by 100.",
-        )
+        sentence = f"No reference strain exceeds {strains.max():g} %."
+        values = {"largest_pct": strains.max()}
+        yield geometry_finding("strains-as-fractions", "ligaments", sentence, values)
 
 
 def _frame_findings(knee: Knee) -> Iterator[GeometryFinding]:
     size = sheets.extent(knee.femur)
     least, most = FEMUR_EXTENT
     if not least <= size <= most:
-        yield _warning(
-            "femur",
-            f"The surface is {size:.0f} mm across, unlike the articular surface of a knee.",
-            "Check the units (cm, inch) and that it is the articular surface.",
-        )
+        sentence = f"The surface is {size:.0f} mm across, unlike the articular surface of a knee."
+        yield geometry_finding("femur-size-odd", "femur", sentence, {"size_mm": size})
     rotation = knee.femur_frame.axes @ knee.tibia_frame.axes.T
     angles = np.degrees(angles_of(rotation))
     for (name, (low, high)), angle in zip(SCANNED_ANGLES.items(), angles, strict=True):
         if not low <= angle <= high:
-            yield _warning(
-                "frames",
-                f"In the scanned pose the {name} angle is {angle:.0f} deg.",
-                "Check that both frames have rows anterior, superior and to the subject's right.",
-            )
+            sentence = f"In the scanned pose the {name} angle is {angle:.0f} deg."
+            values = {"angle": name, "angle_deg": angle}
+            yield geometry_finding("scanned-angle-odd", "frames", sentence, values)
     for bone, frame, surface in (
         ("femur", knee.femur_frame, knee.femur),
         ("tibia", knee.tibia_frame, knee.tibia[0]),
     ):
         away = float(np.linalg.norm(frame.origin - surface.centroid))
         if away > FARTHEST_ORIGIN:
-            yield _warning(
-                f"{bone} frame",
-                f"Its origin is {away:.0f} mm away from the joint surface.",
-                "Put the origin in the joint: forces act there and translations are those of it.",
-            )
+            sentence = f"Its origin is {away:.0f} mm away from the joint surface."
+            yield geometry_finding("origin-far", f"{bone} frame", sentence, {"away_mm": away})
 
 
 def _landmark_findings(knee: Knee) -> Iterator[GeometryFinding]:
     for bone, axis, angle in _landmark_angles(knee):
         if angle > LANDMARK_ANGLE:
-            yield _warning(
-                f"{bone} frame",
-                f"Its {axis} axis is {angle:.1f} deg off the one that the landmarks define.",
-                "The frame is used; correct it or the landmarks.",
-            )
+            sentence = f"Its {axis} axis is {angle:.1f} deg off the one that the landmarks define."
+            values = {"axis": axis, "off_deg": angle}
+            yield geometry_finding("axis-off-landmarks", f"{bone} frame", sentence, values)
 
 
 def _landmark_angles(knee: Knee) -> Iterator[tuple[str, str, float]]:
@@ -358,22 +338,12 @@ def _landmark_angles(knee: Knee) -> Iterator[tuple[str, str, float]]:
 def _long_axis_angles(
     places: dict[str, Array], frames: dict[str, Frame]
 ) -> Iterator[tuple[str, str, float]]:
-    """The same for the long axes alone, seen from the origins where the epicondyles are missing."""
+    """Long axes only; frame origins replace missing epicondyles."""
     centre, ankle = joint_centre(places), ankle_centre(places)
     for bone, far, sign in (("femur", places.get("hip_centre"), 1.0), ("tibia", ankle, -1.0)):
         if far is not None:
             near = frames[bone].origin if centre is None else centre
             yield bone, "superior", angle_between(frames[bone].axes[1], sign * (far - near))
-
-
-def _error(subject: str, sentence: str, remedy: str) -> GeometryFinding:
-    return GeometryFinding(severity=Severity.ERROR, where=subject, sentence=sentence, remedy=remedy)
-
-
-def _warning(subject: str, sentence: str, remedy: str) -> GeometryFinding:
-    return GeometryFinding(
-        severity=Severity.WARNING, where=subject, sentence=sentence, remedy=remedy
-    )
 
 
 # Triangles of the closest tenth tell how two surfaces face each other where they are in contact.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from identknee.runs.errors import suggestion
+from identknee.runs.errors import closest, suggestion
 from identknee.runs.files import PathLike
 
 FOLDER = Path(__file__).parent / "knees"
@@ -113,6 +113,5 @@ def known_names(word: str) -> str:
 s192803, s192803_bundles.'
     """
     names = [x.name for x in NAMED_SUBJECTS]
-    close = suggestion(word, names)
     listed = f"Named subjects are {', '.join(names)}."
-    return f"{close} {listed}" if close.startswith("Did") else listed
+    return f"{suggestion(word, names)} {listed}" if closest(word, names) else listed

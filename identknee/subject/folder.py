@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
-from identknee.runs.arrays import too_far
+from identknee.runs.arrays import CHECK_UNITS, too_far
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.schema import (
@@ -26,6 +26,7 @@ from identknee.runs.schema import (
     remedy_of,
     validated,
 )
+from identknee.runs.words import capital
 from identknee.subject.check import unusable
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.examples import known_names, named_subject
@@ -41,8 +42,7 @@ FORMAT = 1
 
 def _near(coordinate: float) -> float:
     if far := too_far(coordinate):
-        why, _, remedy = far.partition("; ")
-        raise refusal(f"the point lies {why}", f"{remedy.capitalize()}.")
+        raise refusal(f"the point lies {far}", f"{capital(CHECK_UNITS)}.")
     return coordinate
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, frozen, too_far
+from identknee.runs.arrays import CHECK_UNITS, Array, frozen, too_far
 
 # Axes written with three decimals are off by less; a sheared or scaled frame by more.
 ROUNDING = 2e-3
@@ -39,7 +39,7 @@ class Frame:
         if not (np.isfinite(origin).all() and np.isfinite(axes).all()):
             raise ValueError("the origin and axes of a frame must be finite numbers")
         if far := too_far(origin):
-            raise ValueError(f"the origin of a frame lies {far}")
+            raise ValueError(f"the origin of a frame lies {far}; {CHECK_UNITS}")
         # Products of larger numbers may overflow.
         error = (
             np.inf if np.abs(axes).max() > 2.0 else float(np.abs(axes @ axes.T - np.eye(3)).max())

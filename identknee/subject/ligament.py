@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.runs.arrays import Array, frozen, too_far
+from identknee.runs.arrays import CHECK_UNITS, Array, frozen, too_far
 from identknee.runs.errors import suggestion
 
 
@@ -50,7 +50,7 @@ class Ligament:
                     f"got {place.tolist()}"
                 )
             if far := too_far(place):
-                raise ValueError(f"the {bone} insertion of {self.name} lies {far}")
+                raise ValueError(f"the {bone} insertion of {self.name} lies {far}; {CHECK_UNITS}")
             object.__setattr__(self, bone, place)
         if self.length == 0.0:
             raise ValueError(

@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers, short_repr, too_far
+from identknee.runs.arrays import (
+    CHECK_UNITS,
+    Array,
+    IntArray,
+    frozen,
+    frozen_integers,
+    short_repr,
+    too_far,
+)
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
 
@@ -182,7 +190,7 @@ def _check(vertices: Array, faces: IntArray) -> None:
     if not np.isfinite(vertices).all():
         raise ValueError("vertices must be finite numbers in mm")
     if far := too_far(vertices):
-        raise ValueError(f"a vertex lies {far}")
+        raise ValueError(f"a vertex lies {far}; {CHECK_UNITS}")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(
             f"faces must number the {len(vertices)} vertices from 0, "

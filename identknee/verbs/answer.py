@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from identknee.identify.nuisances import NuisanceEstimate
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding
+from identknee.runs.findings import Finding, invalidating
 from identknee.runs.record import Record
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ class Answer:
 
     @property
     def failure(self) -> str:
-        """Why nothing could be computed; empty where something was."""
-        return ""
+        """Why nothing could be computed, or why nothing computed holds; empty elsewhere."""
+        return invalidating(self.findings)
 
     def plot(self, name: str | None = None) -> "Figure":
         """A figure of the result, which a notebook shows as a picture.

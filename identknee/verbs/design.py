@@ -8,6 +8,7 @@ import numpy as np
 
 from identknee.calibrate.problem import Problem, Scaled
 from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
+from identknee.checks.usable_trials import about_offered
 from identknee.identify.design import ChosenTrials, straight
 from identknee.identify.design import design as choose_trials
 from identknee.identify.design_criteria import Candidates, Criterion
@@ -26,7 +27,6 @@ from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
-from identknee.verbs.trial_sentences import about_offered
 from identknee.verbs.values import BoundsLike, NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 

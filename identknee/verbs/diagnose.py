@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from identknee.checks.contradicted_trials import end_point_findings
+from identknee.checks.conventions import convention_findings
+from identknee.checks.usable_trials import about_offered, lost_findings, testable
 from identknee.diagnosis.data_noise import noise_of
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
 from identknee.diagnosis.missing_line import LineFinding, MissingPull
@@ -19,11 +22,9 @@ from identknee.model.effects.effect import Effect
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.runs.files import PathLike, write_atomically
-from identknee.runs.findings import Finding
+from identknee.runs.findings import Finding, without_repeats
 from identknee.runs.progress import planned, stage
 from identknee.runs.workers import Workers
-from identknee.scrutiny.broken_convention import convention_findings
-from identknee.scrutiny.contradictions import end_point_findings
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
@@ -51,14 +52,12 @@ from identknee.verbs.diagnosis_gain import gain_found
 from identknee.verbs.diagnosis_rows import (
     Comparison,
     advice_findings,
+    implausible_explanation,
     sound,
-    unbelievable_findings,
     with_unsound,
 )
 from identknee.verbs.identification import with_noise
-from identknee.verbs.trial_sentences import about_offered, lost_findings
 from identknee.verbs.trials import advised, trials_of
-from identknee.verbs.used_trials import testable
 from identknee.verbs.values import NoiseLike
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
 from identknee.verbs.warming import warm_up
@@ -108,13 +107,15 @@ def diagnose_data(
         answer,
         trials_used=used.names,
         assumptions=(*answer.assumptions, *used.sentences, *_about_advice(found)),
-        findings=(
-            *lost,
-            *compared.table_findings(found, with_unsound(kept, laxity)),
-            *compared.row_findings(found),
-            *unbelievable_findings(found),
-            *answer.findings,
-            *advice_findings(found),
+        findings=without_repeats(
+            (
+                *lost,
+                *compared.table_findings(found, with_unsound(kept, laxity)),
+                *compared.row_findings(found),
+                *implausible_explanation(found),
+                *answer.findings,
+                *advice_findings(found),
+            )
         ),
     )
     if run.out is not None:

@@ -1,26 +1,30 @@
-"""What speaks against a diagnosis: suspicious rows, the other verdict, forces that no knee has."""
+"""What speaks against a diagnosis: contradicted trials, the verdict without them, forces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identknee.checks.contradicted_trials import (
+    SuspiciousRow,
+    left_out,
+    suspicious_end_points,
+    suspicious_rows,
+    trial_findings,
+    without_rows,
+)
+from identknee.checks.implausible import implausible_findings
+from identknee.checks.subject_checks import rim_findings
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect
-from identknee.model.soundness import rim_findings
 from identknee.runs.arrays import Array
-from identknee.runs.findings import Finding, Severity
-from identknee.scrutiny.contradictions import end_point_findings, told, without_rows
-from identknee.scrutiny.end_points import suspicious_end_points
-from identknee.scrutiny.suspicious_rows import SuspiciousRow, left_out, suspicious_rows
-from identknee.scrutiny.unmeasured import unmeasured_findings
+from identknee.runs.findings import Finding, finding
 from identknee.subject.knee import Knee
 
 # Trials in which most misfit is left are named up to this number.
 MOST_REPEATED = 3
-AGAINST = "what the fit to the other trials says"
 
 
 def rows_of(found: Investigation) -> list[SuspiciousRow]:
@@ -56,28 +60,33 @@ class Comparison:
         if not rows:
             return ()
         it = "it" if len(rows) == 1 else "these trials"
-        verdict = self._verdict(without_rows(found.laxity, rows), found, f"Without {it}")
-        return _with(told(rows, found.laxity, AGAINST), verdict)
+        then = self._verdict(without_rows(found.laxity, rows), found, f"Without {it}")
+        return trial_findings(rows, found.laxity, "trial-against-fit", then=then)
 
     def table_findings(self, found: Investigation, whole: Laxity) -> tuple[Finding, ...]:
         """The rows that the table contradicts, left out of `found`, with the verdict with them."""
-        findings = end_point_findings(whole)
-        if not findings:
+        rows = suspicious_end_points(whole)
+        if not rows:
             return ()
-        it = "it" if len(findings) == 1 else "them"
-        verdict = self._verdict(whole, found, f"The diagnosis leaves {it} out; with {it}")
-        return _with(findings, verdict)
+        it = "it" if len(rows) == 1 else "them"
+        then = self._verdict(whole, found, f"The diagnosis leaves {it} out; with {it}")
+        return trial_findings(rows, whole, "trial-against-course", then=then)
 
-    def _verdict(self, laxity: Laxity, found: Investigation, start: str) -> str:
+    def _verdict(
+        self, laxity: Laxity, found: Investigation, start: str
+    ) -> tuple[str, dict[str, object]]:
+        """The verdict on other trials as a sentence, and as values."""
         rest = investigate(
             self.knee, laxity, starts=self.starts, effects=self.effects, seed=self.seed
         )
         if rest is None:
-            return f"{start} the data cannot be tested."
-        names = f" ({' and '.join(x.name for x in rest.causes)})" if rest.causes else ""
+            return f"{start} the data cannot be tested.", {"verdict": Verdict.NOT_TESTABLE.value}
+        verdict, causes = rest.conclusion.verdict.value, [x.name for x in rest.causes]
+        names = f" ({' and '.join(causes)})" if causes else ""
         still = "still " if rest.conclusion.verdict is found.conclusion.verdict else ""
         why = " ".join(rest.conclusion.reasons)
-        return f"{start} the verdict is {still}{rest.conclusion.verdict.value}{names}. {why}"
+        values: dict[str, object] = {"verdict": verdict, "causes": causes}
+        return f"{start} the verdict is {still}{verdict}{names}. {why}", values
 
 
 def sound(laxity: Laxity) -> Laxity:
@@ -93,14 +102,14 @@ def with_unsound(part: Laxity, laxity: Laxity) -> Laxity:
     return replace(part, coordinates=coordinates)
 
 
-def unbelievable_findings(found: Investigation) -> tuple[Finding, ...]:
+def implausible_explanation(found: Investigation) -> tuple[Finding, ...]:
     """What the best explanation says of contact, forces and strains that no knee has."""
     fitted = found.explanation.fitted
     model = fitted.compared.model
     prediction = model.predict_once(fitted.theta)
     return (
         *rim_findings(model.protocol.trials, prediction),
-        *unmeasured_findings(model, prediction),
+        *implausible_findings(model, prediction),
     )
 
 
@@ -109,35 +118,27 @@ def advice_findings(found: Investigation) -> tuple[Finding, ...]:
     verdict = found.conclusion.verdict
     if found.advice is not None or verdict not in (Verdict.AMBIGUOUS, Verdict.UNEXPLAINED):
         return ()
-    sentence = (
-        "No trial to add can be advised: the causes that are left differ in nothing that a load "
-        "could show, or the model has no equilibrium in the trials that could be added."
-    )
-    if verdict is Verdict.UNEXPLAINED:
-        sentence = _asked_instead(found)
-    return (Finding(severity=Severity.INFO, sentence=sentence, where="trials"),)
-
-
-def _asked_instead(found: Investigation) -> str:
-    """What would help where nothing explains the misfit: repeats, and errors known better."""
+    if verdict is Verdict.AMBIGUOUS:
+        sentence = (
+            "No trial to add can be advised: the causes that are left differ in nothing that a "
+            "load could show, or the model has no equilibrium in the trials that could be added."
+        )
+        return (finding("no-trial-advised", "trials", sentence=sentence),)
+    # What would help where nothing explains the misfit: repeats, and errors known better.
     fitted, trials = found.explanation.fitted, found.laxity.protocol.trials
     left = np.nansum((fitted.differences / found.noise.sd) ** 2, axis=1)
     worst = [trials[i] for i in np.argsort(-left, kind="stable")[:MOST_REPEATED]]
-    said = (
+    values: dict[str, object] = {"trials": worst}
+    sentence = (
         "No trial to add can be advised: nothing explains the misfit, so there are no explanations "
         f"that a trial could tell apart. Most of it is left in {', '.join(worst)}: measure these "
         "again, to tell errors of a trial from the knee."
     )
     if fitted.nuisance_groups:
         farthest = min(fitted.nuisance_groups, key=lambda x: x.p_value)
-        said += (
+        values["nuisances"] = farthest.name
+        sentence += (
             f" Of what is stated as uncertain, the fit moves {farthest.name} to the least probable "
             "place: measure it."
         )
-    return said
-
-
-def _with(findings: Sequence[Finding], said: str) -> tuple[Finding, ...]:
-    """The findings, the last one with one more sentence."""
-    *others, last = findings
-    return (*others, replace(last, sentence=f"{last.sentence} {said}"))
+    return (finding("no-trial-advised", "trials", values, sentence=sentence),)

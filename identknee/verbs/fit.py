@@ -7,16 +7,25 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from identknee.calibrate.doubts import (
+from identknee.calibrate.fit import Fit
+from identknee.calibrate.fit import fit as search
+from identknee.calibrate.starts import load_start
+from identknee.checks.all_checks import Fitted, check_fit, check_unfitted
+from identknee.checks.fit_warnings import (
     bound_findings,
     misfit_findings,
+    second_search,
     too_few_findings,
     unstated_misfit_findings,
 )
-from identknee.calibrate.fit import Fit
-from identknee.calibrate.fit import fit as search
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.starts import load_start, second_search
+from identknee.checks.usable_trials import (
+    TrialSearch,
+    UsedTrials,
+    about_inputs,
+    lost_findings,
+    table_model,
+    unfitted_findings,
+)
 from identknee.identify.nuisances import nuisance_estimates
 from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import Laxity
@@ -27,17 +36,11 @@ from identknee.model.measured_start import poses_of
 from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
-from identknee.model.soundness import rim_findings, stability_findings
 from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
 from identknee.runs.files import PathLike
-from identknee.runs.findings import Finding, Severity
+from identknee.runs.findings import Finding
 from identknee.runs.outcome import Outcome
 from identknee.runs.workers import Workers
-from identknee.scrutiny.about_data import beside_the_table
-from identknee.scrutiny.against_load import against_load_findings
-from identknee.scrutiny.broken_convention import convention_findings
-from identknee.scrutiny.contradictions import end_point_findings, row_findings
-from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike
@@ -45,14 +48,10 @@ from identknee.verbs.heavy_tails import about_tails, robust
 from identknee.verbs.held_out import HeldOut, predicted, split
 from identknee.verbs.identification import with_noise
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
-from identknee.verbs.trial_sentences import about_inputs, lost_findings
-from identknee.verbs.used_trials import TrialSearch, table_model
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, by_ligament, check_word
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
 from identknee.verbs.warming import warm_up
 
-# How many trials without equilibrium are listed by name for each reason.
-MOST_LISTED = 6
 # The subject as fitted, in the folder of the results.
 FITTED = "fitted"
 Weighting = Literal["unit", "noise"]
@@ -118,15 +117,6 @@ class Calibration(SimulatedLaxity):
     def trials_without_equilibrium(self) -> tuple[TrialEnd, ...]:
         """Measured trials in which the model has no prediction."""
         return _lost(self.trials, self.data)
-
-    @property
-    def failure(self) -> str:  # type: ignore[explicit-override]
-        """That the search could not begin, with the first trial to blame; empty where it could."""
-        if self.outcome is not Outcome.START_FAILED:
-            return ""
-        lost = self.trials_without_equilibrium
-        where = f" {lost[0].trial}: {lost[0].reason}" if lost else ""
-        return f"{self.sentence}{where} Choose another --start, or see: identknee subject check"
 
 
 @verb
@@ -239,8 +229,6 @@ def fit(
             kept = measured.select(is_held)
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
     tails = about_tails(problem, used.laxity, found) if is_robust else ()
-    said = lost_findings(run.knee, laxity, used.laxity)
-    said += _findings(problem, found, (model, prediction), error, used.laxity)
     return Calibration(
         **simulated(model, prediction),
         start=start,
@@ -252,7 +240,7 @@ def fit(
         assumptions=(*about_inputs(run.knee, measured), *pattern, *used.sentences, *tails),
         uncertainty=run.knee.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
-        findings=beside_the_table(model, laxity, said),
+        findings=_findings(trials, used, found, prediction, error),
     )
 
 
@@ -285,79 +273,30 @@ def _lost(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
 
 
 def _findings(
-    problem: Problem,
-    found: Fit,
-    fitted: tuple[LaxityModel, Prediction],
-    error: LaxityError,
-    laxity: Laxity,
+    trials: TrialSearch, used: UsedTrials, found: Fit, prediction: Prediction, error: LaxityError
 ) -> tuple[Finding, ...]:
-    """What speaks against a fit.
-
-    Where the misfit is more than noise, or a parameter stands at a bound, conventions of the table
-    are looked at first; then a second search begins elsewhere, so that a bad start is not taken for
-    bad data.
-    """
-    model, prediction = fitted
+    """What speaks against a fit."""
+    model, table, laxity = trials.model, trials.laxity, used.laxity
+    lost = lost_findings(model.knee, table, laxity)
     if found.outcome is Outcome.START_FAILED:
-        about_the_table = (*against_load_findings(laxity), *end_point_findings(laxity))
-        return (*about_the_table, *_not_fitted(laxity, prediction))
+        return check_unfitted(model, table, (*lost, *unfitted_findings(laxity, prediction)))
     n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
-    if _states_noise(laxity):
+    if laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any():
         weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
         residuals = weighted.residuals(found.theta)
         misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
     held = (*found.fixed, *found.parameters.nuisance_names)
-    bounds = bound_findings(found.theta, found.parameters, held)
-    rows = row_findings(model, laxity, found.theta, fixed=held)
-    about_the_knee = (
-        *too_few_findings(int(laxity.is_measured.sum()), n_free),
-        *stability_findings(model),
-        *rim_findings(laxity.protocol.trials, prediction),
-        *unmeasured_findings(model, prediction),
+    fitted = Fitted(
+        model=model,
+        laxity=laxity,
+        table=table,
+        start=found.start,
+        prediction=prediction,
+        held=held,
+        misfit=(*misfit, *bound_findings(found.theta, found.parameters, held)),
     )
-    findings = (*misfit, *bounds)
-    if all(x.severity is Severity.INFO for x in findings):
-        return (*rows, *findings, *about_the_knee)
-    if conventions := convention_findings(model, laxity, found.start, found.theta):
-        return (*conventions, *findings, *about_the_knee)
-    second = second_search(problem, found)
-    # What an end that is not the best leaves says nothing of data and model.
-    about_the_end = () if second.is_better else findings
-    return (*rows, *about_the_end, second.finding, *about_the_knee)
-
-
-def _states_noise(laxity: Laxity) -> bool:
-    return laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any()
-
-
-def _not_fitted(laxity: Laxity, prediction: Prediction) -> tuple[Finding, ...]:
-    measured = np.any(laxity.is_measured, axis=1)
-    lost = measured & ~prediction.is_converged
-    by_outcome: dict[Outcome, list[str]] = {}
-    for i in np.flatnonzero(lost):
-        by_outcome.setdefault(prediction.outcomes[i], []).append(laxity.protocol.trials[i])
-    if not lost.any():
-        return (
-            Finding(
-                severity=Severity.ERROR,
-                sentence="Nothing was fitted: the start lies outside the bounds of the parameters, "
-                "and inside them trials have no equilibrium. Choose another --start or --bounds.",
-                where="starts",
-            ),
-        )
-    said = (
-        f"Nothing was fitted: at the start {lost.sum()} of {measured.sum()} measured trials have "
-        "no equilibrium. Choose another --start, or leave the cells of such trials blank."
-    )
-    reasons = (f"{_named(trials)}: {outcome.sentence}" for outcome, trials in by_outcome.items())
-    return (
-        Finding(severity=Severity.ERROR, sentence=said, where="starts"),
-        *(Finding(severity=Severity.INFO, sentence=x, where="trials") for x in reasons),
-    )
-
-
-def _named(trials: Sequence[str]) -> str:
-    more = len(trials) - MOST_LISTED
-    return ", ".join(trials[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
+    few = too_few_findings(int(laxity.is_measured.sum()), n_free)
+    problem = trials.problem(laxity)
+    return check_fit(fitted, (*lost, *few), second=lambda: second_search(problem, found))

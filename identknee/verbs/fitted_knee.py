@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from identknee.checks.usable_trials import table_model
 from identknee.model.effects.insertion import AXES, BONES
 from identknee.model.knee_parameters import tied
 from identknee.model.nuisances import contact_rounding, insertions
@@ -17,7 +18,6 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.knee_digest import knee_digest
 from identknee.verbs.profile import Profiles
 from identknee.verbs.simulate import SimulatedLaxity
-from identknee.verbs.used_trials import table_model
 
 INSERTION = "insertion"
 

@@ -8,9 +8,9 @@ import numpy as np
 from identknee.calibrate.fit import Fit
 from identknee.calibrate.problem import Problem
 from identknee.calibrate.student import DEGREES, fit_student, student_scales
+from identknee.checks.usable_trials import residuals_of
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.runs.arrays import Array
-from identknee.verbs.used_trials import residuals_of
 
 # Of values with a weight below this so many are named.
 LIGHT, MOST_LISTED = 0.5, 6

@@ -6,12 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from identknee.calibrate.doubts import (
-    bound_findings,
-    misfit_findings,
-    start_findings,
-    unstated_misfit_findings,
-)
 from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import (
     Problem,
@@ -21,9 +15,25 @@ from identknee.calibrate.problem import (
     with_nuisance_priors,
 )
 from identknee.calibrate.starts import load_start
-from identknee.identify.feasibility import feasibility_findings
+from identknee.checks.all_checks import Fitted, check_fit
+from identknee.checks.fit_warnings import (
+    bound_findings,
+    feasibility_findings,
+    misfit_findings,
+    nuisance_findings,
+    start_findings,
+    unstated_misfit_findings,
+)
+from identknee.checks.usable_trials import (
+    TrialSearch,
+    about_blanks,
+    lost_findings,
+    prediction_finding,
+    table_model,
+    trial_names,
+)
 from identknee.identify.noise import EstimatedNoise, with_estimated_noise
-from identknee.identify.nuisances import nuisance_estimates, nuisance_findings
+from identknee.identify.nuisances import nuisance_estimates
 from identknee.identify.optimum import best_fits as find_best_fits
 from identknee.identify.optimum import check_inside
 from identknee.laxity.table import COORDINATES, Laxity
@@ -31,17 +41,12 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import has_shared_errors, shared_errors
-from identknee.model.soundness import rim_findings, stability_findings
 from identknee.runs.arrays import Array
 from identknee.runs.errors import NotComputed
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
-from identknee.scrutiny.about_data import data_findings
-from identknee.scrutiny.unmeasured import unmeasured_findings
 from identknee.subject.knee import Knee
-from identknee.verbs.trial_sentences import about_blanks, lost_findings, trial_names
-from identknee.verbs.used_trials import TrialSearch, table_model
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
 from identknee.verbs.warming import warm_up
 
@@ -113,34 +118,34 @@ class Identification:
         is_draw
             Whether it is a draw of a posterior: what the data do not see is anywhere in its prior.
         """
-        parameters, whole = self.problem.parameters, self.free.expand(theta)
-        prediction = self.model.predict_once(whole)
-        nuisances = self.nuisances_at or (self.problem, np.asarray(theta))
-        model = (
-            *self.lost,
-            *stability_findings(self.model),
-            *feasibility_findings(self.problem, np.asarray(theta)),
-            *rim_findings(self.model.protocol.trials, prediction),
-            *unmeasured_findings(self.model, prediction),
-            *(() if is_draw else nuisance_findings(*nuisances)),
-        )
+        theta, parameters = np.asarray(theta), self.problem.parameters
+        whole = self.free.expand(theta)
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
-            asked = int(parameters.is_of_interest.sum())
-            misfit = misfit_findings(deviance, n, asked)
+            misfit = misfit_findings(deviance, n, int(parameters.is_of_interest.sum()))
         else:
             # That the noise was estimated is among the assumptions.
             left = unstated_misfit_findings(*self.estimated_noise)
             misfit = tuple(x for x in left if x.severity is not Severity.INFO)
-        bounds = bound_findings(np.asarray(theta), parameters, parameters.nuisance_names)
-        begun = (self.free.expand(self.start), whole)
+        bounds = bound_findings(theta, parameters, parameters.nuisance_names)
+        others = [*self.lost, *feasibility_findings(self.problem, theta)]
+        if fits:
+            thetas = np.array([x.theta for x in fits])
+            deviances = 2.0 * np.array([x.objective for x in fits])
+            others += start_findings(thetas, deviances, fits[0].parameters)
+        if not is_draw:
+            others += nuisance_findings(*(self.nuisances_at or (self.problem, theta)))
         held = set(self.model.parameters.names) - set(parameters.names_of_interest)
-        data = data_findings(self.model, self.laxity, begun, tuple(held), (*misfit, *bounds))
-        if not fits:
-            return (*data, *model)
-        thetas = np.array([x.theta for x in fits])
-        deviances = 2.0 * np.array([x.objective for x in fits])
-        return (*data, *start_findings(thetas, deviances, fits[0].parameters), *model)
+        fitted = Fitted(
+            model=self.model,
+            laxity=self.laxity,
+            table=self.laxity,
+            start=self.free.expand(self.start),
+            prediction=self.model.predict_once(whole),
+            held=tuple(held),
+            misfit=(*misfit, *bounds),
+        )
+        return check_fit(fitted, others)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
         """What an answer rests on: its trials, and what of geometry and tests is uncertain.
@@ -312,36 +317,12 @@ def check_start(setup: Identification) -> None:
 
 def no_prediction(setup: Identification) -> NotComputed:
     """The error that no parameters near the start predict all measured trials; it names them."""
-    return _no_prediction(setup.model, setup.laxity, setup.free.fixed_values)
+    return NotComputed(no_prediction_finding(setup).sentence)
 
 
 def no_prediction_finding(setup: Identification) -> Finding:
-    """The same as what an answer says against itself."""
-    sentence = str(no_prediction(setup))
-    return Finding(severity=Severity.ERROR, sentence=sentence, where="trials")
-
-
-def _no_prediction(model: LaxityModel, laxity: Laxity, start: Array) -> NotComputed:
-    prediction = model.predict(start, derivatives=False)
-    used = np.any(laxity.is_measured, axis=1).tolist()
-    lost = [
-        (trial, outcome)
-        for trial, outcome, is_used in zip(
-            model.protocol.trials, prediction.outcomes, used, strict=True
-        )
-        if is_used and outcome is not Outcome.CONVERGED
-    ]
-    where = ""
-    if lost:
-        trial, outcome = lost[0]
-        where = (
-            f" (at the start {len(lost)} of {sum(used)} trials have none; {trial}: "
-            f"{outcome.sentence.rstrip('.')})"
-        )
-    return NotComputed(
-        f"no parameters near the start have a prediction in every measured trial{where}. Choose "
-        "another --start, leave the cells of such trials blank, or see: identknee subject check"
-    )
+    """The same as a finding."""
+    return prediction_finding(setup.model, setup.laxity, setup.free.fixed_values)
 
 
 def _with_shared_errors(residuals: LaxityResiduals, theta: Array) -> LaxityResiduals:
@@ -353,7 +334,7 @@ def _with_shared_errors(residuals: LaxityResiduals, theta: Array) -> LaxityResid
         )
     first = fit(with_nuisance_priors(residuals), theta)
     if first.outcome is Outcome.START_FAILED:
-        raise _no_prediction(residuals.model, residuals.laxity, theta)
+        raise NotComputed(prediction_finding(residuals.model, residuals.laxity, theta).sentence)
     return replace(residuals, shared=shared_errors(residuals.model, first.theta))
 
 
@@ -361,7 +342,7 @@ def _with_estimated_noise(
     part: Restricted, residuals: LaxityResiduals, theta: Array
 ) -> tuple[EstimatedNoise, Sizes]:
     if not np.isfinite(residuals.residuals(theta)).all():
-        raise _no_prediction(residuals.model, residuals.laxity, theta)
+        raise NotComputed(prediction_finding(residuals.model, residuals.laxity, theta).sentence)
     # Where only lengths or only angles were measured there is one group.
     units, groups = np.unique(residuals.units, return_inverse=True)
     found = with_estimated_noise(part, groups, part.free.restrict(theta))

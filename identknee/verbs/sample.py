@@ -81,11 +81,6 @@ class Sample(Answer):
         return self.checks[-1] if self.checks else None
 
     @property
-    def failure(self) -> str:  # type: ignore[explicit-override]
-        """That sampling never began; empty where it did."""
-        return "" if self.checks else self.findings[0].sentence
-
-    @property
     @derived("What the outcome means")
     def sentence(self) -> str:
         """What the outcome means, as a full sentence."""

@@ -9,25 +9,19 @@ from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Method, Sensitivi
 from identknee.identify.sensitivity import sensitivity as analysed
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.scenarios import laxity_groups
+from identknee.laxity.scenarios import LaxityGroup, laxity_groups
 from identknee.laxity.table import Laxity
 from identknee.model.of_tests import model_of_tests
 from identknee.model.quantities import LaxityOutputs
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike, digest
-from identknee.runs.findings import Finding, Severity
+from identknee.runs.findings import finding
 from identknee.runs.workers import Workers
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
 from identknee.verbs.warming import warm_up
-
-NOTHING = Finding(
-    severity=Severity.ERROR,
-    sentence="no parameter set converges in all trials; see: identknee subject check",
-    where="trials",
-)
 
 
 @declared
@@ -35,11 +29,13 @@ class GlobalSensitivity(Answer):
     """Which parameters the laxity of a knee depends on."""
 
     analysis: Sensitivity = entry("The analysis", group="sensitivity", is_inline=True)
+    laxity_groups: tuple[LaxityGroup, ...] = entry(
+        "What the groups of outputs are, in the order of their names", default=()
+    )
 
-    @property
-    def failure(self) -> str:  # type: ignore[explicit-override]
-        """That no simulation has all predictions; empty where one has."""
-        return NOTHING.sentence if self.analysis.share_failed == 1.0 else ""
+    def group_named(self, name: str) -> LaxityGroup | None:
+        """The group of this name; None for failure, and in results of earlier versions."""
+        return next((x for x in self.laxity_groups if x.name == name), None)
 
 
 @verb
@@ -119,9 +115,9 @@ def sensitivity(
         executor=run.executor,
         store=run.store,
     )
-    return GlobalSensitivity(
-        analysis=found, findings=(NOTHING,) if found.share_failed == 1.0 else ()
-    )
+    groups = {x.name: x for x in laxity_groups(outputs.model.protocol)}
+    nothing = (finding("no-set-converges", "trials"),) if found.share_failed == 1.0 else ()
+    return GlobalSensitivity(analysis=found, laxity_groups=tuple(groups.values()), findings=nothing)
 
 
 def _outputs(
@@ -136,7 +132,7 @@ def _outputs(
         )
     return LaxityOutputs(
         model=model,
-        groups=laxity_groups(model.protocol),
+        groups=tuple(x.name for x in laxity_groups(model.protocol)),
         free=free,
         zero=tests.zero if isinstance(tests, Laxity) else "absolute",
     )

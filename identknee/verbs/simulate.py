@@ -4,6 +4,8 @@ from dataclasses import replace
 from typing import Any, get_args
 
 from identknee.calibrate.starts import load_start
+from identknee.checks.subject_checks import rim_findings
+from identknee.checks.usable_trials import about_paths
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol
@@ -14,14 +16,12 @@ from identknee.model.candidate_laxity import at_own_poses
 from identknee.model.laxity_model import Contact, LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
-from identknee.model.soundness import rim_findings
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
 from identknee.runs.workers import Workers
 from identknee.verbs.answer import Answer
-from identknee.verbs.trial_sentences import about_paths
 from identknee.verbs.values import (
     NoiseLike,
     ValuesLike,

@@ -1,9 +1,9 @@
 """Whether a subject is sound, and whether its trials are stable."""
 
+from identknee.checks.subject_checks import StabilityReport, check_stability
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.model.insertion_moves import WITHIN
 from identknee.model.of_tests import model_of_tests
-from identknee.model.stability import StabilityReport, check_stability
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import threads
 from identknee.runs.files import PathLike

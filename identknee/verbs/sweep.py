@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Literal
 
-from identknee.calibrate.doubts import start_findings
 from identknee.calibrate.fit import BUDGET
+from identknee.checks.fit_warnings import start_findings
 from identknee.identify.basins import WITHIN, Survey
 from identknee.identify.basins import survey as surveyed
 from identknee.identify.cliffs import CliffMap, map_cliffs
@@ -49,11 +49,6 @@ class Sweep(Answer):
     def searches(self) -> Searches:
         """Every search."""
         return self.survey.searches
-
-    @property
-    def failure(self) -> str:  # type: ignore[explicit-override]
-        """That no search had a prediction; empty where one had."""
-        return self.findings[0].sentence if self.survey.target is None else ""
 
 
 @verb

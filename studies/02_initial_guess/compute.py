@@ -233,7 +233,7 @@ def branches(knee_name: str, part: Row, executor: ik.runs.Executor, n_samples: i
     its = setting(knee_name)
     parameters = its.problem.parameters
     ends = [row["theta"] for row in part["complex"]]
-    sample = ik.model.box_sample(parameters, n_samples, np.random.default_rng(BOX_SEED))
+    sample = ik.checks.box_sample(parameters, n_samples, np.random.default_rng(BOX_SEED))
     sets = {
         "reference": its.truth[None],
         "IG4": ik.calibrate.named_start("IG4", parameters)[None],

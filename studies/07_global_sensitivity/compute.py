@@ -86,7 +86,7 @@ def outputs_of(knee: ik.Knee) -> ik.model.LaxityOutputs:
     model = model_of(knee)
     return ik.model.LaxityOutputs(
         model=model,
-        groups=laxity_groups(model.protocol),
+        groups=tuple(x.name for x in laxity_groups(model.protocol)),
         free=model.parameters.with_fixed((), truth_of(model.parameters)),
     )
 

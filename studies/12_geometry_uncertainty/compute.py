@@ -134,7 +134,7 @@ def best_fit(
 ) -> ik.calibrate.Constrained:
     """The best of a few fits: from the truth, and from places of the box around it."""
     found = []
-    for start in (truth, *ik.model.box_sample(evaluator.parameters, STARTS, generator)):
+    for start in (truth, *ik.checks.box_sample(evaluator.parameters, STARTS, generator)):
         ended = ik.calibrate.minimise(evaluator, start)
         if ended.evaluation.is_finite or not found:
             found.append(ended)

@@ -16,8 +16,8 @@ import numpy as np
 from common.records import Row, begun, parsed_options, rounded, say, working, write_record
 
 import identknee as ik
+from identknee.checks.contradicted_trials import end_point_findings
 from identknee.runs.findings import Severity
-from identknee.scrutiny.contradictions import end_point_findings
 from identknee.verbs.held_out import HeldValue
 
 KNEES = ("s192803", "s192803_bundles")

@@ -9,7 +9,7 @@ import identknee
 
 ROOT = Path(identknee.__file__).parent
 SHARED = {"subject", "laxity", "runs"}
-TESTED = ("mechanics", "model", "calibrate", "identify", "scrutiny", "diagnosis", "verbs", "report")
+TESTED = ("mechanics", "model", "calibrate", "identify", "checks", "diagnosis", "verbs", "report")
 
 
 def _imports(path: Path) -> set[str]:

@@ -6,7 +6,7 @@ import time
 from planted_conventions import PLANTED, clean_table
 from rows import Measure, Row, median_of
 
-from identknee.scrutiny.broken_convention import find_broken_convention
+from identknee.checks.conventions import find_broken_convention
 
 KNEES = ("reference", "lenhart2015_stable")
 N_CLEAN = 50  # of each knee
@@ -23,7 +23,7 @@ def measure(options: argparse.Namespace) -> Row:
             began = time.perf_counter()
             found = find_broken_convention(of, broken, of.parameters.start)
             seconds.append(time.perf_counter() - began)
-            if found is not None and found.sentence.startswith(planted.said) and not found.others:
+            if found is not None and found.what.startswith(planted.what) and not found.others:
                 named += 1
             else:
                 said = "nothing" if found is None else f"{found.what}, {found.others}"

@@ -10,9 +10,9 @@ from knees import SCALE, anywhere, model, trial_energy
 from rows import Measure, Row, largest_of
 from slow_path import follow_slowly
 
+from identknee.checks.subject_checks import box_sample
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.model.stability import box_sample
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 

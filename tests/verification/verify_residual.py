@@ -8,8 +8,8 @@ from knees import SCALE, anywhere, model, oracle_knee, trial_energy
 from oracle import State
 from rows import Row, largest_of
 
+from identknee.checks.subject_checks import box_sample
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.stability import box_sample
 from identknee.runs.arrays import Array
 
 BAR = 1e-6  # N, moments divided by 40 mm

@@ -9,13 +9,12 @@ from rows import Measure, Row
 from scipy.stats import beta
 
 from identknee.calibrate.fit import fit
+from identknee.checks.contradicted_trials import contradicted_rows, suspicious_end_points
 from identknee.laxity.dominant import opposite_pairs
 from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.scrutiny.contradictions import contradicted_rows
-from identknee.scrutiny.end_points import suspicious_end_points
 
 KNEES = ("reference", "lenhart2015_stable")
 N = 100  # tables of each knee, once clean and once with a gross row

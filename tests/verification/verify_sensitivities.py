@@ -6,8 +6,8 @@ import numpy as np
 from knees import model
 from rows import Row, largest_of
 
+from identknee.checks.subject_checks import box_sample
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.stability import box_sample
 from identknee.runs.arrays import Array
 
 BAR = 1e-5

@@ -6,7 +6,7 @@ from identknee.identify.equivalents import Extrema
 from identknee.identify.extremum import End
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.runs.words import amount, between, label, parameter_words
+from identknee.runs.words import amount, between, interval, label, parameter_words
 from identknee.verbs.equivalents import Equivalents
 
 STIFFNESS = "stiffness_kN"
@@ -45,7 +45,7 @@ def _least_known(parameters: Iterable[Extrema]) -> Iterator[str]:
         yield (
             "Two knees that this measurement cannot tell apart may differ by "
             f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
-            f"({between(_ends(x), x.unit).removeprefix('from ')})."
+            f"({interval(_ends(x), x.unit)})."
         )
 
 

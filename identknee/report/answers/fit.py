@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from identknee.calibrate.doubts import AT_END
+from identknee.checks.fit_warnings import AT_END
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.findings import Severity

@@ -6,7 +6,15 @@ from identknee.identify.profile.pairs import PairProfile
 from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.runs.words import amount, between, capital, label, listed, parameter_words
+from identknee.runs.words import (
+    amount,
+    between,
+    capital,
+    label,
+    listed,
+    owner_words,
+    parameter_words,
+)
 from identknee.verbs.profile import Profiles
 
 STIFFNESS = "stiffness_kN"
@@ -66,9 +74,8 @@ def _one_by_one(profiles: Sequence[Profile]) -> str:
     before = None
     for profile in chosen:
         quantity = profile.name.rpartition(".")[2]
-        words = parameter_words(profile.name)
-        if quantity == before:
-            words = words.partition("'s ")[0] + "'s"
+        is_repeated = quantity == before
+        words = owner_words(profile.name) if is_repeated else parameter_words(profile.name)
         clauses.append(f"{words} {clause(profile)}")
         before = quantity
     return " ".join(f"{capital(x)}." for x in clauses)

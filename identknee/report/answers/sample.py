@@ -7,7 +7,7 @@ import numpy as np
 from identknee.identify.posterior.convergence import SampleOutcome
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.runs.words import between, label, listed, parameter_words
+from identknee.runs.words import interval, label, listed, parameter_words
 from identknee.verbs.sample import Sample
 from identknee.verbs.sample_records import Marginal, Nested
 
@@ -66,8 +66,7 @@ def _probable(marginals: Mapping[str, Marginal]) -> str:
     for name in names[:MOST_NAMED]:
         unit = "kN" if name.endswith("_kN") else "%" if name.endswith("_pct") else ""
         limits = (marginals[name].q025, marginals[name].q975)
-        interval = between(limits, unit).removeprefix("from ")
-        parts.append(f"{interval} for {parameter_words(name)}")
+        parts.append(f"{interval(limits, unit)} for {parameter_words(name)}")
     return f"the 95 % {'interval is' if len(parts) == 1 else 'intervals are'} {listed(parts)}"
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 
 from identknee.identify.sensitivity import Sensitivity
+from identknee.laxity.scenarios import UNLOADED
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import coordinate_words, label, parameter_words
@@ -31,7 +32,7 @@ MEANINGS = {
 def sensitivity_statements(answer: GlobalSensitivity) -> Iterator[Statement]:
     """Which parameter moves which laxity most, and how well that is known."""
     found = answer.analysis
-    if answer.failure:
+    if found.share_failed == 1.0:
         # Indices of means alone would be numbers about nothing.
         yield _statement(
             f"None of the {found.n_simulations} simulations has a prediction in every trial, so no "
@@ -39,19 +40,14 @@ def sensitivity_statements(answer: GlobalSensitivity) -> Iterator[Statement]:
         )
         return
     yield _statement(
-        f"{_most_influential(found)} The largest index of each parameter is "
+        f"{_most_influential(answer)} The largest index of each parameter is "
         f"{MEANINGS[found.method]}.",
-        _table(found),
+        _table(answer),
     )
     yield _statement(
         f"Of {found.n_simulations} simulations, {100 * found.share_failed:.3g} % had a trial "
-        f"without a prediction. The rule for these: {_rule(found)}.{_missing(found)}"
+        f"without a prediction. The rule for these: {found.rule_of_lost}.{_missing(found)}"
     )
-
-
-def _rule(found: Sensitivity) -> str:
-    """The rule for lost trials, without its words on columns that only the file has."""
-    return found.rule.partition("; `")[0]
 
 
 def _missing(found: Sensitivity) -> str:
@@ -73,7 +69,8 @@ def _statement(sentence: str, *tables: Table) -> Statement:
     return Statement(question=Question.LAXITY, sentence=sentence, tables=tables)
 
 
-def _most_influential(found: Sensitivity) -> str:
+def _most_influential(answer: GlobalSensitivity) -> str:
+    found = answer.analysis
     entries = found.largest[OF_MAIN_INTEREST[found.method]]
 
     def size(name: str) -> float:
@@ -82,28 +79,24 @@ def _most_influential(found: Sensitivity) -> str:
         return 0.0 if math.isnan(value) else value
 
     name = max(entries, key=size)
-    coordinate, _, where = str(entries[name]["largest"]["group"]).partition(", ")
     measure = METHODS.get(found.method, f"the {found.method} index")
-    return (
-        f"By {measure}, laxity depends most on {parameter_words(name)}: "
-        f"{coordinate_words(coordinate)} at {_place(where)}."
-    )
+    top = str(entries[name]["largest"]["group"])
+    where, group = top, answer.group_named(top)
+    if group is not None:
+        under = "without load" if group.load == UNLOADED else f"under {group.load}"
+        words = coordinate_words(group.coordinate)
+        where = f"{words} at {group.flexion_deg:g} deg of flexion {under}"
+    return f"By {measure}, laxity depends most on {parameter_words(name)}: {where}."
 
 
-def _group(name: str) -> str:
+def _group(answer: GlobalSensitivity, name: str) -> str:
     """A group of outputs as a cell of a table has it."""
-    coordinate, _, where = name.partition(", ")
-    return f"{coordinate_words(coordinate)}, {where}" if where else coordinate_words(name)
+    group = answer.group_named(name)
+    return name if group is None else f"{coordinate_words(group.coordinate)}, {group.place}"
 
 
-def _place(where: str) -> str:
-    """Flexion and load of a group, as a sentence has them."""
-    flexion, _, load = where.partition(", ")
-    under = "without load" if load == "unloaded" else f"under {load}"
-    return f"{flexion} of flexion {under}" if load else where
-
-
-def _table(found: Sensitivity) -> Table:
+def _table(answer: GlobalSensitivity) -> Table:
+    found = answer.analysis
     name = OF_MAIN_INTEREST[found.method]
     index = found.indices[name]
     tops = [found.largest_group(name, i) for i in range(found.parameters.n)]
@@ -121,7 +114,7 @@ def _table(found: Sensitivity) -> Table:
                 label(parameter),
                 float(index.final[top, i]),
                 float(index.final_half_widths[top, i]),
-                _group(found.groups[top]),
+                _group(answer, found.groups[top]),
                 float(index.final[-1, i]),
             )
             for i, (parameter, top) in enumerate(zip(found.parameters.names, tops, strict=True))

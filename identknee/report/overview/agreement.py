@@ -6,7 +6,7 @@ from enum import Enum, unique
 from math import inf, isinf, sqrt
 
 from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source
-from identknee.runs.words import between, listed
+from identknee.runs.words import interval, listed
 
 # Ends as near as this share of a set's width are the same for every purpose.
 NEAR = 0.15
@@ -151,4 +151,4 @@ def _scaled(x: Range) -> tuple[float | None, float | None]:
 
 
 def _range(x: Range, unit: str) -> str:
-    return between((x.low, x.high), unit).removeprefix("from ")
+    return interval((x.low, x.high), unit)

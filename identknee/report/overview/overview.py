@@ -16,8 +16,8 @@ from identknee.report.overview.searches import disagreement, searches_sentences
 from identknee.report.words import trial_words
 from identknee.runs.words import (
     amount,
-    between,
     capital,
+    interval,
     label_without_unit,
     listed,
     parameter_words,
@@ -152,7 +152,7 @@ def _row(name: str, ranges: Sequence[Range], trials: Mapping[str, str]) -> Row:
         name=name,
         label=f"{owner} force, {trials.get(trial, trial)}" if trial else label_without_unit(name),
         estimate=amount(main.value, unit),
-        limits="slack" if is_slack else between((main.low, main.high), unit).removeprefix("from "),
+        limits="slack" if is_slack else interval((main.low, main.high), unit),
         status=main.status,
         agreement=found.sentence(unit),
         found=found,
@@ -171,10 +171,8 @@ def _verdict(rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str) -> t
     doubts += ["fits from different starts end at different parameters"] * bool(differ)
     if tone is Tone.GOOD and (unknown or doubts):
         tone = Tone.OPEN
-    if doubts and said:
-        said[-1] = f"{said[-1].removesuffix('.')}, but {listed(doubts)}."
-    elif doubts:
-        said = [f"{capital(listed(doubts))}."]
+    if doubts:
+        said.append(f"However, {listed(doubts)}." if said else f"{capital(listed(doubts))}.")
     return " ".join(said), tone
 
 

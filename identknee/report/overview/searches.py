@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from identknee.calibrate.starts import ALIKE
+from identknee.checks.fit_warnings import ALIKE
 from identknee.identify.basins import WITHIN
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.statements import statements_of

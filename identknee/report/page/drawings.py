@@ -233,11 +233,17 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
     if name is None:
         return
     index, parameters = found.indices[name], found.parameters.names
-    groups = [x.split(", ", 1) for x in found.groups]
-    tables = {}
-    for coordinate in dict.fromkeys(x[0] for x in groups if len(x) > 1):
-        rows = [i for i, x in enumerate(groups) if x[0] == coordinate]
-        tables[label(coordinate)] = ([groups[i][1] for i in rows], index.final[rows])
+    groups = [(i, result.answer.group_named(x)) for i, x in enumerate(found.groups)]
+    by_coordinate: dict[str, list[tuple[int, str]]] = {}
+    for i, x in groups:
+        if x is not None:
+            by_coordinate.setdefault(label(x.coordinate), []).append((i, x.place))
+    # Results of earlier versions have the names of the groups only.
+    by_coordinate = by_coordinate or {"": list(enumerate(found.groups[:-1]))}
+    tables = {
+        name: ([place for _, place in rows], index.final[[i for i, _ in rows]])
+        for name, rows in by_coordinate.items()
+    }
     yield Drawing(
         name="influence",
         figure=map_figure(tables, parameters, INDICES[name]),
@@ -251,7 +257,7 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
         # The last group is failure.
         order = np.argsort(-np.nan_to_num(size[:-1], nan=-1.0).max(axis=1))
         panels = {
-            ", ".join([label(groups[i][0]), *groups[i][1:]]): (size[i], width[i], spread[i])
+            _panel(result.answer, found.groups[i]): (size[i], width[i], spread[i])
             for i in order[:2]
         }
         yield Drawing(
@@ -261,6 +267,11 @@ def _sensitivity(result: Result) -> Iterator[Drawing]:
             "farther up it depends more on the other parameters.",
             description=f"Morris effects of {listed(map(label, parameters))}.",
         )
+
+
+def _panel(answer: GlobalSensitivity, name: str) -> str:
+    group = answer.group_named(name)
+    return name if group is None else f"{label(group.coordinate)}, {group.place}"
 
 
 def _thinned(theta: Array) -> Array:

@@ -35,13 +35,13 @@ def diagnosis_drawings(result: Result) -> Iterator[Drawing]:
     # None of them where the data cannot be tested.
     if misfit is None or trials is None or residuals is None:
         return
+    where = misfit_words(misfit.cells, misfit.share)
     yield Drawing(
         name="misfit",
-        figure=misfit_figure(misfit.map, misfit.sentence),
+        figure=misfit_figure(misfit.map, where),
         caption="Measured minus predicted, in units of the noise: red where more was measured, "
         "blue where less. Framed cells are hardly due to noise alone.",
-        description="Map of the misfit by coordinate, flexion and load: "
-        f"{misfit_words(misfit.sentence)}.",
+        description=f"Map of the misfit by coordinate, flexion and load: {where}.",
     )
     causes = listed(map(cause_label, answer.cause_names))
     before = residuals.before

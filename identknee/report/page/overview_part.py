@@ -3,15 +3,15 @@
 from collections.abc import Iterable, Sequence
 
 from identknee.report.overview.overview import Overview, Row
-from identknee.report.page.cautions import ERROR
 from identknee.report.page.markup import bullets, disclosed, element, escaped, paragraph, scrolling
+from identknee.runs.findings import Finding, Severity
 
 HEADS = ("quantity", "estimate", "95 % set", "status", "methods")
 MOST_OPEN = 3
 TITLE = "What is known of each parameter and force"
 
 
-def overview_html(found: Overview, cautions: Sequence[str], level: int) -> str:
+def overview_html(found: Overview, cautions: Sequence[Finding], level: int) -> str:
     """Verdict, warnings, table, fits, next tests; what there is nothing of is left out.
 
     Parameters
@@ -19,8 +19,8 @@ def overview_html(found: Overview, cautions: Sequence[str], level: int) -> str:
     found
         From `identknee.report.overview.overview.overview`.
     cautions
-        What results say against themselves, as sentences, errors first. All errors stand in the
-        open, and as many warnings as leave the table on the first screens.
+        What results say against themselves, errors first. All errors stand in the open, and as
+        many warnings as leave the table on the first screens.
     level
         Level of the heading above.
     """
@@ -39,10 +39,11 @@ def overview_html(found: Overview, cautions: Sequence[str], level: int) -> str:
     )
 
 
-def _cautions(sentences: Sequence[str]) -> str:
-    n = max(MOST_OPEN, sum(x.startswith(ERROR) for x in sentences))
+def _cautions(found: Sequence[Finding]) -> str:
+    n = max(MOST_OPEN, sum(x.severity is Severity.ERROR for x in found))
     # One more takes no more room than the words that would hide it.
-    n = len(sentences) if len(sentences) == n + 1 else n
+    n = len(found) if len(found) == n + 1 else n
+    sentences = [x.line for x in found]
     rest = sentences[n:]
     folded = disclosed(f"{len(rest)} more warnings", "".join(map(paragraph, rest)))
     return element("div", "".join(map(paragraph, sentences[:n])) + folded, class_="cautions")

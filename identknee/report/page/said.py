@@ -58,7 +58,7 @@ def _warnings(result: Result, fits: Sequence[Calibration]) -> Iterator[Statement
     answer = result.answer
     is_past = isinstance(answer, Calibration) and is_beaten(answer, fits)
     for x in warnings(result):
-        yield replace(x, question=Question.SEARCH, is_warning=False) if is_past else x
+        yield replace(x, question=Question.SEARCH, warning=None) if is_past else x
 
 
 def _taken(results: Sequence[Result]) -> Iterator[Said]:

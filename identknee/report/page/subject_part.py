@@ -6,7 +6,6 @@ from html import escape
 
 from identknee.diagnosis.verdict import Verdict
 from identknee.report.overview.overview import KNOWN, Overview, Tone, overview
-from identknee.report.page.cautions import told_once
 from identknee.report.page.computed_part import computed_html, further_html
 from identknee.report.page.drawing import Drawing
 from identknee.report.page.drawings import drawings
@@ -26,6 +25,7 @@ from identknee.report.page.results import Findings, Result
 from identknee.report.page.said import Said, all_said
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
+from identknee.report.page.warnings import merge_duplicate_warnings
 from identknee.report.statement import Question
 from identknee.runs.progress import progress
 from identknee.verbs.diagnosis import Diagnosis
@@ -67,11 +67,13 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
     merged = findings.merged
     main = overview([x.answer for x in findings.of_main_data])
     said = all_said(merged.results)
-    cautions = told_once((x.finding.sentence, x.source) for x in said if x.finding.is_warning)
+    cautions = merge_duplicate_warnings(
+        (x.finding.warning, x.source) for x in said if x.finding.warning is not None
+    )
     figures = _figures(merged, number)
     parts = [("answer", "The answer", overview_html(main, cautions, level))]
     for question in Question:
-        own = [x for x in said if x.finding.question is question and not x.finding.is_warning]
+        own = [x for x in said if x.finding.question is question and x.finding.warning is None]
         content = _part(own, figures.get(question, []))
         parts.append((question.value, _heading(question, main, merged), content))
         if question is Question.NEXT and scene is not None:

@@ -51,8 +51,8 @@ def test_the_same_data_speak_against_a_knee_that_is_said_to_be_exact() -> None:
 def test_an_error_beyond_what_is_stated_names_the_ligament() -> None:
     (finding, *_) = diagnosed(Uncertainty(insertions_mm=0.2)).base.fitted.nuisance_findings
     assert finding.where.startswith("insertion.")
-    assert "insertion on the" in finding.sentence
-    assert "beyond its stated uncertainty" in finding.sentence
+    assert finding.code == "nuisance-beyond-prior"
+    assert "See: identknee diagnose" not in finding.sentence
 
 
 def test_what_is_stated_to_be_uncertain_is_no_candidate() -> None:

@@ -9,6 +9,7 @@ import pytest
 from diagnoses import FRAME, diagnosed
 
 from identknee.calibrate.evaluation import Evaluation
+from identknee.checks import subject_checks
 from identknee.diagnosis import attribution as attribution_module
 from identknee.diagnosis import refit as refit_module
 from identknee.diagnosis.attribution import (
@@ -26,7 +27,6 @@ from identknee.diagnosis.verdict import (
     Verdict,
     conclude,
 )
-from identknee.model import soundness
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import effect_named
@@ -234,8 +234,8 @@ def test_the_diagnosis_says_what_its_fits_lack(others: tuple[Refit, ...]) -> Non
     begun = refit(found.base, [], [away], most_steps=1)
     assert begun.fitted.outcome is not Outcome.MINIMUM
     (warning,) = [x for x in replace(found, base=begun).findings if x.where == "starts"]
-    assert warning.severity is Severity.WARNING
-    assert "The fit without causes did not reach its minimum" in warning.sentence
+    assert (warning.code, warning.severity) == ("fit-unfinished", Severity.WARNING)
+    assert warning.values["explanation"] == []
 
 
 def test_a_diagnosis_carries_the_failed_stability_check_of_its_subject(
@@ -243,7 +243,7 @@ def test_a_diagnosis_carries_the_failed_stability_check_of_its_subject(
 ) -> None:
     found = diagnosed(FRAME)
     assert [x for x in found.findings if x.where == "subject"] == []
-    monkeypatch.setattr(soundness, "ENOUGH_MARGIN", np.inf)
+    monkeypatch.setattr(subject_checks, "ENOUGH_MARGIN", np.inf)
     again = replace(found)
     (finding,) = [x for x in again.findings if x.where == "subject"]
-    assert "hardly stable" in finding.sentence
+    assert finding.code == "hardly-stable-subject"

@@ -11,6 +11,7 @@ import pytest
 import identknee as ik
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import COORDINATES, PHASES
+from identknee.runs.finding_kinds import KINDS
 
 ROOT = Path(ik.__file__).parents[1]
 DOCS, PACKAGE = ROOT / "docs", ROOT / "identknee"
@@ -91,6 +92,18 @@ def test_every_command_has_its_help(pages: Any, tmp_path: Path) -> None:
     assert {"fit", "diagnose", "demo", "subject check", "subject import-osim"} <= set(shown)
     assert {x for x in shown if x and " " not in x} <= verbs
     assert text.count("Usage: identknee") == len(shown)
+
+
+def test_every_kind_of_finding_is_on_its_page_with_what_to_do(pages: Any, tmp_path: Path) -> None:
+    pages("findings").write_findings(tmp_path / "findings.md")
+    text = (tmp_path / "findings.md").read_text(encoding="utf-8")
+    codes = re.findall(r"^\| `([a-z-]+)` \| (\w+)(, exit code 1)? \| (.*) \| (.*) \|$", text, re.M)
+    assert [x[0] for x in codes] == list(KINDS)
+    for code, severity, ends, meaning, remedy in codes:
+        kind = KINDS[code]
+        assert (severity, bool(ends)) == (kind.severity.value, kind.invalidates)
+        assert (meaning, remedy) == (kind.meaning, kind.remedy)
+    assert "{include} _parts/findings.md" in page("findings.md")
 
 
 def test_theory_names_what_there_is_and_every_function_leads_back(pages: Any) -> None:

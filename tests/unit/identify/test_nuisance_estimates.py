@@ -7,7 +7,8 @@ import pytest
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import with_all_priors, with_nuisance_priors, without_priors
-from identknee.identify.nuisances import nuisance_estimates, nuisance_findings, nuisance_groups
+from identknee.checks.fit_warnings import nuisance_findings
+from identknee.identify.nuisances import nuisance_estimates, nuisance_groups
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
@@ -93,8 +94,9 @@ def test_a_nuisance_far_out_is_a_finding_with_its_name(problem: Linear) -> None:
     far = Linear(design=problem.design, data=problem.design @ [0.0, 0.0, 12.0, 0.0])
     whole = with_nuisance_priors(far)
     (finding,) = nuisance_findings(whole, fit(whole, np.zeros(4)).theta)
-    assert finding.where == "insertion.ACL_femur"
-    assert "the ACL insertion on the femur beyond its stated uncertainty: by" in finding.sentence
-    assert " mm along x, where an error stated to" in finding.sentence
+    assert (finding.code, finding.where) == ("nuisance-beyond-prior", "insertion.ACL_femur")
+    assert finding.values["nuisance"] == "insertion.ACL_femur_x_mm"
+    assert finding.values["unit"] == "mm"
+    assert abs(finding.values["moved"]) > 2.0 * finding.values["scatter"]
     whole = with_nuisance_priors(problem)
     assert nuisance_findings(whole, fit(whole, np.zeros(4)).theta) == ()

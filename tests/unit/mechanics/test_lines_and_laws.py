@@ -83,9 +83,7 @@ def test_the_stiffness_of_contact_is_the_slope_of_its_force(
     """With an exponent beside 1 the slope of a point's force is that many times its secant."""
     flexion, pose = pressed(reference_model)
     evaluate = Evaluator(reference_model.joint)
-    evaluate._contact = evaluate._contact._replace(
-        exponent=np.array([exponent]), rounding=np.array([rounding])
-    )
+    evaluate._contact = evaluate._contact._replace(law=(exponent, rounding))
     theta = reference_model.parameters.center * np.r_[np.zeros(4), np.ones(4)]
     ligaments = ligaments_of(reference_model, theta)
     found = evaluate(flexion, pose, ligaments)
@@ -112,7 +110,9 @@ def test_the_exponent_leaves_the_pressure_at_three_tenths_alone(
     forces, depths = {}, {}
     for exponent in (1.0, 1.4):
         evaluate = Evaluator(reference_model.joint)
-        evaluate._contact = evaluate._contact._replace(exponent=np.array([exponent]))
+        evaluate._contact = evaluate._contact._replace(
+            law=(exponent, evaluate._contact.law[1])
+        )
         evaluate(flexion, pose, ligaments)
         forces[exponent] = np.linalg.norm(evaluate.contact_forces(), axis=1)
         depths[exponent] = evaluate.contact_depths()

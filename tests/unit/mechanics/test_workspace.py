@@ -15,7 +15,7 @@ from identknee.model.laxity_model import LaxityModel
 def _arrays(group: Any) -> Iterator[np.ndarray]:
     for x in group:
         if isinstance(x, np.record):
-            yield from _arrays(x[name] for name in x.dtype.names)
+            yield from _arrays(x[name] for name in x.dtype.names or ())
         elif isinstance(x, np.ndarray) and x.dtype.names:
             yield from _arrays(x)
         else:

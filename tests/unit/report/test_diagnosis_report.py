@@ -21,6 +21,7 @@ from identknee.report.diagnosis_figures import (
     diagnosis_figures,
     isolability_figure,
     misfit_figure,
+    misfit_words,
     parameters_before_after_figure,
     residual_curves_figure,
     residuals_figure,
@@ -65,14 +66,14 @@ def test_the_map_frames_what_is_significant_and_nothing_else() -> None:
         misfit = answered(effect).misfit
         assert misfit is not None
         cells = misfit.map
-        axes = misfit_figure(cells, misfit.sentence).axes[0]
+        axes = misfit_figure(cells, misfit_words(misfit.cells, misfit.share)).axes[0]
         assert len(axes.texts) == len(cells) + len({x.flexion_deg for x in cells})
         frames = [x for x in axes.lines if np.size(x.get_xdata()) == 5]
         assert len(frames) == sum(x.p_value <= 0.05 for x in cells)
 
 
 def test_an_empty_map_is_drawn_too() -> None:
-    assert png(misfit_figure((), "No region stands out.")).startswith(b"\x89PNG")
+    assert png(misfit_figure((), misfit_words((), 0.0))).startswith(b"\x89PNG")
 
 
 def test_the_cause_goes_through_the_residuals_of_its_curves() -> None:

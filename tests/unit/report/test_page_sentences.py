@@ -16,7 +16,7 @@ from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
 from identknee.report.page.warnings import warnings
 from identknee.report.statement import Question
-from identknee.runs.findings import Finding, Severity
+from identknee.runs.findings import finding
 from identknee.subject.reference import reference_knee
 from identknee.verbs.fit import fit
 from identknee.verbs.isolability import Confused, Isolability
@@ -136,16 +136,16 @@ def test_what_was_taken_for_granted_is_on_the_page(tmp_path: Path) -> None:
 
 def test_stored_findings_stand_where_they_belong_and_lead(tmp_path: Path) -> None:
     findings = (
-        Finding(severity=Severity.ERROR, sentence="A sign is wrong.", where="data"),
-        Finding(severity=Severity.WARNING, sentence="A bound decided.", where="parameters"),
-        Finding(severity=Severity.INFO, sentence="Tried again.", where="starts"),
+        finding("moves-against-load", "data", sentence="A sign is wrong."),
+        finding("at-bound", "parameters", sentence="A bound decided."),
+        finding("start-confirmed", "starts", sentence="Tried again."),
     )
     answer = replace(straight_profiles(), findings=findings)
     (found,) = found_results(write_given(tmp_path, "profile", answer))
-    said = [(x.question, x.sentence, x.is_warning) for x in warnings(found)]
+    said = [(x.question, x.sentence, x.warning is not None) for x in warnings(found)]
     assert said == [
         (Question.WRONG, "Error: A sign is wrong.", True),
-        (Question.KNOWN, "Warning: A bound decided.", True),
+        (Question.WRONG, "Warning: A bound decided.", True),
         (Question.SEARCH, "Tried again.", False),
     ]
     page = report_html([found])

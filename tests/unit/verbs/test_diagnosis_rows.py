@@ -14,10 +14,10 @@ def test_where_nothing_explains_the_misfit_repeats_are_asked_for() -> None:
     conclusion = replace(found.conclusion, verdict=Verdict.UNEXPLAINED)
     unexplained = replace(found, conclusion=conclusion, advice=None)
     (finding,) = advice_findings(unexplained)
-    assert "nothing explains the misfit" in finding.sentence
+    assert finding.code == "no-trial-advised"
     left = np.nansum((found.base.fitted.differences / found.noise.sd) ** 2, axis=1)
     worst = found.laxity.protocol.trials[int(np.argmax(left))]
-    assert f"left in {worst}, " in finding.sentence
+    assert finding.values["trials"][0] == worst
     # Nothing is stated to be uncertain there.
-    assert "stated as uncertain" not in finding.sentence
+    assert "nuisances" not in finding.values
     assert advice_findings(replace(found, advice=None)) == ()

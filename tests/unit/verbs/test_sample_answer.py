@@ -14,13 +14,13 @@ from identknee.identify.posterior.posterior import Posterior
 from identknee.identify.posterior.sample import sample
 from identknee.report.terminal import terminal_lines
 from identknee.runs.array_groups import groups_of
-from identknee.runs.findings import Finding, Severity
+from identknee.runs.findings import finding
 from identknee.runs.plain_records import summary_of, to_plain
 from identknee.verbs.files import load
 from identknee.verbs.sample import Sample, as_answer
 from identknee.verbs.sample_records import Nested
 
-LOST = Finding(severity=Severity.ERROR, sentence="no prediction", where="trials")
+LOST = finding("no-prediction", "trials", sentence="no prediction")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """The answer of a sensitivity analysis: what it holds, and that files give it back."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,18 @@ from report_folders import write_given
 
 from identknee.identify.sensitivity import FAILURE, Box, Sensitivity
 from identknee.identify.sensitivity_estimators import Index
+from identknee.laxity.scenarios import LaxityGroup
 from identknee.model.parameters import ligament_parameters
 from identknee.report.terminal import terminal_lines
 from identknee.runs.array_groups import groups_of
+from identknee.runs.findings import finding
 from identknee.runs.plain_records import summary_of, to_plain
 from identknee.verbs.files import load
 from identknee.verbs.sensitivity import GlobalSensitivity
 
 PARAMETERS = ligament_parameters(["A", "new"], [1.0, 2.0], [3.0, 4.0])
-GROUPS = ("varus_deg, 0 deg, unloaded", FAILURE)
+GROUP = LaxityGroup(coordinate="varus_deg", flexion_deg=0.0, load="unloaded")
+GROUPS = (GROUP.name, FAILURE)
 
 
 def index(*, floor: bool = False) -> Index:
@@ -46,7 +50,7 @@ def answer(*, is_box: bool, share: float = 0.2) -> GlobalSensitivity:
         box=Box(lower=np.zeros(4), upper=np.ones(4)) if is_box else None,
         seed=3,
     )
-    return GlobalSensitivity(analysis=analysis)
+    return GlobalSensitivity(analysis=analysis, laxity_groups=(GROUP,))
 
 
 @pytest.mark.parametrize("is_box", [True, False])
@@ -81,8 +85,12 @@ def test_the_summary_names_the_largest_index() -> None:
         "group": GROUPS[0],
     }
     assert "laxity depends most on" in terminal_lines(made)[0]
+    assert "varus angulation at 0 deg of flexion without load" in terminal_lines(made)[0]
+    # Results of earlier versions have the name of the group alone.
+    assert GROUP.name in terminal_lines(replace(made, laxity_groups=()))[0]
 
 
 def test_nothing_without_failure_is_said(tmp_path: Path) -> None:
     assert answer(is_box=True).failure == ""
-    assert "no parameter set converges" in answer(is_box=True, share=1.0).failure
+    lost = replace(answer(is_box=True), findings=(finding("no-set-converges", "trials"),))
+    assert lost.failure == lost.findings[0].sentence

@@ -15,7 +15,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.terminal import terminal_lines
 from identknee.runs.array_groups import groups_of
-from identknee.runs.findings import Finding, Severity
+from identknee.runs.findings import finding
 from identknee.runs.plain_records import summary_of, to_plain
 from identknee.subject.knee import Knee
 from identknee.verbs.files import load
@@ -23,7 +23,7 @@ from identknee.verbs.sweep import Sweep, trials_lost
 
 PROBLEM = linear(2)
 SEARCHES = sweep(PROBLEM, sobol_starts(PROBLEM.parameters, 24, seed=1), seed=3)
-LOST = Finding(severity=Severity.ERROR, sentence="no prediction", where="trials")
+LOST = finding("no-prediction", "trials", sentence="no prediction")
 
 
 def straight() -> Sweep:

@@ -1,4 +1,4 @@
-"""Stability of a subject: margins over a protocol, over a parameter box, by contact points."""
+"""Whether a subject is well posed: its stability margin, a box of parameters, contact and rims."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -15,10 +15,10 @@ from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
-from identknee.runs.findings import Severity
+from identknee.runs.findings import Finding, finding
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress
-from identknee.subject.check import GeometryFinding
+from identknee.subject.check import GeometryFinding, geometry_finding
 
 STIFFNESS_SHARE = 0.5
 STRAIN_PCT = 3.0
@@ -229,34 +229,29 @@ def _lowest(values: Array) -> float:
 def _own_finding(report: StabilityReport) -> GeometryFinding:
     n, protocol = report.n_trials, report.protocol
     if report.n_converged < n:
-        return GeometryFinding(
-            severity=Severity.ERROR,
-            where="stability",
-            sentence=(
-                f"{n - report.n_converged} of the {n} trials of {protocol} do not converge at the "
-                f"subject's own parameters. {' '.join(_lost(report))}"
-            ),
-            remedy=(
-                f"{_worth_moving(report.moves)} Otherwise correct the ligament parameters or lower "
-                "the loads before calibrating: a model that loses trials has cliffs in its "
-                "objective."
-            ),
+        lost = [x.trial for x in report.trials if x.outcome is not Outcome.CONVERGED]
+        return geometry_finding(
+            "trials-not-converging",
+            "stability",
+            f"{n - report.n_converged} of the {n} trials of {protocol} do not converge at the "
+            f"subject's own parameters. {' '.join(_lost(report))}",
+            {"n": n, "n_lost": len(lost), "trials": lost},
+            remedy=f"{_worth_moving(report.moves)} Otherwise correct the ligament parameters or "
+            "lower the loads before calibrating: a model that loses trials has cliffs in its "
+            "objective.",
         )
     weakest = min(report.trials, key=lambda x: x.margin).trial
     is_low = report.lowest_margin < ENOUGH_MARGIN
-    return GeometryFinding(
-        severity=Severity.WARNING if is_low else Severity.INFO,
-        where="stability",
-        sentence=(
-            f"All {n} trials of {protocol} converge at the subject's own parameters; the lowest "
-            f"stability margin is {report.lowest_margin:.3g} N/mm, in {weakest}."
-        ),
-        remedy=(
-            f"Below {ENOUGH_MARGIN:g} N/mm a small change may leave no stable pose: check the "
-            "ligaments that hold this motion."
-            if is_low
-            else ""
-        ),
+    return geometry_finding(
+        "margin-low" if is_low else "all-converge",
+        "stability",
+        f"All {n} trials of {protocol} converge at the subject's own parameters; the lowest "
+        f"stability margin is {report.lowest_margin:.3g} N/mm, in {weakest}.",
+        {"n": n, "margin_N_per_mm": report.lowest_margin, "trial": weakest},
+        remedy=f"Below {ENOUGH_MARGIN:g} N/mm a small change may leave no stable pose: check the "
+        "ligaments that hold this motion."
+        if is_low
+        else "",
     )
 
 
@@ -293,48 +288,35 @@ def _box_finding(report: StabilityReport) -> GeometryFinding:
         end: n for end, n in report.box_outcomes.items() if end is not Outcome.CONVERGED
     }
     n_failed = sum(bool(np.isnan(x)) for x in report.box_margins)
-    is_low = share < ENOUGH_CONVERGED
     ended = f" ({_counted(failed)})" if failed else ""
-    return GeometryFinding(
-        severity=Severity.WARNING if is_low else Severity.INFO,
-        where="stability",
-        sentence=(
-            f"With stiffness varied by +-{100 * STIFFNESS_SHARE:g} % and reference strain by "
-            f"+-{STRAIN_PCT:g} %, {100 * share:.2f} % of the trials of {report.protocol} "
-            f"converge{ended}; {n_failed} of {report.n_samples} parameter sets lose at least "
-            "one trial."
-        ),
-        remedy=(
-            "Expect cliffs when calibrating: start near, keep to narrower bounds, or move the "
-            "insertions."
-            if is_low
-            else ""
-        ),
+    return geometry_finding(
+        "box-loses-trials" if share < ENOUGH_CONVERGED else "box-converges",
+        "stability",
+        f"With stiffness varied by +-{100 * STIFFNESS_SHARE:g} % and reference strain by "
+        f"+-{STRAIN_PCT:g} %, {100 * share:.2f} % of the trials of {report.protocol} "
+        f"converge{ended}; {n_failed} of {report.n_samples} parameter sets lose at least "
+        "one trial.",
+        {"converged_pct": 100 * share, "n_lost": n_failed, "n": report.n_samples},
     )
 
 
 def _points_finding(report: StabilityReport) -> GeometryFinding:
+    code, where = "contact-points-coarse", "contact points"
     if np.isnan(report.change).any():
-        return GeometryFinding(
-            severity=Severity.WARNING,
-            where="contact points",
-            sentence="No trial converges both with the default contact points and all vertices.",
-            remedy="Correct what stops the trials first.",
-        )
+        sentence = "No trial converges both with the default contact points and all vertices."
+        remedy = "Correct what stops the trials first."
+        return geometry_finding(code, where, sentence, remedy=remedy)
     is_large = report.change_mm > ENOUGH_MM or report.change_deg > ENOUGH_DEG
-    return GeometryFinding(
-        severity=Severity.WARNING if is_large else Severity.INFO,
-        where="contact points",
-        sentence=(
-            f"Between the default contact points and all vertices the pose changes by at most "
-            f"{report.change_mm:.3f} mm and {report.change_deg:.3f} deg over {report.protocol}."
-        ),
-        remedy=(
-            f"More than {ENOUGH_MM:g} mm or {ENOUGH_DEG:g} deg: smooth the cartilage surfaces, or "
-            "use LaxityModel(n_points=None)."
-            if is_large
-            else ""
-        ),
+    return geometry_finding(
+        code if is_large else "contact-points-enough",
+        where,
+        "Between the default contact points and all vertices the pose changes by at most "
+        f"{report.change_mm:.3f} mm and {report.change_deg:.3f} deg over {report.protocol}.",
+        {"change_mm": report.change_mm, "change_deg": report.change_deg},
+        remedy=f"More than {ENOUGH_MM:g} mm or {ENOUGH_DEG:g} deg: smooth the cartilage surfaces, "
+        "or use LaxityModel(n_points=None)."
+        if is_large
+        else "",
     )
 
 
@@ -353,3 +335,49 @@ def counted_outcomes(outcomes: Sequence[Outcome]) -> str:
 
 def _counted(outcomes: Mapping[Outcome, int]) -> str:
     return ", ".join(f"{count} {_ENDED[outcome]}" for outcome, count in outcomes.items())
+
+
+def stability_findings(model: LaxityModel) -> tuple[Finding, ...]:
+    """Whether the subject is stable at its own parameters under the trials of its data.
+
+    What `identknee subject check` finds there goes with every result, because results of a knee
+    that folds hang on where it folds.
+    """
+    found = model.predict(model.parameters.start, derivatives=False)
+    n = model.protocol.n
+    if not found.all_converged:
+        lost = np.flatnonzero(~found.is_converged)
+        first = model.protocol.trials[int(lost[0])]
+        sentence = (
+            f"The subject fails its stability check: at its own parameters {lost.size} of {n} "
+            f"trials have no equilibrium ({counted_outcomes(found.outcomes)}; the first is "
+            f"{first}). See: identknee subject check SUBJECT --protocol DATA.csv"
+        )
+        values = {"n": n, "n_lost": lost.size, "first": first}
+        return (finding("unstable-subject", "subject", values, sentence=sentence),)
+    lowest = float(np.nanmin(found.margins, initial=np.inf))
+    if lowest < ENOUGH_MARGIN:
+        weakest = model.protocol.trials[int(np.nanargmin(found.margins))]
+        sentence = (
+            f"At its own parameters the subject is hardly stable: {lowest:.2g} N/mm in {weakest}, "
+            f"less than {ENOUGH_MARGIN:g}. See: identknee subject check"
+        )
+        values = {"margin_N_per_mm": lowest, "trial": weakest}
+        return (finding("hardly-stable-subject", "subject", values, sentence=sentence),)
+    return ()
+
+
+def rim_findings(trials: Sequence[str], found: Prediction) -> tuple[Finding, ...]:
+    """Which of the trials press near a rim, where the cartilage surface ends."""
+    near = np.flatnonzero(found.is_near_rim)
+    if not near.size:
+        return ()
+    worst = near[int(np.argmax(found.rim_share[near]))]
+    many = "1 trial" if near.size == 1 else f"{near.size} trials"
+    sentence = (
+        f"In {many} contact acts within 3 mm of a rim, where the surface ends (most in "
+        f"{trials[worst]}, {found.rim_share[worst]:.0%} of the force): cartilage beyond the rim is "
+        "missing from the model."
+    )
+    values = {"n": near.size, "trial": trials[worst], "force_share": found.rim_share[worst]}
+    return (finding("contact-near-rim", "subject", values, sentence=sentence),)

@@ -6,12 +6,12 @@ import numpy as np
 from small_knee import as_read, small_knee
 
 import identknee as ik
+from identknee.checks.data_checks import frame_findings, load_findings
 from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
-from identknee.scrutiny.whole_table import load_findings, pose_findings
 from identknee.subject.folder import read_subject
 
 
@@ -23,16 +23,15 @@ def test_changes_from_a_pose_are_not_taken_for_coordinates() -> None:
     laxity = example_laxity("s192803")
     zeroed = replace(laxity, coordinates=laxity.coordinates - laxity.coordinates[-1])
     for subject in ("s192803", "s192803_bundles"):
-        assert pose_findings(begun(subject, laxity)) == ()
-        (finding,) = pose_findings(begun(subject, zeroed))
-        assert finding.severity is Severity.ERROR
-        assert "# zero: unloaded" in finding.sentence
+        assert frame_findings(begun(subject, laxity)) == ()
+        (finding,) = frame_findings(begun(subject, zeroed))
+        assert (finding.code, finding.severity) == ("coordinates-of-other-frames", Severity.ERROR)
 
 
 def test_a_table_of_deep_flexion_alone_is_one_of_this_knee() -> None:
     laxity = example_laxity("s192803")
     deep = laxity.select(np.flatnonzero(laxity.protocol.flexion_deg > 80.0))
-    assert pose_findings(begun("s192803_bundles", deep)) == ()
+    assert frame_findings(begun("s192803_bundles", deep)) == ()
 
 
 def test_a_table_without_loads_is_said_to_have_none() -> None:
@@ -40,7 +39,7 @@ def test_a_table_without_loads_is_said_to_have_none() -> None:
     assert load_findings(laxity) == ()
     unloaded = replace(laxity.protocol, loads=np.zeros_like(laxity.protocol.loads))
     found = ik.fit(small_knee(), replace(laxity, protocol=unloaded), budget=3)
-    assert "No trial of the table has a load" in " ".join(x.sentence for x in found.findings)
+    assert "no-loads" in {x.code for x in found.findings}
 
 
 def test_what_was_not_measured_is_said_by_a_fit() -> None:
@@ -63,4 +62,7 @@ def test_a_start_outside_the_bounds_is_said_to_be_the_reason() -> None:
     found = ik.fit(knee, laxity, bounds=narrow)
     assert found.outcome is Outcome.START_FAILED
     assert found.trials_used == ()
-    assert "0 of" not in " ".join(x.sentence for x in found.findings)
+    (nothing,) = [x for x in found.findings if x.code == "nothing-fitted"]
+    # No trial is to blame.
+    assert not nothing.values
+    assert found.failure == nothing.sentence

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from small_knee import small_protocol
 
+from identknee.checks.trial_exclusion import ExclusionResult, TrialExclusion
 from identknee.laxity.table import Laxity
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
-from identknee.verbs.barred import BarredSearch, Beyond
 
 N = 6
-BARRED = 3
+LOST = 3
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Sliding:
     """
 
     laxity: Laxity
-    barred: Callable[[float], float]
+    lost: Callable[[float], float]
 
     @property
     def parameters(self) -> Parameters:
@@ -42,7 +42,7 @@ class Sliding:
 
     def differences(self, theta: Array) -> Array:
         poses = np.full(N, np.log1p(3.0 * float(theta[0])) / np.log(4.0))
-        poses[BARRED] = self.barred(float(poses[0]))
+        poses[LOST] = self.lost(float(poses[0]))
         return np.asarray(self.laxity.coordinates - poses[:, None])
 
     def residuals(self, theta: Array) -> Array:
@@ -57,18 +57,18 @@ class Sliding:
         return np.full((int(self.laxity.is_measured.sum()), 1), slope / sd)
 
 
-def table(*, barred: float, noise: float = 0.01) -> Laxity:
+def table(*, lost: float, noise: float = 0.01) -> Laxity:
     """Trials that measured 1 in all coordinates, some noise aside, but for one."""
     values = 1.0 + noise * np.random.default_rng(3).standard_normal((N, 5))
-    values[BARRED] = barred
+    values[LOST] = lost
     return Laxity(
         protocol=small_protocol().select(np.arange(small_protocol().n) < N), coordinates=values
     )
 
 
-def search(pose: Callable[[float], float], measured: float = 1.0) -> Beyond | None:
-    laxity = table(barred=measured)
-    return BarredSearch(
+def search(pose: Callable[[float], float], measured: float = 1.0) -> ExclusionResult | None:
+    laxity = table(lost=measured)
+    return TrialExclusion(
         compared=cast(LaxityResiduals, Sliding(laxity, pose)),
         problem=lambda part: cast(Any, Sliding(part, pose)),
         expand=lambda theta: theta,
@@ -84,23 +84,23 @@ def test_a_trial_that_bars_the_way_is_taken_back_from_beyond(beyond: float) -> N
     found = search(lambda pose: beyond if is_between(pose) else pose)
     assert found is not None
     assert found.theta[0] == pytest.approx(1.0, abs=0.01)
-    assert np.flatnonzero(found.has_barred).tolist() == [BARRED]
-    assert not found.is_left_out.any()
-    assert "jumps or loses its pose in d: what barred" in found.sentence("abcdef")
+    assert np.flatnonzero(found.was_excluded).tolist() == [LOST]
+    assert not found.is_excluded.any()
+    assert "loses equilibrium in d. These" in found.sentence("abcdef")
 
 
-def test_a_trial_without_a_pose_where_all_others_fit_is_left_out() -> None:
+def test_a_trial_without_a_pose_where_all_others_fit_is_excluded() -> None:
     found = search(lambda x: np.nan if x > 0.5 else x)
     assert found is not None
     assert found.theta[0] == pytest.approx(1.0, abs=0.01)
-    assert np.flatnonzero(found.is_left_out).tolist() == [BARRED]
+    assert np.flatnonzero(found.is_excluded).tolist() == [LOST]
 
 
 def test_a_trial_that_costs_the_others_little_is_kept() -> None:
     """Its end at 0.7 costs a deviance of 12, where five values of such noise may cost 17."""
-    laxity = replace(table(barred=1.0, noise=0.5), sd=np.full((N, 5), 0.5))
+    laxity = replace(table(lost=1.0, noise=0.5), sd=np.full((N, 5), 0.5))
     problem = Sliding(laxity, lambda pose: np.nan if pose > 0.7 else pose)
-    found = BarredSearch(
+    found = TrialExclusion(
         compared=cast(LaxityResiduals, problem),
         problem=lambda part: cast(Any, replace(problem, laxity=part)),
         expand=lambda theta: theta,
@@ -111,7 +111,7 @@ def test_a_trial_that_costs_the_others_little_is_kept() -> None:
 def test_a_trial_that_has_no_pose_at_the_start_comes_back() -> None:
     found = search(lambda x: np.nan if x < 0.5 else x)
     assert found is not None
-    assert not found.is_left_out.any()
+    assert not found.is_excluded.any()
 
 
 def test_a_way_without_bars_needs_no_other_start() -> None:
@@ -119,5 +119,7 @@ def test_a_way_without_bars_needs_no_other_start() -> None:
 
 
 def test_many_trials_are_not_all_named() -> None:
-    found = Beyond(theta=np.zeros(1), is_left_out=np.zeros(6, bool), has_barred=np.ones(6, bool))
-    assert "in a, b, c, d and 2 more trials: what" in found.sentence("abcdef")
+    found = ExclusionResult(
+        theta=np.zeros(1), is_excluded=np.zeros(6, bool), was_excluded=np.ones(6, bool)
+    )
+    assert "in a, b, c, d and 2 more trials. These" in found.sentence("abcdef")

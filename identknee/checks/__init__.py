@@ -1,4 +1,4 @@
-"""Scrutiny: what speaks against data and fit before physics is asked: conventions, blunders."""
+"""Checks of data, subject and fit before any cause is sought, and the trials a fit can use."""
 
 from lazy_loader import attach_stub
 

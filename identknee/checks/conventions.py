@@ -1,21 +1,50 @@
-"""Which convention of a laxity table is broken, if one is."""
+"""Conventions that a laxity table may break, and which of them a table does break."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import chdtrc
 
-from identknee.calibrate.doubts import GROSS, IMPROBABLE, MOST_DEG, MOST_MM
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Scaled
-from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
+from identknee.checks.data_checks import load_sign_findings
+from identknee.checks.fit_warnings import GROSS, IMPROBABLE, MOST_DEG, MOST_MM
+from identknee.laxity.protocol import FLEXION, LOADS
+from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.laxity.zeros import unloaded_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding, Severity
-from identknee.scrutiny.against_load import against_load_findings
-from identknee.scrutiny.conventions import Convention, conventions_of
+from identknee.runs.findings import Finding, finding
 
+# Names of both kinds of columns, coordinates first.
+COLUMNS = (*COORDINATES, *LOADS)
+_LENGTHS = tuple(x for x in COORDINATES if x.endswith("_mm"))
+_ANGLES = tuple(x for x in COORDINATES if x.endswith("_deg"))
+_MOMENTS = tuple(x for x in LOADS if x.endswith("_Nm"))
+_FORCES = tuple(x for x in LOADS if x.endswith("_N"))
+# Lateral and medial, varus and valgus, internal and external change places on the other side.
+_SIDED = ("lateral_shift_mm", "varus_deg", "internal_deg")
+_SIDED_LOADS = ("internal_moment_Nm", "varus_moment_Nm", "lateral_force_N")
+_UNITS = (
+    (_LENGTHS, 1000.0, "m", "mm"),
+    (_LENGTHS, 10.0, "cm", "mm"),
+    (_LENGTHS, 25.4, "inches", "mm"),
+    (_ANGLES, 180.0 / np.pi, "radians", "degrees"),
+    (_MOMENTS, 0.001, "N·mm", "N·m"),
+    (_MOMENTS, 0.01, "N·cm", "N·m"),
+    (_MOMENTS, 0.112985, "inch-pounds", "N·m"),
+    (_FORCES, 1000.0, "kN", "N"),
+    (_FORCES, 4.44822, "pounds", "N"),
+    (_FORCES, 9.80665, "kilograms", "N"),
+)
+# A smaller standard deviation than any instrument's must be in the unit that is to be changed.
+LEAST_SD = 0.02
+# Poses of unloaded trials closer to zero than this [mm, deg] were set to zero.
+ZEROED = 1.0
 # Share of the misfit that a convention has to remove, and share of it that a straight model at the
 # start has to promise before a fit is made.
 REMOVED, PROMISED = 0.9, 0.5
@@ -24,6 +53,153 @@ MOST_FITS, BUDGET = 4, 80
 LEAST_SHARE = 0.5
 # Another convention that leaves no more than so many times the misfit is as good.
 AS_GOOD = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Convention:
+    """A change of a laxity table that would put one broken convention right.
+
+    Attributes
+    ----------
+    what
+        What it does, as the subject of a sentence.
+    order
+        Which of `COLUMNS` each column takes its values from, shape ``(10,)``.
+    factors
+        What they are multiplied by, shape ``(10,)``.
+    flexion
+        What flexion is multiplied by.
+    zero
+        What coordinates are counted from; None for what the table says.
+    """
+
+    what: str
+    order: tuple[int, ...] = tuple(range(len(COLUMNS)))
+    factors: tuple[float, ...] = (1.0,) * len(COLUMNS)
+    flexion: float = 1.0
+    zero: str | None = None
+
+    def applied(self, laxity: Laxity) -> Laxity | None:
+        """The table put right; None where it would be the same or break a rule of tables.
+
+        Standard deviations keep their size where the unit changes, but for those too small to be
+        in the unit that the table should have.
+        """
+        n = len(COORDINATES)
+        order, factors = np.array(self.order), np.array(self.factors)
+        protocol = laxity.protocol
+        loads = protocol.loads[:, order[n:] - n] * factors[n:]
+        coordinates = laxity.coordinates[:, order[:n]] * factors[:n]
+        zero = laxity.zero if self.zero is None else self.zero
+        flexion = protocol.flexion_deg * self.flexion
+        same = (
+            np.array_equal(loads, protocol.loads)
+            and np.array_equal(coordinates, laxity.coordinates, equal_nan=True)
+            and np.array_equal(flexion, protocol.flexion_deg)
+        )
+        # Columns of which one was not measured were not exchanged.
+        moved = np.isnan(coordinates) != np.isnan(laxity.coordinates)
+        if (same and zero == laxity.zero) or moved.any():
+            return None
+        try:
+            return replace(
+                laxity,
+                protocol=replace(protocol, flexion_deg=flexion, loads=loads),
+                coordinates=coordinates,
+                sd=None if laxity.sd is None else self._sd(laxity.sd),
+                zero=zero,
+            )
+        except ValueError:
+            return None
+
+    def _sd(self, sd: Array) -> Array:
+        n = len(COORDINATES)
+        moved = sd[:, list(self.order[:n])]
+        scaled = np.abs(self.factors[:n]) * moved
+        return np.where(moved < LEAST_SD, scaled, moved)
+
+
+def conventions_of(laxity: Laxity) -> tuple[Convention, ...]:
+    """The changes that would put right what people get wrong in a table such as this.
+
+    Signs of columns, of whole motions and of all loads; units; the other side of the body; columns
+    exchanged; and what coordinates are counted from.
+    """
+    return (*_signs(), *_sides(), *_units(), *_exchanges(), *_zeros(laxity))
+
+
+def _signs() -> Iterator[Convention]:
+    for name in COLUMNS:
+        yield Convention(what=f"negating {name}", factors=_negated((name,)))
+    yield Convention(
+        what="negating all coordinates (motion of the femur in the tibia)",
+        factors=_negated(COORDINATES),
+    )
+    yield Convention(what="negating all lengths", factors=_negated(_LENGTHS))
+    yield Convention(what="negating both angles", factors=_negated(_ANGLES))
+    yield Convention(what="negating all loads (loads on the femur)", factors=_negated(LOADS))
+    yield Convention(what="negating both moments", factors=_negated(_MOMENTS))
+    yield Convention(what=f"negating {FLEXION}", flexion=-1.0)
+
+
+def _sides() -> Iterator[Convention]:
+    for what, names in (
+        ("coordinates and loads", (*_SIDED, *_SIDED_LOADS)),
+        ("coordinates", _SIDED),
+        ("loads", _SIDED_LOADS),
+    ):
+        said = f"taking {what} for those of the other side (left for right)"
+        yield Convention(what=said, factors=_negated(names))
+
+
+def _units() -> Iterator[Convention]:
+    for names, factor, unit, wanted in _UNITS:
+        what = {_LENGTHS: "lengths", _ANGLES: "angles", _MOMENTS: "moments", _FORCES: "forces"}
+        said = f"taking {what[names]} for {unit} and converting them to {wanted}"
+        yield Convention(what=said, factors=_scaled(names, factor))
+    for name in (*_LENGTHS, *_ANGLES):
+        unit, factor = ("m", 1000.0) if name in _LENGTHS else ("radians", 180.0 / np.pi)
+        yield Convention(what=f"taking {name} for {unit}", factors=_scaled((name,), factor))
+    yield Convention(what=f"taking {FLEXION} for radians", flexion=180.0 / np.pi)
+
+
+def _exchanges() -> Iterator[Convention]:
+    for kind in (_LENGTHS, _ANGLES, _MOMENTS, _FORCES):
+        for one, other in combinations(kind, 2):
+            order = list(range(len(COLUMNS)))
+            i, j = COLUMNS.index(one), COLUMNS.index(other)
+            order[i], order[j] = j, i
+            yield Convention(what=f"exchanging {one} and {other}", order=tuple(order))
+
+
+def _zeros(laxity: Laxity) -> Iterator[Convention]:
+    if laxity.zero == "unloaded":
+        yield Convention(
+            what="taking coordinates for absolute ones (without zero: unloaded)", zero="absolute"
+        )
+        return
+    if laxity.zero != "absolute":
+        return
+    unloaded = laxity.coordinates[laxity.protocol.is_unloaded]
+    known = np.abs(unloaded[~np.isnan(unloaded)])
+    if not known.size or np.median(known) > ZEROED:
+        return
+    try:
+        unloaded_trials(laxity.protocol)
+    except ValueError:
+        return
+    yield Convention(
+        what="counting coordinates from the unloaded pose of each flexion angle (zero: unloaded)",
+        zero="unloaded",
+    )
+
+
+def _negated(names: Sequence[str]) -> tuple[float, ...]:
+    return _scaled(names, -1.0)
+
+
+def _scaled(names: Sequence[str], factor: float) -> tuple[float, ...]:
+    return tuple(factor if x in names else 1.0 for x in COLUMNS)
 
 
 @declared
@@ -54,8 +230,17 @@ class BrokenConvention:
 
     @property
     def finding(self) -> Finding:
-        """As an answer says it."""
-        return Finding(severity=Severity.ERROR, sentence=self.sentence, where="data")
+        """As an answer reports it."""
+        values = {
+            "what": self.what,
+            "removed_share": self.removed,
+            "before_mm": self.mm_before,
+            "after_mm": self.mm_after,
+            "before_deg": self.deg_before,
+            "after_deg": self.deg_after,
+            "others": self.others,
+        }
+        return finding("broken-convention", "data", values, sentence=self.sentence)
 
 
 def find_broken_convention(
@@ -109,10 +294,10 @@ def find_broken_convention(
 def convention_findings(
     model: LaxityModel, laxity: Laxity, start: Array, fitted: Array | None = None
 ) -> tuple[Finding, ...]:
-    """What is said of conventions before any physics: the one that is broken, if one is.
+    """The convention that is broken, if one is.
 
-    Where the model cannot tell, as on a knee without equilibrium at the start, the table alone is
-    asked whether the tibia moves against its load.
+    Where the model cannot tell, as on a knee without equilibrium at the start, the table alone
+    shows whether the tibia moves against its load.
 
     Parameters
     ----------
@@ -120,7 +305,7 @@ def convention_findings(
         As in `find_broken_convention`.
     """
     found = find_broken_convention(model, laxity, start, fitted)
-    return against_load_findings(laxity) if found is None else (found.finding,)
+    return load_sign_findings(laxity) if found is None else (found.finding,)
 
 
 class _Table:

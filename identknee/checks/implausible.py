@@ -1,4 +1,4 @@
-"""Whether what no laxity test measures is believable: forces and strains of ligaments, contact."""
+"""Whether unmeasured forces and strains of ligaments, and contact, are plausible."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
-from identknee.runs.findings import Finding, Severity
+from identknee.runs.findings import Finding, finding
 
 # Mean load at which each fails [N]; lines whose names begin so are parts of it.
 FAILURE_N = {
@@ -34,8 +34,8 @@ CONTACT_SOURCE = "balanced knees: within 67 N, Gustke 2014, doi:10.1016/j.arth.2
 VARUS, DISTRACTION = LOADS.index("varus_moment_Nm"), LOADS.index("distraction_force_N")
 
 
-def unmeasured_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
-    """What a fit says of forces that nobody measured and that no knee has, against published ones.
+def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
+    """Forces, strains and contact of a fit that lie beyond published values of any knee.
 
     Trials without equilibrium are left out.
 
@@ -47,19 +47,14 @@ def unmeasured_findings(model: LaxityModel, prediction: Prediction) -> tuple[Fin
     if not prediction.is_converged.any():
         return ()
     tension = tensions_of(model, prediction)
-    said = [*_forces(model, tension), *_strains(model, prediction, tension)]
-    said += _contact(model, prediction)
-    return tuple(
-        Finding(
-            severity=Severity.WARNING,
-            sentence=f"The fit is not believable here: {sentence}",
-            where=where,
-        )
-        for where, sentence in said
+    return (
+        *_forces(model, tension),
+        *_strains(model, prediction, tension),
+        *_contact(model, prediction),
     )
 
 
-def _forces(model: LaxityModel, tension: Array) -> Iterator[tuple[str, str]]:
+def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
     names = [x.name for x in model.knee.ligaments]
     for ligament, (failure, source) in FAILURE_N.items():
         own = [k for k, name in enumerate(names) if name.startswith(ligament)]
@@ -67,17 +62,17 @@ def _forces(model: LaxityModel, tension: Array) -> Iterator[tuple[str, str]]:
         if not own or np.nanmax(whole) <= BEYOND * failure:
             continue
         worst = int(np.nanargmax(whole))
-        sentence = (
-            f"{ligament} carries {whole[worst]:.0f} N under "
-            f"{load_words(model.protocol, worst)}, and such a ligament fails at {failure:.0f} N "
-            f"on average ({source})."
-        )
-        yield ligament, sentence
+        values = {
+            "ligament": ligament,
+            "force_N": whole[worst],
+            "load": load_words(model.protocol, worst),
+            "failure_N": failure,
+            "source": source,
+        }
+        yield finding("implausible-force", ligament, values)
 
 
-def _strains(
-    model: LaxityModel, prediction: Prediction, tension: Array
-) -> Iterator[tuple[str, str]]:
+def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iterator[Finding]:
     """From the force, which has one strain where it is not zero."""
     u = model.tied.n
     stiffness = PER_KN * model.tied.stiffness(prediction.theta[:u])
@@ -93,15 +88,17 @@ def _strains(
         if not np.isfinite(own).any() or np.nanmax(own) <= FAILURE_PCT:
             continue
         worst = int(np.nanargmax(own))
-        sentence = (
-            f"{ligament.name} is strained by {own[worst]:.0f} % under "
-            f"{load_words(model.protocol, worst)}, and ligaments fail at about "
-            f"{FAILURE_PCT:.0f} % ({STRAIN_SOURCE})."
-        )
-        yield ligament.name, sentence
+        values = {
+            "ligament": ligament.name,
+            "strain_pct": own[worst],
+            "load": load_words(model.protocol, worst),
+            "failure_pct": FAILURE_PCT,
+            "source": STRAIN_SOURCE,
+        }
+        yield finding("implausible-strain", ligament.name, values)
 
 
-def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[tuple[str, str]]:
+def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[Finding]:
     straight = prediction.is_converged & (dominant_loads(model.protocol).axis != VARUS)
     forces = prediction.centres[straight, :, 0]
     if not forces.size:
@@ -110,10 +107,11 @@ def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[tuple[str, 
     if abs(medial - lateral) <= APART_N or min(medial, lateral) > LEAST_SHARE * (medial + lateral):
         return
     compression = -float(np.median(model.protocol.loads[straight, DISTRACTION]))
-    under = f" under {compression:.0f} N of compression" if compression > 0.0 else ""
-    sentence = (
-        f"in trials without varus moment contact carries {medial:.0f} N medially and "
-        f"{lateral:.0f} N laterally{under}, in the middle of {int(straight.sum())} trials, which "
-        f"is one side alone ({CONTACT_SOURCE})."
-    )
-    yield "contact", sentence
+    values = {
+        "medial_N": medial,
+        "lateral_N": lateral,
+        "compression_N": compression,
+        "n_trials": int(straight.sum()),
+        "source": CONTACT_SOURCE,
+    }
+    yield finding("one-sided-contact", "contact", values)

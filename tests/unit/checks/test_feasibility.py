@@ -6,7 +6,7 @@ from problems import Cliff, linear
 from scipy.stats import norm
 
 from identknee.calibrate.evaluation import evaluate
-from identknee.identify.feasibility import feasibility_findings, share_without_prediction
+from identknee.checks.fit_warnings import feasibility_findings, share_without_prediction
 from identknee.identify.posterior.density import newton_kernel
 from identknee.runs.findings import Severity
 
@@ -38,8 +38,8 @@ def test_a_result_cut_by_the_model_says_so() -> None:
     edge = problem.minimum[0] + 0.5 * _sd(0)
     cut = Cliff(problem=problem, beyond=lambda x: float(x[0]) - edge)
     (finding,) = feasibility_findings(cut, problem.minimum)
-    assert finding.severity is Severity.WARNING
-    assert "because the model ends, not because the data exclude them" in finding.sentence
+    assert (finding.code, finding.severity) == ("sets-without-prediction", Severity.WARNING)
+    assert 0 < finding.values["n_lost"] < finding.values["n"]
 
 
 def test_a_boundary_far_away_is_not_mentioned() -> None:

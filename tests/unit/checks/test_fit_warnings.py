@@ -6,20 +6,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identknee.calibrate.doubts import (
+from identknee.calibrate.fit import Fit, fit
+from identknee.checks.fit_warnings import (
     IMPROBABLE,
+    SecondSearch,
     at_zero,
     bound_findings,
     misfit_findings,
+    second_search,
     start_findings,
     too_few_findings,
     unstated_misfit_findings,
 )
-from identknee.calibrate.fit import Fit, fit
-from identknee.calibrate.starts import SecondSearch, second_search
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.findings import Severity, finding_lines, findings_summary
+from identknee.runs.findings import Severity, finding_lines, gravest_first
+from identknee.runs.plain_records import summary_of
 
 NAMES = ("ACL.stiffness_kN", "PCL.stiffness_kN", "ACL.reference_strain_pct")
 
@@ -42,51 +44,53 @@ def test_a_misfit_is_judged_by_the_chi_square_of_what_is_left() -> None:
     limit = float(stats.chi2.isf(IMPROBABLE, 90))
     assert misfit_findings(0.999 * limit, 100, 10) == ()
     (found,) = misfit_findings(1.001 * limit, 100, 10)
-    assert found.severity is Severity.WARNING
-    assert "with 90 degrees of freedom" in found.sentence
+    assert (found.code, found.severity) == ("misfit-improbable", Severity.WARNING)
+    assert found.values["degrees_of_freedom"] == 90
     (gross,) = misfit_findings(9.1 * 90, 100, 10)
-    assert gross.severity is Severity.ERROR
-    assert "leaves 9.1 times the misfit" in gross.sentence
+    assert (gross.code, gross.severity) == ("misfit-gross", Severity.ERROR)
+    assert gross.values["ratio"] == pytest.approx(9.1)
 
 
 def test_what_cannot_be_judged_is_not() -> None:
     assert misfit_findings(1e6, 5, 8) == ()
     assert misfit_findings(np.inf, 100, 8) == ()
     (note,) = unstated_misfit_findings(0.4, np.nan)
-    assert note.severity is Severity.INFO
-    assert "could not be judged" in note.sentence
+    assert (note.code, note.severity) == ("noise-unstated", Severity.INFO)
 
 
 @pytest.mark.parametrize(
-    ("sizes", "said"),
-    [((0.5, 9.2), "leaves 9.2 deg,"), ((2.4, None), "leaves 2.4 mm,"), ((3.0, 6.0), "3 mm and 6")],
+    ("sizes", "values"),
+    [
+        ((0.5, 9.2), {"rmse_deg": 9.2}),
+        ((2.4, None), {"rmse_mm": 2.4}),
+        ((3.0, 6.0), {"rmse_mm": 3.0, "rmse_deg": 6.0}),
+    ],
 )
 def test_errors_that_no_instrument_has_are_errors(
-    sizes: tuple[float, float | None], said: str
+    sizes: tuple[float, float | None], values: dict[str, float]
 ) -> None:
     (found,) = unstated_misfit_findings(*sizes)
-    assert found.severity is Severity.ERROR
-    assert said in found.sentence
+    assert (found.code, found.severity) == ("error-large", Severity.ERROR)
+    assert dict(found.values) == values
 
 
 def test_fewer_values_than_parameters_are_said() -> None:
     assert too_few_findings(8, 8) == ()
     (found,) = too_few_findings(1, 8)
-    assert found.severity is Severity.WARNING
-    assert found.sentence.startswith("Only 1 value was measured for 8 free parameters")
-    assert "7 values were" in too_few_findings(7, 8)[0].sentence
+    assert (found.code, found.severity) == ("too-few-values", Severity.WARNING)
+    assert dict(found.values) == {"n_values": 1, "n_parameters": 8}
 
 
 def test_parameters_at_either_bound_are_named(parameters: Parameters) -> None:
     assert bound_findings(np.array([10.0, 18.0, 8.0]), parameters) == ()
     theta = np.array([40.0, 1e-9, 8.0])
     (found,) = bound_findings(theta, parameters)
-    assert (found.severity, found.where) == (Severity.WARNING, "parameters")
-    assert "2 parameters stand at a bound" in found.sentence
-    assert "ACL stiffness (40 kN) and PCL stiffness (0 kN)" in found.sentence
+    assert (found.code, found.severity) == ("at-bound", Severity.WARNING)
+    assert found.values["parameters"] == list(NAMES[:2])
+    assert found.values["bounds"] == [40.0, 0.0]
     # What the user holds there is no finding.
     (one,) = bound_findings(theta, parameters, fixed=["PCL.stiffness_kN"])
-    assert "1 parameter stands" in one.sentence
+    assert one.values["parameters"] == [NAMES[0]]
 
 
 def test_what_stands_at_a_bound_of_zero_is_absent(parameters: Parameters) -> None:
@@ -102,16 +106,16 @@ def test_starts_that_fit_as_well_elsewhere_disagree(parameters: Parameters) -> N
     assert start_findings(thetas[:2], np.array([300.0, 300.01]), parameters) == ()
     assert start_findings(thetas, np.array([300.0, 300.01, 304.0]), parameters) == ()
     (found,) = start_findings(thetas, np.array([300.0, 300.01, 303.5]), parameters)
-    assert (found.severity, found.where) == (Severity.WARNING, "starts")
-    assert "1 of 3 ended at other parameters" in found.sentence
-    assert "PCL stiffness 18 or 24 kN" in found.sentence
+    assert (found.code, found.severity) == ("starts-disagree", Severity.WARNING)
+    assert (found.values["n_apart"], found.values["n_starts"]) == (1, 3)
+    assert found.values["parameters"][0] == "PCL.stiffness_kN"
 
 
 def test_a_minimum_that_one_start_alone_found_is_doubtful(parameters: Parameters) -> None:
     thetas = np.array([[10.0, 18.0, 8.0], [12.0, 18.0, 8.0], [9.0, 9.0, 9.0]])
     (found,) = start_findings(thetas, np.array([300.0, 350.0, np.inf]), parameters)
-    assert "Only one of 3 starts" in found.sentence
-    assert "higher by 50" in found.sentence
+    assert found.code == "lowest-found-once"
+    assert dict(found.values) == {"n_starts": 3, "rise_of_next": 50.0}
     assert start_findings(thetas[:1], np.array([300.0]), parameters) == ()
     assert start_findings(thetas, np.full(3, np.inf), parameters) == ()
 
@@ -123,7 +127,9 @@ def test_terminal_and_file_show_the_gravest_first() -> None:
         *misfit_findings(9e3, 100, 10),
     )
     assert [x.split(":")[0] for x in finding_lines(findings)[:2]] == ["Error", "Warning"]
-    assert [x["severity"] for x in findings_summary(findings)] == ["info", "warning", "error"]
+    stored = [summary_of(x) for x in gravest_first(findings)]
+    assert [x["code"] for x in stored] == ["misfit-gross", "misfit-improbable", "noise-unstated"]
+    assert stored[1]["values"]["chi_square"] == 150.0
 
 
 class TwoWells:
@@ -142,24 +148,25 @@ class TwoWells:
 
 
 @pytest.mark.parametrize(
-    ("start", "floor", "severity", "said"),
+    ("start", "floor", "code"),
     [
-        (35.0, 0.5, Severity.ERROR, "ended at a lower misfit"),
-        (5.0, 0.0, Severity.INFO, "the start is not the reason"),
-        (35.0, 0.0, Severity.WARNING, "other parameters (ACL stiffness 30 or 8 kN)"),
+        (35.0, 0.5, "lower-misfit-elsewhere"),
+        (5.0, 0.0, "start-confirmed"),
+        (35.0, 0.0, "starts-disagree"),
     ],
 )
 def test_a_second_search_says_whether_both_agree(
-    parameters: Parameters, start: float, floor: float, severity: Severity, said: str
+    parameters: Parameters, start: float, floor: float, code: str
 ) -> None:
     problem = TwoWells(parameters.select(NAMES[:1]), floor)
     again = second_search(problem, fit(problem, [start]))
     # The knee has no PCL, LCL and MCL, so no guess of the paper; its own value is left.
     assert again.name == "subject"
     found = again.finding
-    assert (found.severity, found.where) == (severity, "starts")
-    assert said in found.sentence
-    assert again.is_better is (severity is Severity.ERROR)
+    assert (found.code, found.where) == (code, "starts")
+    assert again.is_better is (found.severity is Severity.ERROR)
+    if code == "starts-disagree":
+        assert found.values["parameters"] == [NAMES[0]]
 
 
 def test_a_second_search_that_ends_higher_is_a_disagreement(parameters: Parameters) -> None:
@@ -167,8 +174,9 @@ def test_a_second_search_that_ends_higher_is_a_disagreement(parameters: Paramete
     first = fit(problem, [5.0])
     worse: Fit = replace(first, objective=2.0)
     found = SecondSearch(name="IG1", first=replace(first, objective=1.0), second=worse).finding
-    assert found.severity is Severity.WARNING
-    assert "from IG1, ended at a higher misfit (objective 2, here 1)" in found.sentence
+    assert found.code == "starts-disagree"
+    expected = {"start": "IG1", "objective": 1.0, "second_objective": 2.0}
+    assert dict(found.values) == expected
 
 
 def test_the_second_search_keeps_what_is_fixed_and_begins_elsewhere(

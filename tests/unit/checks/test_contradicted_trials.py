@@ -8,9 +8,14 @@ from planted_conventions import NOISE, clean_table
 
 import identknee as ik
 from identknee.calibrate.fit import fit
-from identknee.scrutiny.contradictions import contradicted_rows, end_point_findings, row_findings
-from identknee.scrutiny.end_points import suspicious_end_points
-from identknee.scrutiny.suspicious_rows import left_out, suspicious_rows
+from identknee.checks.contradicted_trials import (
+    contradicted_rows,
+    end_point_findings,
+    left_out,
+    row_findings,
+    suspicious_end_points,
+    suspicious_rows,
+)
 
 
 def test_a_value_left_out_is_one_predicted_by_a_fit_without_it() -> None:
@@ -99,8 +104,9 @@ def test_a_fit_names_a_gross_row_and_says_what_it_is_without(states_noise: bool)
     assert row.off[0] == pytest.approx(10 * NOISE, abs=4 * NOISE)
     (found,) = row_findings(model, wrong, theta)
     assert found.where == wrong.protocol.trials[20]
-    assert "deg larger" in found.sentence
-    assert "Without it the error of the fit goes from" in found.sentence
+    assert found.code == "trial-against-fit"
+    assert found.values["off_varus_deg"] == pytest.approx(row.off[0])
+    assert found.values["rmse_without_deg"] < found.values["rmse_deg"]
     right = replace(laxity, sd=sd)
     theta = fit(ik.LaxityResiduals(model=model, laxity=right), own).theta
     assert row_findings(model, right, theta) == ()
@@ -112,7 +118,8 @@ def test_the_row_that_cannot_be_right_is_found_without_a_model() -> None:
     assert laxity.protocol.trials[row.trial] == "Valgus_60"
     assert row.p_value < 1e-6
     (found,) = end_point_findings(laxity)
-    assert "under 9.6 N·m of valgus moment at 57 deg" in found.sentence
+    assert found.code == "trial-against-course"
+    assert found.values["load"] == "9.6 N·m of valgus moment at 57 deg"
     kept = np.arange(laxity.n) != row.trial
     assert suspicious_end_points(laxity.select(kept)) == []
 
@@ -131,9 +138,8 @@ def test_a_diagnosis_says_the_verdict_without_the_row() -> None:
     few = [ik.effect_named(ik.reference_knee(), "shank_gravity")]
     answer = ik.diagnose("reference", replace(laxity, coordinates=spoilt), effects=few)
     first = answer.findings[0]
-    assert first.where == laxity.protocol.trials[20]
-    verdict = "Without it the verdict is still ADEQUATE. Noise alone explains the misfit (p = "
-    assert verdict in first.sentence
+    assert (first.code, first.where) == ("trial-against-fit", laxity.protocol.trials[20])
+    assert (first.values["verdict"], first.values["causes"]) == ("ADEQUATE", [])
     # As one error of ten times the noise it widens the noise that the load curves show.
     assert answer.verdict is ik.Verdict.ADEQUATE
 
@@ -144,14 +150,15 @@ def test_a_diagnosis_leaves_out_the_row_that_cannot_be_right_and_doubts_the_forc
     # The second diagnosis, with the row, takes as long again.
     monkeypatch.setattr("identknee.verbs.diagnosis_rows.investigate", lambda *_, **__: None)
     # Of the beginnings that a table without equilibria is searched from, one is enough here.
-    monkeypatch.setattr("identknee.verbs.used_trials.STRETCHES", (0.04,))
+    monkeypatch.setattr("identknee.checks.usable_trials.STRETCHES", (0.04,))
     few = [ik.effect_named(ik.example("s192803"), "moment_gain_VV")]
     laxity = ik.example_laxity("s192803")
     stated = f"{FRAMES},insertions=2mm"
     answer = ik.diagnose("s192803", laxity, noise="5mm,10deg", uncertain=stated, effects=few)
     assert answer.trials_used == tuple(x for x in laxity.protocol.trials if x != "Valgus_60")
-    said = {x.where: x.sentence for x in answer.findings}
-    assert "leaves it out; with it the data cannot be tested." in said["Valgus_60"]
+    (against,) = [x for x in answer.findings if x.where == "Valgus_60"]
+    assert (against.code, against.values["verdict"]) == ("trial-against-course", "NOT_TESTABLE")
     # Four lines have several such fits, and processors differ in the one that is found.
-    assert any("The fit is not believable here" in x for x in said.values())
-    assert not any("See: identknee diagnose" in x for x in said.values())
+    implausible = {"implausible-force", "implausible-strain", "one-sided-contact"}
+    assert implausible & {x.code for x in answer.findings}
+    assert not any("See: identknee diagnose" in x.sentence for x in answer.findings)

@@ -9,6 +9,7 @@ from small_knee import as_read, small_knee
 
 import identknee as ik
 from identknee.calibrate.fit import fit
+from identknee.checks.usable_trials import TrialSearch
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.effects.library import effect_named
@@ -17,7 +18,6 @@ from identknee.runs.findings import Severity
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import Uncertainty
-from identknee.verbs.used_trials import TrialSearch
 
 
 def slack() -> Knee:
@@ -58,9 +58,9 @@ def test_a_trial_that_cannot_be_reached_is_left_out_and_named() -> None:
     assert [x.trial for x in found.trials_without_equilibrium] == [name]
     assert found.rmse.n_compared == laxity.is_measured.sum() - 5
     (finding,) = [x for x in found.findings if x.where == "trials"]
-    assert finding.severity is Severity.WARNING
-    assert f"rests on {laxity.n - 1} of {laxity.n} measured trials" in finding.sentence
-    assert name in finding.sentence
+    assert (finding.code, finding.severity) == ("trials-lost", Severity.WARNING)
+    assert finding.values["n_used"] == finding.values["n_measured"] - 1 == laxity.n - 1
+    assert finding.values["trials"] == [name]
     assert found.rmse.mm < 1e-6
 
 
@@ -93,7 +93,7 @@ def test_verbs_of_identification_begin_there_too_and_name_what_they_leave_out() 
     found = ik.information(slack(), laxity, noise="0.3mm,0.3deg")
     assert any("from its measured pose under its whole load" in x for x in found.assumptions)
     (lost,) = [x for x in found.findings if x.where == "trials"]
-    assert f"rests on {laxity.n - 1} of {laxity.n} measured trials" in lost.sentence
+    assert (lost.code, lost.values["n_used"]) == ("trials-lost", laxity.n - 1)
 
 
 def test_a_diagnosis_begins_there_too() -> None:
@@ -102,7 +102,7 @@ def test_a_diagnosis_begins_there_too() -> None:
     found = ik.diagnose(slack(), laxity, noise="0.3mm,0.3deg", effects=effects)
     assert found.verdict is Verdict.ADEQUATE
     assert found.assumptions[-1] == "Priors of the reference strains are centred there."
-    assert "rests on" in next(x for x in found.findings if x.where == "trials").sentence
+    assert "trials-lost" in {x.code for x in found.findings}
 
 
 def test_the_folder_of_a_fit_predicts_its_table_without_the_measured_poses(tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_trials_along_paths_that_the_start_loses_are_regained() -> None:
     found = ik.fit(given, ik.add_noise(laxity, sd_mm=0.5, sd_deg=0.5, seed=0))
     assert found.trials_used == protocol.trials
     said = " ".join(found.assumptions)
-    assert "the simulated knee jumps or loses its pose in" in said
+    assert "the model jumps or loses equilibrium in" in said
     assert found.rmse.mm < 1.0
     assert found.rmse.deg < 1.0
 

@@ -1,7 +1,7 @@
-"""Which measured trials a fit rests on, and where it begins so that these are as many as can be.
+"""Which measured trials a fit can use, and a start at which as many as possible have equilibrium.
 
-A trial without equilibrium is first compared under the share of its load that it bears, which
-pulls the parameters to where it bears more, and at last left out.
+A trial without equilibrium is first fitted at the fraction of its load that the model can carry,
+which moves the parameters to where it carries more. One that never reaches its load is left out.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,24 +19,37 @@ from identknee.calibrate.problem import (
     without_priors,
 )
 from identknee.calibrate.starts import load_start
+from identknee.checks.trial_exclusion import TrialExclusion
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.zeros import from_zero
-from identknee.mechanics.load_paths import Continuation
+from identknee.mechanics.load_paths import NEAR, Continuation
+from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import strains_as_measured
+from identknee.model.measured_start import POSE_EVERY_DEG, known_poses, strains_as_measured
+from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.findings import Finding, finding
+from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress
 from identknee.subject.knee import Knee
-from identknee.verbs.barred import BarredSearch
-from identknee.verbs.trial_sentences import about_paths, trial_names
 
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
 STRETCHES = (0.04, 0.06, 0.08, 0.1)
 PATTERN_STRETCH = 0.06
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 MOST_ROUNDS, BUDGET = 8, 300
+# How many trials without equilibrium are listed by name for each reason.
+MOST_LISTED = 6
+ABOUT_FALLBACK = (
+    "Geometry is uncertain: a trial whose load path ends, or whose unloaded knee is loose, was "
+    "looked for from its measured pose under its whole load."
+)
+ABOUT_NO_POSES = (
+    "No trial has all five coordinates: equilibria were followed along paths from the scanned "
+    "pose, not looked for at measured poses."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,11 +104,11 @@ class TrialSearch:
 
         Where trials have no equilibrium at the start, searches go from there; where the model
         begins at measured poses also from reference strains by the lengths of the ligaments there.
-        Where no trial bears even its compression anywhere, all trials stay.
+        Where no trial carries even its compression anywhere, all trials stay.
         """
         said = about_paths(self.model)
         lost = self.measured & ~self.has_equilibrium(start)
-        used = self._past_bars(UsedTrials(laxity=self.laxity, start=start, sentences=said))
+        used = self._past_stops(UsedTrials(laxity=self.laxity, start=start, sentences=said))
         if not lost.any() or (used.start is not start and len(used.names) == self.measured.sum()):
             return used
         beginnings = progress(
@@ -109,11 +122,11 @@ class TrialSearch:
         theta = made[best].theta
         sentence = (
             f"At the start {lost.sum()} of {self.measured.sum()} measured trials had no "
-            f"equilibrium. The fit began from {best}{_of(len(made))} "
-            "and compared trials that did not bear their load under the share they bore, until "
-            f"they did ({sum(x.n_simulations for x in made.values())} simulations)."
+            f"equilibrium. The fit began from {best}{_of(len(made))}. These trials were first "
+            "fitted at the fraction of the load that the model could carry, then at full load "
+            f"({sum(x.n_simulations for x in made.values())} simulations)."
         )
-        return self._past_bars(
+        return self._past_stops(
             UsedTrials(
                 laxity=self.with_equilibrium(theta),
                 start=theta,
@@ -121,15 +134,15 @@ class TrialSearch:
             )
         )
 
-    def _past_bars(self, used: UsedTrials) -> UsedTrials:
-        """The trials used and a start beyond those that bar the way of a search from there.
+    def _past_stops(self, used: UsedTrials) -> UsedTrials:
+        """The trials used and a start past those that would stop a search from there.
 
         Where the knee is exact its load paths are part of the model, and so are their ends.
         """
         if self.model.fallback_poses is None:
             return used
         free = self.problem(self.laxity).parameters.with_fixed(self.fixed, used.start)
-        search = BarredSearch(
+        search = TrialExclusion(
             compared=LaxityResiduals(model=self.model, laxity=self.laxity),
             problem=lambda part: restricted(self.problem(part), self.fixed, used.start),
             expand=free.expand,
@@ -139,7 +152,7 @@ class TrialSearch:
             return used
         return replace(
             used,
-            laxity=_blanked(self.laxity, beyond.is_left_out),
+            laxity=_blanked(self.laxity, beyond.is_excluded),
             start=free.expand(beyond.theta),
             sentences=(*used.sentences, beyond.sentence(self.laxity.protocol.trials)),
         )
@@ -184,12 +197,14 @@ class TrialSearch:
         return with_nuisance_priors(with_bounds(residuals, self.bounds))
 
     def _beginnings(self, start: Array) -> dict[str, Array]:
-        """Where to begin, in words, and theta there, which some trial bears a load at."""
-        begun = {"the start all the same": start}
+        """Starts in words, and theta there, at which some trial carries a load."""
+        begun = {"the given start": start}
         if self.model.poses is not None:
             of_each = "% of strain at the longest measured length of each ligament"
             begun |= {f"{100 * x:.0f} {of_each}": self._stretched(start, x) for x in STRETCHES}
-        return {words: x for words, x in begun.items() if (self._borne(x) >= 0.0).any()}
+        return {
+            words: x for words, x in begun.items() if (self._load_fraction_reached(x) >= 0.0).any()
+        }
 
     def _stretched(self, start: Array, stretch: float) -> Array:
         """Theta with reference strains as the measured poses have them, kept to the bounds."""
@@ -204,14 +219,14 @@ class TrialSearch:
         return theta
 
     def _regained(self, theta: Array) -> Fit:
-        """The best fit of a few, each with the loads that trials bear where the one before ended.
+        """The best of a few fits, each at the load fractions reached where the last one ended.
 
-        It ends where all trials bear their load, or where they bear no more than before.
+        The last one is where all trials reach their load, or reach no more than before.
         """
         made: list[Fit] = []
         known: list[list[float]] = []
         for _ in range(MOST_ROUNDS):
-            shares = self._borne(theta)
+            shares = self._load_fraction_reached(theta)
             if shares.tolist() in known:
                 break
             known.append(shares.tolist())
@@ -222,8 +237,8 @@ class TrialSearch:
         best = max(made, key=lambda x: self._worth(x.theta))
         return replace(best, n_simulations=sum(x.n_simulations for x in made))
 
-    def _borne(self, theta: Array) -> Array:
-        """The largest share of its load that each trial bears, -1 where none, shape ``(n,)``."""
+    def _load_fraction_reached(self, theta: Array) -> Array:
+        """The largest fraction of its load that each trial reaches, -1 for none, shape ``(n,)``."""
         borne = np.full(self.laxity.n, -1.0)
         for share in SHARES:
             part = _under(self.laxity, np.full(self.laxity.n, share))
@@ -241,7 +256,7 @@ class TrialSearch:
 
 
 def _of(n: int) -> str:
-    return f", the best of {n} such beginnings," if n > 1 else ","
+    return f", the best of {n} such starts" if n > 1 else ""
 
 
 def residuals_of(problem: Problem) -> LaxityResiduals:
@@ -322,3 +337,161 @@ def _under(laxity: Laxity, shares: Array) -> Laxity:
     if np.all(shares == 1.0):
         return laxity
     return replace(laxity, protocol=laxity.protocol.under(shares))
+
+
+def trial_names(laxity: Laxity) -> tuple[str, ...]:
+    """The trials with measured values."""
+    return tuple(laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.any(axis=1)))
+
+
+def about_blanks(laxity: Laxity) -> tuple[str, ...]:
+    """What was not measured at all: coordinates, and trials, which are only predicted."""
+    columns = zip(COORDINATES, laxity.is_measured.T, strict=True)
+    said = [f"{name} was not measured." for name, column in columns if not column.any()]
+    blank = [x for x in laxity.protocol.trials if x not in trial_names(laxity)]
+    if blank:
+        are = "it is" if len(blank) == 1 else "they are"
+        said.append(f"No value was measured in {', '.join(blank)}: {are} only predicted.")
+    return tuple(said)
+
+
+def about_inputs(knee: Knee, laxity: Laxity) -> tuple[str, ...]:
+    """What a fit assumes of knee and table: what is uncertain, blank, or left aside."""
+    said = (knee.uncertainty.sentence, *about_blanks(laxity))
+    if laxity.sd is None:
+        return said
+    stated = ~np.isnan(laxity.sd)
+    if stated[laxity.is_measured].all():
+        return said
+    names = ", ".join(COORDINATES[i] for i in np.flatnonzero(np.any(stated, axis=0)))
+    sentence = (
+        f"Errors are stated of {names} only, so they were left aside: 1 mm counts as much as "
+        "1 deg. State all, or give --noise."
+    )
+    return (*said, sentence)
+
+
+def lost_findings(knee: Knee, laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
+    """Which measured trials a result does not rest on."""
+    measured, kept = trial_names(laxity), trial_names(used)
+    lost = [x for x in measured if x not in kept]
+    if not lost:
+        return ()
+    is_exact = knee.uncertainty.is_exact
+    or_state = ", or state how well geometry is known with --uncertain" if is_exact else ""
+    sentence = (
+        f"The result rests on {len(kept)} of {len(measured)} measured trials: the model has no "
+        f"equilibrium in {', '.join(lost)}. Look them up{or_state}."
+    )
+    values = {"n_measured": len(measured), "n_used": len(kept), "trials": lost}
+    return (finding("trials-lost", "trials", values, sentence=sentence),)
+
+
+def unfitted_findings(laxity: Laxity, prediction: Prediction) -> tuple[Finding, ...]:
+    """Why a search could not begin: the trials without prediction at the start, or its bounds."""
+    measured = np.any(laxity.is_measured, axis=1)
+    lost = measured & ~prediction.is_converged
+    if not lost.any():
+        sentence = (
+            "Nothing was fitted: the start lies outside the bounds of the parameters, and inside "
+            "them trials have no equilibrium. Choose another --start or --bounds."
+        )
+        return (finding("nothing-fitted", "starts", sentence=sentence),)
+    sentence = (
+        f"Nothing was fitted: at the start {lost.sum()} of {measured.sum()} measured trials have "
+        "no equilibrium. Choose another --start, or leave the cells of such trials blank."
+    )
+    values = {"n_measured": measured.sum(), "n_lost": lost.sum()}
+    by_outcome: dict[Outcome, list[str]] = {}
+    for i in np.flatnonzero(lost):
+        by_outcome.setdefault(prediction.outcomes[i], []).append(laxity.protocol.trials[i])
+    return (
+        finding("nothing-fitted", "starts", values, sentence=sentence),
+        *(
+            finding(
+                "trials-without-equilibrium",
+                "trials",
+                {"outcome": outcome.value, "trials": trials},
+                sentence=f"{_named(trials)}: {outcome.sentence}",
+            )
+            for outcome, trials in by_outcome.items()
+        ),
+    )
+
+
+def _named(trials: Sequence[str]) -> str:
+    more = len(trials) - MOST_LISTED
+    return ", ".join(trials[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def prediction_finding(model: LaxityModel, laxity: Laxity, start: Array) -> Finding:
+    """That no parameters near the start predict all measured trials, with the first one lost."""
+    prediction = model.predict(start, derivatives=False)
+    used = np.any(laxity.is_measured, axis=1).tolist()
+    lost = [
+        (trial, outcome)
+        for trial, outcome, is_used in zip(
+            model.protocol.trials, prediction.outcomes, used, strict=True
+        )
+        if is_used and outcome is not Outcome.CONVERGED
+    ]
+    where = ""
+    if lost:
+        trial, outcome = lost[0]
+        where = (
+            f" At the start {len(lost)} of {sum(used)} trials have none; {trial}: "
+            f"{outcome.sentence}"
+        )
+    sentence = (
+        f"no parameters near the start have a prediction in every measured trial.{where} Choose "
+        "another --start, leave the cells of such trials blank, or see: identknee subject check"
+    )
+    values = {"n_measured": sum(used), "trials": [x for x, _ in lost]}
+    return finding("no-prediction", "trials", values, sentence=sentence)
+
+
+def about_paths(model: LaxityModel) -> tuple[str, ...]:
+    """Where equilibria were looked for, if not along paths from the scanned pose."""
+    if model.fallback_poses is not None:
+        has_poses = np.isfinite(model.fallback_poses).all(axis=1).any()
+        return (ABOUT_FALLBACK if has_poses else ABOUT_NO_POSES,)
+    if model.poses is None:
+        return ()
+    known = known_poses(model.knee, model.protocol)
+    if known is not None and np.array_equal(model.poses, known):
+        sentence = (
+            "Equilibria were followed under growing loads from the poses that the fitted "
+            "subject states for each flexion angle, not from measured ones."
+        )
+        return (sentence, *_about_extrapolation(model))
+    sentence = (
+        "Each trial has a flexion angle of its own, as a rig reads it: its equilibrium was looked "
+        "for from its measured pose under its whole load, not along a path from the scanned pose, "
+        f"and counts within {NEAR:.0f} mm and {np.degrees(NEAR / ROTATION_SCALE):.0f} deg of it."
+    )
+    return (sentence,)
+
+
+def _about_extrapolation(model: LaxityModel) -> tuple[str, ...]:
+    """Which trials lie beyond the flexion angles at which the knee states poses."""
+    angles, known = model.protocol.flexion_deg, [x.flexion_deg for x in model.knee.poses]
+    is_beyond = (angles < min(known) - POSE_EVERY_DEG) | (angles > max(known) + POSE_EVERY_DEG)
+    if not is_beyond.any():
+        return ()
+    names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
+    sentence = (
+        f"These poses lie at {min(known):.0f} to {max(known):.0f} deg of flexion: what is said of "
+        f"trials far beyond ({names}) is extrapolated."
+    )
+    return (sentence,)
+
+
+def about_offered(model: LaxityModel) -> tuple[str, ...]:
+    """Where equilibria of trials that were not made are looked for, if not on paths from a scan."""
+    if model.poses is None:
+        return ()
+    sentence = (
+        "A trial that was not made has no measured pose: its equilibrium was followed under a "
+        "growing load from the mean pose of the trials made, interpolated over flexion."
+    )
+    return (sentence,)

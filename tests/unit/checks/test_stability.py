@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from identknee.checks.subject_checks import StabilityReport, box_sample, check_stability
 from identknee.laxity.protocol import load_protocol
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import ligament_parameters
-from identknee.model.stability import StabilityReport, box_sample, check_stability
 from identknee.runs.executors import threads
 from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
@@ -30,7 +30,8 @@ def test_the_reference_knee_is_stable(report: StabilityReport) -> None:
     assert report.n_converged == 63
     assert report.lowest_margin > 0.5
     assert report.findings[0].severity is Severity.INFO
-    assert report.findings[0].sentence.startswith("All 63 trials of seed63 converge")
+    assert report.findings[0].code == "all-converge"
+    assert report.findings[0].values["n"] == 63
 
 
 def test_the_box_is_counted(report: StabilityReport) -> None:
@@ -56,7 +57,8 @@ def test_fewer_contact_points_are_compared_with_all() -> None:
     assert np.isnan(report.converged_share)
     finding = report.findings[-1]
     assert finding.where == "contact points"
-    assert f"{report.change_mm:.3f} mm and {report.change_deg:.3f} deg" in finding.sentence
+    assert finding.values["change_mm"] == report.change_mm
+    assert finding.values["change_deg"] == report.change_deg
     assert (finding.severity is Severity.WARNING) == bool(finding.remedy)
 
 
@@ -79,12 +81,12 @@ def test_a_knee_without_ligament_forces_is_an_error() -> None:
     assert report.n_converged == 0
     assert np.isnan(report.lowest_margin)
     first, last = report.findings
-    assert first.severity is Severity.ERROR
-    assert first.sentence.startswith("2 of the 2 trials of seed63 do not converge")
-    assert "2 trials (flexion0_varus-10Nm, flexion0_varus-8Nm): Nothing" in first.sentence
+    assert (first.code, first.severity) == ("trials-not-converging", Severity.ERROR)
+    assert (first.values["n_lost"], first.values["n"]) == (2, 2)
+    assert first.values["trials"] == ["flexion0_varus-10Nm", "flexion0_varus-8Nm"]
     assert "No single insertion moved by 3 mm restores a trial" in first.remedy
     assert len(report.moves) == 4 * 2 * 6
-    assert last.severity is Severity.WARNING
+    assert (last.code, last.severity) == ("contact-points-coarse", Severity.WARNING)
 
 
 def test_every_finding_that_is_no_info_has_a_remedy(report: StabilityReport) -> None:

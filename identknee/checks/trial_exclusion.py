@@ -1,4 +1,4 @@
-"""A search past trials that bar its way: they are set aside, and taken back from beyond."""
+"""Trials that stop a search are excluded until the others are fitted, then reinstated."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.outcome import Outcome
 
 MOST_ROUNDS = 8
-# Tolerance on the deviance, and the fall of it that is worth another round or a trial set aside.
+# Tolerance on the deviance, and the fall of it that is worth another round or a trial excluded.
 TOLERANCE, WORTH = 1e-3, 1.0
 # Shares of the step that the linear model wants. At the small ones a misfit that rises has jumped.
 JUMPS, SHARES = (1e-4, 1e-3, 1e-2), (1e-4, 1e-3, 1e-2, 0.1, 0.3, 1.0)
@@ -27,45 +27,43 @@ MOST_NAMES = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Beyond:
-    """Where a search past barring trials ended.
+class ExclusionResult:
+    """Where a search ended that excluded trials and reinstated them.
 
     Attributes
     ----------
     theta
         Where, shape ``(p,)``.
-    is_left_out
-        Which trials it could not take back, shape ``(n,)``.
-    has_barred
-        Which trials were set aside on the way, likewise.
+    is_excluded
+        Which trials could not be reinstated, shape ``(n,)``.
+    was_excluded
+        Which trials were excluded on the way, shape ``(n,)``.
     """
 
     theta: Array
-    is_left_out: BoolArray
-    has_barred: BoolArray
+    is_excluded: BoolArray
+    was_excluded: BoolArray
 
     def sentence(self, trials: Sequence[str]) -> str:
         """What was done, with the names of the trials."""
-        if not self.has_barred.any():
-            return (
-                "Least squares from the start stopped at an end of load paths and went on beyond."
-            )
-        names = [trials[i] for i in np.flatnonzero(self.has_barred).tolist()]
+        if not self.was_excluded.any():
+            return "Least squares from the start stopped where load paths end, and went on beyond."
+        names = [trials[i] for i in np.flatnonzero(self.was_excluded).tolist()]
         more = len(names) - MOST_NAMES
         others = f" and {more} more trials" if more > 0 else ""
         return (
-            "On the way of least squares from the start the simulated knee jumps or loses its pose "
-            f"in {', '.join(names[:MOST_NAMES])}{others}: what barred the way was set aside until "
-            "all else was fitted, and taken back where the knee has a pose."
+            "Along the way from the start the model jumps or loses equilibrium in "
+            f"{', '.join(names[:MOST_NAMES])}{others}. These trials were excluded until the others "
+            "were fitted, then reinstated where an equilibrium exists."
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BarredSearch:
-    """Least squares that a few trials do not keep from where all others fit best.
+class TrialExclusion:
+    """Least squares that a few trials cannot stop short of the best fit to all others.
 
-    Where a load path folds or the knee gets loose a search ends, however bad the fit. The trials to
-    which that happens are set aside until the others are fitted.
+    A search ends where a load path folds or the knee becomes loose, however bad the fit is there.
+    Trials to which that happens are excluded until the others are fitted.
 
     Attributes
     ----------
@@ -81,12 +79,12 @@ class BarredSearch:
     problem: Callable[[Laxity], Problem]
     expand: Callable[[Array], Array]
 
-    def run(self, start: Array) -> Beyond | None:
-        """Where the search from `start` ends; None where no trial bars its way to a lower misfit.
+    def run(self, start: Array) -> ExclusionResult | None:
+        """Where the search from `start` ends; None where no trial keeps it from a lower misfit.
 
-        Trials without equilibrium at the start come back where the fit to the others has one.
+        Trials without equilibrium at the start are reinstated where the fit to the others has one.
         """
-        out = has_barred = self._is_lost(start)
+        out = was_excluded = self._is_lost(start)
         best = first = self._search(start, out)
         if out.any() and best.evaluation.is_finite:
             out = out & self._is_lost(best.evaluation.theta)
@@ -97,7 +95,7 @@ class BarredSearch:
             beyond, aside = self._past(best, out)
             if beyond is best:
                 break
-            has_barred = has_barred | aside
+            was_excluded = was_excluded | aside
             lost = out | self._is_lost(beyond.evaluation.theta)
             again = self._search(beyond.evaluation.theta, lost)
             if (lost & ~out).any() and not self._contradicts(best, again, out, lost):
@@ -107,7 +105,9 @@ class BarredSearch:
             best, out = again, lost
         if best is first:
             return None
-        return Beyond(theta=best.evaluation.theta, is_left_out=out, has_barred=has_barred)
+        return ExclusionResult(
+            theta=best.evaluation.theta, is_excluded=out, was_excluded=was_excluded
+        )
 
     def _search(self, start: Array, aside: BoolArray) -> Constrained:
         return minimise(self._evaluator(aside), start, tolerance=TOLERANCE)
@@ -118,31 +118,31 @@ class BarredSearch:
         return Evaluator(self.problem(replace(laxity, coordinates=coordinates)))
 
     def _past(self, found: Constrained, aside: BoolArray) -> tuple[Constrained, BoolArray]:
-        """The search gone on without the trials that bar it, and those set aside."""
+        """The search continued without the trials that stop it, and those excluded."""
         for _ in range(MOST_ROUNDS):
-            barring, start = self._on_the_way(found.evaluation, aside)
-            if not barring.any() and start is found.evaluation.theta:
+            stopping, start = self._on_the_way(found.evaluation, aside)
+            if not stopping.any() and start is found.evaluation.theta:
                 break
-            aside = aside | barring
+            aside = aside | stopping
             found = self._search(start, aside)
         return found, aside
 
     def _on_the_way(self, at: Evaluation, aside: BoolArray) -> tuple[BoolArray, Array]:
-        """The trials whose misfit ends or jumps on the way that the others want to go.
+        """The trials whose misfit ends or jumps along the step that fits the others best.
 
-        And where to go on: at the lowest point of that way where none does, else from here.
+        And where to go on: at the lowest point along that step where none does, else from here.
         """
         step = -np.linalg.lstsq(at.jacobian, at.residuals, rcond=None)[0]
         after = at.residuals + at.jacobian @ step
         promised = at.deviance - float(after @ after)
-        barring, lowest, start = np.zeros(aside.size, bool), at.deviance - WORTH, at.theta
+        stopping, lowest, start = np.zeros(aside.size, bool), at.deviance - WORTH, at.theta
         if promised < WORTH:
-            return barring, start
+            return stopping, start
         evaluator = self._evaluator(aside)
         parameters, here = evaluator.parameters, self._misfits(at.theta)
         for share in SHARES:
             theta = np.clip(at.theta + share * step, parameters.lower, parameters.upper)
-            # What is set aside has no pose on either side.
+            # An excluded trial may have no pose on either side.
             rise = np.where(aside, 0.0, self._misfits(theta)) - np.where(aside, 0.0, here)
             if not np.isfinite(rise).all():
                 return ~np.isfinite(rise), at.theta
@@ -150,7 +150,7 @@ class BarredSearch:
                 return rise > A_JUMP * promised, at.theta
             if (deviance := evaluator.deviance(theta)) < lowest:
                 lowest, start = deviance, theta
-        return barring, start
+        return stopping, start
 
     def _misfits(self, theta: Array) -> Array:
         """Squared differences of each trial with data, infinite without equilibrium, ``(n,)``."""

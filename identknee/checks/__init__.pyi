@@ -1,0 +1,16 @@
+from .all_checks import Fitted as Fitted
+from .all_checks import check_fit as check_fit
+from .contradicted_trials import SuspiciousRow as SuspiciousRow
+from .contradicted_trials import contradicted_rows as contradicted_rows
+from .contradicted_trials import row_findings as row_findings
+from .contradicted_trials import suspicious_end_points as suspicious_end_points
+from .conventions import BrokenConvention as BrokenConvention
+from .conventions import Convention as Convention
+from .conventions import convention_findings as convention_findings
+from .conventions import conventions_of as conventions_of
+from .conventions import find_broken_convention as find_broken_convention
+from .data_checks import load_sign_findings as load_sign_findings
+from .implausible import implausible_findings as implausible_findings
+from .subject_checks import StabilityReport as StabilityReport
+from .subject_checks import box_sample as box_sample
+from .subject_checks import check_stability as check_stability

@@ -1,0 +1,404 @@
+"""Warnings about a fit: lack of fit, active bounds, starts that disagree, nuisances, lost sets."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import chdtrc
+
+from identknee.calibrate.evaluation import evaluate
+from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.problem import Problem, typical_steps
+from identknee.calibrate.starts import named_start, start_names
+from identknee.identify.nuisances import group_name, nuisance_estimates, nuisance_groups
+from identknee.identify.posterior.density import newton_kernel
+from identknee.identify.shares import Share, share
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared
+from identknee.runs.findings import Finding, finding
+from identknee.runs.outcome import Outcome
+from identknee.runs.words import (
+    amount,
+    capital,
+    either,
+    error_words,
+    label_without_unit,
+    listed,
+    unit_of,
+)
+
+# A misfit that noise alone would leave less often than this is doubtful, and one that is so many
+# times what noise leaves (three times its standard deviation) speaks of a mistake in the data.
+IMPROBABLE, GROSS = 1e-3, 9.0
+# Twice what simple laxity devices leave against a robot, about 1 mm and 2.5 deg.
+MOST_MM, MOST_DEG = 2.0, 5.0
+# Share of a parameter's range: this close to an end it lies on it.
+AT_END = 1e-6
+# Rise of the deviance: fits as good as one another at 95 %, and fits that are the same.
+AS_GOOD, SAME = 3.84, 0.1
+# Typical steps (3 kN, 2 %) between parameter sets that are not the same.
+APART = 0.1
+MISTAKES = "a sign, a unit or a side of the data may be wrong, or the model lacks something"
+# Share of the objective, and objective: ends that are the same, also where a search stops early.
+ALIKE, ROUNDING = 1e-3, 1e-9
+N_DRAWS = 100
+# Share of the draws without prediction that is worth a word.
+NOTEWORTHY = 0.02
+# Joint distance of a group of nuisances from their prior that is worth a word: 3 standard
+# deviations of one of them, shared by all groups that are looked at.
+BEYOND_PRIOR = 0.0027
+TINY = 1e-12
+
+
+def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Finding, ...]:
+    """Whether a fit leaves more than noise of the stated size would.
+
+    Parameters
+    ----------
+    square
+        Sum of the squared residuals in units of their noise; what it is where there is no
+        prediction, inf, is not judged.
+    n_values, n_parameters
+        Values measured, and parameters fitted to them.
+    """
+    degrees = n_values - n_parameters
+    if degrees < 1 or not np.isfinite(square) or chdtrc(degrees, square) >= IMPROBABLE:
+        return ()
+    ratio = square / degrees
+    sentence = (
+        f"The best fit leaves {ratio:.3g} times the misfit that noise of the stated size would "
+        f"(chi-square {square:.4g} with {degrees} degrees of freedom): {MISTAKES}, or the noise is "
+        "larger, and nothing said here allows for that. See: identknee diagnose"
+    )
+    code = "misfit-gross" if ratio > GROSS else "misfit-improbable"
+    values = {"ratio": ratio, "chi_square": square, "degrees_of_freedom": degrees}
+    return (finding(code, "data", values, sentence=sentence),)
+
+
+def too_few_findings(n_values: int, n_parameters: int) -> tuple[Finding, ...]:
+    """Whether fewer values were measured than parameters are fitted to them."""
+    if n_values >= n_parameters:
+        return ()
+    said = "1 value was" if n_values == 1 else f"{n_values} values were"
+    sentence = (
+        f"Only {said} measured for {n_parameters} free parameters: many other parameter sets fit "
+        "just as well. Measure more trials, or hold parameters with --fix."
+    )
+    values = {"n_values": n_values, "n_parameters": n_parameters}
+    return (finding("too-few-values", "data", values, sentence=sentence),)
+
+
+def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Finding, ...]:
+    """The same where the data state no noise: against errors that no instrument should have.
+
+    Parameters
+    ----------
+    mm, deg
+        Root-mean-square of what the fit leaves; None or NaN where no such coordinate was measured.
+    """
+    sizes = {
+        f"rmse_{unit}": size
+        for size, unit, most in ((mm, "mm", MOST_MM), (deg, "deg", MOST_DEG))
+        if size is not None and size > most
+    }
+    if not sizes:
+        return (finding("noise-unstated", "data"),)
+    said = " and ".join(amount(size, unit_of(name)) for name, size in sizes.items())
+    sentence = (
+        f"The best fit leaves {said}, more than a laxity test should err by "
+        f"({MOST_MM:g} mm, {MOST_DEG:g} deg): {MISTAKES}. See: identknee diagnose"
+    )
+    return (finding("error-large", "data", sizes, sentence=sentence),)
+
+
+def bound_findings(
+    theta: Array, parameters: Parameters, fixed: Sequence[str] = ()
+) -> tuple[Finding, ...]:
+    """Which fitted parameters stand at a bound: there the bound decided, and not the data."""
+    margin = AT_END * (parameters.upper - parameters.lower)
+    standing = [
+        (name, float(end))
+        for name, value, low, high, near in zip(
+            parameters.names, theta, parameters.lower, parameters.upper, margin, strict=True
+        )
+        for end in (low, high)
+        if abs(value - end) <= near and name not in fixed and low < high
+    ]
+    if not standing:
+        return ()
+    many = "1 parameter stands" if len(standing) == 1 else f"{len(standing)} parameters stand"
+    said = [f"{label_without_unit(name)} ({amount(end, unit_of(name))})" for name, end in standing]
+    sentence = (
+        f"{many} at a bound, where the bound stopped the fit and not the data: "
+        f"{listed(said)}. The other parameters compensate for it."
+    )
+    values = {"parameters": [x for x, _ in standing], "bounds": [x for _, x in standing]}
+    return (finding("at-bound", "parameters", values, sentence=sentence),)
+
+
+def at_zero(theta: Array, parameters: Parameters) -> tuple[str, ...]:
+    """Names of the parameters that stand at a lower bound of zero, as what is absent does."""
+    zero = (theta <= 0.0) & (parameters.lower == 0.0)
+    return tuple(x for x, is_zero in zip(parameters.names, zero, strict=True) if is_zero)
+
+
+def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> tuple[Finding, ...]:
+    """Whether fits from several starts agree.
+
+    Parameters
+    ----------
+    thetas
+        Where each fit ended, shape ``(k, p)``.
+    deviances
+        Sum of squared residuals there in units of their noise, inf without a prediction,
+        shape ``(k,)``.
+    parameters
+        What was fitted.
+    """
+    k = len(deviances)
+    if k < 2 or not np.isfinite(deviances).any():
+        return ()
+    best = int(np.argmin(deviances))
+    rises = deviances - deviances[best]
+    # Where starts leave a nuisance is no news.
+    asked = parameters.is_of_interest
+    away = np.max((np.abs(thetas - thetas[best]) / typical_steps(parameters))[:, asked], axis=1)
+    rivals = np.flatnonzero((rises <= AS_GOOD) & (away > APART))
+    if rivals.size:
+        farthest = rivals[int(np.argmax(away[rivals]))]
+        rise = rises[farthest]
+        names, apart = _changes(thetas[best], thetas[farthest], parameters)
+        sentence = (
+            f"Starts disagree: {rivals.size} of {k} ended at other parameters that fit as well at "
+            f"95 % ({listed(apart)}; misfit higher by {rise:.2g}). See: identknee profile"
+        )
+        values = {"n_starts": k, "n_apart": rivals.size, "rise": rise, "parameters": names}
+        return (finding("starts-disagree", "starts", values, sentence=sentence),)
+    if np.count_nonzero(rises <= SAME) > 1:
+        return ()
+    others = rises[np.isfinite(rises) & (rises > SAME)]
+    next_best = (
+        f" (the next best misfit is higher by {others.min():.3g})"
+        if others.size
+        else " and no other had a prediction"
+    )
+    sentence = (
+        f"Only one of {k} starts ended at the lowest misfit{next_best}: a lower one may exist. "
+        "See: identknee sweep"
+    )
+    values = {"n_starts": k, "rise_of_next": others.min() if others.size else None}
+    return (finding("lowest-found-once", "starts", values, sentence=sentence),)
+
+
+def _changes(theta: Array, other: Array, parameters: Parameters) -> tuple[list[str], list[str]]:
+    """Names of the two parameters that differ most in typical steps, and both values in words."""
+    size = np.abs(other - theta) / typical_steps(parameters)
+    asked = parameters.is_of_interest
+    most = np.argsort(-np.where(asked, size, 0.0))[: min(2, int(asked.sum()))]
+    names = [parameters.names[i] for i in most]
+    return names, [either(parameters.names[i], theta[i], other[i]) for i in most]
+
+
+@declared
+class SecondSearch:
+    """Where least squares from another start ended.
+
+    Attributes
+    ----------
+    name
+        Name of the start, as for `identknee.calibrate.starts.named_start`.
+    first, second
+        The doubtful fit, and the one from this start.
+    """
+
+    name: str
+    first: Fit
+    second: Fit
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the second search ended at a lower misfit."""
+        first, second = self.first.objective, self.second.objective
+        return self.second.outcome is not Outcome.START_FAILED and second < first - _alike(first)
+
+    @property
+    def finding(self) -> Finding:
+        """Whether both agree."""
+        first, second = self.first.objective, self.second.objective
+        if self.second.outcome is Outcome.START_FAILED:
+            sentence = f"No second search: at {self.name} there is no prediction either."
+            return finding("no-second-search", "starts", {"start": self.name}, sentence=sentence)
+        ended = f"a second search, least squares from {self.name}, ended"
+        objectives = f"(objective {second:.4g}, here {first:.4g})"
+        values = {"start": self.name, "objective": first, "second_objective": second}
+        if self.is_better:
+            code = "lower-misfit-elsewhere"
+            sentence = (
+                f"Starts disagree: {ended} at a lower misfit {objectives}, so this fit is not the "
+                "best. identknee sweep tries many starts."
+            )
+        elif second > first + _alike(first):
+            code = "starts-disagree"
+            sentence = (
+                f"Starts disagree: {ended} at a higher misfit {objectives}. identknee sweep tries "
+                "many starts."
+            )
+        else:
+            moved = np.abs(self.second.theta - self.first.theta)
+            steps = moved / typical_steps(self.first.parameters)
+            i = int(np.argmax(steps))
+            if steps[i] > APART:
+                code, name = "starts-disagree", self.first.parameters.names[i]
+                values |= {"parameters": [name]}
+                both = either(name, self.first.theta[i], self.second.theta[i])
+                sentence = (
+                    f"Starts disagree: {ended} at the same misfit with other parameters ({both}). "
+                    "See: identknee profile"
+                )
+            else:
+                code = "start-confirmed"
+                sentence = f"{capital(ended)} at the same parameters: the start is not the reason."
+        return finding(code, "starts", values, sentence=sentence)
+
+
+def _alike(objective: float) -> float:
+    return ALIKE * objective + ROUNDING
+
+
+def second_search(problem: Problem, first: Fit) -> SecondSearch:
+    """Least squares from the first named start that is not the one of a fit.
+
+    Parameters
+    ----------
+    problem
+        That of the fit.
+    first
+        The fit; its fixed parameters and its priors are kept.
+    """
+    name, start = _other_start(first)
+    second = fit(problem, start, seed=first.seed, fixed=first.fixed, priors=first.priors)
+    return SecondSearch(name=name, first=first, second=second)
+
+
+def _other_start(first: Fit) -> tuple[str, Array]:
+    """A start by name with a free parameter elsewhere; the middle of the bounds failing that."""
+    parameters = first.parameters
+    free = parameters.with_fixed(first.fixed, first.start)
+    for name in start_names():
+        try:
+            guess = named_start(name, parameters)
+        except ValueError:
+            # The guesses of the paper speak of four ligaments that a knee need not have.
+            continue
+        start = free.expand(free.restrict(np.clip(guess, parameters.lower, parameters.upper)))
+        if not np.allclose(start, first.start):
+            return name, start
+    middle = 0.5 * (parameters.lower + parameters.upper)
+    return "the middle of the bounds", free.expand(free.restrict(middle))
+
+
+def share_without_prediction(
+    problem: Problem, theta: Array, *, n_draws: int = N_DRAWS, seed: int = 0
+) -> Share:
+    """How many parameter sets that fit about as well as `theta` have no prediction.
+
+    They are drawn from the normal density around theta whose precision is that of the data and the
+    priors, within the bounds.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise.
+    theta
+        A parameter set with a prediction, shape ``(n,)``.
+    n_draws
+        Number of draws, one simulation each.
+    seed
+        Seed of the draws.
+
+    Raises
+    ------
+    ValueError
+        If the model has no prediction at `theta`.
+    """
+    parameters = problem.parameters
+    evaluation = evaluate(problem, theta)
+    if not evaluation.is_finite:
+        raise ValueError("the model has no prediction at these parameters; fit them first")
+    kernel = newton_kernel(evaluation, parameters)
+    draws = np.random.default_rng(seed).standard_normal((n_draws, parameters.n))
+    steps = np.linalg.solve(kernel.factor.T, draws.T).T
+    thetas = parameters.from_working(parameters.to_working(evaluation.theta) + steps)
+    inside = np.clip(thetas, parameters.lower, parameters.upper)
+    lost = sum(not np.isfinite(problem.residuals(x)).all() for x in inside)
+    return share(lost, n_draws)
+
+
+def feasibility_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
+    """Whether the feasibility boundary of the model, and not the data, makes limits near a fit."""
+    lost = share_without_prediction(problem, theta)
+    if lost.value < NOTEWORTHY:
+        return ()
+    return (finding("sets-without-prediction", "model", {"n": lost.n, "n_lost": lost.count}),)
+
+
+def nuisance_findings(
+    problem: Problem, theta: Array, *, hint: str = " See: identknee diagnose"
+) -> tuple[Finding, ...]:
+    """A finding for each group of nuisances that lies beyond its prior.
+
+    Parameters
+    ----------
+    problem, theta
+        As in `identknee.identify.nuisances.nuisance_estimates`.
+    hint
+        Where a reader finds more, as the end of the sentence.
+    """
+    groups = nuisance_groups(problem, theta)
+    found = []
+    estimates = nuisance_estimates(problem, theta)
+    for group in groups:
+        if group.p_value * len(groups) >= BEYOND_PRIOR:
+            continue
+        own = [x for x in estimates if group_name(x.name) == group.name]
+        farthest = max(own, key=lambda x: abs(x.value - x.center) / max(x.scatter, TINY))
+        moved = farthest.value - farthest.center
+        unit, where = shift_words(farthest.name)
+        together = f" for its {group.n} values together" * (group.n > 1)
+        sentence = (
+            f"The fit moves the {error_words(group.name)} beyond its stated uncertainty: by "
+            f"{amount(moved, unit)}{where}, where an error stated to "
+            f"{amount(farthest.prior_sd, unit)} leaves at most "
+            f"{amount(2.0 * farthest.scatter, unit)} in 95 % of fits (p = {group.p_value:.2g}"
+            f"{together}). The stated uncertainty is too small, or another cause stands behind "
+            f"it.{hint}"
+        )
+        values = {
+            "nuisance": farthest.name,
+            "moved": moved,
+            "prior_sd": farthest.prior_sd,
+            "scatter": farthest.scatter,
+            "unit": unit,
+            "n_together": group.n,
+            "p_value": group.p_value,
+        }
+        found.append(finding("nuisance-beyond-prior", group.name, values, sentence=sentence))
+    return tuple(found)
+
+
+def shift_words(name: str) -> tuple[str, str]:
+    """Unit of a nuisance, and what of its group it moves.
+
+    Examples
+    --------
+    >>> shift_words("insertion.ACL_femur_x_mm"), shift_words("load_gain.varus_moment")
+    (('mm', ' along x'), ('1', ' in varus moment'))
+    """
+    *words, last = name.rpartition(".")[2].split("_")
+    unit = last if last in ("mm", "deg") else "1"
+    what = words if unit != "1" else [*words, last]
+    if what[0] == "ln":
+        return unit, " in its logarithm"
+    if what[-1] in ("x", "y", "z"):
+        return unit, f" {'along' if unit == 'mm' else 'about'} {what[-1]}"
+    return unit, "" if what == ["offset"] else f" in {' '.join(what)}"

@@ -1,0 +1,121 @@
+"""Findings: every code is registered once, and nothing but codes and values is compared."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import identknee as ik
+from identknee.runs.finding_kinds import KINDS
+from identknee.runs.findings import (
+    Finding,
+    Severity,
+    finding,
+    gravest_first,
+    invalidating,
+    without_repeats,
+)
+from identknee.runs.plain_records import from_plain, summary_of
+
+PACKAGE = Path(ik.__file__).parent
+MAKERS = {"finding", "geometry_finding", "trial_findings"}
+# A sentence is made for a person, and never read by the package.
+TAKEN_APART = re.compile(
+    r"sentence\.(r?partition|r?split|startswith|endswith|remove\w+|r?strip|r?find|r?index)\("
+    r"|\bin \w+\.sentence\b|\bre\.\w+\([^)]*sentence"
+)
+
+
+def calls() -> Iterator[tuple[Path, ast.Call, str]]:
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                yield path, node, node.func.id
+
+
+def words() -> set[str]:
+    """All texts of the package but those of the registry."""
+    return {
+        node.value
+        for path in PACKAGE.rglob("*.py")
+        if path.name != "finding_kinds.py"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+
+
+def test_every_kind_is_registered_once_and_made_somewhere() -> None:
+    used = words()
+    assert [code for code in KINDS if code not in used] == []
+    given = {
+        x.value
+        for _, node, name in calls()
+        if name in MAKERS
+        for x in node.args
+        if isinstance(x, ast.Constant) and re.fullmatch(r"[a-z]+(-[a-z]+)+", str(x.value))
+    }
+    assert given <= KINDS.keys()
+    assert len(given) > 40
+
+
+def test_checks_make_findings_with_their_code_only() -> None:
+    made = {path.name for path, _, name in calls() if name in ("Finding", "GeometryFinding")}
+    assert made <= {"findings.py", "check.py"}
+
+
+def test_no_code_takes_a_sentence_apart() -> None:
+    found = [
+        f"{path.name}: {match[0]}"
+        for path in PACKAGE.rglob("*.py")
+        for match in TAKEN_APART.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize("code", KINDS)
+def test_every_kind_says_what_it_means_and_what_to_do(code: str) -> None:
+    kind = KINDS[code]
+    assert re.fullmatch(r"[a-z]+(-[a-z]+)*", code)
+    assert kind.meaning.endswith(".")
+    assert kind.remedy or kind.severity is Severity.INFO
+    assert not kind.invalidates or kind.severity is Severity.ERROR
+    assert not kind.lead or not kind.template.endswith(".")
+
+
+def test_an_unregistered_code_is_refused() -> None:
+    with pytest.raises(ValueError, match="there is no finding 'misfit'"):
+        finding("misfit", "data", sentence="So.")
+    with pytest.raises(ValueError, match="there is no finding 'misfit'"):
+        Finding(code="misfit", severity=Severity.INFO, sentence="So.", where="data")
+
+
+def test_values_that_do_not_fill_the_sentence_are_refused() -> None:
+    made = finding("sets-without-prediction", "model", {"n": 100, "n_lost": 7})
+    assert "Of 100 parameter sets" in made.sentence
+    stored = summary_of(made)
+    again = from_plain(Finding, stored)
+    assert summary_of(again) == stored
+    with pytest.raises(ValueError, match="the values do not fill the sentence"):
+        from_plain(Finding, stored | {"values": {"n": 100}})
+
+
+def test_what_an_earlier_version_stored_has_no_code() -> None:
+    old = {"severity": "warning", "sentence": "Look.", "where": "data"}
+    made = from_plain(Finding, old)
+    assert (made.code, dict(made.values), made.line) == ("", {}, "Warning: Look.")
+    assert invalidating([made]) == ""
+
+
+def test_severity_then_the_order_of_kinds_decides_and_repeats_go() -> None:
+    rim = finding("contact-near-rim", "subject", sentence="Near.")
+    bound = finding("at-bound", "parameters", {"parameters": ["a"]}, sentence="At.")
+    other = finding("at-bound", "parameters", {"parameters": ["b"]}, sentence="At.")
+    few = finding("too-few-values", "data", {"n_values": 1}, sentence="Few.")
+    again = finding("too-few-values", "data", {"n_values": 2}, sentence="Few, too.")
+    sign = finding("moves-against-load", "data", {"coordinate": "varus_deg"}, sentence="Wrong.")
+    given = (rim, few, again, bound, other, sign)
+    assert gravest_first(given) == [sign, bound, other, few, again, rim]
+    assert without_repeats(given) == (sign, bound, other, few, rim)
+    assert invalidating(given) == "Wrong."
