@@ -45,6 +45,12 @@ class DistanceField:
     )
     shift: Array | None = entry("Origin of that frame [mm], shape ``(3,)``", default=None)
 
+    def __post_init__(self) -> None:
+        for name in ("coefficients", "reach", "near", "origin"):
+            array = np.ascontiguousarray(getattr(self, name))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
     def arrays(self) -> FieldArrays:
         """The field as the kernel takes it."""
         grid = record(GRID)

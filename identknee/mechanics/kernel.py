@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled
+from identknee.mechanics.compiled import compiled, compiled_once
 from identknee.mechanics.contact_elements import (
     contact_centres,
     contact_columns,
@@ -150,7 +150,7 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
             S[i, j] = step[i]
 
 
-@compiled
+@compiled_once
 def simulate_path(
     nodes, starts, guesses, has_guess, contact, field, ligaments, derivatives, work, results
 ):

@@ -1,17 +1,23 @@
 """Functions compiled by numba, and kept on disk as long as their sources stay as they are."""
 
 import hashlib
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial, wraps
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
+from filelock import FileLock, Timeout
 
 from identknee.runs.cache_folder import cache_folder
 
 Function = Callable[..., Any]
+# Nothing takes longer to compile: who waits longer compiles it too.
+MOST_SECONDS = 120.0
 
 
 def compiled(
@@ -37,6 +43,58 @@ def compiled(
     finally:
         numba.config.CACHE_DIR = before
     return result
+
+
+def compiled_once(function: Function, **options: Any) -> Function:
+    """The same for a function that Python calls, of which all processes run one machine code.
+
+    Code that is compiled together with its callees and code that is made with callees from disk
+    need not agree in their last bits. So a process of its own compiles it, once, while others wait,
+    and all run what it leaves on disk.
+    """
+    made: list[Any] = []
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        if not made:
+            dispatcher: Any = compiled(function, **options)
+            kinds = tuple(map(numba.typeof, arguments))
+            _compile_elsewhere(function, kinds, dispatcher.stats.cache_path)
+            dispatcher.compile(kinds)
+            made.append(dispatcher)
+        return made[0](*arguments)
+
+    call.dispatcher = partial(compiled, function, **options)  # type: ignore[attr-defined]
+    return call
+
+
+# What a process does that only compiles: it finds the package where its parent did.
+_COMPILE = """
+import importlib, pickle, sys
+sys.path, module, name, kinds = pickle.load(sys.stdin.buffer)
+getattr(importlib.import_module(module), name).dispatcher().compile(pickle.loads(kinds))
+"""
+
+
+def _compile_elsewhere(function: Function, kinds: tuple[Any, ...], folder: str | None) -> None:
+    if folder is None:  # There is no writable cache: every process compiles.
+        return
+    mark = Path(folder) / f"{function.__name__}.compiled"
+    given = (sys.path, function.__module__, function.__name__, pickle.dumps(kinds))
+    try:
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(mark.with_suffix(".lock"), timeout=MOST_SECONDS):
+            if not mark.exists():
+                subprocess.run(
+                    [sys.executable, "-c", _COMPILE],
+                    input=pickle.dumps(given),
+                    check=True,
+                    capture_output=True,
+                )
+                mark.touch()
+    # Whoever cannot have it compiled compiles it.
+    except (Timeout, OSError, subprocess.CalledProcessError):
+        return
 
 
 @cache

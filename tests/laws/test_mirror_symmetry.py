@@ -65,7 +65,8 @@ def test_energy_and_force_are_those_of_the_mirror(
     pose = reference_prediction.poses[trial] + rng.normal(0.0, 0.5, 5) / SCALE
     load = rng.normal(0.0, 50.0, 5) * SCALE
     ligaments = ligaments_of(reference_model, random_parameters(reference_model, rng))
-    there = ligaments._replace(femoral=mirrored.lines.femoral, tibial=mirrored.lines.tibial)
+    there = ligaments.copy()
+    there.femoral, there.tibial = mirrored.lines.femoral, mirrored.lines.tibial
     found = Evaluator(mirrored)(flexion, pose * OF_POSE, there, load * OF_POSE)
     expected = Evaluator(reference_model.joint)(flexion, pose, ligaments, load)
     assert found.energy == pytest.approx(expected.energy, rel=DERIVATIVE)

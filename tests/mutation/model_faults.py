@@ -494,14 +494,6 @@ MECHANICS = (
         "a simulation begins with what the one before evaluated",
         "tests/unit/mechanics/test_workspace.py",
     ),
-    fault(
-        "identknee/runs/turns.py",
-        "_wait",
-        "machine == platform.node() and (not is_running(int(process)))",
-        "False",
-        "what a killed process was making is waited for",
-        "tests/unit/runs/test_turns.py",
-    ),
 )
 
 NUISANCES = (

@@ -110,9 +110,7 @@ def test_the_exponent_leaves_the_pressure_at_three_tenths_alone(
     forces, depths = {}, {}
     for exponent in (1.0, 1.4):
         evaluate = Evaluator(reference_model.joint)
-        evaluate._contact = evaluate._contact._replace(
-            law=(exponent, evaluate._contact.law[1])
-        )
+        evaluate._contact = evaluate._contact._replace(law=(exponent, evaluate._contact.law[1]))
         evaluate(flexion, pose, ligaments)
         forces[exponent] = np.linalg.norm(evaluate.contact_forces(), axis=1)
         depths[exponent] = evaluate.contact_depths()
