@@ -33,7 +33,6 @@ from identknee.diagnosis.isolability import (
     worst_distances,
 )
 from identknee.diagnosis.refit import Refit, Rival
-from identknee.identify.design import SHARE
 from identknee.identify.nuisances import nuisance_places
 from identknee.laxity.candidates import repeated
 from identknee.laxity.protocol import Protocol, concatenate
@@ -47,6 +46,7 @@ from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import nuisance_changes
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
+from identknee.runs.marginalise import better_known
 from identknee.subject.knee import Knee
 
 # Rivals beyond these follow from the nearest ones.
@@ -297,12 +297,10 @@ def measured_errors(
     parameters = best.fitted.model.parameters
     made = {}
     for name, places in nuisance_places(parameters).items():
-        per_unit = np.sqrt(SHARE**-2 - 1.0) / parameters.prior_sd[places]
-        rows = np.zeros((len(places), n_columns))
-        rows[np.arange(len(places)), places] = per_unit
+        rows = better_known(n_columns, places, parameters.prior_sd[places])
         for rival, pair in zip(rivals, pairs, strict=True):
             apart = best.fitted.theta[places] - rival.refit.fitted.theta[places]
-            rows[:, pair.effect[0]] = per_unit * apart
+            rows[:, pair.effect[0]] = rows[:, places] @ apart
         made[name] = rows
     return made
 

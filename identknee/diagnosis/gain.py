@@ -112,9 +112,7 @@ def fit_discrepancy(
         errors=-at.residuals - noise.factor @ (absorbing.T @ target),
         absorbed=float(1.0 - left @ left / (target @ target)) if target.any() else 0.0,
         degrees_of_freedom=float(np.trace(absorbing)),
-        observations=replace(
-            observations, noise=noise.widened(noise.factor @ own @ noise.factor.T)
-        ),
+        observations=replace(observations, noise=noise.widened(noise.factor, own)),
     )
 
 

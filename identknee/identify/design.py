@@ -10,7 +10,7 @@ others leave them, errors widen what it measures, and it is a trial with noise o
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,79 +33,12 @@ from identknee.identify.design_criteria import (
 from identknee.identify.nuisances import nuisance_places
 from identknee.identify.profile.profile import ProfileSettings, profile_quantities
 from identknee.identify.profile.result import Profile
+from identknee.identify.trial_choice import choose
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
-
-MOST_ROUNDS = 20
-# Share of the loss: an exchange that gains less is rounding.
-TOLERANCE = 1e-10
-
-
-def choose(
-    loss: Callable[[Array], Array],
-    beside: Callable[[Sequence[int]], tuple[Array, Array]],
-    allowed: BoolArray,
-    n_chosen: int,
-) -> tuple[int, ...]:
-    """The trials to add, in the order in which they help most; a trial may come more than once.
-
-    Trials are added one by one, each time the one that lowers the loss most. Then each in turn is
-    exchanged for the one that is best in its place, until no exchange helps.
-
-    Parameters
-    ----------
-    loss
-        Loss of rows of summed features, shape ``(k,)`` from ``(k, f)``.
-    beside
-        Features of the trials made with those added, shape ``(f,)``, and of each of the trials that
-        may come next, ``(k, f)``.
-    allowed
-        Which of them may be chosen, shape ``(k,)``.
-    n_chosen
-        How many to choose.
-
-    References
-    ----------
-    V. V. Fedorov, Theory of Optimal Experiments (1972), ISBN 978-0-12-250750-2.
-    """
-    possible = np.flatnonzero(allowed)
-
-    def best_beside(others: list[int]) -> tuple[int, float]:
-        made, trials = beside(others)
-        losses = loss(made + trials[possible])
-        best = int(np.argmin(losses))
-        return int(possible[best]), float(losses[best])
-
-    chosen: list[int] = []
-    value = np.inf
-    for _ in range(n_chosen):
-        best, value = best_beside(chosen)
-        chosen.append(best)
-    for _ in range(MOST_ROUNDS):
-        before = value
-        for place in range(n_chosen):
-            best, new = best_beside(chosen[:place] + chosen[place + 1 :])
-            if new < value - TOLERANCE * abs(value):
-                chosen[place], value = best, new
-        if value >= before:
-            break
-    return _in_order(loss, beside, chosen)
-
-
-def _in_order(
-    loss: Callable[[Array], Array],
-    beside: Callable[[Sequence[int]], tuple[Array, Array]],
-    chosen: list[int],
-) -> tuple[int, ...]:
-    """The chosen ones, each the most helpful of those left after the ones before."""
-    left, ordered = list(chosen), list[int]()
-    while left:
-        made, trials = beside(ordered)
-        best = int(np.argmin(loss(made + trials[left])))
-        ordered.append(left.pop(best))
-    return tuple(ordered)
+from identknee.runs.marginalise import NuisancePosterior, better_known, whitening
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -157,10 +90,6 @@ def straight(
         names=tuple(candidates.names), theta=theta, at_theta=values, slopes=slopes
     )
     return with_nuisance_priors(lines), offered
-
-
-# Of a stated standard deviation: what is left of it where an error is known better.
-SHARE = 0.5
 
 
 @declared
@@ -264,15 +193,14 @@ def _widths(width: WidthLoss, features: Array) -> Array:
 def _as_trial(
     points: CandidatePredictions, parameters: Parameters, places: list[int]
 ) -> tuple[Array, Array]:
-    """The parameters at `places` measured so well that their priors narrow to `SHARE`.
+    """The parameters at `places` known better, as a trial that measures them directly.
 
     Values ``(q, 1, m)`` in units of that measurement's noise, derivatives ``(q, 1, m, n)`` by the
     scaled parameters.
     """
-    per_unit = np.sqrt(SHARE**-2 - 1.0) / parameters.prior_sd[places]
-    slopes = np.zeros((len(places), parameters.n))
-    slopes[np.arange(len(places)), places] = per_unit * points.scales[places]
-    values = points.thetas[:, None, places] * per_unit
+    rows = better_known(parameters.n, places, parameters.prior_sd[places])
+    values = points.thetas[:, None] @ rows.T
+    slopes = rows * points.scales
     return values, np.broadcast_to(slopes, (len(values), 1, *slopes.shape))
 
 
@@ -296,9 +224,7 @@ class Marginal:
     _whitening: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        covariance = np.eye(len(self.slopes)) + self.slopes @ self.slopes.T
-        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-        object.__setattr__(self, "_whitening", whitening)
+        object.__setattr__(self, "_whitening", whitening(self.slopes))
 
     @property
     def parameters(self) -> Parameters:
@@ -369,14 +295,6 @@ class AtBestErrors:
         return values, jacobians[:, :, self.is_of_interest]
 
 
-class Known(NamedTuple):
-    """Errors as some trials leave them, at q points: mean, its slope and covariance."""
-
-    mean: Array
-    slope: Array
-    covariance: Array
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedErrors:
     """A problem whose nuisances its candidates share.
@@ -411,54 +329,12 @@ class SharedErrors:
         added = self.slopes[list(chosen)].reshape(measured.size, -1)
         return replace(self.problem, problem=whole, slopes=np.vstack([self.problem.slopes, added]))
 
-    def known(self, points: CandidatePredictions) -> Known:
+    def known(self, points: CandidatePredictions) -> NuisancePosterior:
         """The errors as the trials made leave them, less their best fit, at the points."""
-        slopes, inner = self.problem.slopes, self.problem.problem
-        covariance = np.asarray(np.linalg.inv(np.eye(slopes.shape[1]) + slopes.T @ slopes), float)
-        gain = -covariance @ slopes.T
+        inner = self.problem.problem
         residuals = np.array([inner.residuals(x) for x in points.thetas])
         jacobians = np.array([inner.jacobian(x) for x in points.thetas]) * points.scales
-        return Known(
-            mean=(residuals - residuals[0]) @ gain.T,
-            slope=gain @ jacobians,
-            covariance=covariance,
-        )
-
-
-def told(known: Known, values: Array, jacobians: Array, slopes: Array) -> tuple[Array, Array]:
-    """What k trials tell beside those that the errors are known from, as of independent noise.
-
-    Parameters
-    ----------
-    known
-        The errors.
-    values, jacobians
-        Of the trials, shapes ``(q, k, m)`` and ``(q, k, m, n)``.
-    slopes
-        Their change with the errors, shape ``(k, m, e)``.
-    """
-    spread = np.eye(slopes.shape[1]) + slopes @ known.covariance @ slopes.mT
-    whitening = np.linalg.inv(np.linalg.cholesky(spread))
-    values = values + np.einsum("kme,qe->qkm", slopes, known.mean)
-    jacobians = jacobians + np.einsum("kme,qen->qkmn", slopes, known.slope, optimize=True)
-    return (
-        np.einsum("kab,qkb->qka", whitening, values),
-        np.einsum("kab,qkbn->qkan", whitening, jacobians, optimize=True),
-    )
-
-
-def better_known(known: Known, value: Array, jacobian: Array, slopes: Array) -> Known:
-    """The errors with one more trial, its change from the best fit ``(q, m)`` and ``(q, m, n)``."""
-    spread = np.eye(len(slopes)) + slopes @ known.covariance @ slopes.T
-    gain = np.linalg.solve(spread, slopes @ known.covariance).T
-    # Beyond what the data allow a trial may have no prediction: it then says nothing.
-    value = np.nan_to_num(value + known.mean @ slopes.T)
-    jacobian = np.nan_to_num(jacobian + slopes @ known.slope)
-    return Known(
-        mean=known.mean - value @ gain.T,
-        slope=known.slope - gain @ jacobian,
-        covariance=known.covariance - gain @ slopes @ known.covariance,
-    )
+        return NuisancePosterior.after(residuals, jacobians, self.problem.slopes)
 
 
 def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> SharedErrors:
@@ -496,7 +372,7 @@ class Telling:
     points: CandidatePredictions
     allowed: BoolArray
     shared: SharedErrors | None = None
-    known: Known | None = None
+    known: NuisancePosterior | None = None
 
     def beside(self, others: Sequence[int]) -> tuple[Array, Array]:
         """Features of the trials made and `others`, shape ``(f,)``, and of each next, ``(k, f)``.
@@ -509,10 +385,10 @@ class Telling:
             return made + trials[list(others)].sum(axis=0), trials
         for trial in others:
             own = self._of([trial])
-            made = made + self.loss.of_trials(*told(known, *own))[0]
-            known = better_known(known, own[0][:, 0], own[1][:, 0], own[2][0])
+            made = made + self.loss.of_trials(*known.whitened(*own))[0]
+            known = known.updated(own[0][:, 0], own[1][:, 0], own[2][0])
         offered = np.flatnonzero(self.allowed)
-        trials[offered] = self.loss.of_trials(*told(known, *self._of(offered.tolist())))
+        trials[offered] = self.loss.of_trials(*known.whitened(*self._of(offered.tolist())))
         return made, trials
 
     def halved(self) -> dict[str, Array]:
@@ -524,9 +400,8 @@ class Telling:
         found = {}
         for name, places in self.shared.groups.items():
             m = len(places)
-            slopes = np.sqrt(SHARE**-2 - 1.0) * np.eye(n)[None, places]
-            rows = told(self.known, np.zeros((q, 1, m)), np.zeros((q, 1, m, p)), slopes)
-            found[name] = self.loss.of_trials(*rows)
+            measured = np.zeros((q, 1, m)), np.zeros((q, 1, m, p)), better_known(n, places)[None]
+            found[name] = self.loss.of_trials(*self.known.whitened(*measured))
         return found
 
     def _of(self, trials: list[int]) -> tuple[Array, Array, Array]:
@@ -707,7 +582,7 @@ def design(
     loss: Loss = width if criterion == "width" else local
     known = None if shared is None else shared.known(points)
     telling = Telling(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
-    chosen = choose(loss, telling.beside, allowed, n_trials)
+    chosen = choose(lambda x: loss(np.add(*telling.beside(x))), allowed, n_trials)
     along = replace(telling, loss=width)
     halved = errors_halved(width, points, problem.parameters) if shared is None else along.halved()
     adding = partial(_with_trials, problem, candidates) if shared is None else shared.with_trials

@@ -417,8 +417,8 @@ IDENTIFICATION = (
         "tests/unit/verbs/test_averaged.py",
     ),
     fault(
-        "identknee/identify/design.py",
-        "_as_trial",
+        "identknee/runs/marginalise.py",
+        "better_known",
         "np.sqrt(SHARE ** (-2) - 1.0)",
         "np.sqrt(SHARE ** (-2))",
         "an error known twice as well narrows too much",
@@ -453,8 +453,8 @@ DIAGNOSIS = (
     fault(
         "identknee/diagnosis/noise_model.py",
         "build_noise_model",
-        "spread = nuisance * nuisance_sd",
-        "spread = nuisance * nuisance_sd ** 2",
+        "nuisance * nuisance_sd",
+        "nuisance * nuisance_sd ** 2",
         "nuisances have the square of their spread",
         "tests/unit/diagnosis/test_noise_model.py::test_nuisances_in_the_covariance_are_nuisances_fitted_with_their_prior",
     ),
