@@ -31,6 +31,7 @@ from identknee.diagnosis.refit import Refit, without_causes
 from identknee.diagnosis.verdict import LEVEL, Cause, Conclusion, Verdict, causes_of, conclude
 from identknee.laxity.dominant import nominal_flexion, told_loads
 from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.trial_words import SHORT_DIRECTIONS
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
@@ -43,13 +44,6 @@ from identknee.runs.progress import stage
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 
-DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction", "compression"),
-    ("lateral force", "medial force"),
-)
 # Fall of the deviance from which on it is another minimum of the base model, and not the end of
 # the same one.
 LOWER = 1.0
@@ -319,7 +313,7 @@ def layout_of(laxity: Laxity) -> TrialLayout:
     return TrialLayout(
         flexion_deg=nominal_flexion(laxity.protocol),
         loads=told_loads(laxity.protocol),
-        directions=DIRECTIONS,
+        directions=SHORT_DIRECTIONS,
         coordinates=COORDINATES,
         is_measured=laxity.is_measured,
     )
