@@ -169,32 +169,26 @@ class OfferedTrials:
 
 @declared
 class Advice:
-    """Trials to add, and what they would do."""
+    """What the advised trials would do to distances, see `identknee.diagnosis.refit`."""
 
-    trials: Protocol = entry("The protocol to add, the most useful first")
+    sentence: str = entry("What they would do")
     rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
-    before: Array = entry(
-        "Distance of each rival in units of noise without these trials, see "
-        "`identknee.diagnosis.refit.expected_distance`"
-    )
-    after: Array = entry("The same with these trials")
-    with_one_trial: Array = entry("The same with the first of these trials alone")
-    with_error_halved: Mapping[str, tuple[float, ...]] = entry(
-        "The same, without any trial, with one stated error known twice as well, by its name"
+    distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
+    distance_after: tuple[float, ...] = entry("The same with the trials")
+    distance_with_one_trial: tuple[float, ...] = entry("The same with the first trial alone")
+    distance_with_error_halved: Mapping[str, tuple[float, ...]] = entry(
+        "The same with one stated error known twice as well, by its name"
     )
 
-    @property
-    def sentence(self) -> str:
-        """What they would do, for a person."""
-        n = self.trials.n
-        which = "this trial" if n == 1 else f"these {n} trials"
-        return (
-            f"With {which} the nearest rival would be {float(self.after.min()):.1f} units of noise "
-            f"away instead of {float(self.before.min()):.1f}; 5 are enough to tell it apart."
-        )
+
+@declared
+class AdvisedProtocol(Advice):
+    """What the advised trials would do, and these."""
+
+    trials: Protocol = entry("To add, the most useful first", is_in_json=False)
 
 
-def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | None:
+def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProtocol | None:
     """The trials that separate the best explanation from its open rivals.
 
     None without any, and where the model has no equilibrium in the trials that could be added.
@@ -225,13 +219,23 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | Non
     )
     if not (found.chosen and np.isfinite(found.distances[0]).all()):
         return None
-    return Advice(
+    before, after, single = (
+        tuple(found.distances[i].tolist()) for i in (0, -1, min(1, len(found.chosen)))
+    )
+    which = "this trial" if trials.n == 1 else f"these {trials.n} trials"
+    return AdvisedProtocol(
         trials=trials,
+        sentence=(
+            f"With {which} the nearest rival would be {min(after):.1f} units of noise away instead "
+            f"of {min(before):.1f}; 5 are enough to tell it apart."
+        ),
         rivals=tuple(x.refit.names for x in rivals),
-        before=found.distances[0],
-        after=found.distances[-1],
-        with_one_trial=found.distances[min(1, len(found.chosen))],
-        with_error_halved={k: tuple(x) for k, x in zip(measured, others.tolist(), strict=True)},
+        distance_before=before,
+        distance_after=after,
+        distance_with_one_trial=single,
+        distance_with_error_halved={
+            k: tuple(x) for k, x in zip(measured, others.tolist(), strict=True)
+        },
     )
 
 

@@ -38,24 +38,30 @@ MOST_ITERATIONS = 30
 
 
 @declared
-class Discrepancy:
-    """A Gaussian process in each coordinate that has taken up what the model leaves."""
+class Process:
+    """A Gaussian process in each coordinate that has taken up what the model leaves, unnamed."""
 
-    spread: Array = array(
+    absorbed: float = entry("Share of the misfit that it takes up", unit="1")
+    degrees_of_freedom: float = entry("Degrees of freedom that it uses", unit="1")
+    flexion_length: float = entry("Correlation length over the range of flexion", unit="1")
+    load_length: float = entry("Correlation length over the largest load", unit="1")
+
+
+@declared
+class Discrepancy(Process):
+    """The process with what it leaves."""
+
+    spread: Array = entry(
         "Its standard deviation in each measured coordinate, in units of the noise",
-        "measured_coordinate",
+        is_in_json=False,
     )
-    flexion_length: float = entry("Correlation length over the range of flexion")
-    load_length: float = entry("Correlation length over the largest load of each kind")
-    errors: Array = array(
-        "What it leaves in the data it was fitted to, measured less predicted",
-        "value",
-        unit="mm or deg",
+    errors: Array = entry(
+        "What it leaves in the data it was fitted to, measured less predicted [mm or deg]",
+        is_in_json=False,
     )
-    absorbed: float = entry("Share of the misfit that it takes up, 0 to 1")
-    degrees_of_freedom: float = entry("How many free parameters it is worth")
     observations: Observations = entry(
-        "The measured values with it among their errors, for a prediction of held trials"
+        "The measured values with it among their errors, for a prediction of held trials",
+        is_in_json=False,
     )
 
 

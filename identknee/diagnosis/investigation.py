@@ -7,7 +7,7 @@ from functools import cached_property
 
 from identknee.calibrate.doubts import at_zero, bound_findings
 from identknee.calibrate.starts import load_start
-from identknee.diagnosis.advice import Advice, advise
+from identknee.diagnosis.advice import AdvisedProtocol, advise
 from identknee.diagnosis.attribution import (
     FAR_FROM_DONE,
     SIMPLE,
@@ -21,8 +21,8 @@ from identknee.diagnosis.gain import Gain, measure_gain
 from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
 from identknee.diagnosis.missing_line import (
     LineFinding,
-    MissingPull,
     MissingWrench,
+    Pull,
     find_line,
     missing_pulls,
     missing_wrench,
@@ -87,7 +87,7 @@ class Investigation:
     localisation: Localisation
     attribution: Attribution
     conclusion: Conclusion
-    advice: Advice | None
+    advice: AdvisedProtocol | None
     line: LineFinding | None
     seed: int
 
@@ -150,7 +150,7 @@ class Investigation:
         return missing_wrench(base.compared, theta, self.noise.sd, self.noise.correlation)
 
     @cached_property
-    def missing_pulls(self) -> tuple[MissingPull, ...]:
+    def missing_pulls(self) -> tuple[Pull, ...]:
         """Its mean along the plateau by flexion and direction of load."""
         return missing_pulls(self.missing_wrench, layout_of(self.laxity))
 
