@@ -1,7 +1,6 @@
 """Which trials to add so that explanations that fit alike come apart."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -370,60 +369,28 @@ def protocol_isolability(
     seed
         Seed of the distributions under no effect.
     """
-    told = _told(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2), seed)
-    if told is None:
-        return None
-    fitted, candidates, variants = told.fitted, told.candidates, told.variants
-    return ProtocolIsolability(
-        protocol=fitted.laxity.protocol,
-        visibility=tuple(candidates.visibility(x.effect) for x in variants),
-        distances=told.apart,
-        advice=tuple(
-            _advise(fitted, candidates, [x for x in variants if x.effect.name in names])
-            for names in told.groups
-            if len(names) > 1
-        ),
-        look_alikes=_look_alikes(told.apart),
-    )
-
-
-def protocol_groups(
-    knee: Knee, protocol: Protocol, *, sd_mm: float, sd_deg: float, seed: int = 0
-) -> tuple[tuple[str, ...], ...]:
-    """The effects in groups that the protocol cannot tell apart, without advice on trials.
-
-    Parameters as in `protocol_isolability`; empty where no trial is predicted.
-    """
-    told = _told(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2), seed)
-    return () if told is None else told.groups
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Told:
-    """What the subject's own values tell: the fit, its candidates and how far they are apart."""
-
-    fitted: Fitted
-    candidates: Candidates
-    variants: tuple[Variant, ...]
-    apart: Distances
-
-    @property
-    def groups(self) -> tuple[tuple[str, ...], ...]:
-        return groups(_among(self.apart, [x for x in self.apart.effects if x != IMITATOR]))
-
-
-def _told(knee: Knee, protocol: Protocol, sd: Array, seed: int) -> _Told | None:
-    fitted = _own_fit(knee, protocol, sd)
+    fitted = _own_fit(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
     if fitted is None:
         return None
     present = {x.name for x in fitted.model.effects}
     tried = [x for x in library(knee) if x.name not in present]
     candidates = library_candidates(fitted, tried, seed=seed)
     typical = [candidates.typical(x.name) for x in tried]
-    variants = tuple(x for x in typical if x is not None)
+    variants = [x for x in typical if x is not None]
     projected = [candidates.projected(x) for x in variants]
     apart = worst_distances(projected, ROOT, candidates.test.signatures)
-    return _Told(fitted=fitted, candidates=candidates, variants=variants, apart=apart)
+    confused = groups(_among(apart, [x for x in apart.effects if x != IMITATOR]))
+    return ProtocolIsolability(
+        protocol=fitted.laxity.protocol,
+        visibility=tuple(candidates.visibility(x.effect) for x in variants),
+        distances=apart,
+        advice=tuple(
+            _advise(fitted, candidates, [x for x in variants if x.effect.name in names])
+            for names in confused
+            if len(names) > 1
+        ),
+        look_alikes=_look_alikes(apart),
+    )
 
 
 def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:

@@ -691,7 +691,9 @@ def measure_gain(
 def _assess(
     fitted: Fitted, observations: Observations, folds: Sequence[Fold], noise_degrees: float
 ) -> Assessment:
-    at = _evaluation(fitted, observations)
+    at = fitted.evaluation
+    if observations.noise is not fitted.noise:
+        at = evaluate(weighed(fitted.model, fitted.laxity, observations.noise), fitted.theta)
     errors = -fitted.compared.residuals(fitted.theta)
     return Assessment(
         check=omnibus_check(
@@ -702,13 +704,6 @@ def _assess(
         held_out=held_out(fitted.compared, observations, fitted.theta, folds),
         posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
     )
-
-
-def _evaluation(fitted: Fitted, observations: Observations) -> Evaluation:
-    """Whitened by the noise of `observations`, which need not be that of the fit."""
-    if observations.noise is fitted.noise:
-        return fitted.evaluation
-    return evaluate(weighed(fitted.model, fitted.laxity, observations.noise), fitted.theta)
 
 
 def _explained(observations: Observations, before: Array, after: Array) -> dict[str, float]:

@@ -228,6 +228,10 @@ def investigate(
         attribution, p_value = _explained(base_fit, effects, seed)
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)
+    fitted = base.fitted
+    localised = localise(
+        fitted.residual_rows(), fitted.projector, fitted.noise, layout_of(laxity), seed=seed
+    )
     advice = line = None
     if conclusion.verdict is Verdict.AMBIGUOUS:
         known = replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
@@ -239,7 +243,7 @@ def investigate(
         laxity=laxity,
         noise=noise,
         base=base,
-        localisation=_localisation(base, seed),
+        localisation=localised,
         attribution=attribution,
         conclusion=conclusion,
         advice=advice,
@@ -317,11 +321,6 @@ def layout_of(laxity: Laxity) -> TrialLayout:
         coordinates=COORDINATES,
         is_measured=laxity.is_measured,
     )
-
-
-def _localisation(base: Refit, seed: int) -> Localisation:
-    fitted, layout = base.fitted, layout_of(base.fitted.laxity)
-    return localise(fitted.residual_rows(), fitted.projector, fitted.noise, layout, seed=seed)
 
 
 def _unfinished(refit: Refit, which: str) -> list[Finding]:

@@ -349,18 +349,19 @@ def rivals_of(
     for x in sorted(others, key=lambda x: -x.log_evidence):
         if set(x.names) != set(best.names):
             found.setdefault(frozenset(x.names), x)
-    return tuple(_rival(best, x, looks) for x in found.values())
-
-
-def _rival(best: Refit, other: Refit, looks: Sequence[tuple[Refit, Scores]]) -> Rival:
-    score, highest = _score(best, other, looks)
-    return Rival(
-        refit=other,
-        log_evidence_deficit=best.log_evidence - other.log_evidence,
-        distance=expected_distance(best, other),
-        score=score,
-        highest=highest,
-    )
+    rivals = []
+    for x in found.values():
+        score, highest = _score(best, x, looks)
+        rivals.append(
+            Rival(
+                refit=x,
+                log_evidence_deficit=best.log_evidence - x.log_evidence,
+                distance=expected_distance(best, x),
+                score=score,
+                highest=highest,
+            )
+        )
+    return tuple(rivals)
 
 
 def _score(

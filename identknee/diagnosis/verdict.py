@@ -105,19 +105,16 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
         return _conclusion(Verdict.NAMED, p_value, best, group, reasons)
     reasons += [*(x.reason for x in doubts), *untested]
     short = [x.short for x in doubts] + ["another cause could not be tested"] * bool(untested)
-    sentence = _ambiguous(len(best.causes), short) if is_alone else SEVERAL
+    n = len(best.causes)
+    fits_words = "one known cause fits" if n == 1 else f"{n} known causes together fit"
+    alone = f"The model gets something wrong, and {fits_words}, with a doubt: {'; '.join(short)}."
+    sentence = alone if is_alone else SEVERAL
     return _conclusion(Verdict.AMBIGUOUS, p_value, best, group, reasons, sentence)
 
 
 def _p_words(p_value: float) -> str:
     """A probability as papers print it."""
     return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
-
-
-def _ambiguous(n_causes: int, doubts: Sequence[str]) -> str:
-    """What AMBIGUOUS means where one explanation alone fits."""
-    fits = "one known cause fits" if n_causes == 1 else f"{n_causes} known causes together fit"
-    return f"The model gets something wrong, and {fits}, with a doubt: {'; '.join(doubts)}."
 
 
 def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:

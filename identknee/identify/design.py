@@ -563,10 +563,14 @@ def design(
     theta = np.asarray(optimum_theta, dtype=np.float64)
     shared = _shared(problem, theta, candidates, targets)
     if shared is not None:
-        targets = [_of_interest(x, shared.problem.parameters) for x in targets]
+        asked = shared.problem.parameters
+        targets = [ParameterQuantity(parameters=asked, name=x.name) for x in targets]
         theta = theta[problem.parameters.is_of_interest]
         problem, candidates = shared.problem, shared.candidates
-    quantities, before = _profiled(problem, theta, profiles_of, targets)
+    if targets:
+        quantities, before = tuple(targets), profiles_of(problem, theta, targets)
+    else:
+        quantities, before = _needy(problem, theta, profiles_of)
     points = predict_candidates(problem, before, candidates, executor)
     excluded = points.excluded(candidates.names)
     allowed = ~np.isin(candidates.names, [x.name for x in excluded])
@@ -585,9 +589,16 @@ def design(
     chosen = choose(lambda x: loss(np.add(*telling.beside(x))), allowed, n_trials)
     along = replace(telling, loss=width)
     halved = errors_halved(width, points, problem.parameters) if shared is None else along.halved()
-    adding = partial(_with_trials, problem, candidates) if shared is None else shared.with_trials
-    whole = adding(chosen, points.thetas[0])
-    after = profiles_of(whole, points.thetas[0], quantities)
+    best = points.thetas[0]
+    whole: Problem
+    if shared is None:
+        measured, _ = candidates.predict(best, chosen)
+        whole = WithTrials(problem=problem, candidates=candidates, chosen=chosen, measured=measured)
+    else:
+        whole = shared.with_trials(chosen, best)
+    after = profiles_of(whole, best, quantities)
+    intervals = width.intervals(_stages(along, chosen))
+    predicted = [np.where(is_open, np.nan, ends) for ends, is_open in intervals]
     return ChosenTrials(
         criterion=criterion,
         names=tuple(candidates.names),
@@ -596,7 +607,7 @@ def design(
         excluded=excluded,
         losses=loss(_stages(telling, chosen)),
         alone=np.where(allowed, loss(np.add(*telling.beside(()))), np.nan),
-        predicted=_intervals(width, _stages(along, chosen)),
+        predicted=np.stack(predicted, axis=1),
         sds=np.sqrt(local.variances(_stages(replace(telling, loss=local), chosen))),
         narrowing=narrowing(width, along.beside(()), allowed, halved),
         before={x.name: x for x in before},
@@ -624,19 +635,6 @@ def _shared(
     return shared_errors(problem, theta, candidates)
 
 
-def _of_interest(target: Quantity, parameters: Parameters) -> Quantity:
-    return ParameterQuantity(parameters=parameters, name=target.name)
-
-
-def _profiled(
-    problem: Problem, theta: Array, profiles_of: ProfilesOf, targets: Sequence[Quantity]
-) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
-    """The targets and their profiles; those that need it most where none is given."""
-    if not targets:
-        return _needy(problem, theta, profiles_of)
-    return tuple(targets), profiles_of(problem, theta, targets)
-
-
 def _needy(
     problem: Problem, theta: ArrayLike, profiles_of: ProfilesOf
 ) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
@@ -652,17 +650,3 @@ def _needy(
 def _stages(telling: Telling, chosen: tuple[int, ...]) -> Array:
     """Features before and after each of the chosen trials, shape ``(n_trials + 1, f)``."""
     return np.array([telling.beside(chosen[:i])[0] for i in range(len(chosen) + 1)])
-
-
-def _intervals(width: WidthLoss, features: Array) -> Array:
-    """Predicted intervals, shape ``(n_trials + 1, t, 2)``; NaN for open ends."""
-    found = [np.where(is_open, np.nan, ends) for ends, is_open in width.intervals(features)]
-    return np.stack(found, axis=1)
-
-
-def _with_trials(
-    problem: Problem, candidates: Candidates, chosen: tuple[int, ...], theta: Array
-) -> WithTrials:
-    """The problem with the chosen trials as they would come out at theta, without errors."""
-    measured, _ = candidates.predict(theta, chosen)
-    return WithTrials(problem=problem, candidates=candidates, chosen=chosen, measured=measured)

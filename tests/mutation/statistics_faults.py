@@ -614,9 +614,9 @@ NAMING = (
     ),
     fault(
         "identknee/diagnosis/refit.py",
-        "_rival",
-        "Rival(refit=other, log_evidence_deficit=best.log_evidence - other.log_evidence, distance=expected_distance(best, other), score=score, highest=highest)",
-        "Rival(refit=other, log_evidence_deficit=other.log_evidence - best.log_evidence, distance=expected_distance(best, other), score=score, highest=highest)",
+        "rivals_of",
+        "Rival(refit=x, log_evidence_deficit=best.log_evidence - x.log_evidence, distance=expected_distance(best, x), score=score, highest=highest)",
+        "Rival(refit=x, log_evidence_deficit=x.log_evidence - best.log_evidence, distance=expected_distance(best, x), score=score, highest=highest)",
         "no rival is ever excluded",
         "tests/unit/diagnosis/test_attribution.py",
     ),
