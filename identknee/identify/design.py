@@ -1,10 +1,11 @@
-"""Which trials to add, so that the data tell what they leave open: chosen, predicted, verified.
+"""Which trials to add, so that the data bound what they leave open: chosen, predicted, verified.
 
 Where equilibria begin at measured poses, a small change of parameters may lead from one to another.
-What a profile finds then hangs on these jumps; the slopes at the best fit do not.
+A profile then depends on these jumps; the slopes at the best fit do not (`straight`).
 
-Both tell of the errors, so that what a trial tells depends on the others. Known as well as the
-others leave them, errors widen what it measures, and it is a trial with noise of its own again.
+Nuisance parameters are marginalised about the best fit (`identknee.runs.marginalise`). Trials share
+them, so that a trial is worth what it adds given the others: the posterior of the nuisances after
+those widens its noise.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -205,8 +206,8 @@ def _as_trial(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Marginal:
-    """A problem in which errors change residuals along straight lines and are averaged over.
+class MarginalProblem:
+    """A problem whose nuisances, linear in the residuals, are marginalised.
 
     Attributes
     ----------
@@ -232,7 +233,7 @@ class Marginal:
         return self.problem.parameters
 
     def residuals(self, theta: Array) -> Array:
-        """Residuals, errors at the middle of their priors, in units of noise and errors, (m,)."""
+        """Residuals at the nuisances' prior means, whitened by the marginal covariance, ``(m,)``."""
         residuals = self.problem.residuals(theta)
         if not np.isfinite(residuals).all():
             return residuals
@@ -243,7 +244,7 @@ class Marginal:
         return np.asarray(self._whitening @ self.problem.jacobian(theta))
 
 
-def marginal(problem: Problem, theta: Array) -> Marginal:
+def marginal_problem(problem: Problem, theta: Array) -> MarginalProblem:
     """The problem of the parameters of interest alone.
 
     Parameters
@@ -257,7 +258,7 @@ def marginal(problem: Problem, theta: Array) -> Marginal:
     is_error, data = ~parameters.is_of_interest, without_priors(problem)
     held = np.array(parameters.names)[is_error].tolist()
     sd = parameters.prior_sd[is_error]
-    return Marginal(
+    return MarginalProblem(
         problem=restricted(data, held, theta),
         slopes=data.jacobian(theta)[:, is_error] * sd,
         offset=(parameters.center - theta)[is_error] / sd,
@@ -302,7 +303,7 @@ class SharedErrors:
     Attributes
     ----------
     problem
-        The parameters of interest alone, see `Marginal`.
+        The parameters of interest alone, see `MarginalProblem`.
     candidates
         The trials that may be added.
     slopes
@@ -312,12 +313,12 @@ class SharedErrors:
         Which errors belong together, by name.
     """
 
-    problem: Marginal
+    problem: MarginalProblem
     candidates: AtBestErrors
     slopes: Array
     groups: dict[str, list[int]]
 
-    def with_trials(self, chosen: tuple[int, ...], theta: Array) -> Marginal:
+    def with_trials(self, chosen: tuple[int, ...], theta: Array) -> MarginalProblem:
         """The problem with the chosen trials as they would come out at theta, without errors."""
         measured, _ = self.candidates.predict(theta, chosen)
         whole = WithTrials(
@@ -330,7 +331,7 @@ class SharedErrors:
         return replace(self.problem, problem=whole, slopes=np.vstack([self.problem.slopes, added]))
 
     def known(self, points: CandidatePredictions) -> NuisancePosterior:
-        """The errors as the trials made leave them, less their best fit, at the points."""
+        """Posterior of the nuisances after the trials made, less their best fit, at the points."""
         inner = self.problem.problem
         residuals = np.array([inner.residuals(x) for x in points.thetas])
         jacobians = np.array([inner.jacobian(x) for x in points.thetas]) * points.scales
@@ -345,7 +346,7 @@ def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> Sha
     errors = np.flatnonzero(~is_asked)
     place = {int(x): i for i, x in enumerate(errors)}
     return SharedErrors(
-        problem=marginal(problem, theta),
+        problem=marginal_problem(problem, theta),
         candidates=AtBestErrors(candidates=candidates, theta=theta, is_of_interest=is_asked),
         slopes=jacobians[:, :, errors] * parameters.prior_sd[errors],
         groups={name: [place[i] for i in x] for name, x in nuisance_places(parameters).items()},
@@ -353,7 +354,7 @@ def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> Sha
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Telling:
+class TrialFeatures:
     """Features of the trials made with some added, and of each trial that may follow.
 
     Attributes
@@ -365,7 +366,7 @@ class Telling:
     allowed
         Which candidates are offered, shape ``(k,)``.
     shared, known
-        The errors that trials share, and as the trials made leave them; None where there are none.
+        The nuisances that trials share and their posterior after the trials made; None without.
     """
 
     loss: Loss
@@ -570,7 +571,7 @@ def design(
     if targets:
         quantities, before = tuple(targets), profiles_of(problem, theta, targets)
     else:
-        quantities, before = _needy(problem, theta, profiles_of)
+        quantities, before = _default_targets(problem, theta, profiles_of)
     points = predict_candidates(problem, before, candidates, executor)
     excluded = points.excluded(candidates.names)
     allowed = ~np.isin(candidates.names, [x.name for x in excluded])
@@ -585,9 +586,9 @@ def design(
     )
     loss: Loss = width if criterion == "width" else local
     known = None if shared is None else shared.known(points)
-    telling = Telling(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
-    chosen = choose(lambda x: loss(np.add(*telling.beside(x))), allowed, n_trials)
-    along = replace(telling, loss=width)
+    features = TrialFeatures(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
+    chosen = choose(lambda x: loss(np.add(*features.beside(x))), allowed, n_trials)
+    along = replace(features, loss=width)
     halved = errors_halved(width, points, problem.parameters) if shared is None else along.halved()
     best = points.thetas[0]
     whole: Problem
@@ -605,10 +606,10 @@ def design(
         targets=tuple(x.name for x in before),
         chosen=chosen,
         excluded=excluded,
-        losses=loss(_stages(telling, chosen)),
-        alone=np.where(allowed, loss(np.add(*telling.beside(()))), np.nan),
+        losses=loss(_stages(features, chosen)),
+        alone=np.where(allowed, loss(np.add(*features.beside(()))), np.nan),
         predicted=np.stack(predicted, axis=1),
-        sds=np.sqrt(local.variances(_stages(replace(telling, loss=local), chosen))),
+        sds=np.sqrt(local.variances(_stages(replace(features, loss=local), chosen))),
         narrowing=narrowing(width, along.beside(()), allowed, halved),
         before={x.name: x for x in before},
         after={x.name: x for x in after},
@@ -628,14 +629,14 @@ def _check(problem: Problem, n_trials: int, criterion: Criterion) -> None:
 def _shared(
     problem: Problem, theta: Array, candidates: Candidates, targets: Sequence[Quantity]
 ) -> SharedErrors | None:
-    """The nuisances averaged over; None without any, or where a target is no parameter."""
+    """The nuisances marginalised; None without any, or where a target is no parameter."""
     is_error = ~problem.parameters.is_of_interest
     if not (is_error.any() and all(isinstance(x, ParameterQuantity) for x in targets)):
         return None
     return shared_errors(problem, theta, candidates)
 
 
-def _needy(
+def _default_targets(
     problem: Problem, theta: ArrayLike, profiles_of: ProfilesOf
 ) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
     """Those of interest with an open interval, all where none is, and their profiles."""
@@ -647,6 +648,6 @@ def _needy(
     return tuple(every[i] for i in chosen), tuple(profiles[i] for i in chosen)
 
 
-def _stages(telling: Telling, chosen: tuple[int, ...]) -> Array:
+def _stages(features: TrialFeatures, chosen: tuple[int, ...]) -> Array:
     """Features before and after each of the chosen trials, shape ``(n_trials + 1, f)``."""
-    return np.array([telling.beside(chosen[:i])[0] for i in range(len(chosen) + 1)])
+    return np.array([features.beside(chosen[:i])[0] for i in range(len(chosen) + 1)])
