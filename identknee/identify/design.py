@@ -233,7 +233,7 @@ class MarginalProblem:
         return self.problem.parameters
 
     def residuals(self, theta: Array) -> Array:
-        """Residuals at the nuisances' prior means, whitened by the marginal covariance, ``(m,)``."""
+        """Residuals at the prior means of the nuisances, whitened, shape ``(m,)``."""
         residuals = self.problem.residuals(theta)
         if not np.isfinite(residuals).all():
             return residuals
