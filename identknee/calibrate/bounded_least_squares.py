@@ -1,4 +1,35 @@
-"""Bounded least squares, with an optional equality constraint on a quantity."""
+"""Bounded least squares by an active set, with or without a wanted value of a quantity.
+
+The deviance ``D(theta) = |r(theta)|^2`` is minimised over ``lower <= theta <= upper``, and at
+``q(theta) = c`` if asked. With scales s, the conditional standard deviations, and
+``J = r' diag(s)``:
+
+1. Step: ``d`` minimises ``|J d + r|^2`` over ``(lower - theta) / s <= d <= (upper - theta) / s``
+   and ``|d_i| <= radius``, Gauss-Newton within bounds and a trust region [1]_, or the same with
+   a curvature that is learned (`bounded_step`).
+2. Active bounds: with the slope ``g = J'(J d + r) - lambda a`` a bound stays active while g pushes
+   against it; the component with the most negative multiplier is released (algorithm 16.3 of [1]_).
+3. Constraint: ``a'd = c - q`` with ``a = q' diag(s)``, as far as the bounds allow; ``lambda`` is
+   its multiplier. A target that is missed costs the exact penalty ``rho |q - c|``, rho at least
+   twice the multiplier of D (section 15.4 of [1]_).
+4. Acceptance: by actual over predicted reduction, which also sets the radius (chapter 4 of [1]_).
+5. Nonsmooth steps: where the derivatives of r jump, d minimises the highest of the linear models
+   of both sides, ``min_d max_k |J_k d + r_k|^2``, by its dual over weights of the models [2]_
+   (`Kinks`).
+6. Stopping: at a minimum no step within the bounds promises more than the tolerance, on target; at
+   a cliff every such step within the trust region has no prediction; else the search ends as a
+   valley.
+
+It is the method near a minimum and with a constraint; `identknee.calibrate.least_squares` descends
+from far away, where slack ligaments have no slope and an active set is trapped at bounds.
+
+References
+----------
+.. [1] J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. (2006),
+       doi:10.1007/978-0-387-40065-5.
+.. [2] K. C. Kiwiel, Methods of Descent for Nondifferentiable Optimization (1985), chapter 2,
+       doi:10.1007/BFb0074500.
+"""
 
 from collections.abc import Callable
 
@@ -49,8 +80,8 @@ def bounded_step(
     """The step d that minimises ``|matrix d + data|`` within bounds and on a plane.
 
     A primal active-set method: from a point within the bounds and on the plane it goes to the
-    lowest point over the components that are free, holds the first component that meets a bound on
-    the way, and lets go of the one that pulls hardest inward when nothing else is left to do.
+    lowest point over the components that are free, makes the first bound on the way active, and
+    releases the component with the most negative multiplier when nothing else is left to do.
     Along directions that change nothing it stays where it is.
 
     Parameters
@@ -62,11 +93,6 @@ def bounded_step(
     constraint
         Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is brought into the range
         that the bounds allow.
-
-    References
-    ----------
-    J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. (2006), algorithm 16.3,
-    doi:10.1007/978-0-387-40065-5.
     """
     n = matrix.shape[1]
     triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))[:n]
@@ -127,7 +153,7 @@ class _ActiveSet:
         for _ in range(ROUNDS_PER_PARAMETER * len(self._at)):
             if not self._go_to_lowest():
                 continue
-            if not self._let_go():
+            if not self._release():
                 break
         multiplier, _ = self._forces()
         return Step(step=self._at, multiplier=multiplier, is_held=self._held)
@@ -158,8 +184,8 @@ class _ActiveSet:
         basis = _null_space(self._normal[free])
         return np.asarray(basis @ _lowest_move(matrix @ basis, missing, least))
 
-    def _let_go(self) -> bool:
-        """Drop the active bound with the most negative multiplier; False if there is none."""
+    def _release(self) -> bool:
+        """Release the active bound with the most negative multiplier; False if there is none."""
         _, force = self._forces()
         inward = np.where(self._at >= self._upper, force, -force)
         inward[~self._held | (self._lower == self._upper)] = 0.0
@@ -188,7 +214,7 @@ def _near_the_lowest(
 ) -> tuple[Array, BoolArray]:
     """A feasible point near the minimum, and the bounds active there.
 
-    All components that a bound stops or lets go change sides at once, which seldom takes more than
+    All components that a bound stops or releases change sides at once, which seldom takes more than
     a few rounds but need not end: a beginning for a search that does.
 
     References
@@ -264,11 +290,6 @@ class Kinks:
     Where a contact begins or ends, the derivatives of the residuals jump. At a minimum on such a
     kink those of either side promise a decrease on the other, so that steps by one of them zigzag
     and shrink. The highest of the linear models of both sides has its minimum on the kink.
-
-    References
-    ----------
-    K. C. Kiwiel, Methods of Descent for Nondifferentiable Optimization (1985), chapter 2,
-    doi:10.1007/BFb0074500.
     """
 
     def __init__(self) -> None:

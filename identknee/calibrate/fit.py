@@ -214,9 +214,13 @@ def _fit(
 ) -> Fit:
     parameters, seed = problem.parameters, task[1]
     start = _checked_start(task[0], parameters)
-    minimise = _method(method)
+    if method not in METHODS:
+        raise ValueError(f"there is no method {method!r}; the methods are {', '.join(METHODS)}")
+    minimise = METHODS[method]
     allowed = _checked_budget(budget)
-    generator = _generator(seed)
+    if seed < 0:
+        raise ValueError(f"the seed must not be negative, got {seed}")
+    generator = np.random.default_rng(seed)
     whole = with_all_priors(problem) if priors else problem
     part = restricted(whole, fixed, start)
     evaluator = Evaluator(part, budget=allowed, on_simulation=on_simulation)
@@ -265,12 +269,6 @@ def _gradient_norm(evaluator: Evaluator) -> float | None:
     return 0.5 * gauss_newton(here, evaluator.parameters).gradient_norm
 
 
-def _method(name: str) -> Method:
-    if name not in METHODS:
-        raise ValueError(f"there is no method {name!r}; the methods are {', '.join(METHODS)}")
-    return METHODS[name]
-
-
 def _checked_start(start: ArrayLike, parameters: Parameters) -> Array:
     checked = frozen(start, parameters.n, name="the start")
     for name, value in zip(parameters.names, checked, strict=True):
@@ -285,9 +283,3 @@ def _checked_budget(budget: int | None) -> int:
     if budget < 1:
         raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
     return budget
-
-
-def _generator(seed: int) -> np.random.Generator:
-    if seed < 0:
-        raise ValueError(f"the seed must not be negative, got {seed}")
-    return np.random.default_rng(seed)

@@ -1,4 +1,24 @@
-"""Bounded least squares with the exact Jacobian, which detects cliffs and steps around them."""
+"""Bounded least squares from far away: scipy's trust-region reflective descent, around cliffs.
+
+1. Step: in the interior of the bounds, ``(J'J + C) d = -J'r`` in variables scaled by the distance
+   to the bounds that the gradient points at, within a trust region and reflected at bounds [1]_.
+2. Active bounds: none before the end, when one Gauss-Newton step within the bounds puts the
+   parameters on them (`gauss_newton`).
+3. Cliffs: where every longer step has no prediction, points are tried in coordinates in which the
+   linear model is a distance, ``|y - y*|^2`` with ``J = U S V'``, ``y = S V' d`` and
+   ``y* = -U'r``: along single components of y*, then along y* tilted sideways (`way_around`).
+4. Stopping: at a minimum the Gauss-Newton step within the bounds vanishes or promises less than
+   rounding, ``-2 r'J d - |J d|^2``; on a kink no step goes down and it promises next to nothing.
+
+It exists beside `identknee.calibrate.bounded_least_squares` because it stays off the bounds on the
+way: far from the minimum it arrives more often (`minimise_by_least_squares` has the counts).
+
+References
+----------
+.. [1] M. A. Branch, T. F. Coleman and Y. Li, A subspace, interior, and conjugate gradient method
+       for large-scale bound-constrained minimization problems, SIAM J. Sci. Comput. 21 (1999) 1-23,
+       doi:10.1137/S1064827595289108.
+"""
 
 import numpy as np
 import scipy.linalg

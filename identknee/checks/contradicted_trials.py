@@ -9,9 +9,10 @@ from scipy.special import fdtrc
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Scaled, restricted, typical_steps
-from identknee.laxity.dominant import dominant_loads, load_words
+from identknee.laxity.dominant import dominant_loads
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.trial_words import load_words
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray

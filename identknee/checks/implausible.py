@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from identknee.laxity.dominant import dominant_loads, load_words
+from identknee.laxity.dominant import dominant_loads
 from identknee.laxity.protocol import LOADS
+from identknee.laxity.trial_words import load_words
 from identknee.mechanics.equilibria import TRANSITION_STRAIN
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import PER_KN

@@ -179,7 +179,9 @@ def check_stability(
     drawn = executor.map(predict, vectors)
     for prediction in progress(drawn, total=n_samples, description="simulating the parameter box"):
         counts.update(prediction.outcomes)
-        lowest.append(_lowest(prediction.margins) if prediction.all_converged else np.nan)
+        margins = prediction.margins
+        is_known = prediction.all_converged and margins.size
+        lowest.append(float(margins.min()) if is_known else np.nan)
     moves: tuple[InsertionMove, ...] = ()
     if not own.all_converged:
         moves = rank_moves(model, within_mm=within_mm, executor=executor)
@@ -220,10 +222,6 @@ def _largest_change(first: Prediction, second: Prediction) -> Array:
         return np.full(len(COORDINATES), np.nan)
     difference = np.abs(first.coordinates[both] - second.coordinates[both])
     return np.asarray(difference.max(axis=0))
-
-
-def _lowest(values: Array) -> float:
-    return float(values.min()) if values.size else float("nan")
 
 
 def _own_finding(report: StabilityReport) -> GeometryFinding:

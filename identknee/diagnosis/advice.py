@@ -1,7 +1,6 @@
 """Which trials to add so that explanations that fit alike come apart."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -33,7 +32,6 @@ from identknee.diagnosis.isolability import (
     worst_distances,
 )
 from identknee.diagnosis.refit import Refit, Rival
-from identknee.identify.design import SHARE
 from identknee.identify.nuisances import nuisance_places
 from identknee.laxity.candidates import repeated
 from identknee.laxity.protocol import Protocol, concatenate
@@ -47,6 +45,7 @@ from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import nuisance_changes
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
+from identknee.runs.marginalise import better_known
 from identknee.subject.knee import Knee
 
 # Rivals beyond these follow from the nearest ones.
@@ -169,32 +168,26 @@ class OfferedTrials:
 
 @declared
 class Advice:
-    """Trials to add, and what they would do."""
+    """What the advised trials would do to distances, see `identknee.diagnosis.refit`."""
 
-    trials: Protocol = entry("The protocol to add, the most useful first")
+    sentence: str = entry("What they would do")
     rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
-    before: Array = entry(
-        "Distance of each rival in units of noise without these trials, see "
-        "`identknee.diagnosis.refit.expected_distance`"
-    )
-    after: Array = entry("The same with these trials")
-    with_one_trial: Array = entry("The same with the first of these trials alone")
-    with_error_halved: Mapping[str, tuple[float, ...]] = entry(
-        "The same, without any trial, with one stated error known twice as well, by its name"
+    distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
+    distance_after: tuple[float, ...] = entry("The same with the trials")
+    distance_with_one_trial: tuple[float, ...] = entry("The same with the first trial alone")
+    distance_with_error_halved: Mapping[str, tuple[float, ...]] = entry(
+        "The same with one stated error known twice as well, by its name"
     )
 
-    @property
-    def sentence(self) -> str:
-        """The expected benefit, as a sentence."""
-        n = self.trials.n
-        which = "this trial" if n == 1 else f"these {n} trials"
-        return (
-            f"With {which} the nearest rival would be {float(self.after.min()):.1f} units of noise "
-            f"away instead of {float(self.before.min()):.1f}; 5 are enough to tell it apart."
-        )
+
+@declared
+class AdvisedProtocol(Advice):
+    """What the advised trials would do, and these."""
+
+    trials: Protocol = entry("To add, the most useful first", is_in_json=False)
 
 
-def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | None:
+def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProtocol | None:
     """The trials that separate the best explanation from its open rivals.
 
     None without any, and where the model has no equilibrium in the trials that could be added.
@@ -225,13 +218,23 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | Non
     )
     if not (found.chosen and np.isfinite(found.distances[0]).all()):
         return None
-    return Advice(
+    before, after, single = (
+        tuple(found.distances[i].tolist()) for i in (0, -1, min(1, len(found.chosen)))
+    )
+    which = "this trial" if trials.n == 1 else f"these {trials.n} trials"
+    return AdvisedProtocol(
         trials=trials,
+        sentence=(
+            f"With {which} the nearest rival would be {min(after):.1f} units of noise away instead "
+            f"of {min(before):.1f}; 5 are enough to tell it apart."
+        ),
         rivals=tuple(x.refit.names for x in rivals),
-        before=found.distances[0],
-        after=found.distances[-1],
-        with_one_trial=found.distances[min(1, len(found.chosen))],
-        with_error_halved={k: tuple(x) for k, x in zip(measured, others.tolist(), strict=True)},
+        distance_before=before,
+        distance_after=after,
+        distance_with_one_trial=single,
+        distance_with_error_halved={
+            k: tuple(x) for k, x in zip(measured, others.tolist(), strict=True)
+        },
     )
 
 
@@ -297,12 +300,10 @@ def measured_errors(
     parameters = best.fitted.model.parameters
     made = {}
     for name, places in nuisance_places(parameters).items():
-        per_unit = np.sqrt(SHARE**-2 - 1.0) / parameters.prior_sd[places]
-        rows = np.zeros((len(places), n_columns))
-        rows[np.arange(len(places)), places] = per_unit
+        rows = better_known(n_columns, places, parameters.prior_sd[places])
         for rival, pair in zip(rivals, pairs, strict=True):
             apart = best.fitted.theta[places] - rival.refit.fitted.theta[places]
-            rows[:, pair.effect[0]] = per_unit * apart
+            rows[:, pair.effect[0]] = rows[:, places] @ apart
         made[name] = rows
     return made
 
@@ -368,60 +369,28 @@ def protocol_isolability(
     seed
         Seed of the distributions under no effect.
     """
-    told = _told(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2), seed)
-    if told is None:
-        return None
-    fitted, candidates, variants = told.fitted, told.candidates, told.variants
-    return ProtocolIsolability(
-        protocol=fitted.laxity.protocol,
-        visibility=tuple(candidates.visibility(x.effect) for x in variants),
-        distances=told.apart,
-        advice=tuple(
-            _advise(fitted, candidates, [x for x in variants if x.effect.name in names])
-            for names in told.groups
-            if len(names) > 1
-        ),
-        look_alikes=_look_alikes(told.apart),
-    )
-
-
-def protocol_groups(
-    knee: Knee, protocol: Protocol, *, sd_mm: float, sd_deg: float, seed: int = 0
-) -> tuple[tuple[str, ...], ...]:
-    """The groups of effects that the protocol cannot distinguish, without advice on trials.
-
-    Parameters as in `protocol_isolability`; empty where no trial is predicted.
-    """
-    told = _told(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2), seed)
-    return () if told is None else told.groups
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Told:
-    """What the subject's own values tell: the fit, its candidates and how far they are apart."""
-
-    fitted: Fitted
-    candidates: Candidates
-    variants: tuple[Variant, ...]
-    apart: Distances
-
-    @property
-    def groups(self) -> tuple[tuple[str, ...], ...]:
-        return groups(_among(self.apart, [x for x in self.apart.effects if x != IMITATOR]))
-
-
-def _told(knee: Knee, protocol: Protocol, sd: Array, seed: int) -> _Told | None:
-    fitted = _own_fit(knee, protocol, sd)
+    fitted = _own_fit(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
     if fitted is None:
         return None
     present = {x.name for x in fitted.model.effects}
     tried = [x for x in library(knee) if x.name not in present]
     candidates = library_candidates(fitted, tried, seed=seed)
     typical = [candidates.typical(x.name) for x in tried]
-    variants = tuple(x for x in typical if x is not None)
+    variants = [x for x in typical if x is not None]
     projected = [candidates.projected(x) for x in variants]
     apart = worst_distances(projected, ROOT, candidates.test.signatures)
-    return _Told(fitted=fitted, candidates=candidates, variants=variants, apart=apart)
+    confused = groups(_among(apart, [x for x in apart.effects if x != IMITATOR]))
+    return ProtocolIsolability(
+        protocol=fitted.laxity.protocol,
+        visibility=tuple(candidates.visibility(x.effect) for x in variants),
+        distances=apart,
+        advice=tuple(
+            _advise(fitted, candidates, [x for x in variants if x.effect.name in names])
+            for names in confused
+            if len(names) > 1
+        ),
+        look_alikes=_look_alikes(apart),
+    )
 
 
 def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:

@@ -102,11 +102,13 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
             continue
         moved = np.flatnonzero(seen)
         strain = values[effect.first_shift - 1] if isinstance(effect, Structure) else None
+        # What tells effects of one name apart.
+        place = effect.variant if isinstance(effect, MovedInsertion) else ""
         yield Variant(
             effect=effect,
             signature=Signature(
                 name=effect.name,
-                variant=_place(effect) if strain is None else f"strain {strain:g} %",
+                variant=place if strain is None else f"strain {strain:g} %",
                 columns=changes[:, moved],
                 prior_sd=p.prior_sd[moved],
                 sign=_signs(p)[moved],
@@ -115,11 +117,6 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
             moved=moved,
             is_secant=is_secant,
         )
-
-
-def _place(effect: Effect) -> str:
-    """The label that distinguishes effects of one name."""
-    return effect.variant if isinstance(effect, MovedInsertion) else ""
 
 
 def _baselines(effect: Effect) -> list[Array]:
@@ -299,7 +296,12 @@ class Candidates:
         A missing structure then lies where anatomy puts it, with an ordinary strain.
         """
         own = [x for x in self.variants if x.effect.name == name]
-        return min(own, key=_distance_from_prior, default=None)
+
+        def distance_from_prior(x: Variant) -> float:
+            p = x.effect.parameters
+            return float(np.sum(((x.values - p.center) / p.prior_sd) ** 2))
+
+        return min(own, key=distance_from_prior, default=None)
 
     def visibility(self, effect: Effect) -> Visibility:
         """The detectable size of an effect."""
@@ -364,11 +366,6 @@ def library_candidates(fitted: Fitted, effects: Sequence[Effect], *, seed: int) 
     signatures = [x.signature for x in variants]
     test = score_test(fitted.projector, signatures, seed=seed, scale="unknown")
     return Candidates(variants=variants, test=test)
-
-
-def _distance_from_prior(variant: Variant) -> float:
-    p = variant.effect.parameters
-    return float(np.sum(((variant.values - p.center) / p.prior_sd) ** 2))
 
 
 # Score of errors of zero from which on a fit with them is worth its time: data without a cause have

@@ -3,8 +3,8 @@
 import numpy as np
 
 from identknee.diagnosis.noise_model import NoiseModel
-from identknee.laxity.dominant import DIRECTIONS, nominal_flexion, told_loads
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.dominant import nominal_flexion, told_loads
+from identknee.laxity.protocol import DIRECTIONS, Protocol
 from identknee.laxity.table import ROTATIONS, Laxity
 from identknee.laxity.zeros import SAME_ANGLE_DEG
 from identknee.runs.arrays import Array, BoolArray, IntArray

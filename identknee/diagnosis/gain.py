@@ -38,24 +38,30 @@ MOST_ITERATIONS = 30
 
 
 @declared
-class Discrepancy:
-    """A Gaussian process in each coordinate that has taken up what the model leaves."""
+class Process:
+    """A Gaussian process in each coordinate that has taken up what the model leaves, unnamed."""
 
-    spread: Array = array(
+    absorbed: float = entry("Share of the misfit that it takes up", unit="1")
+    degrees_of_freedom: float = entry("Degrees of freedom that it uses", unit="1")
+    flexion_length: float = entry("Correlation length over the range of flexion", unit="1")
+    load_length: float = entry("Correlation length over the largest load", unit="1")
+
+
+@declared
+class Discrepancy(Process):
+    """The process with what it leaves."""
+
+    spread: Array = entry(
         "Its standard deviation in each measured coordinate, in units of the noise",
-        "measured_coordinate",
+        is_in_json=False,
     )
-    flexion_length: float = entry("Correlation length over the range of flexion")
-    load_length: float = entry("Correlation length over the largest load of each kind")
-    errors: Array = array(
-        "What it leaves in the data it was fitted to, measured less predicted",
-        "value",
-        unit="mm or deg",
+    errors: Array = entry(
+        "What it leaves in the data it was fitted to, measured less predicted [mm or deg]",
+        is_in_json=False,
     )
-    absorbed: float = entry("Share of the misfit that it takes up, 0 to 1")
-    degrees_of_freedom: float = entry("How many free parameters it is worth")
     observations: Observations = entry(
-        "The measured values with it among their errors, for a prediction of held trials"
+        "The measured values with it among their errors, for a prediction of held trials",
+        is_in_json=False,
     )
 
 
@@ -112,9 +118,7 @@ def fit_discrepancy(
         errors=-at.residuals - noise.factor @ (absorbing.T @ target),
         absorbed=float(1.0 - left @ left / (target @ target)) if target.any() else 0.0,
         degrees_of_freedom=float(np.trace(absorbing)),
-        observations=replace(
-            observations, noise=noise.widened(noise.factor @ own @ noise.factor.T)
-        ),
+        observations=replace(observations, noise=noise.widened(noise.factor, own)),
     )
 
 
@@ -687,7 +691,9 @@ def measure_gain(
 def _assess(
     fitted: Fitted, observations: Observations, folds: Sequence[Fold], noise_degrees: float
 ) -> Assessment:
-    at = _evaluation(fitted, observations)
+    at = fitted.evaluation
+    if observations.noise is not fitted.noise:
+        at = evaluate(weighed(fitted.model, fitted.laxity, observations.noise), fitted.theta)
     errors = -fitted.compared.residuals(fitted.theta)
     return Assessment(
         check=omnibus_check(
@@ -698,13 +704,6 @@ def _assess(
         held_out=held_out(fitted.compared, observations, fitted.theta, folds),
         posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
     )
-
-
-def _evaluation(fitted: Fitted, observations: Observations) -> Evaluation:
-    """Whitened by the noise of `observations`, which need not be that of the fit."""
-    if observations.noise is fitted.noise:
-        return fitted.evaluation
-    return evaluate(weighed(fitted.model, fitted.laxity, observations.noise), fitted.theta)
 
 
 def _explained(observations: Observations, before: Array, after: Array) -> dict[str, float]:

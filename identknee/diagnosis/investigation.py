@@ -8,7 +8,7 @@ from functools import cached_property
 from identknee.calibrate.starts import load_start
 from identknee.checks.fit_warnings import at_zero, bound_findings
 from identknee.checks.subject_checks import stability_findings
-from identknee.diagnosis.advice import Advice, advise
+from identknee.diagnosis.advice import AdvisedProtocol, advise
 from identknee.diagnosis.attribution import (
     FAR_FROM_DONE,
     SIMPLE,
@@ -22,8 +22,8 @@ from identknee.diagnosis.gain import Gain, measure_gain
 from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
 from identknee.diagnosis.missing_line import (
     LineFinding,
-    MissingPull,
     MissingWrench,
+    Pull,
     find_line,
     missing_pulls,
     missing_wrench,
@@ -32,6 +32,7 @@ from identknee.diagnosis.refit import Refit, without_causes
 from identknee.diagnosis.verdict import LEVEL, Cause, Conclusion, Verdict, causes_of, conclude
 from identknee.laxity.dominant import nominal_flexion, told_loads
 from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.trial_words import SHORT_DIRECTIONS
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
@@ -43,13 +44,6 @@ from identknee.runs.progress import stage
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 
-DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction", "compression"),
-    ("lateral force", "medial force"),
-)
 # Fall of the deviance from which on it is another minimum of the base model, and not the end of
 # the same one.
 LOWER = 1.0
@@ -93,7 +87,7 @@ class Investigation:
     localisation: Localisation
     attribution: Attribution
     conclusion: Conclusion
-    advice: Advice | None
+    advice: AdvisedProtocol | None
     line: LineFinding | None
     seed: int
 
@@ -156,7 +150,7 @@ class Investigation:
         return missing_wrench(base.compared, theta, self.noise.sd, self.noise.correlation)
 
     @cached_property
-    def missing_pulls(self) -> tuple[MissingPull, ...]:
+    def missing_pulls(self) -> tuple[Pull, ...]:
         """Its mean along the plateau by flexion and direction of load."""
         return missing_pulls(self.missing_wrench, layout_of(self.laxity))
 
@@ -236,6 +230,10 @@ def investigate(
         attribution, p_value = _explained(base_fit, effects, seed)
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)
+    fitted = base.fitted
+    localised = localise(
+        fitted.residual_rows(), fitted.projector, fitted.noise, layout_of(laxity), seed=seed
+    )
     advice = line = None
     if conclusion.verdict is Verdict.AMBIGUOUS:
         known = replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
@@ -247,7 +245,7 @@ def investigate(
         laxity=laxity,
         noise=noise,
         base=base,
-        localisation=_localisation(base, seed),
+        localisation=localised,
         attribution=attribution,
         conclusion=conclusion,
         advice=advice,
@@ -321,15 +319,10 @@ def layout_of(laxity: Laxity) -> TrialLayout:
     return TrialLayout(
         flexion_deg=nominal_flexion(laxity.protocol),
         loads=told_loads(laxity.protocol),
-        directions=DIRECTIONS,
+        directions=SHORT_DIRECTIONS,
         coordinates=COORDINATES,
         is_measured=laxity.is_measured,
     )
-
-
-def _localisation(base: Refit, seed: int) -> Localisation:
-    fitted, layout = base.fitted, layout_of(base.fitted.laxity)
-    return localise(fitted.residual_rows(), fitted.projector, fitted.noise, layout, seed=seed)
 
 
 def _unfinished(refit: Refit, which: str) -> list[Finding]:

@@ -1,6 +1,7 @@
 """The line along which a cause that is not in the library acts, if it acts along one."""
 
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from scipy import stats
@@ -238,6 +239,27 @@ def _without_line(
     rows = np.r_[np.arange(fitted.n_data), fitted.n_data + np.array(kept)]
     removed = residuals + jacobian[:, stiffness] * theta[stiffness]
     return removed[rows], jacobian[np.ix_(rows, kept)]
+
+
+Point = tuple[float, float, float]
+
+
+@declared
+class LineEnds:
+    """Ends of a line of action in the scanned pose, in the axes of the scan."""
+
+    femur: Point = entry("Femoral end", unit="mm")
+    tibia: Point = entry("Tibial end", unit="mm")
+
+    @classmethod
+    def of(cls, ends: Array, knee: Knee) -> Self:
+        """From both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
+        femur, tibia = map(tuple, knee.as_scanned(ends).tolist())
+        return cls(femur=femur, tibia=tibia)
+
+    def in_common_frame(self, knee: Knee) -> Array:
+        """Both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
+        return knee.as_scanned(np.array([self.femur, self.tibia]))
 
 
 SITE_SD = 10.0  # mm, around the bone
@@ -562,36 +584,34 @@ def _outside_contact(contact: ContactPlaces, compartment: IntArray) -> Array:
     return kept
 
 
+# From N mm to N·m, for the components of a pull.
+PULL_UNITS = np.array([1.0, 1.0, 0.001])
+
+
 @declared
-class MissingPull:
+class Pull:
     """What else would have to act on the tibia, on average over the trials of one kind.
 
-    The part along the plateau: contact hides what presses on it.
+    The part along the plateau, at the tibial origin and about the tibial axis: contact hides what
+    presses on it.
     """
 
-    flexion_deg: float = entry("Flexion of the trials, as on the map of misfit")
-    direction: str = entry("Direction of their load, as on the map of misfit")
-    n_trials: int = entry("How many of them have every coordinate")
-    mean: Array = array(
-        "Anterior and lateral force at the tibial origin [N] and moment of internal rotation about "
-        "the tibial axis [N mm]",
-        "3",
+    flexion_deg: float = entry("Flexion of the trials", unit="deg")
+    direction: str = entry("Direction of their load")
+    n_trials: int = entry("Trials averaged", unit="1")
+    p_value: float = entry("Probability that nothing is missing", unit="1")
+    anterior_force_N: float = entry("Mean anterior force", unit="N")  # noqa: N815 - key in files
+    lateral_force_N: float = entry("Mean lateral force", unit="N")  # noqa: N815
+    internal_moment_Nm: float = entry("Mean internal moment", unit="N m")  # noqa: N815
+    sd_anterior_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
+    sd_lateral_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
+    sd_internal_moment_Nm: float = entry("Its standard error", unit="N m")  # noqa: N815
+    force_covariance: tuple[tuple[float, float], tuple[float, float]] = entry(
+        "Covariance of both forces", unit="N2"
     )
-    covariance: Array = array("Covariance of its errors", "3", "3")
-
-    @property
-    def sd(self) -> Array:
-        """Standard deviation of the errors of `mean`, shape ``(3,)``."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def p_value(self) -> float:
-        """Probability that noise alone asks for as much."""
-        square = float(self.mean @ np.linalg.solve(self.covariance, self.mean))
-        return float(stats.chi2.sf(square, 3))
 
 
-def missing_pulls(missing: MissingWrench, layout: TrialLayout) -> tuple[MissingPull, ...]:
+def missing_pulls(missing: MissingWrench, layout: TrialLayout) -> tuple[Pull, ...]:
     """The mean of what is missing outside contact, for every flexion and direction with data."""
     turn = np.stack([_along_plateau(x) for x in missing.poses])
     values = np.einsum("nij,nj->ni", turn, missing.outside)
@@ -603,13 +623,24 @@ def missing_pulls(missing: MissingWrench, layout: TrialLayout) -> tuple[MissingP
             own = side & (layout.flexion_deg == flexion) & is_whole
             n = int(own.sum())
             if n:
+                mean, covariance = values[own].mean(axis=0), covariances[own].sum(axis=0) / n**2
+                anterior, lateral, internal = (PULL_UNITS * mean).tolist()
+                sd = (PULL_UNITS * np.sqrt(np.diag(covariance))).tolist()
+                (xx, xy), (yx, yy) = covariance[:2, :2].tolist()
+                square = float(mean @ np.linalg.solve(covariance, mean))
                 pulls.append(
-                    MissingPull(
+                    Pull(
                         flexion_deg=float(flexion),
                         direction=direction,
                         n_trials=n,
-                        mean=values[own].mean(axis=0),
-                        covariance=covariances[own].sum(axis=0) / n**2,
+                        p_value=float(stats.chi2.sf(square, 3)),
+                        anterior_force_N=anterior,
+                        lateral_force_N=lateral,
+                        internal_moment_Nm=internal,
+                        sd_anterior_force_N=sd[0],
+                        sd_lateral_force_N=sd[1],
+                        sd_internal_moment_Nm=sd[2],
+                        force_covariance=((xx, xy), (yx, yy)),
                     )
                 )
     return tuple(pulls)

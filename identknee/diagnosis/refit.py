@@ -1,6 +1,7 @@
 """Fits of the model extended by effects, and which of them the data leave open."""
 
 from collections.abc import Sequence
+from dataclasses import field
 from enum import StrEnum
 
 import numpy as np
@@ -19,6 +20,7 @@ from identknee.diagnosis.misfit import (
     smooth_patterns,
 )
 from identknee.diagnosis.score import CandidateScore, Scores
+from identknee.identify.laplace import log_evidence
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.extended import knee_with, values_by_owner
 from identknee.model.effects.facts import cause_label
@@ -49,6 +51,15 @@ class Refit:
     fitted: Fitted = entry("The fit")
     smooth: Array = entry("Whitened patterns of smooth misfit, shape ``(m, k)``")
     noise_degrees: float = entry("Degrees of freedom of the noise")
+    log_evidence: float = field(init=False)
+    """Logarithm of the evidence up to a constant of the data; -inf without a prediction."""
+
+    def __post_init__(self) -> None:
+        found, evaluation = self.fitted.constrained, self.fitted.evaluation
+        value = -np.inf
+        if evaluation.is_finite:
+            value = log_evidence(evaluation, self.fitted.model.parameters, found.is_held)
+        object.__setattr__(self, "log_evidence", value)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -96,26 +107,6 @@ class Refit:
             Noise over the noise that the fit was made with.
         """
         return cauchy_combination([*3 * [library_p_value], self.misfit_p_value_at(noise_factor)])
-
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the evidence by Laplace's method, up to a constant of the data.
-
-        Lognormal parameters count in their logarithm; amplitudes of one sign have half-normal
-        priors.
-        """
-        evaluation, p = self.fitted.evaluation, self.fitted.model.parameters
-        if not evaluation.is_finite:
-            return -np.inf
-        jacobian = evaluation.jacobian * np.where(p.is_log, evaluation.theta, 1.0)
-        _, log_determinant = np.linalg.slogdet(jacobian.T @ jacobian)
-        halves = int(np.sum(p.lower[~np.array(p.is_log)] == 0.0))
-        return float(
-            -0.5 * evaluation.deviance
-            - 0.5 * log_determinant
-            - np.log(p.prior_sd).sum()
-            + halves * np.log(2.0)
-        )
 
     @property
     def promised_fall(self) -> float:
@@ -358,18 +349,19 @@ def rivals_of(
     for x in sorted(others, key=lambda x: -x.log_evidence):
         if set(x.names) != set(best.names):
             found.setdefault(frozenset(x.names), x)
-    return tuple(_rival(best, x, looks) for x in found.values())
-
-
-def _rival(best: Refit, other: Refit, looks: Sequence[tuple[Refit, Scores]]) -> Rival:
-    score, highest = _score(best, other, looks)
-    return Rival(
-        refit=other,
-        log_evidence_deficit=best.log_evidence - other.log_evidence,
-        distance=expected_distance(best, other),
-        score=score,
-        highest=highest,
-    )
+    rivals = []
+    for x in found.values():
+        score, highest = _score(best, x, looks)
+        rivals.append(
+            Rival(
+                refit=x,
+                log_evidence_deficit=best.log_evidence - x.log_evidence,
+                distance=expected_distance(best, x),
+                score=score,
+                highest=highest,
+            )
+        )
+    return tuple(rivals)
 
 
 def _score(

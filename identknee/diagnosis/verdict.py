@@ -1,6 +1,6 @@
 """The verdict of a diagnosis, with its reasons."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import reduce
@@ -10,13 +10,14 @@ from scipy.special import ndtri
 
 from identknee.diagnosis.attribution import Attribution
 from identknee.diagnosis.misfit import log_weighted_tail
+from identknee.diagnosis.missing_line import LineEnds
 from identknee.diagnosis.refit import Refit
 from identknee.identify.laplace import Interval, Laplace, laplace
 from identknee.model.effects.effect import PLAIN, unit_of
-from identknee.model.effects.facts import cause_label
+from identknee.model.effects.facts import FACTS, cause_label
+from identknee.model.effects.insertion import direction_words
 from identknee.model.effects.structures import MissingStructure, Structure
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import declared, derived, entry
 
 LEVEL = 0.05
 # A model whose misfit is less probable is not the explanation, or not all of it.
@@ -104,19 +105,16 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
         return _conclusion(Verdict.NAMED, p_value, best, group, reasons)
     reasons += [*(x.reason for x in doubts), *untested]
     short = [x.short for x in doubts] + ["another cause could not be tested"] * bool(untested)
-    sentence = _ambiguous(len(best.causes), short) if is_alone else SEVERAL
+    n = len(best.causes)
+    fits_words = "one known cause fits" if n == 1 else f"{n} known causes together fit"
+    alone = f"The model gets something wrong, and {fits_words}, with a doubt: {'; '.join(short)}."
+    sentence = alone if is_alone else SEVERAL
     return _conclusion(Verdict.AMBIGUOUS, p_value, best, group, reasons, sentence)
 
 
 def _p_words(p_value: float) -> str:
     """A probability as papers print it."""
     return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
-
-
-def _ambiguous(n_causes: int, doubts: Sequence[str]) -> str:
-    """The sentence for AMBIGUOUS if only one explanation fits."""
-    fits = "one known cause fits" if n_causes == 1 else f"{n_causes} known causes together fit"
-    return f"The model gets something wrong, and {fits}, with a doubt: {'; '.join(doubts)}."
 
 
 def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
@@ -267,17 +265,37 @@ class Estimate:
     )
 
 
+OF_THE_CALLER = "The library does not know it: it was given by the caller."
+OF_AMPLITUDE = "unit of the amplitude"
+
+
 @declared
 class Cause:
-    """A cause and its amplitudes."""
+    """A cause with its amplitudes."""
 
-    name: str = entry("As in the library")
-    amplitude: Estimate = entry("The one number that says how large it is")
-    parameters: tuple[Estimate, ...] = entry("All of its amplitudes")
-    line: Array | None = entry(
-        "Femoral and tibial end in the common frame of the scanned pose [mm], shape ``(2, 3)``; "
-        "None for what is not one line"
+    name: str = entry("Name of the cause in the library")
+    amplitude: float = entry("The one number that says how large it is", unit=OF_AMPLITUDE)
+    unit: str = entry("Unit of the amplitude")
+    ci95: Interval = entry(
+        "95 % interval; an end at a bound, or of a fit that was stopped, is open and null",
+        unit=OF_AMPLITUDE,
     )
+    parameter: str = entry("What the amplitude is called")
+    parameters: Mapping[str, Estimate] = entry("Every amplitude by its name")
+    line: LineEnds | None = entry("Its line of action", only="a structure of one line")
+
+    @property
+    @derived("What the cause is, as a sentence")
+    def meaning(self) -> str:
+        """What the cause is, as a sentence."""
+        moved = direction_words({name: x.value for name, x in self.parameters.items()})
+        return moved or (FACTS[self.name].sentence if self.name in FACTS else OF_THE_CALLER)
+
+    @property
+    @derived("Where its plausible size comes from")
+    def source(self) -> str:
+        """Where its plausible size comes from."""
+        return FACTS[self.name].source if self.name in FACTS else OF_THE_CALLER
 
 
 def posterior_of(refit: Refit) -> Laplace:
@@ -318,17 +336,26 @@ def _cause(refit: Refit, name: str, posterior: Laplace, covariance: np.ndarray) 
         amplitude = _total(found, covariance[np.ix_(places, places)], parameters.prior_sd[places])
     else:
         amplitude = reduce(lambda x, y: y if y.value > x.value else x, [found[k] for k in same])
-    return Cause(name=name, amplitude=amplitude, parameters=found, line=_line(refit, name))
+    return Cause(
+        name=name,
+        amplitude=amplitude.value,
+        unit=amplitude.unit,
+        ci95=amplitude.ci95,
+        parameter=amplitude.name,
+        parameters={x.name: x for x in found},
+        line=_line(refit, name),
+    )
 
 
-def _line(refit: Refit, name: str) -> Array | None:
+def _line(refit: Refit, name: str) -> LineEnds | None:
     """Where the line of a structure runs with the shifts found."""
     knee = refit.fitted.model.knee
     effect = next(x for x in refit.causes if x.name == name)
     if not isinstance(effect, MissingStructure) or len(effect.femoral) > 1:
         return None
     femoral, tibial = effect.insertions(refit.amplitudes(name))
-    return np.vstack([knee.femur_frame.to_common(femoral), knee.tibia_frame.to_common(tibial)])
+    ends = np.vstack([knee.femur_frame.to_common(femoral), knee.tibia_frame.to_common(tibial)])
+    return LineEnds.of(ends, knee)
 
 
 def _total(

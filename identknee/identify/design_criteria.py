@@ -20,6 +20,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import Executor
+from identknee.runs.marginalise import schur_complement
 
 Criterion = Literal["D", "A", "E", "c", "width"]
 CRITERIA: tuple[Criterion, ...] = ("D", "A", "E", "c", "width")
@@ -93,7 +94,9 @@ class LocalLoss:
         """The loss of each information, shape ``(k,)``."""
         if self.criterion == "c":
             return np.asarray(np.log(self.variances(features)).sum(axis=1))
-        eigenvalues = np.linalg.eigvalsh(self._of_interest(self._matrices(features)))
+        # Inverses of the covariances of the parameters of interest.
+        matrices = schur_complement(self._matrices(features), self.is_of_interest)
+        eigenvalues = np.linalg.eigvalsh(matrices)
         if self.criterion == "D":
             return np.asarray(-np.log(eigenvalues).sum(axis=1))
         if self.criterion == "A":
@@ -108,15 +111,6 @@ class LocalLoss:
     def _matrices(self, features: Array) -> Array:
         n = self.gradients.shape[1]
         return np.asarray(features.reshape(-1, n, n) + LEAST_INFORMATION * np.eye(n))
-
-    def _of_interest(self, matrices: Array) -> Array:
-        """Inverses of the covariances of the parameters of interest: Schur complements."""
-        asked = np.flatnonzero(self.is_of_interest)
-        rest = np.flatnonzero(~self.is_of_interest)
-        own, shared = (matrices[:, asked[:, None], x] for x in (asked, rest))
-        within = matrices[:, rest[:, None], rest]
-        taken = shared @ np.linalg.solve(within, np.swapaxes(shared, 1, 2))
-        return np.asarray(own - taken)
 
 
 @declared

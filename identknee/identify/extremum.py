@@ -207,11 +207,15 @@ def extremise(inside: Inside, quantity: Quantity, start: Array, *, sign: float) 
     if here is None:
         raise ValueError("the search for an extremum must start where there is a prediction")
     best, end = search.climb(here)
+    if end not in {End.CLIFF, End.BUDGET}:
+        end = End.BOUND if at_bounds(best.theta, inside).any() else End.INTERIOR
+        if best.blocks.largest >= 1.0 - LIMIT_TOLERANCE:
+            end = End.LIMIT
     return Extreme(
         theta=best.theta,
         value=best.value,
         largest=best.blocks.largest,
-        end=end if end in {End.CLIFF, End.BUDGET} else _what_holds(inside, best),
+        end=end,
         path=np.array(search.path).reshape(-1, best.theta.size),
     )
 
@@ -345,12 +349,6 @@ class _Search:
         reach = np.sqrt(n_blocks) * np.abs(right @ gain) / known
         box = np.abs(gain) @ ((self._inside.upper - self._inside.lower) / (2.0 * steps))
         return min(float(np.linalg.norm(reach)), float(box))
-
-
-def _what_holds(inside: Inside, best: _Point) -> End:
-    if best.blocks.largest >= 1.0 - LIMIT_TOLERANCE:
-        return End.LIMIT
-    return End.BOUND if at_bounds(best.theta, inside).any() else End.INTERIOR
 
 
 def _next_radius(radius: float, ratio: float, length: float) -> float:

@@ -377,7 +377,11 @@ def sensitivity(
         unit = (points - over.lower) / (over.upper - over.lower)
         found = morris_indices(unit, values, groups, seed)
     else:
-        scores, shares = _scores(values[:, 0], groups)
+        # The leading component of each group of outputs, and its share of the variance.
+        n_groups, outputs_of = int(groups.max()) + 1, values[:, 0]
+        found_of = [leading_component(outputs_of[:, groups == g]) for g in range(n_groups)]
+        scores = np.column_stack([x for x, _ in found_of])
+        shares = np.array([share for _, share in found_of])
         found = _given_indices(
             partial(converging_indices, method, points[:, 0], seed=seed),
             scores,
@@ -472,12 +476,6 @@ def _lost(values: Array, groups: IntArray) -> Array:
     missing = np.isnan(values[:, :, :-1])
     by_group = [missing[:, :, groups[:-1] == g].any(axis=2) for g in range(int(groups.max()))]
     return np.stack([*by_group, values[:, :, -1] > 0], axis=2)
-
-
-def _scores(values: Array, groups: IntArray) -> tuple[Array, Array]:
-    """Leading component of each group, shape ``(n, g)``, and its share of the variance."""
-    found = [leading_component(values[:, groups == g]) for g in range(int(groups.max()) + 1)]
-    return np.column_stack([x for x, _ in found]), np.array([share for _, share in found])
 
 
 def _given_indices(

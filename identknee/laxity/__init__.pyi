@@ -1,7 +1,6 @@
 from .candidates import candidate_trials as candidate_trials
 from .dominant import DominantLoads as DominantLoads
 from .dominant import dominant_loads as dominant_loads
-from .dominant import load_words as load_words
 from .dominant import nominal_flexion as nominal_flexion
 from .dominant import opposite_pairs as opposite_pairs
 from .dominant import told_loads as told_loads
@@ -9,8 +8,9 @@ from .protocol import LOADS as LOADS
 from .protocol import concatenate as concatenate
 from .protocol import trial_name as trial_name
 from .rmse import LaxityError as LaxityError
-from .scenarios import laxity_groups as laxity_groups
-from .scenarios import load_scenarios as load_scenarios
 from .table import COORDINATES as COORDINATES
 from .table import ROTATIONS as ROTATIONS
 from .table import TRANSLATIONS as TRANSLATIONS
+from .trial_words import laxity_groups as laxity_groups
+from .trial_words import load_scenarios as load_scenarios
+from .trial_words import load_words as load_words

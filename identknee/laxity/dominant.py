@@ -2,18 +2,10 @@
 
 import numpy as np
 
-from identknee.laxity.protocol import LOADS, Protocol
+from identknee.laxity.protocol import Protocol
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared
 
-DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction force", "compression force"),
-    ("lateral force", "medial force"),
-)
-"""Name of each load where it is positive and where it is negative."""
 # Loads of a usual laxity test: a load counts by its share of these.
 TYPICAL = np.array([5.0, 10.0, 100.0, 100.0, 100.0])
 # Below this share a load is a stray one. A constant load, such as compression, is none of a trial.
@@ -93,25 +85,6 @@ def nominal_flexion(protocol: Protocol) -> Array:
     cluster = np.cumsum(np.r_[0, np.diff(angles) > SAME_FLEXION_DEG])[place]
     sums = np.bincount(cluster, weights=protocol.flexion_deg)
     return np.asarray(np.round(sums / np.bincount(cluster))[cluster])
-
-
-def load_words(protocol: Protocol, trial: int) -> str:
-    """The dominant load of a trial, in words.
-
-    Examples
-    --------
-    >>> from identknee.laxity.protocol import load_protocol
-    >>> load_words(load_protocol("drawer"), 0), load_words(load_protocol("drawer"), 1)
-    ('100 N of posterior force at 0 deg', 'no load at 0 deg')
-    """
-    found = dominant_loads(protocol)
-    axis, size = int(found.axis[trial]), float(found.size[trial])
-    angle = f"at {protocol.flexion_deg[trial]:.0f} deg"
-    if axis < 0:
-        return f"no load {angle}"
-    acting = abs(protocol.loads[trial, axis])
-    unit = "N·m" if LOADS[axis].endswith("_Nm") else "N"
-    return f"{acting:.3g} {unit} of {DIRECTIONS[axis][0 if size > 0.0 else 1]} {angle}"
 
 
 def opposite_pairs(protocol: Protocol) -> IntArray:

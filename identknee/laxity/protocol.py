@@ -150,6 +150,14 @@ LOADS = (
     "distraction_force_N",
     "lateral_force_N",
 )
+DIRECTIONS = (
+    ("internal moment", "external moment"),
+    ("varus moment", "valgus moment"),
+    ("anterior force", "posterior force"),
+    ("distraction force", "compression force"),
+    ("lateral force", "medial force"),
+)
+"""Name of each load where it is positive and where it is negative."""
 name_axis("load", LOADS)
 FLEXION = "flexion_deg"
 BUILT_IN = ("seed63", "table2", "drawer")

@@ -13,8 +13,8 @@ from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
-from identknee.laxity.dominant import DIRECTIONS, SAME_FLEXION_DEG, STRAY, TYPICAL
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.dominant import SAME_FLEXION_DEG, STRAY, TYPICAL
+from identknee.laxity.protocol import DIRECTIONS, Protocol
 from identknee.laxity.zeros import ZEROS, zero_fault
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, closest, suggestion

@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +17,7 @@ from identknee.mechanics.equilibria import ContactPoints, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
-from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
+from identknee.mechanics.mesh_contact import mesh_contact
 from identknee.mechanics.mesh_equilibrium import mesh_equilibria
 from identknee.model import measured_start
 from identknee.model.effect_stack import Extension
@@ -388,7 +387,9 @@ class LaxityModel:
         n_lines = setting.stiffness.size
         by_line = found.sensitivities[nodes][:, :, : 2 * n_lines]
         if not self.effects:
-            return np.asarray(by_line @ _units_alone(self.tied))
+            # Each ligament is one line.
+            m = len(self.tied.member)
+            return np.asarray(by_line @ _units(np.eye(m), np.ones(m), self.tied))
         # A ligament moves every line that takes a share of it.
         owned = setting.owned(len(self.knee.ligaments))
         by_ligament = by_line @ _units(owned, setting.share, self.tied)
@@ -421,13 +422,6 @@ def _units(owned: Array, share: Array, tied: Tied) -> Array:
     return units
 
 
-@lru_cache(maxsize=8)
-def _units_alone(tied: Tied) -> Array:
-    """The same where each ligament is one line."""
-    m = len(tied.member)
-    return _units(np.eye(m), np.ones(m), tied)
-
-
 def predict_on_meshes(
     knee: Knee, paths: LoadPaths, poses: Array | None, ligaments: tuple[Array, Array], theta: Array
 ) -> Prediction:
@@ -444,7 +438,7 @@ def predict_on_meshes(
     """
     joint = joint_of(knee)
     start = joint.start if poses is None else poses
-    found = mesh_equilibria(paths, start, _mesh_contact(knee), joint.lines, *ligaments)
+    found = mesh_equilibria(paths, start, mesh_contact(*sheets_of(knee)), joint.lines, *ligaments)
     n = len(paths.trial_node)
     converged = np.array([x is Outcome.CONVERGED for x in found.outcomes])
     return Prediction(
@@ -460,12 +454,6 @@ def predict_on_meshes(
         rims=None,
         node_poses=found.poses,
     )
-
-
-@lru_cache(maxsize=4)
-def _mesh_contact(knee: Knee) -> MeshContact:
-    femur, tibia = sheets_of(knee)
-    return mesh_contact(femur, tibia)
 
 
 def trial_contacts(model: LaxityModel, prediction: Prediction) -> list[ContactPlaces]:

@@ -10,12 +10,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
+from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.model.effects.facts import cause_label
 from identknee.report.figures import COLOURS, GREY
 from identknee.report.scene import View
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnosis import Diagnosis, LineEnds, Pull
+from identknee.verbs.diagnosis import Diagnosis
 
 # Right is lateral, up is anterior: a right knee's plateau as the femur sees it.
 ABOVE = View(right=np.array([0.0, 0.0, 1.0]), up=np.eye(3)[0], toward=np.eye(3)[1])

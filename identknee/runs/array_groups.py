@@ -77,7 +77,8 @@ def _variables(record: Any, group: str, prefix: str) -> Iterator[tuple[str, str,
     for name, about in entries(type(record)).items():
         value, own_group, key = getattr(record, name), about.group or group, about.key or name
         kind, how = record_within(hints[name])
-        if value is None or (about.dims and not about.is_in_arrays):
+        is_missing = value is None or not (about.is_in_files or about.is_in_arrays)
+        if is_missing or (about.dims and not about.is_in_arrays):
             continue
         if about.rows and kind is not None:
             rows = tuple(value.values()) if how == "dict" else value

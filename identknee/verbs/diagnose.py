@@ -12,15 +12,14 @@ from identknee.checks.conventions import convention_findings
 from identknee.checks.usable_trials import about_offered, lost_findings, testable
 from identknee.diagnosis.data_noise import noise_of
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
-from identknee.diagnosis.missing_line import LineFinding, MissingPull
+from identknee.diagnosis.missing_line import LineEnds, LineFinding
 from identknee.diagnosis.refit import Refit, Rival, RivalState
-from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, ligament_estimates
+from identknee.diagnosis.verdict import Estimate, Verdict, causes_of, ligament_estimates
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
 from identknee.laxity.zeros import zero_of_more
 from identknee.model.effects.effect import Effect
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import Finding, without_repeats
 from identknee.runs.progress import planned, stage
@@ -30,19 +29,14 @@ from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.diagnosis import (
-    PULL,
     WRENCH,
     AddedEffect,
     AddedVariable,
-    AdviceFound,
-    CauseFound,
     Diagnosis,
     Explanation,
-    LineEnds,
     LineFound,
     Misfit,
     NoiseFound,
-    Pull,
     Residuals,
     RivalFound,
     StepScores,
@@ -63,8 +57,8 @@ from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
 from identknee.verbs.warming import warm_up
 
 EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
-# From N mm to N·m, for the components of a wrench and of a pull.
-WRENCH_UNITS, PULL_UNITS = np.array([0.001, 0.001, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, 0.001])
+# From N mm to N·m, for the components of a wrench.
+WRENCH_UNITS = np.array([0.001, 0.001, 1.0, 1.0, 1.0])
 
 
 @verb
@@ -149,15 +143,15 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
         sentence=conclusion.sentence,
         p_value=conclusion.p_value,
         reasons=conclusion.reasons,
-        causes=_causes(best),
+        causes=causes_of(best),
         group=conclusion.group,
         line=None if found.line is None else _line(found.line),
         rivals=tuple(_rival(x) for x in found.attribution.rivals),
         misfit=_misfit(found),
-        missing_wrench=tuple(_pull(x) for x in found.missing_pulls),
+        missing_wrench=found.missing_pulls,
         noise=_noise(found),
         advised_trials=() if found.advice is None else advised(found.advice.trials),
-        advice=_advice(found),
+        advice=found.advice,
         gain=None if found.gain is None else gain_found(found.gain),
         parameters_before=_values(before),
         parameters_after=_values(after),
@@ -217,31 +211,12 @@ def _blank(laxity: Laxity, trials: Protocol) -> Laxity:
     )
 
 
-def _causes(refit: Refit) -> tuple[CauseFound, ...]:
-    return tuple(_cause(x, refit.fitted.model.knee) for x in causes_of(refit))
-
-
-def _cause(cause: Cause, knee: Knee) -> CauseFound:
-    size = cause.amplitude
-    return CauseFound(
-        name=cause.name,
-        amplitude=size.value,
-        unit=size.unit,
-        ci95=size.ci95,
-        parameter=size.name,
-        parameters={x.name: x for x in cause.parameters},
-        line=None if cause.line is None else LineEnds(**_ends(cause.line, knee)),
-    )
-
-
-def _ends(line: Array, knee: Knee) -> dict[str, Any]:
-    return dict(zip(("femur", "tibia"), map(tuple, knee.as_scanned(line).tolist()), strict=True))
-
-
 def _line(line: LineFinding) -> LineFound:
     low, high = line.force_interval.tolist()
+    ends = LineEnds.of(np.stack([line.femur, line.tibia]), line.refit.fitted.model.knee)
     return LineFound(
-        **_ends(np.stack([line.femur, line.tibia]), line.refit.fitted.model.knee),
+        femur=ends.femur,
+        tibia=ends.tibia,
         is_line=line.is_line,
         sentence=line.sentence,
         offset_95=line.offset_95,
@@ -265,7 +240,7 @@ def _rival(rival: Rival) -> RivalFound:
         reason=rival.reason or None,
         could_matter=rival.could_matter,
         is_excluded=rival.is_excluded,
-        amplitudes=_causes(rival.refit) if is_open else (),
+        amplitudes=causes_of(rival.refit) if is_open else (),
         parameters=_values(ligament_estimates(rival.refit)) if is_open else None,
     )
 
@@ -286,22 +261,6 @@ def _misfit(found: Investigation) -> Misfit:
     )
 
 
-def _pull(pull: MissingPull) -> Pull:
-    values: dict[str, Any] = {}
-    (xx, xy), (yx, yy) = pull.covariance[:2, :2].tolist()
-    means, errors = (PULL_UNITS * pull.mean).tolist(), (PULL_UNITS * pull.sd).tolist()
-    for name, mean, error in zip(PULL, means, errors, strict=True):
-        values |= {name: mean, f"sd_{name}": error}
-    return Pull(
-        flexion_deg=pull.flexion_deg,
-        direction=pull.direction,
-        n_trials=pull.n_trials,
-        p_value=pull.p_value,
-        force_covariance=((xx, xy), (yx, yy)),
-        **values,
-    )
-
-
 def _noise(found: Investigation) -> NoiseFound:
     noise = found.noise
     columns = {"mm": noise.sd[:, TRANSLATIONS], "deg": noise.sd[:, ROTATIONS]}
@@ -313,19 +272,6 @@ def _noise(found: Investigation) -> NoiseFound:
         correlation=noise.correlation,
         times_stated=noise.factors,
         degrees_of_freedom=noise.degrees_of_freedom,
-    )
-
-
-def _advice(found: Investigation) -> AdviceFound | None:
-    if (advice := found.advice) is None:
-        return None
-    return AdviceFound(
-        sentence=advice.sentence,
-        rivals=advice.rivals,
-        distance_before=tuple(advice.before.tolist()),
-        distance_after=tuple(advice.after.tolist()),
-        distance_with_one_trial=tuple(advice.with_one_trial.tolist()),
-        distance_with_error_halved=advice.with_error_halved,
     )
 
 
@@ -383,7 +329,7 @@ def _added_effect(choice: EffectChoice, knee: Knee) -> AddedEffect:
         name=choice.name,
         values=choice.values,
         fixed=choice.fixed,
-        lines=tuple(LineEnds(**_ends(np.stack(x), knee)) for x in choice.lines),
+        lines=tuple(LineEnds.of(np.stack(x), knee) for x in choice.lines),
         stiffness_sd=choice.stiffness_sd_kN,
         site_sd=choice.site_sd_mm,
     )

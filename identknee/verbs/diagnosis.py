@@ -2,20 +2,18 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
+from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.data_noise import NoiseSource
 from identknee.diagnosis.misfit import CellScore
+from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.diagnosis.refit import RivalState
-from identknee.diagnosis.verdict import Estimate, Verdict
+from identknee.diagnosis.verdict import Cause, Verdict
 from identknee.identify.laplace import Interval
 from identknee.laxity.table import COORDINATES
-from identknee.model.effects.facts import FACTS
-from identknee.model.effects.insertion import direction_words
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.outcome import Outcome
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.insertion_sites import PlaceSide
@@ -24,56 +22,10 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis_gain import GainFound
 from identknee.verbs.trials import AdvisedTrial, Trials
 
-OF_THE_CALLER = "The library does not know it: it was given by the caller."
-OF_AMPLITUDE = "unit of the amplitude"
 OF_WRENCH = "N or N·m, as the component's name says"
 WRENCH = ("varus_Nm", "internal_Nm", "x_N", "y_N", "z_N")
-PULL = ("anterior_force_N", "lateral_force_N", "internal_moment_Nm")
-Point = tuple[float, float, float]
-Pair = tuple[float, float]
 ByLigament = Mapping[str, Mapping[str, float]]
 IntervalsByLigament = Mapping[str, Mapping[str, Interval]]
-
-
-@declared
-class LineEnds:
-    """Ends of a line of action in the scanned pose, in the axes of the scan."""
-
-    femur: Point = entry("Femoral end", unit="mm")
-    tibia: Point = entry("Tibial end", unit="mm")
-
-    def in_common_frame(self, knee: Knee) -> Array:
-        """Both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
-        return knee.as_scanned(np.array([self.femur, self.tibia]))
-
-
-@declared
-class CauseFound:
-    """A cause with its amplitudes."""
-
-    name: str = entry("Name of the cause in the library")
-    amplitude: float = entry("The one number that says how large it is", unit=OF_AMPLITUDE)
-    unit: str = entry("Unit of the amplitude")
-    ci95: Interval = entry(
-        "95 % interval; an end at a bound, or of a fit that was stopped, is open and null",
-        unit=OF_AMPLITUDE,
-    )
-    parameter: str = entry("What the amplitude is called")
-    parameters: Mapping[str, Estimate] = entry("Every amplitude by its name")
-    line: LineEnds | None = entry("Its line of action", only="a structure of one line")
-
-    @property
-    @derived("What the cause is, as a sentence")
-    def meaning(self) -> str:
-        """What the cause is, as a sentence."""
-        moved = direction_words({name: x.value for name, x in self.parameters.items()})
-        return moved or (FACTS[self.name].sentence if self.name in FACTS else OF_THE_CALLER)
-
-    @property
-    @derived("Where its plausible size comes from")
-    def source(self) -> str:
-        """Where its plausible size comes from."""
-        return FACTS[self.name].source if self.name in FACTS else OF_THE_CALLER
 
 
 @declared
@@ -114,7 +66,7 @@ class RivalFound:
         "Whether its score leaves it possible; a rival not tested then blocks NAMED"
     )
     is_excluded: bool = entry("Whether the data exclude it")
-    amplitudes: tuple[CauseFound, ...] = entry("Its causes", only="an open rival")
+    amplitudes: tuple[Cause, ...] = entry("Its causes", only="an open rival")
     parameters: ByLigament | None = entry(
         "Ligaments' parameters with it", unit=OF_PARAMETER, only="an open rival"
     )
@@ -146,23 +98,6 @@ class Misfit:
 
 
 @declared
-class Pull:
-    """What else would have to act on the tibia, on average over the trials of one kind."""
-
-    flexion_deg: float = entry("Flexion of the trials", unit="deg")
-    direction: str = entry("Direction of their load")
-    n_trials: int = entry("Trials averaged", unit="1")
-    p_value: float = entry("Probability that nothing is missing", unit="1")
-    anterior_force_N: float = entry("Mean anterior force", unit="N")  # noqa: N815 - key in files
-    lateral_force_N: float = entry("Mean lateral force", unit="N")  # noqa: N815
-    internal_moment_Nm: float = entry("Mean internal moment", unit="N m")  # noqa: N815
-    sd_anterior_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
-    sd_lateral_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
-    sd_internal_moment_Nm: float = entry("Its standard error", unit="N m")  # noqa: N815
-    force_covariance: tuple[Pair, Pair] = entry("Covariance of both forces", unit="N2")
-
-
-@declared
 class NoiseFound:
     """The noise of the data."""
 
@@ -177,20 +112,6 @@ class NoiseFound:
     )
     degrees_of_freedom: float = entry(
         "Degrees of freedom of its estimate; null where it is taken as stated", unit="1"
-    )
-
-
-@declared
-class AdviceFound:
-    """What the advised trials would do."""
-
-    sentence: str = entry("What they would do")
-    rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
-    distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
-    distance_after: tuple[float, ...] = entry("The same with the trials")
-    distance_with_one_trial: tuple[float, ...] = entry("The same with the first trial alone")
-    distance_with_error_halved: Mapping[str, tuple[float, ...]] = entry(
-        "The same with one stated error known twice as well, by its name"
     )
 
 
@@ -275,7 +196,7 @@ class Diagnosis(Answer):
     p_value: float | None = entry(
         "How often noise alone would leave a misfit as clear", unit="1", default=None
     )
-    causes: tuple[CauseFound, ...] = entry("Causes of the best explanation", default=())
+    causes: tuple[Cause, ...] = entry("Causes of the best explanation", default=())
     group: tuple[str, ...] = entry(
         "Names that the data leave open, those of the causes among them", default=()
     )
@@ -291,7 +212,7 @@ class Diagnosis(Answer):
     advised_trials: tuple[AdvisedTrial, ...] = entry(
         "Trials that would tell the rivals apart", only="AMBIGUOUS", default=()
     )
-    advice: AdviceFound | None = entry("What they would do", only="AMBIGUOUS", default=None)
+    advice: Advice | None = entry("What they would do", only="AMBIGUOUS", default=None)
     gain: GainFound | None = entry("What the causes gain", only="a cause found", default=None)
     parameters_before: ByLigament | None = entry(
         "Ligaments' parameters fitted without causes", unit=OF_PARAMETER, default=None

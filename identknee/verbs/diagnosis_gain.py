@@ -10,6 +10,7 @@ from identknee.diagnosis.gain import (
     FamilyDifference,
     Gain,
     ParameterChange,
+    Process,
 )
 from identknee.diagnosis.misfit import Check
 from identknee.runs.declare import declared, entry
@@ -30,16 +31,6 @@ class FamilyGain:
     not_scored: Mapping[str, str] = entry("Folds that could not be predicted, and why")
     rmse_held_out: Mapping[str, Rmse] = entry(f"Error of trials held out, {OF_MODEL}")
     rmse_held_out_expected: Mapping[str, Rmse] = entry(f"Error that it expects itself, {OF_MODEL}")
-
-
-@declared
-class ProcessFound:
-    """The Gaussian process that takes up the misfit unnamed."""
-
-    absorbed: float = entry("Share of the misfit that it takes up", unit="1")
-    degrees_of_freedom: float = entry("Degrees of freedom that it uses", unit="1")
-    flexion_length: float = entry("Correlation length over the range of flexion", unit="1")
-    load_length: float = entry("Correlation length over the largest load", unit="1")
 
 
 @declared
@@ -65,7 +56,7 @@ class GainFound:
     misfit: Mapping[str, Check] = entry(f"Test of the size of the misfit, {OF_MODEL}")
     families: Mapping[str, FamilyGain] = entry("Gain by what is held out")
     explained: Mapping[str, float] = entry("Share of each coordinate's misfit that goes")
-    discrepancy: ProcessFound = entry("The process")
+    discrepancy: Process = entry("The process")
     parameters: Mapping[str, ParameterChange] = entry("Parameters of both models by name")
     forces: Mapping[str, Mapping[str, Mapping[str, float]]] = entry(
         "Force of each ligament under the largest loads, by trial, before_N and after_N", unit="N"
@@ -75,7 +66,7 @@ class GainFound:
 def gain_found(gain: Gain) -> GainFound:
     """A gain as its answer keeps it."""
     models = {"before": gain.before, "after": gain.after, "absorbed": gain.absorbed}
-    process, forces = gain.discrepancy, gain.forces
+    forces = gain.forces
     held_out = _held_out(gain, models)
     return GainFound(
         rmse_held_out_before=held_out["rmse_held_out"]["before"].noise,
@@ -96,12 +87,7 @@ def gain_found(gain: Gain) -> GainFound:
             for one, absorbed in zip(gain.elpd.families, gain.elpd_absorbed.families, strict=True)
         },
         explained=gain.explained,
-        discrepancy=ProcessFound(
-            absorbed=process.absorbed,
-            degrees_of_freedom=process.degrees_of_freedom,
-            flexion_length=process.flexion_length,
-            load_length=process.load_length,
-        ),
+        discrepancy=gain.discrepancy,
         parameters={x.name: x for x in gain.parameters},
         forces={
             trial: {

@@ -9,8 +9,8 @@ from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Method, Sensitivi
 from identknee.identify.sensitivity import sensitivity as analysed
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.scenarios import LaxityGroup, laxity_groups
 from identknee.laxity.table import Laxity
+from identknee.laxity.trial_words import LaxityGroup, laxity_groups
 from identknee.model.of_tests import model_of_tests
 from identknee.model.quantities import LaxityOutputs
 from identknee.runs.arrays import Array

@@ -19,7 +19,7 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee as ik
 from identknee.calibrate.fit import fit
 from identknee.identify.sensitivity import Method, sensitivity
-from identknee.laxity.scenarios import laxity_groups
+from identknee.laxity.trial_words import laxity_groups
 
 # Blocks, trajectories, draws: in full on the reference knee, a fifth or so on the real one.
 KNEES = {

@@ -233,9 +233,9 @@ def extension(
         "amplitudes": [
             {
                 "name": x.name,
-                "value": x.amplitude.value,
-                "unit": x.amplitude.unit,
-                "ci95": x.amplitude.ci95,
+                "value": x.amplitude,
+                "unit": x.unit,
+                "ci95": x.ci95,
             }
             for x in ik.diagnosis.causes_of(refit)
         ],

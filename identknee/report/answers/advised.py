@@ -3,8 +3,9 @@
 from collections import Counter
 from collections.abc import Sequence
 
+from identknee.laxity.trial_words import trial_words
 from identknee.report.tables import Column, Table
-from identknee.report.words import counted, times, trial_words
+from identknee.report.words import counted, times
 from identknee.runs.plain_records import summary_of
 from identknee.verbs.trials import AdvisedTrial
 

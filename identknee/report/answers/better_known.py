@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from identknee.identify.design import SHARE
 from identknee.identify.nuisances import NuisanceEstimate, group_name
+from identknee.laxity.trial_words import trial_words
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import trial_words
+from identknee.runs.marginalise import SHARE
 from identknee.runs.words import error_words, label_without_unit, parameter_words
 from identknee.verbs.design import Design
 

@@ -3,11 +3,12 @@
 from collections.abc import Iterator
 
 from identknee.identify.profile.result import Profile
+from identknee.laxity.trial_words import trial_words
 from identknee.report.answers.advised import table_of_trials
 from identknee.report.answers.better_known import better_known_statements
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import counted, interval_words, trial_words
+from identknee.report.words import counted, interval_words
 from identknee.runs.words import capital, label, listed, parameter_words
 from identknee.verbs.design import ADVICE, Design
 

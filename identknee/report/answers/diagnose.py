@@ -4,11 +4,12 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from typing import TypeVar
 
+from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.folds import FLEXION
 from identknee.diagnosis.refit import RivalState
 from identknee.diagnosis.score import Cell
-from identknee.diagnosis.verdict import Estimate, Verdict
+from identknee.diagnosis.verdict import Cause, Estimate, Verdict
 from identknee.identify.laplace import Interval
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
 from identknee.report.answers.advised import trial_table, trials_words
@@ -25,7 +26,7 @@ from identknee.runs.words import (
     listed,
     parameter_words,
 )
-from identknee.verbs.diagnosis import AdviceFound, CauseFound, Diagnosis, Misfit, RivalFound
+from identknee.verbs.diagnosis import Diagnosis, Misfit, RivalFound
 from identknee.verbs.diagnosis_gain import FamilyGain, GainFound
 
 Value = TypeVar("Value")
@@ -97,7 +98,7 @@ def verdict_sentence(answer: Diagnosis) -> str:
     return " ".join([answer.sentence, *untested])
 
 
-def size_words(cause: CauseFound) -> str:
+def size_words(cause: Cause) -> str:
     """The amplitude of a cause with its interval."""
     (low, high), unit = cause.ci95, cause.unit
     value = amount(cause.amplitude, unit)
@@ -135,7 +136,7 @@ def _largest_first(
     return sorted(amplitudes, key=lambda x: -abs(x[1].value))
 
 
-def _sizes(causes: Sequence[CauseFound]) -> Table:
+def _sizes(causes: Sequence[Cause]) -> Table:
     # What is plausible is known of a cause's size, which is its first amplitude.
     rows = tuple(
         (
@@ -291,7 +292,7 @@ def _change(answer: Diagnosis) -> Statement:
     )
 
 
-def _better_known(answer: Diagnosis, advice: AdviceFound) -> Statement:
+def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
     """Whether a stated error known better would tell more than one more trial."""
     least = {name: min(x) for name, x in advice.distance_with_error_halved.items()}
     trial, now = min(advice.distance_with_one_trial), min(advice.distance_before)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from identknee.identify.sensitivity import Sensitivity
-from identknee.laxity.scenarios import UNLOADED
+from identknee.laxity.trial_words import UNLOADED
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import coordinate_words, label, parameter_words

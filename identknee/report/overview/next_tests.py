@@ -3,8 +3,9 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from identknee.laxity.trial_words import trial_words
 from identknee.model.effects.facts import cause_label
-from identknee.report.words import counted, interval_words, trial_words
+from identknee.report.words import counted, interval_words
 from identknee.runs.plain_records import summary_of
 from identknee.runs.words import capital, listed, parameter_words, unit_of
 from identknee.verbs.answer import Answer

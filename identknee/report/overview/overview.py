@@ -7,13 +7,13 @@ from enum import Enum, unique
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
+from identknee.laxity.trial_words import trial_words
 from identknee.model.effects.facts import cause_label
 from identknee.report.answers.statements import statements_of
 from identknee.report.overview.agreement import Agreement, agreement, reasons
 from identknee.report.overview.next_tests import next_tests
 from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source, ranges_of
 from identknee.report.overview.searches import disagreement, searches_sentences
-from identknee.report.words import trial_words
 from identknee.runs.words import (
     amount,
     capital,

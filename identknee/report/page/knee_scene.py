@@ -3,7 +3,7 @@
 import numpy as np
 
 from identknee.laxity.dominant import told_loads
-from identknee.laxity.protocol import LOADS
+from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.contact_places import distances
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import Lines
@@ -27,14 +27,6 @@ N_VERTICES = (720, 760)
 # Places of the tibia that lie farther than this from the femur [mm] are not sent: the others shape
 # the edge of the patch that touches it.
 APART = 0.4
-# Columns of loads: their names where positive and where negative.
-DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction", "compression"),
-    ("lateral force", "medial force"),
-)
 
 
 @declared
@@ -121,23 +113,6 @@ def model_scene(
     )
 
 
-def load_words(flexion_deg: float, loads: Array) -> str:
-    """Flexion and loads of a trial in words; `loads` as in `Protocol.loads`, shape ``(5,)``.
-
-    Examples
-    --------
-    >>> load_words(30.0, np.array([0.0, -4.0, 0.0, 0.0, 0.0]))
-    'Flexion 30°, valgus moment 4 N·m'
-    """
-    parts = [
-        f"{DIRECTIONS[i][0 if value > 0 else 1]} {abs(value):.4g} "
-        f"{'N·m' if LOADS[i].endswith('_Nm') else 'N'}"
-        for i, value in enumerate(loads)
-        if value != 0.0
-    ]
-    return f"Flexion {round(flexion_deg, 1):g}°, " + (" and ".join(parts) or "unloaded")
-
-
 def _trials(
     model: LaxityModel, prediction: Prediction, setting: Setting, tensions: Array, tibia: Mesh
 ) -> tuple[SceneTrial, ...]:
@@ -150,7 +125,7 @@ def _trials(
         trials.append(
             SceneTrial(
                 name=protocol.trials[i],
-                loads=load_words(float(protocol.flexion_deg[i]), told[i]),
+                loads=setting_words(float(protocol.flexion_deg[i]), told[i]),
                 outcome=outcome,
                 placement=placement,
                 coordinates=coordinates_from_pose(pose),

@@ -379,7 +379,9 @@ def evidence_of(columns: Array, data: Array, *, lower: float) -> float:
         is_log=np.zeros(n, bool),
     )
     fitted: Any = SimpleNamespace(
-        evaluation=evaluation, model=SimpleNamespace(parameters=parameters)
+        evaluation=evaluation,
+        model=SimpleNamespace(parameters=parameters),
+        constrained=SimpleNamespace(is_held=np.zeros(n, bool)),
     )
     return Refit(causes=(), fitted=fitted, smooth=np.zeros((0, 0)), noise_degrees=1e9).log_evidence
 

@@ -5,7 +5,6 @@ import numpy as np
 from identknee.diagnosis.investigation import layout_of
 from identknee.laxity.dominant import (
     dominant_loads,
-    load_words,
     nominal_flexion,
     opposite_pairs,
     told_loads,
@@ -13,6 +12,7 @@ from identknee.laxity.dominant import (
 from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.protocol import concatenate, load_protocol
 from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.trial_words import load_words
 
 
 def test_stray_and_constant_loads_do_not_tell_trials_apart() -> None:

@@ -3,7 +3,7 @@ import pytest
 from common.largest import largest_by
 
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.scenarios import load_scenarios
+from identknee.laxity.trial_words import load_scenarios
 from identknee.model.parameter_error import parameter_error
 from identknee.report.comparison import spread
 
