@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from identknee.verbs.documented import page_of_answers
+from pages.answers import page_of_answers
 from pages.api import write_api
 from pages.commands import write_commands
 from pages.figures import write_figures

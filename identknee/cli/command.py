@@ -1,27 +1,23 @@
-"""What all verbs share: their options, how they end, and what they leave behind."""
+"""How commands end: what they print, their exit codes, and what they leave behind."""
 
 import errno
 import json
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import typer.core
 
-from identknee.laxity.named_tables import TABLES
 from identknee.runs.errors import InputError, NotComputed
 from identknee.runs.executors import WorkerDied
 from identknee.runs.files import plain
 from identknee.runs.unforeseen import report_unforeseen, warnings_logged
-from identknee.subject.examples import named_subject
+from identknee.verbs.registry import verb_named
 
 if TYPE_CHECKING:
     from identknee.verbs.answer import Answer
-
-    Given = TypeVar("Given", bound=Answer)
 
 # Of a path or a value that is absurdly long.
 LONGEST_SENTENCE = 2000
@@ -32,99 +28,12 @@ STOPPED = "stopped; the same command does it again from the start"
 STOPPED_WORK = "stopped; what was finished is kept in --out, and the same command resumes"
 # What a verb was called with, and whether its folder --out is its own.
 SETTINGS, IS_NEW = "identknee.settings", "identknee.is_new"
-RESUMING = {"sweep", "profile", "sample", "sensitivity", "equivalents"}
 
 
-def _subject_word(word: str) -> str:
-    return _said_which(word, is_name=named_subject(word) is not None)
-
-
-def _data_word(word: str | None) -> str | None:
-    return word if word is None else _said_which(word, is_name=word in TABLES)
-
-
-def _said_which(word: str, *, is_name: bool) -> str:
-    """The word; where it is a name and a path too, a person is told which of them is meant."""
-    if is_name and Path(word).exists():
-        typer.echo(
-            f"identknee: {word} means what comes with identknee under this name; "
-            f"write .{os.sep}{word} for what is called so here.",
-            err=True,
-        )
-    return word
-
-
-def _workers(word: str) -> int | str:
-    """A number of workers, or the address of a scheduler."""
-    if "://" in word:
-        return word
-    if not word.isdecimal() or int(word) < 1:
-        raise typer.BadParameter(
-            f"{word} is neither a number of processes nor the address of a scheduler; "
-            "write for example 4, or tcp://10.0.0.5:8786"
-        )
-    return int(word)
-
-
-Subject = Annotated[
-    str,
-    typer.Argument(
-        metavar="SUBJECT",
-        help="A subject folder, or a name from: identknee subject list.",
-        callback=_subject_word,
-    ),
-]
-SubjectOrReference = Annotated[
-    str,
-    typer.Argument(
-        metavar="[SUBJECT]",
-        help="A subject folder, or a name from: identknee subject list.",
-        callback=_subject_word,
-    ),
-]
-Data = Annotated[
-    str,
-    typer.Argument(
-        metavar="DATA.csv",
-        help="The table of measured laxity, or the name of a subject that comes with one.",
-        callback=_data_word,
-    ),
-]
-MaybeData = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="[DATA.csv]",
-        help="The table of measured laxity, or the name of a subject that comes with one. "
-        "Leave it out with --protocol.",
-        callback=_data_word,
-    ),
-]
-# What every option that takes trials knows.
-PROTOCOLS = (
-    "seed63, table2, drawer, a protocol file (TOML), a laxity table (CSV), "
-    "or a named subject with measured laxity"
-)
-Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
-Seed = Annotated[
-    int, typer.Option(min=0, help="Seed of all random numbers. It is stored with the result.")
-]
-Workers = Annotated[
-    str,
-    typer.Option(
-        metavar="N",
-        help="Number of processor cores to work on, or the address of a dask scheduler such as "
-        "tcp://10.0.0.5:8786. The results do not depend on it.",
-        callback=_workers,
-    ),
-]
 Json = Annotated[bool, typer.Option("--json", help="Print only result.json, to standard output.")]
-Continuation = Annotated[
-    Literal["continuation", "single-step"],
-    typer.Option(help="Apply the load in small steps, or all at once as in the paper."),
-]
 
 
-class Verb(typer.core.TyperCommand):
+class Command(typer.core.TyperCommand):
     """A verb that tells the group it belongs to what it was called with."""
 
     # typing.override came with Python 3.12.
@@ -141,7 +50,7 @@ class Verb(typer.core.TyperCommand):
         return super().invoke(ctx)
 
 
-class Verbs(typer.core.TyperGroup):
+class CommandGroup(typer.core.TyperGroup):
     """Verbs that end with a sentence and an exit code instead of a traceback."""
 
     # typing.override came with Python 3.12.
@@ -151,7 +60,8 @@ class Verbs(typer.core.TyperGroup):
             with warnings_logged():
                 return super().invoke(ctx)
         except KeyboardInterrupt:
-            is_kept = ctx.invoked_subcommand in RESUMING
+            verb = verb_named(ctx.invoked_subcommand)
+            is_kept = verb is not None and verb.resumes
             sentence, code = STOPPED_WORK if is_kept else STOPPED, INTERRUPTED
         # The one place where an error ends, foreseen or not.
         except Exception as error:
@@ -241,38 +151,32 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
-def run_verb(
-    context: typer.Context,
-    function: "Callable[..., Given]",
-    *,
-    without: Sequence[str] = (),
-    then: str = "",
-) -> "Given":
-    """Call a verb of the library with the options of the command, and print its answer.
+def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
+    """Print an answer, and leave with the exit code that it asks for.
 
     Parameters
     ----------
-    context
-        The command with its options.
-    function
-        The verb.
-    without
-        Options of the command that the verb does not have.
+    answer
+        What the verb gave back.
+    out
+        Folder of the results.
     then
-        What to do next, said after the answer.
+        What to do next; empty for nothing.
+    as_json
+        Whether to print only the summary.
     """
-    arguments = {name: x for name, x in context.params.items() if name not in without}
-    as_json = arguments.pop("as_json")
-    answer = function(**arguments)
     # These load xarray and what draws tables, which takes longer than most mistakes.
     from identknee.runs.plain_records import summary_of
 
     lines = [] if as_json else [str(answer)]
-    lines += [f"Results: {arguments['out']}", *([then] if then else [])]
+    lines += [f"Results: {out}", *([then] if then else [])]
     show(summary_of(answer), lines, as_json=as_json)
+    if answer.remark:
+        typer.echo(answer.remark, err=True)
     if answer.failure:
         raise NotComputed(answer.failure)
-    return answer
+    if answer.refuses_input:
+        raise typer.Exit(WRONG_INPUT)
 
 
 def print_found(found: Any, *lines: str, as_json: bool) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 from scipy.special import gammaincc, gammaln, log_ndtr, ndtri_exp
 
 from identknee.diagnosis.noise_model import NoiseModel
@@ -219,10 +219,10 @@ def cauchy_combination(p_values: Sequence[float]) -> float:
 def size_check(square: float, degrees: int, noise_degrees: float) -> Check:
     """Whether a sum of squares is larger than noise: chi-square, or F for an estimated noise."""
     if np.isinf(noise_degrees):
-        p_value = float(stats.chi2.sf(square, degrees))
+        p_value = float(scipy.stats.chi2.sf(square, degrees))
         return Check(statistic=square, degrees_of_freedom=degrees, p_value=p_value)
     ratio = square / degrees
-    p_value = float(stats.f.sf(ratio, degrees, noise_degrees))
+    p_value = float(scipy.stats.f.sf(ratio, degrees, noise_degrees))
     return Check(statistic=ratio, degrees_of_freedom=degrees, p_value=p_value)
 
 

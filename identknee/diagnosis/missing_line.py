@@ -4,8 +4,7 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from scipy import stats
-from scipy.stats import chi2
+import scipy
 
 from identknee.diagnosis.fitting import Fitted, weighed
 from identknee.diagnosis.misfit import TrialLayout, base_projector
@@ -340,7 +339,7 @@ class LineFinding:
         across = np.eye(3) - np.outer(along, along)
         mix = np.hstack([of_femur * across, of_tibia * across])
         largest = float(np.linalg.eigvalsh(mix @ self.covariance @ mix.T)[-1])
-        return float(np.sqrt(chi2.ppf(LEVEL, 2) * largest))
+        return float(np.sqrt(scipy.stats.chi2.ppf(LEVEL, 2) * largest))
 
 
 def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
@@ -633,7 +632,7 @@ def missing_pulls(missing: MissingWrench, layout: TrialLayout) -> tuple[Pull, ..
                         flexion_deg=float(flexion),
                         direction=direction,
                         n_trials=n,
-                        p_value=float(stats.chi2.sf(square, 3)),
+                        p_value=float(scipy.stats.chi2.sf(square, 3)),
                         anterior_force_N=anterior,
                         lateral_force_N=lateral,
                         internal_moment_Nm=internal,

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp
-from scipy.stats import qmc
 
 from identknee.calibrate.evaluation import Evaluation
 from identknee.model.parameters import Parameters
@@ -133,7 +133,7 @@ def _draws(mean: Array, covariance: Array, lower: Array, upper: Array, cut: IntA
     n = N_POINTS if cut.size else 1
     factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(cut, cut)]), dtype=np.float64)
     drawn, weights = np.zeros((n, cut.size)), np.zeros(n)
-    points = qmc.Sobol(max(cut.size, 1), seed=POINTS_SEED).random(N_POINTS)
+    points = scipy.stats.qmc.Sobol(max(cut.size, 1), seed=POINTS_SEED).random(N_POINTS)
     for i in range(cut.size):
         known = mean[cut[i]] + drawn[:, :i] @ factor[i, :i]
         low, high = ((x[cut[i]] - known) / factor[i, i] for x in (lower, upper))

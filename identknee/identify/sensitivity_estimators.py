@@ -21,14 +21,14 @@ from itertools import combinations
 from math import factorial
 
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared
 
 RESAMPLES = 200
 CONFIDENCE = 0.95
-Z = float(norm.ppf(0.5 + CONFIDENCE / 2.0))
+Z = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2.0))
 # Parts of all samples at which indices are shown converging.
 PARTS = (8, 4, 2, 1)
 FEWEST = 4

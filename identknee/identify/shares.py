@@ -1,6 +1,6 @@
 """A binomial proportion with its exact confidence limits."""
 
-from scipy.stats import binomtest
+import scipy
 
 from identknee.runs.declare import declared, derived, entry
 
@@ -57,5 +57,5 @@ def share(count: int, n: int) -> Share:
         raise ValueError(f"a share must be from 0 to {n} of {n}, got {count}")
     if n == 0:
         return Share(count=0, n=0, lower=0.0, upper=1.0)
-    limits = binomtest(count, n).proportion_ci(LEVEL, method="exact")
+    limits = scipy.stats.binomtest(count, n).proportion_ci(LEVEL, method="exact")
     return Share(count=count, n=n, lower=float(limits.low), upper=float(limits.high))

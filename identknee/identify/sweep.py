@@ -6,8 +6,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import BUDGET, METHODS, Fit, fit
@@ -365,7 +365,7 @@ def sobol_starts(parameters: Parameters, n: int, *, seed: int = 0) -> Array:
                 f"the bounds of {name} are {low:g} and {high:g}; "
                 "give finite ones to spread starts between them"
             )
-    sequence = qmc.Sobol(parameters.n, seed=seed)
+    sequence = scipy.stats.qmc.Sobol(parameters.n, seed=seed)
     unit = sequence.random_base2(int(n - 1).bit_length())[:n]
     return np.asarray(parameters.lower + (parameters.upper - parameters.lower) * unit)
 

@@ -10,6 +10,7 @@ from identknee.model.of_tests import model_of_tests
 from identknee.report.overview.ranges import ranges_of
 from identknee.report.page.results import Result, found_results
 from identknee.report.parameter_table import parameter_table
+from identknee.report.presenter import of_type, presenter_of
 from identknee.report.vtk_poses import write_poses
 from identknee.runs.files import PathLike, write_atomically
 from identknee.subject.folder import read_subject, write_subject
@@ -17,13 +18,19 @@ from identknee.subject.knee import Knee
 from identknee.subject.opensim_export import write_opensim
 from identknee.verbs.fit import Calibration
 from identknee.verbs.fitted_knee import as_fitted, as_stated, fitted_knee, fitted_values
-from identknee.verbs.simulate import SimulatedLaxity
-from identknee.verbs.subject_facts import SubjectFacts, exported_subject
-from identknee.verbs.verb import SubjectLike
+from identknee.verbs.options import GivenSubject, Out, documented
+from identknee.verbs.registry import verb_named
+from identknee.verbs.subject_facts import (
+    ExportFitted,
+    ExportOsim,
+    ExportSource,
+    ExportTrials,
+    ExportVtk,
+    SubjectFacts,
+    exported_subject,
+)
 
 TABLE, POSES = "parameters.tsv", "vtk"
-# What a parameter set is taken from, where there are several results.
-SEARCHED = ("simulate", "profile", "fit")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,25 +102,27 @@ def export_knee(
     return Exported(knee=written, folder=folder, others=tuple(others))
 
 
+@documented
 def export_subject(
-    subject: SubjectLike,
+    subject: GivenSubject,
     *,
-    fitted: PathLike | None = None,
-    osim: bool = False,
-    source: PathLike | None = None,
-    vtk: bool = False,
-    protocol: TrialsLike | None = None,
-    out: PathLike,
+    fitted: ExportFitted = None,
+    osim: ExportOsim = False,
+    source: ExportSource = None,
+    vtk: ExportVtk = False,
+    protocol: ExportTrials = None,
+    out: Out,
 ) -> SubjectFacts:
-    """What was written of a subject, as `export_knee` does, with the record of how it was made.
+    """What was written of a subject as a subject folder, and for other tools.
 
-    Parameters
-    ----------
-    subject
-        A knee, a subject folder, or the name of one that comes with identknee.
-    fitted, osim, source, vtk, protocol, out
-        As in `export_knee`.
+    With --fitted the knee has the parameters of a result, and parameters.tsv lists them in the
+    form of PEtab with their 95 % sets. With --source they are written into a copy of the OpenSim
+    model that the knee was imported from; the rest of that model is unchanged. With --osim alone
+    the model holds two bones, their cartilage and the ligaments. With --vtk the knee is written
+    in every trial, with gap and pressure on each face and the force of each ligament.
     """
+    if out is None:
+        raise ValueError("there is no folder to write to; give one with --out")
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     made = export_knee(
         knee, out, fitted=fitted, osim=osim, source=source, vtk=vtk, protocol=protocol
@@ -147,13 +156,13 @@ def _of_knee(knee: Knee, folder: PathLike) -> list[Result]:
 
 def _latest(results: list[Result]) -> Result:
     """The result whose parameter set counts; without one the last is refused by who asks it."""
-    searched = [x for x in results if x.verb in SEARCHED]
-    return max(searched or results, key=_rank)
+    return max(results, key=lambda x: (_rank(x), str(x.record["started"])))
 
 
-def _rank(result: Result) -> tuple[int, str]:
-    verb = SEARCHED.index(result.verb) if result.verb in SEARCHED else -1
-    return verb, str(result.record["started"])
+def _rank(result: Result) -> int:
+    """How much the parameter set of the result counts."""
+    verb = verb_named(result.verb)
+    return 0 if verb is None else verb.parameter_rank
 
 
 def _write_table(knee: Knee, results: list[Result], folder: Path) -> Path:
@@ -176,11 +185,12 @@ def _write_trials(
     knee: Knee, results: list[Result], protocol: TrialsLike | None, folder: Path
 ) -> Path:
     answer = _latest(results).answer if results else None
-    if protocol is None and isinstance(answer, SimulatedLaxity):
-        protocol = answer.protocol
+    if protocol is None and answer is not None:
+        protocol = presenter_of(answer).protocol(answer)
     tests = read_tests("drawer" if protocol is None else protocol)
     model = model_of_tests(knee, tests)
-    if isinstance(answer, Calibration) and tests is answer.protocol:
-        # The search of a measured trial begins at its measured pose.
-        model = model.with_tests(answer.data)
+    for fit in of_type([answer] if answer is not None else [], Calibration):
+        if tests is fit.protocol:
+            # The search of a measured trial begins at its measured pose.
+            model = model.with_tests(fit.data)
     return write_poses(model, model.parameters.start, folder / POSES)

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from identknee.model.parameters import Parameters
-from identknee.report.overview.ranges import Range
+from identknee.report.range import Range
 
 COLUMNS = (
     *("parameterId", "parameterName", "parameterScale", "lowerBound", "upperBound"),

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from identknee.report.comparison import Spread
 
 Cell = str | float | int | None
+# That a notebook shows.
+MOST_ROWS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +68,14 @@ class Table:
                 raise ValueError(
                     f"every row of {self.title!r} needs {len(self.columns)} cells, got {len(row)}"
                 )
+
+    def first_rows(self, most: int = MOST_ROWS) -> "Table":
+        """The first rows, with how many there are."""
+        n = len(self.rows)
+        if n <= most:
+            return self
+        title = f"{self.title} (the first {most} of {n} rows)"
+        return Table(title=title, columns=self.columns, rows=self.rows[:most])
 
     def texts(self) -> list[list[str]]:
         """The cells as text, row by row."""

@@ -1,9 +1,16 @@
 """Lists and intervals in words."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
-from identknee.runs.words import interval, listed
+from identknee.laxity.trial_words import trial_words
+from identknee.runs.words import capital, interval, listed
+
+
+def trial_list(trials: Iterable[Mapping[str, Any]]) -> str:
+    """Trials to do, the beginning of a sentence."""
+    return capital(counted(map(trial_words, trials)))
 
 
 def counted(told: Iterable[str]) -> str:

@@ -1,19 +1,16 @@
 """What every answer carries beside its numbers: what speaks against it, and how it was made."""
 
-from collections.abc import Mapping
-from importlib import import_module
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from identknee.identify.nuisances import NuisanceEstimate
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, invalidating
 from identknee.runs.record import Record
+from identknee.verbs.printer import Printer, printer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# What draws and prints stands above what computes, and is loaded when something is to be seen.
-SHOWN_BY, PRINTED_BY = "identknee.report.notebook", "identknee.report.terminal"
 
 
 @declared
@@ -43,6 +40,21 @@ class Answer:
         """Why nothing could be computed, or why nothing computed holds; empty elsewhere."""
         return invalidating(self.findings)
 
+    @property
+    def refuses_input(self) -> bool:
+        """Whether the answer is that the input cannot be used."""
+        return False
+
+    @property
+    def remark(self) -> str:
+        """What only who runs the command has to know; empty for nothing."""
+        return ""
+
+    @property
+    def parameter_set(self) -> Mapping[str, float] | None:
+        """The parameters found or simulated with, by name; None if the answer holds no one set."""
+        return None
+
     def plot(self, name: str | None = None) -> "Figure":
         """A figure of the result, which a notebook shows as a picture.
 
@@ -56,18 +68,25 @@ class Answer:
         ValueError
             If the result has no figure, or none of that name; the message lists those it has.
         """
-        figure: Figure = import_module(SHOWN_BY).answer_figure(self, name)
-        return figure
+        if (shown_by := printer()) is None:
+            raise ValueError("nothing here draws; import identknee")
+        return shown_by.figure(self, name)
 
     # typing.override came with Python 3.12.
     def __repr__(self) -> str:  # type: ignore[explicit-override]
         """What the result says, on at most 25 lines."""
-        return str(import_module(SHOWN_BY).answer_text(self))
+        return _shown(lambda x: x.short_text(self), type(self).__name__)
 
     def __str__(self) -> str:  # type: ignore[explicit-override]
         """All that the result says, as the command line prints it."""
-        return "\n".join(import_module(PRINTED_BY).terminal_lines(self))
+        return _shown(lambda x: x.full_text(self), type(self).__name__)
 
     def _repr_html_(self) -> str:
         """The result in a notebook: its sentences, its table and one figure."""
-        return str(import_module(SHOWN_BY).answer_html(self))
+        return _shown(lambda x: x.html(self), type(self).__name__)
+
+
+def _shown(show: Callable[[Printer], str], otherwise: str) -> str:
+    """What the printer makes of an answer; without one its class alone."""
+    shown_by = printer()
+    return otherwise if shown_by is None else show(shown_by)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 
@@ -22,13 +22,22 @@ from identknee.model.candidate_laxity import CandidateLaxity, offered_trials, ty
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
-from identknee.runs.files import PathLike
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
-from identknee.verbs.values import BoundsLike, NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+from identknee.verbs.options import (
+    Bounds,
+    Data,
+    Fixed,
+    KneeOptions,
+    Level,
+    Noise,
+    Seed,
+    Start,
+    Subject,
+    option,
+    trials_option,
+)
+from identknee.verbs.verb import Run, verb
 
 ADVICE = "advised_trials.csv"
 GROUP = "design"
@@ -116,62 +125,47 @@ class Design(Answer):
 @verb
 def design(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    n_trials: int = 4,
-    targets: Sequence[str] | None = None,
-    criterion: Criterion = "width",
-    candidates: TrialsLike | None = None,
-    level: float = 0.95,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    n_trials: Annotated[int, option("Number of trials to add.", least=1)] = 4,
+    targets: Annotated[
+        Sequence[str] | None,
+        option(
+            "The quantity to pin down: a parameter, ACL.tension_N@TRIAL or varus_deg@TRIAL. If not "
+            "given: the parameters with open intervals, or all if none is open.",
+            "--target",
+            in_python="A list of names.",
+            metavar="NAME",
+        ),
+    ] = None,
+    criterion: Annotated[
+        Criterion,
+        option(
+            "What the new trials should make small. width: the predicted intervals of the targets. "
+            "c: their variances at the best fit. D, A, E: volume, mean axis and largest axis of "
+            "the confidence ellipsoid of all ligament parameters."
+        ),
+    ] = "width",
+    candidates: Annotated[
+        TrialsLike | None,
+        trials_option(
+            "Trials to choose from: {}. If not given: drawer, varus-valgus and rotation tests, "
+            "compression and pairs of loads at 0 to 120 deg, and repeats."
+        ),
+    ] = None,
+    level: Level = 0.95,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Design:
     """Which laxity trials to add to those measured, so that they tell what is left open.
 
-    The advice is verified: the trials are simulated at the best fit, added to the data, and the
-    intervals computed again.
-
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    n_trials
-        How many trials to add.
-    targets
-        Whose intervals are to shrink: parameters, ``ACL.tension_N@TRIAL`` or ``varus_deg@TRIAL``;
-        the parameters with open intervals if None, or all where none is open.
-    criterion
-        What is to shrink. ``"width"``: the predicted intervals of the targets; ``"c"``: their
-        variances at the best fit; ``"D"``, ``"A"``, ``"E"``: volume, mean and largest axis of the
-        confidence ellipsoid of all ligament parameters.
-    candidates
-        Trials to choose from: a protocol, the name of one, its TOML file, or a laxity table. If
-        None: drawer, varus-valgus and rotation tests, compression and pairs of loads at 0 to
-        120 deg, and repeats.
-    level
-        Confidence level of the intervals.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    noise, start, fixed, bounds
-        As for `identknee.verbs.identification.identification`.
-    out
-        Folder for the results and for ``advised_trials.csv``, a table of the trials to fill in;
-        nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    The advice is checked: the trials are simulated at the best fit and added to the data, and the
+    intervals are computed again. Fill in advised_trials.csv and append it to your data.
 
     Raises
     ------
@@ -181,9 +175,7 @@ def design(
         If no parameters near the start have a prediction in every measured trial.
     """
     asked = None if candidates is None else read_trials(candidates)
-    setup = identification(
-        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
-    )
+    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
     offered = _offered(setup, asked)
     wanted = [_target(setup, name) for name in targets or ()]
     degrees = setup.degrees_of_freedom

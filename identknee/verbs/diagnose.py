@@ -1,9 +1,9 @@
 """What the model of a subject gets wrong in measured laxity, and which physical cause it has."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -18,16 +18,13 @@ from identknee.diagnosis.verdict import Estimate, Verdict, causes_of, ligament_e
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
 from identknee.laxity.zeros import zero_of_more
-from identknee.model.effects.effect import Effect
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.files import PathLike, write_atomically
+from identknee.runs.files import write_atomically
 from identknee.runs.findings import Finding, without_repeats
 from identknee.runs.progress import planned, stage
-from identknee.runs.workers import Workers
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.diagnosis import (
     WRENCH,
     AddedEffect,
@@ -51,9 +48,9 @@ from identknee.verbs.diagnosis_rows import (
     with_unsound,
 )
 from identknee.verbs.identification import with_noise
+from identknee.verbs.options import Candidates, Data, ExtraStart, KneeOptions, Noise, Seed, Subject
 from identknee.verbs.trials import advised, trials_of
-from identknee.verbs.values import NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
+from identknee.verbs.verb import Run, recorded_as, verb
 from identknee.verbs.warming import warm_up
 
 EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
@@ -65,28 +62,26 @@ WRENCH_UNITS = np.array([0.001, 0.001, 1.0, 1.0, 1.0])
 @recorded_as("diagnose")
 def diagnose_data(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    effects: Sequence[Effect] | None = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    noise: Noise = None,
+    start: ExtraStart = "subject",
+    effects: Candidates = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
-    laxity = with_noise(run.laxity, noise)
-    warm_up(run.knee, laxity.protocol)
+    laxity = with_noise(data, noise)
+    warm_up(subject, laxity.protocol)
     run.start_clock()
-    model = LaxityModel(knee=run.knee, protocol=laxity.protocol)
+    model = LaxityModel(knee=subject, protocol=laxity.protocol)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)
     checked = sound(laxity)
-    knee, used = testable(run.knee, checked, start)
+    knee, used = testable(subject, checked, start)
     kept = used.laxity
-    lost = lost_findings(run.knee, checked, kept)
+    lost = lost_findings(subject, checked, kept)
     # Stiffness there as well: the knee has its strains already, and trials may hang on both.
     is_own = np.array_equal(used.start, model.parameters.start)
     begin = [] if is_own else [used.start[: model.n_ligament_parameters]]

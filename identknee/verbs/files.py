@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,30 +17,10 @@ from identknee.runs.files import PathLike, digest, part_beside, plain, write_ato
 from identknee.runs.plain_records import from_plain, summary_of
 from identknee.runs.schema import Fault, read_json, shown
 from identknee.verbs.answer import Answer
+from identknee.verbs.registry import verb_named
 
 SUMMARY, ARRAYS = "result.json", "result.nc"
 AGAIN = "Run the command that made it again."
-# Where the class of each verb's answer is declared.
-ANSWERS = {
-    "profile": "identknee.verbs.profile:Profiles",
-    "sweep": "identknee.verbs.sweep:Sweep",
-    "sensitivity": "identknee.verbs.sensitivity:GlobalSensitivity",
-    "sample": "identknee.verbs.sample:Sample",
-    "information": "identknee.verbs.information:LocalIdentifiability",
-    "equivalents": "identknee.verbs.equivalents:Equivalents",
-    "demo": "identknee.verbs.demo:Demonstration",
-    "simulate": "identknee.verbs.simulate:Simulation",
-    "fit": "identknee.verbs.fit:Calibration",
-    "diagnose": "identknee.verbs.diagnosis:Diagnosis",
-    "isolability": "identknee.verbs.isolability:Isolability",
-    "design": "identknee.verbs.design:Design",
-    "blind": "identknee.blind_test.blind_data:BlindData",
-    "subject check": "identknee.verbs.subject_check:SubjectCheck",
-    "subject settle": "identknee.verbs.subject_settle:SettledSubject",
-    "subject show": "identknee.verbs.subject_facts:SubjectFacts",
-    "subject export": "identknee.verbs.subject_facts:SubjectFacts",
-    "subject import-osim": "identknee.verbs.subject_facts:SubjectFacts",
-}
 Given = TypeVar("Given", bound=Answer)
 # Made of other fields, in the words of the version that reads them.
 PROSE = ("sentence", "meaning", "source", "reason")
@@ -83,14 +62,15 @@ def load(path: PathLike) -> Answer:
     summary = read_json(file, AGAIN)
     record = summary.get("record") if isinstance(summary, dict) else None
     verb = record.get("verb") if isinstance(record, dict) else None
-    if verb not in ANSWERS:
+    known = verb_named(verb)
+    if known is None:
         raise InputError(file, "record/verb", f"{shown(verb)} is no verb with a result", AGAIN)
-    return loaded(file, summary)
+    cls: type[Answer] = known.answer_class
+    return loaded(file, summary, cls)
 
 
-def loaded(file: Path, summary: Mapping[str, Any]) -> Answer:
-    """The answer of a summary that was read from `file`; as `load`."""
-    cls = answer_class(summary["record"]["verb"])
+def loaded(file: Path, summary: Mapping[str, Any], cls: type[Given]) -> Given:
+    """The answer of this class, of a summary that was read from `file`; as `load`."""
     arrays = file.with_name(ARRAYS)
     groups = _groups(arrays, summary["record"].get("arrays"))
     if fault := axis_fault(cls, groups):
@@ -101,24 +81,12 @@ def loaded(file: Path, summary: Mapping[str, Any]) -> Answer:
         return InputError(file, where, fault.why, fault.remedy or AGAIN)
 
     try:
-        answer = from_plain(cls, with_arrays(cls, dict(summary), groups), refuse)
+        answer: Given = from_plain(cls, with_arrays(cls, dict(summary), groups), refuse)
     # What mutated files hold may be of any kind where a table or a list should stand.
     except (AttributeError, IndexError, KeyError, TypeError) as error:
         raise InputError(file, "", f"it does not fit its arrays ({error})", AGAIN) from error
     _check_agreement(file, summary, answer)
     return answer
-
-
-def answer_class(verb: str) -> type[Answer]:
-    """The class of a verb's answer."""
-    found: type[Answer] = class_at(ANSWERS[verb])
-    return found
-
-
-def class_at(place: str) -> Any:
-    """The class at ``module:name``, loaded when it is wanted."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
 
 
 def _check_agreement(file: Path, summary: Mapping[str, Any], answer: Answer) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal, get_args
+from typing import Annotated, Literal, Unpack, get_args
 
 import numpy as np
 
@@ -37,19 +37,27 @@ from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
-from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding
 from identknee.runs.outcome import Outcome
-from identknee.runs.workers import Workers
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.heavy_tails import about_tails, robust
 from identknee.verbs.held_out import HeldOut, predicted, split
 from identknee.verbs.identification import with_noise
+from identknee.verbs.options import (
+    LOAD_STEPS,
+    Bounds,
+    Data,
+    KneeOptions,
+    Method,
+    Noise,
+    Seed,
+    Subject,
+    option,
+)
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
-from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, by_ligament, check_word
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+from identknee.verbs.values import bounds_of, by_ligament, check_word
+from identknee.verbs.verb import Run, verb
 from identknee.verbs.warming import warm_up
 
 # The subject as fitted, in the folder of the results.
@@ -122,71 +130,71 @@ class Calibration(SimulatedLaxity):
 @verb
 def fit(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    start: str = "subject",
-    method: str = "least-squares",
-    budget: int | None = None,
-    weighting: Weighting = "unit",
-    noise: NoiseLike = None,
-    likelihood: Likelihood = "normal",
-    uncertain: UncertainLike = None,
-    priors: bool = False,
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    hold_out: Sequence[str] | None = None,
-    continuation: Continuation = "continuation",
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    start: Annotated[
+        str,
+        option(
+            "Where the search starts: subject (its own values), IG1 to IG4 of the paper, or a file "
+            "ending in .toml."
+        ),
+    ] = "subject",
+    method: Method = "least-squares",
+    budget: Annotated[
+        int | None, option("Largest number of simulations; 2,500 if not given.")
+    ] = None,
+    weighting: Annotated[
+        Weighting,
+        option(
+            "How errors are weighted. unit: in mm and deg, as in equation 6 of the paper. noise: "
+            "divided by the sd_ columns.",
+            in_python="Always noise with --noise.",
+        ),
+    ] = "unit",
+    noise: Noise = None,
+    likelihood: Annotated[
+        Likelihood,
+        option(
+            "normal: least squares. student: errors with heavy tails and an estimated scale, so "
+            "that values far off count little."
+        ),
+    ] = "normal",
+    priors: Annotated[
+        bool,
+        option(
+            "Use the priors of the parameters. With unit weighting the errors are taken as 1 mm "
+            "and 1 deg."
+        ),
+    ] = False,
+    fixed: Annotated[
+        Sequence[str] | None,
+        option(
+            "Hold this parameter at its start.",
+            "--fix",
+            in_python="A list of names.",
+            metavar="NAME",
+        ),
+    ] = None,
+    bounds: Bounds = None,
+    hold_out: Annotated[
+        Sequence[str] | None,
+        option(
+            "Keep this trial from the fit and predict it, with intervals. * stands for any "
+            "letters, as in 'Internal*'.",
+            in_python="A list of names.",
+            metavar="TRIAL",
+        ),
+    ] = None,
+    continuation: Annotated[Continuation, LOAD_STEPS] = "continuation",
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Calibration:
     """One parameter set fitted to measured laxity from one start.
 
-    In a folder it leaves ``fitted``, the subject with the parameters and errors found, which
-    `simulate` predicts other tests from.
-
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    start
-        Where the search begins: ``"subject"``, ``"IG1"`` to ``"IG4"``, or a TOML file.
-    method
-        ``"least-squares"``, ``"complex"``, ``"genetic"``, ``"particle-swarm"``, ``"cma-es"`` or
-        ``"annealing"``.
-    budget
-        Simulations allowed; 2,500 if None.
-    weighting
-        ``"unit"`` for plain mm and deg, ``"noise"`` for residuals divided by their stated noise.
-    noise
-        Standard deviations of lengths and of angles [mm, deg], in place of those of the data: two
-        numbers or a text such as ``0.5mm,0.5deg``. Residuals are then divided by them.
-    likelihood
-        ``"normal"`` for least squares, ``"student"`` for errors with heavy tails, whose scale is
-        estimated: values that are far off count little.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    priors
-        Whether to add the priors of the parameters.
-    fixed
-        Names of parameters held at the start.
-    bounds
-        Lower and upper bound by parameter name.
-    hold_out
-        Names of trials to keep from the fit and to predict, ``*`` standing for any letters.
-    continuation
-        As for `identknee.model.laxity_model.LaxityModel`.
-    out
-        Folder for the results; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Without effect: one process does the work.
+    Writes the fitted parameters, the error that is left and how the search ended to result.json.
+    The folder fitted holds the subject with the parameters and errors found, for use with other
+    commands.
 
     Raises
     ------
@@ -197,11 +205,11 @@ def fit(
     check_word("continuation", continuation, get_args(Continuation))
     check_word("weighting", weighting, get_args(Weighting))
     check_word("likelihood", likelihood, get_args(Likelihood))
-    measured = run.laxity
+    measured = data
     if noise is not None:
         measured, weighting = with_noise(measured, noise), "noise"
     laxity, is_held = split(measured, hold_out or ())
-    model, pattern = table_model(run.knee, laxity, continuation)
+    model, pattern = table_model(subject, laxity, continuation)
     trials = TrialSearch(
         model=model,
         laxity=laxity,
@@ -210,7 +218,7 @@ def fit(
         fixed=fixed or (),
     )
     theta = load_start(start, trials.problem(laxity).parameters)
-    warm_up(run.knee, laxity.protocol)
+    warm_up(subject, laxity.protocol)
     run.start_clock()
     plain = partial(search, method=method, seed=seed, budget=budget, priors=priors)
     is_robust = likelihood == "student"
@@ -237,8 +245,8 @@ def fit(
         rmse=error,
         trials_used=() if found.outcome is Outcome.START_FAILED else used.names,
         held_out=held,
-        assumptions=(*about_inputs(run.knee, measured), *pattern, *used.sentences, *tails),
-        uncertainty=run.knee.uncertainty.words,
+        assumptions=(*about_inputs(subject, measured), *pattern, *used.sentences, *tails),
+        uncertainty=subject.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=_findings(trials, used, found, prediction, error),
     )

@@ -16,8 +16,6 @@ from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import with_stated
 from identknee.verbs.answer import Answer
 from identknee.verbs.knee_digest import knee_digest
-from identknee.verbs.profile import Profiles
-from identknee.verbs.simulate import SimulatedLaxity
 
 INSERTION = "insertion"
 
@@ -96,10 +94,8 @@ def fitted_values(answer: Answer) -> dict[str, float]:
     ValueError
         If the result holds no parameter set.
     """
-    if isinstance(answer, SimulatedLaxity):
-        return dict(zip(answer.parameter_names, answer.theta.tolist(), strict=True))
-    if isinstance(answer, Profiles):
-        return answer.optimum_by_name
+    if answer.parameter_set is not None:
+        return dict(answer.parameter_set)
     raise ValueError(
         f"a result of type {type(answer).__name__} holds no parameter set; give one of fit, "
         "profile or simulate"

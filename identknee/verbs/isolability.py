@@ -1,21 +1,20 @@
 """Which causes the trials of a protocol could show and tell apart, before any data."""
 
 from collections.abc import Mapping
+from typing import Annotated, Unpack
 
 from identknee.diagnosis.advice import ROOT, GroupAdvice, protocol_isolability
 from identknee.diagnosis.candidates import Visibility
 from identknee.diagnosis.isolability import LEAST_DISTANCE
-from identknee.laxity.named_trials import TrialsLike, read_trials
+from identknee.laxity.named_trials import read_trials
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputed
-from identknee.runs.files import PathLike
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
+from identknee.verbs.options import KneeOptions, ProtocolName, Seed, Subject, option
 from identknee.verbs.trials import AdvisedTrial, advised
 from identknee.verbs.values import noise_of
-from identknee.verbs.verb import Run, SubjectLike, verb
+from identknee.verbs.verb import Run, verb
 from identknee.verbs.warming import warm_up
 
 
@@ -60,35 +59,20 @@ class Isolability(Answer):
 @verb
 def isolability(
     run: Run,
-    subject: SubjectLike,
-    protocol: TrialsLike,
-    noise: str | tuple[float, float],
+    subject: Subject,
+    protocol: ProtocolName,
+    noise: Annotated[
+        str | tuple[float, float],
+        option(
+            "Standard deviations of lengths and angles, such as 0.5mm,0.5deg.",
+            in_python="A text, or two numbers in mm and deg.",
+        ),
+    ],
     *,
-    uncertain: UncertainLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Isolability:
     """Which causes the trials of a protocol could show and tell apart on a subject.
-
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    protocol
-        A protocol, the name of one, its TOML file, or a laxity table.
-    noise
-        Standard deviations of lengths and angles [mm, deg].
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    out
-        Folder for the results; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Without effect: one process does the work.
 
     Raises
     ------
@@ -99,19 +83,19 @@ def isolability(
     """
     trials = read_trials(protocol)
     mm, deg = noise_of(noise)
-    warm_up(run.knee, trials)
+    warm_up(subject, trials)
     run.start_clock()
-    found = protocol_isolability(run.knee, trials, sd_mm=mm, sd_deg=deg, seed=seed)
+    found = protocol_isolability(subject, trials, sd_mm=mm, sd_deg=deg, seed=seed)
     if found is None:
         raise NotComputed(
             "the subject's own values have no prediction in any trial of the protocol. See: "
-            f"identknee subject check {run.knee.name}"
+            f"identknee subject check {subject.name}"
         )
     order = [found.distances.rivals.index(x) for x in found.distances.effects]
     lost = trials.n - found.protocol.n
     said = (
         f"{lost} of the {trials.n} trials of {trials.name} have no prediction at the subject's own "
-        f"values and were left out. See: identknee subject check {run.knee.name}"
+        f"values and were left out. See: identknee subject check {subject.name}"
     )
     return Isolability(
         assumptions=(said,) if lost else (),

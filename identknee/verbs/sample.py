@@ -1,9 +1,9 @@
 """The posterior of the parameters given the data, and whether it can be trusted."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 
@@ -21,10 +21,19 @@ from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
+from identknee.verbs.options import (
+    Bounds,
+    Data,
+    Fixed,
+    KneeOptions,
+    Noise,
+    Seed,
+    Start,
+    Subject,
+    option,
+)
 from identknee.verbs.sample_cells import MeasuredCells, measured_cells
 from identknee.verbs.sample_records import (
     Draws,
@@ -36,8 +45,7 @@ from identknee.verbs.sample_records import (
     marginals_of,
     predictive,
 )
-from identknee.verbs.values import BoundsLike, NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
+from identknee.verbs.verb import Run, not_deciding, verb
 
 OPTIMUM = ("optimum", "parameter")
 
@@ -147,57 +155,51 @@ class Sample(Answer):
 @not_deciding("budget", "nested")
 def sample(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    basins: PathLike | None = None,
-    n_ensembles: int = 4,
-    moves: str | None = None,
-    budget: int = 400_000,
-    nested: bool = False,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    basins: Annotated[
+        PathLike | None,
+        option(
+            "The result.json of a sweep. Walkers then start in its basins; otherwise around fits "
+            "that start from draws of the prior.",
+            metavar="FILE",
+            typed=Path | None,
+        ),
+    ] = None,
+    n_ensembles: Annotated[
+        int, option("Number of independent ensembles of walkers.", "--ensembles", least=2)
+    ] = 4,
+    moves: Annotated[
+        str | None,
+        option(
+            "How walkers move. newton, surrogate and hamiltonian use the exact Jacobian; "
+            "difference and stretch do not need it.  [default: newton up to 12 parameters, "
+            "surrogate beyond]"
+        ),
+    ] = None,
+    budget: Annotated[
+        int,
+        option(
+            "Largest number of simulations. With a larger one and the same --out the run goes on.",
+            least=1,
+        ),
+    ] = 400_000,
+    nested: Annotated[
+        bool,
+        option("Also run nested sampling (dynesty), as a second opinion and for the evidence."),
+    ] = False,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Sample:
     """The posterior of the parameters given the data, and whether it can be trusted.
 
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    basins
-        The ``result.json`` of a sweep, in whose basins the walkers start; around fits from draws of
-        the prior if None.
-    n_ensembles
-        Independent ensembles of walkers.
-    moves
-        ``"newton"``, ``"surrogate"`` and ``"hamiltonian"`` use the exact Jacobian,
-        ``"difference"`` and ``"stretch"`` do without; Newton up to 12 parameters and a surrogate
-        beyond if None.
-    budget
-        Simulations after which sampling ends anyway; with more the same work goes on.
-    nested
-        Whether to add a second opinion and the evidence, by dynesty.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    noise, start, fixed, bounds
-        As for `identknee.verbs.identification.identification`.
-    out
-        Folder for the results, and for the work of a run that was stopped, which the same call
-        resumes; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    Walkers run until they pass the convergence checks, whose numbers are in result.json. All draws
+    are in result.nc, with the laxity and the ligament forces at some of them.
 
     Raises
     ------
@@ -207,9 +209,7 @@ def sample(
     ModuleNotFoundError
         If dynesty is wanted and not installed.
     """
-    setup = identification(
-        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
-    )
+    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
     optima = None if basins is None else _optima(Path(basins), setup.problem.parameters)
     run.start_clock()
     posterior = sampled(

@@ -1,17 +1,19 @@
 """Whether a subject is sound, and whether its trials are stable."""
 
+from typing import Annotated, Unpack
+
 from identknee.checks.subject_checks import StabilityReport, check_stability
-from identknee.laxity.named_trials import TrialsLike, read_tests
+from identknee.laxity.named_trials import read_tests
 from identknee.model.insertion_moves import WITHIN
 from identknee.model.of_tests import model_of_tests
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import threads
-from identknee.runs.files import PathLike
 from identknee.runs.findings import Severity
-from identknee.runs.workers import Workers, executor_of
+from identknee.runs.workers import executor_of
 from identknee.subject.check import GeometryFinding, check_geometry
+from identknee.verbs.options import OutOption, ProtocolName, Seed, Subject, Within, Workers, option
 from identknee.verbs.subject_facts import SubjectFacts, facts_of
-from identknee.verbs.verb import Run, SubjectLike, recorded_as, verb
+from identknee.verbs.verb import Run, recorded_as, verb
 from identknee.verbs.warming import warm_up
 
 PROPOSAL = (
@@ -45,6 +47,11 @@ class SubjectCheck(SubjectFacts):
         """How many findings should be looked at."""
         return self._count(Severity.WARNING)
 
+    @property
+    def refuses_input(self) -> bool:  # type: ignore[explicit-override]
+        """Whether a finding forbids any use."""
+        return self.n_errors > 0
+
     def _count(self, severity: Severity) -> int:
         return sum(x.severity is severity for x in self.findings)
 
@@ -53,49 +60,34 @@ class SubjectCheck(SubjectFacts):
 @recorded_as("subject check")
 def check_subject(
     run: Run,
-    subject: SubjectLike,
+    subject: Subject,
     *,
-    protocol: TrialsLike = "seed63",
-    samples: int = 200,
-    within: float = WITHIN,
-    out: PathLike | None = None,
-    seed: int = 0,
+    protocol: ProtocolName = "seed63",
+    samples: Annotated[
+        int, option("Number of parameter sets to draw from the ranges; 0 for none.", least=0)
+    ] = 200,
+    within: Within = WITHIN,
+    seed: Seed = 0,
     workers: Workers = 1,
+    **_: Unpack[OutOption],
 ) -> SubjectCheck:
-    """Checks of surfaces, frames and ligaments, then of the stability of all trials.
+    """What is wrong with a subject, and how stable its trials are.
 
-    Stability is checked at the subject's own parameters and in a box around them: stiffness by
-    +-50 %, reference strain by +-3 %. Where trials have no stable pose, each insertion is moved to
-    see what that restores.
-
-    Parameters
-    ----------
-    subject
-        A knee, a subject folder, or the name of one that comes with identknee.
-    protocol
-        A protocol, the name of one, its TOML file, or a laxity table.
-    samples
-        Parameter vectors drawn from the box; 0 for none.
-    within
-        Uncertainty of the insertions [mm], up to 8.
-    out
-        Folder for the results; nothing is written if None.
-    seed
-        Seed of the draws.
-    workers
-        Threads to work with, or the address of a dask scheduler; results are the same.
+    Checks surfaces, frames and ligaments, then the stability of the model under a protocol. It
+    does so at the parameters of the subject and in a range around them: stiffness by +-50 %,
+    reference strain by +-3 %. If trials have no stable pose, it says which insertions to move,
+    within their uncertainty. The exit code is 2 if there is an error.
 
     Raises
     ------
     InputError
         If subject or protocol cannot be read. What can be read but is wrong is a finding.
     """
-    knee = run.knee
     tests = read_tests(protocol)
-    findings, stability = check_geometry(knee), None
+    findings, stability = check_geometry(subject), None
     if not any(x.severity is Severity.ERROR for x in findings):
-        model = model_of_tests(knee, tests)
-        warm_up(knee, model.protocol)
+        model = model_of_tests(subject, tests)
+        warm_up(subject, model.protocol)
         run.start_clock()
         with executor_of(workers, threads) as executor:
             stability = check_stability(
@@ -103,8 +95,8 @@ def check_subject(
             )
         findings += stability.findings
     return SubjectCheck(
-        **facts_of(knee),
+        **facts_of(subject),
         findings=findings,
         stability=stability,
-        assumptions=(PROPOSAL,) if knee.uncertainty.is_exact else (),
+        assumptions=(PROPOSAL,) if subject.uncertainty.is_exact else (),
     )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, Unpack
 
 from identknee.laxity.named_trials import TrialsLike
 from identknee.runs.arrays import Array
@@ -13,7 +13,60 @@ from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim import import_opensim
 from identknee.verbs.answer import Answer
-from identknee.verbs.verb import Run, SubjectLike, recorded_as, verb
+from identknee.verbs.options import (
+    Out,
+    OutOption,
+    Subject,
+    argument,
+    documented,
+    option,
+    trials_option,
+)
+from identknee.verbs.verb import Run, recorded_as, verb
+
+Bundles = Literal["separate", "merged"]
+ExportFitted = Annotated[
+    PathLike | None,
+    option(
+        "A result of fit, profile or simulate for SUBJECT, whose parameters the knee gets, or a "
+        "folder with several results.",
+        in_python="The latest fit counts most.",
+        metavar="DIR",
+        typed=Path | None,
+    ),
+]
+ExportOsim = Annotated[bool, option("Also write an OpenSim 4 model.")]
+ExportSource = Annotated[
+    PathLike | None,
+    option(
+        "The OpenSim model that SUBJECT was imported from: write a copy of it with the knee's "
+        "ligaments. Give lenhart2015 for the one that comes with identknee.",
+        metavar="FILE.osim",
+        typed=str | None,
+    ),
+]
+ExportVtk = Annotated[bool, option("Also write the knee in every trial, for ParaView and PyVista.")]
+ExportTrials = Annotated[
+    TrialsLike | None,
+    trials_option("The trials of --vtk: {}. If not given: those of the result, or drawer."),
+]
+
+
+class ExportOptions(OutOption, total=False):
+    """What an export was asked for, which the record of the call keeps."""
+
+    fitted: ExportFitted
+    osim: ExportOsim
+    source: ExportSource
+    vtk: ExportVtk
+    protocol: ExportTrials
+
+
+class ImportOptions(OutOption, total=False):
+    """What an import was asked for, which the record of the call keeps."""
+
+    osim: Annotated[Path, option("The model.")]
+    bundles: Annotated[str, option("How bundles are kept.")]
 
 
 @declared
@@ -72,65 +125,48 @@ def facts_of(knee: Knee) -> dict[str, Any]:
 
 @verb
 @recorded_as("subject show")
-def describe_subject(
-    run: Run, subject: SubjectLike, *, out: PathLike | None = None
-) -> SubjectFacts:
-    """What a subject is made of.
-
-    Parameters
-    ----------
-    subject
-        A knee, a subject folder, or the name of one that comes with identknee.
-    out
-        Folder for ``result.json`` and ``result.nc``; nothing is written if None.
-    """
-    return SubjectFacts(**facts_of(run.knee))
+def describe_subject(_run: Run, subject: Subject, **_: Unpack[OutOption]) -> SubjectFacts:
+    """What a subject is made of."""
+    return SubjectFacts(**facts_of(subject))
 
 
 @verb
 @recorded_as("subject export", secret=("written",))
 def exported_subject(
-    run: Run,
-    subject: Knee,
+    _run: Run,
+    subject: Subject,
     *,
-    fitted: PathLike | None,
-    osim: bool,
-    source: PathLike | None,
-    vtk: bool,
-    protocol: TrialsLike | None,
-    written: Sequence[PathLike],
-    out: PathLike,
+    written: Annotated[Sequence[PathLike], option("Files for other tools.", is_typed=False)] = (),
+    **_: Unpack[ExportOptions],
 ) -> SubjectFacts:
-    """What a subject is made of that was written to `out`, and the files for other tools there."""
-    return SubjectFacts(**facts_of(run.knee), written=tuple(map(str, written)))
+    """What a subject is made of that was written to a folder, and the files for other tools."""
+    return SubjectFacts(**facts_of(subject), written=tuple(map(str, written)))
 
 
+@documented
 def import_subject(
-    file: PathLike,
+    file: Annotated[
+        PathLike,
+        argument(
+            "An OpenSim/JAM model, or lenhart2015 for the one that comes with identknee.",
+            "FILE.osim",
+            typed=str,
+        ),
+    ],
     *,
-    bundles: Literal["separate", "merged"] = "separate",
-    out: PathLike | None = None,
+    bundles: Annotated[
+        Bundles, option("Keep the bundles separate, or merge them to four single lines.")
+    ] = "separate",
+    out: Out = None,
 ) -> SubjectFacts:
-    """The knee of an OpenSim model, written as a subject folder.
-
-    Parameters
-    ----------
-    file
-        An OpenSim/JAM model, or ``lenhart2015`` for the one that comes with identknee.
-    bundles
-        Keep the bundles separate, or merge them to four single lines.
-    out
-        The subject folder, which also gets the result; nothing is written if None.
-    """
+    """The knee of an OpenSim model, written as a subject folder."""
     knee = import_opensim(file, bundles=bundles)
     return _import(knee, osim=opensim_file(file), bundles=bundles, out=out)
 
 
 @verb
 @recorded_as("subject import-osim")
-def _import(
-    run: Run, subject: Knee, *, osim: Path, bundles: str, out: PathLike | None
-) -> SubjectFacts:
+def _import(run: Run, subject: Subject, **_: Unpack[ImportOptions]) -> SubjectFacts:
     if run.out is not None:
-        write_subject(run.knee, run.out)
-    return SubjectFacts(**facts_of(run.knee))
+        write_subject(subject, run.out)
+    return SubjectFacts(**facts_of(subject))

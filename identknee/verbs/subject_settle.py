@@ -1,19 +1,20 @@
 """A subject whose insertions were moved until its trials converge."""
 
 from dataclasses import replace
+from typing import Unpack
 
-from identknee.laxity.named_trials import TrialsLike, read_tests
+from identknee.laxity.named_trials import read_tests
 from identknee.model.insertion_moves import WITHIN, MovedInsertion, settle
 from identknee.model.of_tests import model_of_tests
 from identknee.runs.declare import declared, entry
 from identknee.runs.executors import threads
-from identknee.runs.files import PathLike
-from identknee.runs.workers import Workers, executor_of
+from identknee.runs.workers import executor_of
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
+from identknee.verbs.options import OutOption, ProtocolName, Subject, Within, Workers
 from identknee.verbs.subject_facts import LigamentFacts, facts_of
-from identknee.verbs.verb import Run, SubjectLike, recorded_as, verb
+from identknee.verbs.verb import Run, recorded_as, verb
 from identknee.verbs.warming import warm_up
 
 
@@ -58,45 +59,34 @@ class SettledSubject(Answer):
 @recorded_as("subject settle")
 def settle_subject(
     run: Run,
-    subject: SubjectLike,
+    subject: Subject,
     *,
-    protocol: TrialsLike = "seed63",
-    within: float = WITHIN,
-    out: PathLike | None = None,
+    protocol: ProtocolName = "seed63",
+    within: Within = WITHIN,
     workers: Workers = 1,
+    **_: Unpack[OutOption],
 ) -> SettledSubject:
     """The subject with its insertions moved, within their uncertainty, until all trials converge.
 
-    A moved insertion is no longer the one that was segmented.
-
-    Parameters
-    ----------
-    subject
-        A knee, a subject folder, or the name of one that comes with identknee.
-    protocol
-        A protocol, the name of one, its TOML file, or a laxity table.
-    within
-        Uncertainty of the insertions [mm], up to 8.
-    out
-        The subject folder to write, which also gets the result; nothing is written if None.
-    workers
-        Threads to work with, or the address of a dask scheduler; results are the same.
+    They stay within their uncertainty. Writes a subject folder with the moved insertions, and says
+    how far each one moved. A moved insertion is no longer the one that was segmented. The exit
+    code is 1 if some trials still have no stable pose. Nothing is random.
 
     Raises
     ------
     ValueError
         If the distance is not between 0 and 8 mm.
     """
-    model = model_of_tests(run.knee, read_tests(protocol))
-    warm_up(run.knee, model.protocol)
+    model = model_of_tests(subject, read_tests(protocol))
+    warm_up(subject, model.protocol)
     run.start_clock()
     with executor_of(workers, threads) as executor:
         found = settle(model, within_mm=within, executor=executor)
-    settled = replace(found.knee, name=f"{run.knee.name}_settled")
+    settled = replace(found.knee, name=f"{subject.name}_settled")
     if run.out is not None:
         write_subject(settled, run.out)
     return SettledSubject(
-        subject=run.knee.name,
+        subject=subject.name,
         n_trials=found.n_trials,
         n_before=found.n_before,
         n_after=found.n_after,

@@ -7,14 +7,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar, overload
+from typing import Protocol as TypedProtocol
 
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.runs.executors import Executor
-from identknee.runs.files import PathLike, digest, prepare_folder
+from identknee.runs.files import digest, prepare_folder
 from identknee.runs.library_threads import one_library_thread
 from identknee.runs.record import record
 from identknee.runs.store import Store, finish_work, open_work
@@ -24,6 +25,13 @@ from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import with_stated
 from identknee.verbs.answer import Answer
 from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.options import (
+    REFERENCE,
+    LaxityLike,
+    SubjectLike,
+    explained,
+    parameters_in_full,
+)
 
 WORK = "work.sqlite"
 # What cannot change a number; everything else decides whether stored work may be resumed. Of
@@ -34,11 +42,10 @@ BESIDE, RECORDED = "__not_deciding__", "__recorded_as__"
 READ, SUMMARY = (".toml", ".json", ".osim", ".csv", ".sto", ".mot"), "result.json"
 # Kept by their names in the record of a call.
 _NAMED = (Knee, Protocol, MechanicalEffect, ObservationEffect)
-SubjectLike = Knee | PathLike
-LaxityLike = Laxity | PathLike
 Arguments = ParamSpec("Arguments")
 Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result", bound=Answer)
+Given = TypeVar("Given", bound=Answer, covariant=True)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -47,8 +54,6 @@ class Run:
 
     Attributes
     ----------
-    knee, measured
-        The subject and the data, read and digested; None for no data.
     workers
         Processes to work with.
     out
@@ -57,8 +62,6 @@ class Run:
         All that the results depend on.
     """
 
-    knee: Knee
-    measured: Laxity | None
     workers: Workers
     out: Path | None
     deciding: Mapping[str, Any]
@@ -66,19 +69,6 @@ class Run:
     _executor: Executor | None = None
     _store: Store | None = None
     _began: float = 0.0
-
-    @property
-    def laxity(self) -> Laxity:
-        """The data.
-
-        Raises
-        ------
-        ValueError
-            If there are none.
-        """
-        if self.measured is None:
-            raise ValueError("there are no data; give a laxity table")
-        return self.measured
 
     @property
     def executor(self) -> Executor:
@@ -114,25 +104,75 @@ class Run:
         return earlier + time.perf_counter() - self._began
 
 
+class OfData(TypedProtocol[Arguments, Given]):
+    """A verb as users call it: with a knee and its laxity, or where to read them."""
+
+    def __call__(
+        self,
+        subject: SubjectLike,
+        data: LaxityLike,
+        *args: Arguments.args,
+        **kwargs: Arguments.kwargs,
+    ) -> Given:
+        """The answer."""
+
+
+class OfMaybeData(TypedProtocol[Arguments, Given]):
+    """The same of a verb that may do without data."""
+
+    def __call__(
+        self,
+        subject: SubjectLike,
+        data: LaxityLike | None = None,
+        *args: Arguments.args,
+        **kwargs: Arguments.kwargs,
+    ) -> Given:
+        """The answer."""
+
+
+class OfSubject(TypedProtocol[Arguments, Given]):
+    """The same of a verb without data."""
+
+    def __call__(
+        self, subject: SubjectLike, *args: Arguments.args, **kwargs: Arguments.kwargs
+    ) -> Given:
+        """The answer."""
+
+
+@overload
+def verb(
+    function: Callable[Concatenate[Run, Knee, Laxity | None, Arguments], Result],
+) -> OfMaybeData[Arguments, Result]: ...
+@overload
+def verb(
+    function: Callable[Concatenate[Run, Knee, Laxity, Arguments], Result],
+) -> OfData[Arguments, Result]: ...
+@overload
+def verb(
+    function: Callable[Concatenate[Run, Knee, Arguments], Result],
+) -> OfSubject[Arguments, Result]: ...
+@overload
 def verb(
     function: Callable[Concatenate[Run, Arguments], Result],
-) -> Callable[Arguments, Result]:
-    """The function as users call it: without its run, which is made from the arguments.
+) -> Callable[Arguments, Result]: ...
+def verb(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function as users call it: without its run, and with files in place of what is in them.
 
-    The arguments ``subject`` and ``data`` may be a knee and its laxity or where to read them,
-    ``out`` and ``workers`` say where results go and how many processes work. Every other argument
-    is part of what stored work must agree with to be resumed.
+    The function gets ``subject`` and ``data`` as they were read, the subject with its uncertainty
+    as ``uncertain`` states it. The run has the folder ``out`` and the executor of ``workers``.
+    Every other argument is part of what stored work must agree with to be resumed.
     """
-    signature = inspect.signature(function)
-    own = list(signature.parameters.values())[1:]
+    public = parameters_in_full(function)
+    # The run comes first.
+    del public[next(iter(public))]
 
     @functools.wraps(function)
-    def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+    def called(*args: Any, **kwargs: Any) -> Any:
         bound = called.__signature__.bind(*args, **kwargs)  # type: ignore[attr-defined]
         bound.apply_defaults()
-        with one_library_thread(), _run(function, bound.arguments) as (run, recording):
+        with one_library_thread(), _run(function, bound.arguments) as (run, read, recording):
             run.start_clock()
-            result = function(run, *bound.args, **bound.kwargs)
+            result = function(run, **bound.arguments | read)
             result = replace(result, seconds=run.seconds, record=recording.finish())
         if run.out is not None:
             # xarray takes longer to load than a short computation takes.
@@ -142,8 +182,7 @@ def verb(
             run.finish()
         return result
 
-    called.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
-    return called
+    return explained(called, public)
 
 
 def not_deciding(*names: str) -> Callable[[Function], Function]:
@@ -173,17 +212,23 @@ def recorded_as(name: str, *, secret: Sequence[str] = ()) -> Callable[[Function]
 
 
 @contextmanager
-def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator[tuple[Run, Any]]:
+def _run(
+    function: Callable[..., Any], arguments: Mapping[str, Any]
+) -> Iterator[tuple[Run, Mapping[str, Any], Any]]:
+    """The run, the arguments that were read from files, and the recording."""
     name, secret = getattr(function, RECORDED, (function.__name__, frozenset()))
     beside = NOT_DECIDING | getattr(function, BESIDE, frozenset())
     out = arguments.get("out")
     folder = None if out is None else prepare_folder(out)
     data = arguments.get("data")
     laxity = data if data is None or isinstance(data, Laxity) else read_laxity(data)
-    subject = arguments.get("subject", "reference")
+    if laxity is None and _needs_data(function):
+        raise ValueError("there are no data; give a laxity table")
+    subject = arguments.get("subject", REFERENCE)
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
         knee = knee.with_uncertainty(with_stated(knee.uncertainty, stated))
+    read = {k: x for k, x in (("subject", knee), ("data", laxity)) if k in arguments}
     inputs = _inputs(arguments, knee, data)
     settings = {key: _setting(x) for key, x in arguments.items()}
     told = {key: x for key, x in settings.items() if key not in secret}
@@ -192,14 +237,17 @@ def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator
     workers = arguments.get("workers", 1)
     with ExitStack() as stack:
         run = Run(
-            knee=knee,
-            measured=laxity,
             workers=workers,
             out=folder,
             deciding={"verb": name, "inputs": inputs, **deciding},
             _stack=stack,
         )
-        yield run, recording
+        yield run, read, recording
+
+
+def _needs_data(function: Callable[..., Any]) -> bool:
+    data = inspect.signature(function).parameters.get("data")
+    return data is not None and data.default is data.empty
 
 
 def _inputs(arguments: Mapping[str, Any], knee: Knee, data: Any) -> dict[str, str]:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 import typer
+from identknee.report.terminal import terminal_lines
 
 from identknee.cli.app import app
-from identknee.report.terminal import terminal_lines
 from identknee.verbs.files import load
 
 HERE = Path(__file__).parent

@@ -256,8 +256,8 @@ IDENTIFICATION = (
     fault(
         "identknee/identify/posterior/convergence.py",
         "normal_scores",
-        "return np.asarray(norm.ppf((ranks - 0.375) / (values.size + 0.25)))",
-        "return np.asarray(norm.ppf((ranks - 0.5) / (values.size + 0.25)))",
+        "return np.asarray(scipy.stats.norm.ppf((ranks - 0.375) / (values.size + 0.25)))",
+        "return np.asarray(scipy.stats.norm.ppf((ranks - 0.5) / (values.size + 0.25)))",
         "ranks are not those of Blom, and R-hat is not that of the literature",
         "tests/unit/identify/test_chains.py::test_rhat_sees_a_shift_of_heavy_tails_because_it_counts_ranks",
         "tests/unit/identify/test_chains.py::test_scores_of_ranks_are_those_of_blom",
@@ -330,8 +330,8 @@ IDENTIFICATION = (
     fault(
         "identknee/identify/region.py",
         "power_of_best_test",
-        "return float(norm.sf(norm.isf(LEVEL) - np.sqrt(squared_distance)))",
-        "return float(norm.sf(norm.isf(LEVEL) - squared_distance))",
+        "return float(scipy.stats.norm.sf(scipy.stats.norm.isf(LEVEL) - np.sqrt(squared_distance)))",
+        "return float(scipy.stats.norm.sf(scipy.stats.norm.isf(LEVEL) - squared_distance))",
         "the power to tell two parameter sets apart is that of another distance",
         "tests/unit/identify/test_equivalents.py::test_power_grows_with_the_distance_and_not_with_its_square",
     ),
@@ -445,8 +445,8 @@ DIAGNOSIS = (
     fault(
         "identknee/diagnosis/misfit.py",
         "size_check",
-        "p_value = float(stats.f.sf(ratio, degrees, noise_degrees))",
-        "p_value = float(stats.chi2.sf(square, degrees))",
+        "p_value = float(scipy.stats.f.sf(ratio, degrees, noise_degrees))",
+        "p_value = float(scipy.stats.chi2.sf(square, degrees))",
         "an estimated noise counts as known",
         "tests/unit/diagnosis/test_goodness.py::test_noise_estimated_from_few_values_alarms_as_often_as_stated",
     ),

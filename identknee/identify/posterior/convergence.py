@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from enum import Enum, unique
 
 import numpy as np
+import scipy
 from scipy.special import ndtr, ndtri
-from scipy.stats import beta, norm, rankdata
 
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, entry
@@ -78,8 +78,8 @@ def effective_draws(values: Array) -> float:
 
 def normal_scores(values: Array) -> Array:
     """Normal quantiles of the ranks among all values, same shape."""
-    ranks = rankdata(values, method="average").reshape(values.shape)
-    return np.asarray(norm.ppf((ranks - 0.375) / (values.size + 0.25)))
+    ranks = scipy.stats.rankdata(values, method="average").reshape(values.shape)
+    return np.asarray(scipy.stats.norm.ppf((ranks - 0.375) / (values.size + 0.25)))
 
 
 def bulk_draws(values: Array) -> Array:
@@ -137,7 +137,7 @@ def quantile_error(values: Array, probability: float) -> float:
     if not np.isfinite(draws) or draws <= 0:
         return np.inf
     shape = (draws * probability + 1.0, draws * (1.0 - probability) + 1.0)
-    between = beta.ppf([ONE_SD, 1.0 - ONE_SD], *shape)
+    between = scipy.stats.beta.ppf([ONE_SD, 1.0 - ONE_SD], *shape)
     low, high = np.quantile(values, between)
     return float(0.5 * (high - low))
 

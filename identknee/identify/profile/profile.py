@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.bounded_least_squares import IsEnough, minimise

@@ -1,15 +1,22 @@
 """Which trials to measure next, and what they would tell."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from typing_extensions import override
 
 from identknee.identify.profile.result import Profile
 from identknee.laxity.trial_words import trial_words
 from identknee.report.answers.advised import table_of_trials
 from identknee.report.answers.better_known import better_known_statements
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import counted, interval_words
-from identknee.runs.words import capital, label, listed, parameter_words
+from identknee.report.words import counted, interval_words, trial_list
+from identknee.runs.arrays import Array
+from identknee.runs.words import capital, label, listed, parameter_words, unit_of
+from identknee.subject.knee import Knee
 from identknee.verbs.design import ADVICE, Design
 
 # Beyond so many, targets are counted and not named.
@@ -71,3 +78,79 @@ def _trials(answer: Design) -> Table:
 
 def _ends(*ends: float | None) -> str:
     return " to ".join("open" if x is None else f"{x:.3g}" for x in ends)
+
+
+def _both_ends(profiles: Sequence[Profile]) -> Array:
+    """Both ends of each interval, shape ``(t, 2)``; NaN where open."""
+    return np.array([(x.lower, x.upper) for x in profiles], dtype=np.float64)
+
+
+class DesignPresenter(Presenter[Design]):
+    """How advised trials are shown."""
+
+    question = Question.NEXT
+
+    @override
+    def statements(self, answer: Design) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from design_statements(answer)
+
+    @override
+    def drawings(self, answer: Design, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """What the advised trials would bring, and all that were to choose from."""
+        from identknee.report.design_figures import (
+            candidates_figure,
+            intervals_figure,
+            steps_figure,
+        )
+
+        choice = answer.choice
+        before, after = (list(x.values()) for x in (choice.before, choice.after))
+        ends = {
+            "before": _both_ends(before),
+            "predicted": choice.predicted[-1],
+            "achieved": _both_ends(after),
+        }
+        names, trials = [label(x) for x in choice.targets], listed(answer.advised)
+        yield Drawing(
+            name="design-intervals",
+            figure=intervals_figure(names, [x.optimum_value for x in before], ends),
+            caption="The interval of each target: now, as predicted with the advised trials, and "
+            "as found when those trials were simulated.",
+            description=f"Intervals of {listed(names)} before and after adding {trials}.",
+        )
+        widths = np.diff(choice.predicted)[..., 0]
+        relative = {x: widths[:, t] / widths[0, t] for t, x in enumerate(names)}
+        achieved = dict(
+            zip(names, (np.diff(ends["achieved"])[:, 0] / widths[0]).tolist(), strict=True)
+        )
+        yield Drawing(
+            name="design-steps",
+            figure=steps_figure(relative, achieved),
+            caption="How much narrower each interval becomes with every trial added.",
+            description=f"Relative widths by the number of trials added, down to "
+            f"{listed(f'{x:.2f}' for x in achieved.values())}.",
+        )
+        gains = choice.losses[0] - choice.alone
+        yield Drawing(
+            name="design-candidates",
+            figure=candidates_figure(
+                answer.candidates, gains, choice.chosen, "gain of one such trial"
+            ),
+            caption="What each possible trial alone would gain. Circles mark the advised trials, "
+            "with their order and how often each is to be made.",
+            description=f"Gain of {choice.n_candidates} candidate trials; chosen are {trials}.",
+        )
+
+    @override
+    def next_tests(self, answer: Design) -> Iterator[str]:
+        """The trials, and how they narrow the first target."""
+        choice = answer.choice
+        name = choice.targets[0]
+        before, after = choice.before[name], choice.after[name]
+        now, then = (interval_words(x.lower, x.upper, unit_of(name)) for x in (before, after))
+        words = parameter_words(name)
+        brings = f"This would narrow {words} to {then}; it is {now} now."
+        if now == then:
+            brings = f"{capital(words)} stays {then}."
+        yield f"{trial_list(answer.trials)}. {brings}"

@@ -2,15 +2,33 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
+from typing_extensions import override
+
 from identknee.identify.equivalents import Extrema
 from identknee.identify.extremum import End
+from identknee.laxity.table import COORDINATES
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Band, Presenter
+from identknee.report.range import SDS_95, Range, Source
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.runs.words import amount, between, interval, label, parameter_words
+from identknee.runs.words import (
+    amount,
+    between,
+    interval,
+    label,
+    label_without_unit,
+    listed,
+    parameter_words,
+)
+from identknee.subject.knee import Knee
 from identknee.verbs.equivalents import Equivalents
 
 STIFFNESS = "stiffness_kN"
 MOST_FORCES = 12
+# Forces in a figure.
+MOST_DRAWN = 16
 # What ends a range as a rule.
 USUAL = {End.LIMIT, End.INTERIOR}
 
@@ -91,3 +109,69 @@ def _width(x: Extrema) -> float:
 
 def _ends(x: Extrema) -> tuple[float, float]:
     return x.smallest, x.largest
+
+
+class EquivalentsPresenter(Presenter[Equivalents]):
+    """How equivalent sets are shown."""
+
+    @override
+    def statements(self, answer: Equivalents) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from equivalents_statements(answer)
+
+    @override
+    def drawings(self, answer: Equivalents, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """The sets, and the ranges of forces."""
+        from identknee.report.equivalents_figures import ranges_figure, sets_figure
+
+        region, names = answer.region, answer.region.parameter_names
+        apart = answer.coordinates - answer.coordinates.mean(axis=0)
+        bands = {label(x): apart[:, :, j] for j, x in enumerate(COORDINATES)}
+        yield Drawing(
+            name="sets",
+            figure=sets_figure(names, region.sets, region.fit, bands, origin="the mean"),
+            caption="Above: parameter sets that this measurement cannot tell apart, one line each. "
+            "Below: how little their laxity differs, trial by trial.",
+            description=f"{region.n_sets} equivalent sets of {listed(map(label, names))}, and the "
+            "spread of their laxity.",
+        )
+        forces = sorted(region.quantities.values(), key=lambda x: x.smallest - x.largest)
+        if widest := forces[:MOST_DRAWN]:
+            shown = [label_without_unit(x.name) for x in widest]
+            ends = np.array([(x.smallest, x.largest) for x in widest])
+            # Forces of hundreds of N that differ by a few would all be ticks on one axis.
+            at_fit = np.array([x.at_fit for x in widest])
+            apart = {"equivalent sets": ends - at_fit[:, None]}
+            named = [f"{x}, {y:.0f} N" for x, y in zip(shown, at_fit, strict=True)]
+            yield Drawing(
+                name="force-ranges",
+                figure=ranges_figure(
+                    named, 0.0 * at_fit, apart, unit="tension minus the fit's [N]"
+                ),
+                caption="Smallest and largest ligament force among these sets, where they differ "
+                "most, beside that of the fit (its name and size on the left).",
+                description=f"Force ranges; the widest is {shown[0]}, {ends[0, 0]:.0f} to "
+                f"{ends[0, 1]:.0f} N.",
+            )
+
+    @override
+    def band(self, answer: Equivalents) -> Band:
+        """All that the sets predict."""
+        return "equivalent sets", answer.coordinates, (0.0, 1.0)
+
+    @override
+    def ranges(self, answer: Equivalents) -> Iterator[tuple[str, Range]]:
+        """From the smallest to the largest value of each quantity."""
+        reach = answer.region.limit / SDS_95**2 if answer.criterion == "noise" else None
+        for x in answer.region.extrema:
+            yield (
+                x.name,
+                Range(
+                    source=Source.EQUIVALENTS,
+                    low=x.smallest,
+                    high=x.largest,
+                    value=x.at_fit,
+                    status="at least so uncertain",
+                    reach=reach,
+                ),
+            )

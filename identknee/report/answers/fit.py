@@ -1,22 +1,36 @@
 """What a fit says: how well it reproduces the data, and that this is not yet knowledge."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.checks.fit_warnings import AT_END
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.zeros import from_zero
+from identknee.report.answers.simulate import simulated_curves
+from identknee.report.presenter import Presenter, of_type, presenter_of
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
+from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import amount, coordinate_words, label, listed, unit_of
+from identknee.verbs.answer import Answer
 from identknee.verbs.fit import Calibration
 from identknee.verbs.held_out import HeldOut
+
+if TYPE_CHECKING:
+    from identknee.report.laxity_figures import LaxityCurves
 
 # Below it an error is that of rounding, mm or deg.
 NO_ERROR = 1e-4
 # Stated errors that a terminal shows.
 MOST_ERRORS = 8
+# Fits in a figure.
+MOST_LINES = 4
 
 
 def fit_statements(answer: Calibration) -> Iterator[Statement]:
@@ -123,3 +137,52 @@ def nuisance_tables(answer: Calibration) -> Iterator[Table]:
             rows=tuple((label(x.name), x.value, x.sd, x.prior_sd) for x in moved),
             most=MOST_ERRORS,
         )
+
+
+def _fits_of(first: Calibration, beside: Sequence[Answer]) -> list[Calibration]:
+    """All fits of the same trials, in the order of their results."""
+    fits = of_type(beside, Calibration)
+    return [x for x in fits if x.protocol.trials == first.protocol.trials][:MOST_LINES]
+
+
+def _band(
+    beside: Sequence[Answer], as_measured: Callable[[Array], Array]
+) -> tuple[str, Array] | None:
+    """Predictions of the posterior, or of equivalent sets, from the same data."""
+    for other in beside:
+        if (found := presenter_of(other).band(other)) is not None:
+            name, coordinates, ends = found
+            drawn = np.array([as_measured(x) for x in coordinates])
+            return name, np.quantile(drawn, ends, axis=0)
+    return None
+
+
+class CalibrationPresenter(Presenter[Calibration]):
+    """How a fit is shown."""
+
+    @override
+    def statements(self, answer: Calibration) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from fit_statements(answer)
+
+    @override
+    def curves(self, answer: Calibration, beside: Sequence[Answer]) -> "LaxityCurves":
+        """Measured laxity, that of all fits to it, and a band of what fits as well."""
+
+        def as_measured(values: Array) -> Array:
+            return from_zero(values, answer.protocol, answer.data.zero)
+
+        fits = _fits_of(answer, beside)
+        return replace(
+            simulated_curves(answer, answer.data),
+            simulated={
+                "fit" if len(fits) == 1 else f"fit from {x.start}": as_measured(x.coordinates)
+                for x in fits
+            },
+            band=_band(beside, as_measured),
+        )
+
+    @override
+    def protocol(self, answer: Calibration) -> Protocol:
+        """The trials fitted to."""
+        return answer.protocol

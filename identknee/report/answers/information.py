@@ -2,11 +2,18 @@
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+from typing_extensions import override
+
 from identknee.identify.geodesic import Boundary
 from identknee.identify.information import Information
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
+from identknee.report.range import SDS_95, Range, Source
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import label, label_without_unit, listed, parameter_words
+from identknee.subject.knee import Knee
 from identknee.verbs.information import LocalIdentifiability
 
 
@@ -93,3 +100,55 @@ def _parameters(found: Information) -> Table:
             for name, best, sd in zip(found.parameter_names, found.theta, found.sd, strict=True)
         ),
     )
+
+
+class InformationPresenter(Presenter[LocalIdentifiability]):
+    """How the information around the best fit is shown."""
+
+    # As of a sample.
+    is_folded = True
+
+    @override
+    def statements(self, answer: LocalIdentifiability) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from information_statements(answer)
+
+    @override
+    def drawings(
+        self, answer: LocalIdentifiability, subject: str, knee: Knee | None
+    ) -> Iterator[Drawing]:
+        """The eigenvalues and the eigenvectors."""
+        from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
+
+        found = answer.fisher
+        yield Drawing(
+            name="spectrum",
+            figure=spectrum_figure({subject: found}),
+            caption="How well the data determine each combination of parameters, from stiff to "
+            "sloppy. A bar marks what rounding alone would give.",
+            description=f"Eigenvalues of the information from {found.eigenvalues[0]:.3g} to "
+            f"{found.eigenvalues[-1]:.3g}; {found.n_above_noise} of {found.theta.size} stand above "
+            "the solver's noise.",
+        )
+        yield Drawing(
+            name="eigenvectors",
+            figure=eigenvectors_figure(found),
+            caption="Which parameters make up each of these combinations, one column each.",
+            description="The least known combination is "
+            f"{found.combination(found.theta.size - 1)}.",
+        )
+
+    @override
+    def ranges(self, answer: LocalIdentifiability) -> Iterator[tuple[str, Range]]:
+        """1.96 standard errors around each parameter."""
+        found = answer.fisher
+        for name, best, sd in zip(
+            found.parameter_names, found.theta.tolist(), found.sd.tolist(), strict=True
+        ):
+            is_known = bool(np.isfinite(sd))
+            low, high = (best - SDS_95 * sd, best + SDS_95 * sd) if is_known else (None, None)
+            status = "known locally" if is_known else "not known"
+            yield (
+                name,
+                Range(source=Source.INFORMATION, low=low, high=high, value=best, status=status),
+            )

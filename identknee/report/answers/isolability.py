@@ -1,15 +1,27 @@
 """What a protocol could show of causes, before there are data."""
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from typing_extensions import override
 
 from identknee.diagnosis.candidates import Visibility
+from identknee.diagnosis.isolability import Distances
 from identknee.model.effects.facts import cause_label
 from identknee.report.answers.advised import trial_table, trials_words
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
+from identknee.report.words import trial_list
+from identknee.runs.plain_records import summary_of
 from identknee.runs.words import amount, listed
+from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability
 from identknee.verbs.trials import AdvisedTrial
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_CAUSES = 2
 SIZES = ("detectable above", "smallest relevant effect")
@@ -69,3 +81,48 @@ def _few(causes: Sequence[str]) -> str:
     shown = [cause_label(x) for x in causes[:MOST_CAUSES]]
     more = len(causes) - len(shown)
     return listed([*shown, *([f"{more} more"] if more else [])])
+
+
+def distances_of(answer: Isolability) -> Distances:
+    """The distances of all causes from one another."""
+    return Distances(effects=answer.rivals, rivals=answer.rivals, values=answer.distances)
+
+
+class IsolabilityPresenter(Presenter[Isolability]):
+    """How it is shown what a protocol could tell apart."""
+
+    question = Question.WRONG
+
+    @override
+    def statements(self, answer: Isolability) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from isolability_statements(answer)
+
+    @override
+    def drawings(self, answer: Isolability, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """Which causes the trials could tell apart."""
+        from identknee.report.diagnosis_figures import isolability_figure
+
+        yield Drawing(
+            name="isolability",
+            figure=isolability_figure(distances_of(answer)),
+            caption="How far the data of each cause (rows) are from what another cause (columns) "
+            "could explain in its place. Causes in dark cells cannot be told apart.",
+            description=f"Distances between {len(answer.rivals)} causes.",
+        )
+
+    @override
+    def pictures(self, answer: Isolability, knee: Knee) -> dict[str, "Figure"]:
+        """The same as a file."""
+        from identknee.report.diagnosis_figures import isolability_figure
+
+        return {"isolability": isolability_figure(distances_of(answer))}
+
+    @override
+    def next_tests(self, answer: Isolability) -> Iterator[str]:
+        """The trials that would tell causes apart."""
+        for group in answer.groups:
+            if group.advised_trials:
+                trials = trial_list([summary_of(x) for x in group.advised_trials])
+                causes = listed(map(cause_label, group.effects), "from")
+                yield f"{trials}. This would tell {causes}."

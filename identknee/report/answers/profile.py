@@ -1,9 +1,15 @@
 """What profile likelihoods say: which values are known within limits, and which are open."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from typing_extensions import override
 
 from identknee.identify.profile.pairs import PairProfile
 from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
+from identknee.report.range import Range, Source, open_words
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import (
@@ -15,11 +21,19 @@ from identknee.runs.words import (
     owner_words,
     parameter_words,
 )
+from identknee.subject.knee import Knee
 from identknee.verbs.profile import Profiles
 
 STIFFNESS = "stiffness_kN"
 # More of them in one sentence are no answer any more.
 MOST_NAMED = 5
+PROFILE_WORDS = {
+    ProfileVerdict.IDENTIFIABLE: "known",
+    ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "not known",
+    ProfileVerdict.STRUCTURALLY_SUSPECT: "not known",
+    ProfileVerdict.MULTIMODAL: "several ranges",
+    ProfileVerdict.UNDETERMINED: "not finished",
+}
 
 
 def profile_statements(answer: Profiles) -> Iterator[Statement]:
@@ -174,3 +188,83 @@ def _end(side: Side) -> float | str:
     if side.status is SideStatus.OPEN_AT_FEASIBILITY:
         return f"open, the model ends at {side.reached:.4g}"
     return str(side.status.value).replace("_", " ")
+
+
+def profile_drawings(
+    profiles: Sequence[Profile], truth: Mapping[str, float] | None = None
+) -> Iterator[Drawing]:
+    """Intervals and curves of profiles, beside the true values where these are known."""
+    from identknee.report.profile_figures import intervals_figure, profiles_figure
+
+    names = listed(label(x.name) for x in profiles)
+    ends = "; ".join(
+        f"{label(x.name)} {_end_words(x.lower)} to {_end_words(x.upper)}, "
+        f"{x.verdict.value.replace('_', ' ')}"
+        for x in profiles
+    )
+    yield Drawing(
+        name="intervals",
+        figure=intervals_figure(profiles, truth),
+        caption="Confidence intervals of each quantity, nested from 50 % (thick) to 95 % (thin). "
+        "An arrow marks an end that the data leave open, a cross one where the model ends.",
+        description=f"Nested intervals of {names}. "
+        f"At {100 * profiles[0].level:g} % confidence: {ends}.",
+    )
+    # The force of a slack ligament is one point.
+    curves = [x for x in profiles if len(x.values) > 1]
+    if not curves:
+        return
+    yield Drawing(
+        name="profiles",
+        figure=profiles_figure(curves),
+        caption="How much worse the fit becomes when one value is held and all others are fitted "
+        "again. Values below the dashed line are not excluded; a curve that stays below it is open "
+        "on that side.",
+        description=f"Profile likelihoods of {names}: a curve each that rises away from the best "
+        "value, and the threshold as a dashed line.",
+    )
+
+
+def _end_words(value: float | None) -> str:
+    return "open" if value is None else f"{value:.3g}"
+
+
+def profile_range(profile: Profile) -> Range:
+    """What a profile says of its quantity."""
+    return Range(
+        source=Source.PROFILE,
+        low=profile.lower,
+        high=profile.upper,
+        value=profile.optimum_value,
+        status=PROFILE_WORDS.get(profile.verdict) or open_words(profile.lower, profile.upper),
+    )
+
+
+class ProfilesPresenter(Presenter[Profiles]):
+    """How profiles are shown."""
+
+    @override
+    def statements(self, answer: Profiles) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from profile_statements(answer)
+
+    @override
+    def drawings(self, answer: Profiles, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """Intervals and curves."""
+        yield from profile_drawings(answer.profiles)
+
+    @override
+    def ranges(self, answer: Profiles) -> Iterator[tuple[str, Range]]:
+        """The set of each quantity."""
+        yield from ((x.name, profile_range(x)) for x in answer.profiles)
+
+    @override
+    def joined(self, first: Profiles, later: Profiles) -> Profiles:
+        """Both together; what both have counts as the later has it."""
+        return replace(
+            first,
+            parameters={**first.parameters, **later.parameters},
+            quantities={**first.quantities, **later.quantities},
+            pairs=(*first.pairs, *later.pairs),
+            assumptions=tuple(dict.fromkeys((*first.assumptions, *later.assumptions))),
+        )

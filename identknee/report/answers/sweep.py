@@ -3,12 +3,19 @@
 import math
 from collections.abc import Iterator
 
+import numpy as np
+from typing_extensions import override
+
 from identknee.identify.basins import END, POLISHED, Recovery, Survey
 from identknee.identify.cliffs import CliffMap
+from identknee.identify.sweep import OUTCOMES
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Cell, Column, Table
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import label, listed
+from identknee.subject.knee import Knee
 from identknee.verbs.sweep import Sweep
 
 SHARES = "share of all starts"
@@ -124,3 +131,46 @@ def _pct(share: float) -> str:
 
 def _kN_and_pct(distance: float) -> str:  # noqa: N802 - the unit
     return "any distance tried" if math.isinf(distance) else f"{distance:.2g} kN and %"
+
+
+class SweepPresenter(Presenter[Sweep]):
+    """How searches from many starts are shown."""
+
+    question = Question.SEARCH
+
+    @override
+    def statements(self, answer: Sweep) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from sweep_statements(answer)
+
+    @override
+    def drawings(self, answer: Sweep, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """What each search reached, and where it began and ended."""
+        from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
+
+        searches = answer.searches
+        number = np.arange(1.0, searches.n + 1.0)
+        curves = {
+            "end": (number, np.sort(searches.objectives)),
+            "polished": (number, np.sort(searches.polished_objectives)),
+        }
+        told = listed(f"{n} {KIND_WORDS[kind]}" for kind, n in searches.kinds.items())
+        if np.isfinite(searches.objectives).any():
+            yield Drawing(
+                name="waterfall",
+                figure=waterfall_figure({f"{searches.n} starts": curves}),
+                caption="Objective at which each search ended, the best first. A step is a place "
+                "where several searches ended.",
+                description=f"Objectives of {searches.n} searches in ascending order: {told}.",
+            )
+        kinds = [OUTCOMES[code].value for code in searches.kind_codes]
+        names, best = searches.parameters.names, searches.polished[searches.best]
+        yield Drawing(
+            name="basins",
+            figure=start_end_figure(
+                {"": (searches.starts, searches.ends, kinds)}, names, best, mark="best end"
+            ),
+            caption="Where searches began (coloured by how they ended) and where they ended "
+            "(black), in the plane of each ligament's two parameters.",
+            description=f"Starts and ends of {searches.n} searches: {told}.",
+        )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import Enum, unique
 from math import inf, isinf, sqrt
 
-from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source
+from identknee.report.range import NOT_CONVERGED, Range, Source
 from identknee.runs.words import interval, listed
 
 # Ends as near as this share of a set's width are the same for every purpose.

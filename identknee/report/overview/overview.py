@@ -9,11 +9,11 @@ from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import trial_words
 from identknee.model.effects.facts import cause_label
-from identknee.report.answers.statements import statements_of
 from identknee.report.overview.agreement import Agreement, agreement, reasons
-from identknee.report.overview.next_tests import next_tests
-from identknee.report.overview.ranges import NOT_CONVERGED, Range, Source, ranges_of
+from identknee.report.overview.ranges import ranges_of
 from identknee.report.overview.searches import disagreement, searches_sentences
+from identknee.report.presenter import of_type, presenter_of
+from identknee.report.range import NOT_CONVERGED, Range, Source
 from identknee.runs.words import (
     amount,
     capital,
@@ -24,7 +24,6 @@ from identknee.runs.words import (
     unit_of,
 )
 from identknee.verbs.answer import Answer
-from identknee.verbs.demo import Demonstration
 from identknee.verbs.diagnosis import Diagnosis
 
 MOST_NAMED = 3
@@ -102,18 +101,17 @@ def overview(answers: Sequence[Answer]) -> Overview:
     """What these answers, all of one data set, say together."""
     trials = _trials(answers)
     rows = tuple(_row(*x, trials) for x in _shown(ranges_of(answers)))
-    diagnosis = next((x for x in reversed(answers) if isinstance(x, Diagnosis)), None)
+    diagnosis = next(reversed(of_type(answers, Diagnosis)), None)
     differ = disagreement(answers)
     sentence, tone = _verdict([x for x in rows if "@" not in x.name], diagnosis, differ)
-    # What a demonstration was made to show comes first.
-    shown = [statements_of(x)[0].sentence for x in answers if isinstance(x, Demonstration)]
+    shown = [presenter_of(x).headline(x) for x in answers]
     return Overview(
         verdict=" ".join(x for x in (*shown, sentence) if x),
         tone=tone,
         rows=rows,
         reasons=reasons(x.found for x in rows),
         searches=searches_sentences(answers),
-        next_tests=next_tests(answers),
+        next_tests=tuple(said for x in answers for said in presenter_of(x).next_tests(x)),
     )
 
 

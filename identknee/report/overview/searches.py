@@ -8,7 +8,7 @@ import numpy as np
 from identknee.checks.fit_warnings import ALIKE
 from identknee.identify.basins import WITHIN
 from identknee.report.answers.fit import fit_statements
-from identknee.report.answers.statements import statements_of
+from identknee.report.presenter import of_type, statements_of
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import amount, listed, parameter_words, unit_of
 from identknee.verbs.answer import Answer
@@ -33,11 +33,10 @@ def searches_sentences(answers: Sequence[Answer]) -> tuple[str, ...]:
         x: y for x, y in fits_by_start(answers).items() if y.outcome is not Outcome.START_FAILED
     }
     failed = [x for x in fits_by_start(answers).values() if x.outcome is Outcome.START_FAILED]
-    sweeps = [x for x in answers if isinstance(x, Sweep)]
     return (
         *(_several(fits) if len(fits) > 1 else _each(fits.values())),
         *_each(failed),
-        *(statements_of(x)[0].sentence for x in sweeps),
+        *(statements_of(x)[0].sentence for x in of_type(answers, Sweep)),
     )
 
 
@@ -63,7 +62,7 @@ def is_beaten(fit: Calibration, others: Iterable[Calibration]) -> bool:
 
 def fits_by_start(answers: Sequence[Answer]) -> dict[str, Calibration]:
     """Fits by their start, and by their method too where several began there."""
-    found = [x for x in answers if isinstance(x, Calibration)]
+    found = of_type(answers, Calibration)
     starts = Counter(x.start for x in found)
     names = [x.start if starts[x.start] == 1 else f"{x.start} ({_method(x)})" for x in found]
     # Fits alike in both, as with other settings, are told apart by their number.

@@ -8,18 +8,7 @@ from html import escape
 from identknee.report.page.markup import bullets, disclosed, element, table_html
 from identknee.report.page.results import Findings, Result
 from identknee.report.tables import Column, Table
-
-FURTHER = {
-    "fit": "Which parameters reproduce this laxity?",
-    "sweep": "Do other starts end elsewhere?",
-    "profile": "Which parameters are known, within what limits, and which are open?",
-    "sample": "How probable is each value, and each ligament force?",
-    "information": "Which combinations of parameters do the data know?",
-    "equivalents": "How different may two knees be that this measurement cannot tell apart?",
-    "sensitivity": "Which parameter moves which laxity?",
-    "diagnose": "What does the model get wrong, and why?",
-    "design": "Which trials would close the gap?",
-}
+from identknee.verbs.registry import verbs
 
 
 def computed_html(results: Sequence[Result]) -> str:
@@ -62,14 +51,14 @@ def further_html(findings: Findings) -> str:
         data = str(made[0].folder / "laxity.csv") if made else "DATA.csv"
     noise = "" if "demo" not in done else " --noise 0.5mm,0.5deg"
     return bullets(
-        f"{escape(question)} "
+        f"{escape(verb.suggestion)} "
         + element(
             "code",
-            escape(f"identknee {verb} {shlex.quote(findings.subject)} {shlex.quote(data)}")
-            + (noise if verb not in ("fit", "sensitivity") else ""),
+            escape(f"identknee {verb.name} {shlex.quote(findings.subject)} {shlex.quote(data)}")
+            + (noise if verb.name not in ("fit", "sensitivity") else ""),
         )
-        for verb, question in FURTHER.items()
-        if verb not in done
+        for verb in verbs()
+        if verb.suggestion and verb.name not in done
     )
 
 

@@ -5,12 +5,11 @@ from html import escape
 from importlib.resources import files
 from itertools import chain
 
-from identknee.report.page.drawing import Drawing
-from identknee.report.page.drawings import drawings
+from identknee.report.drawing import Drawing
 from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import element, paragraph, section
-from identknee.report.page.results import Findings, Result, by_subject
+from identknee.report.page.results import Findings, Result, by_subject, drawings
 from identknee.report.page.subject_part import subject_html
 from identknee.runs.progress import progress
 from identknee.runs.record import versions

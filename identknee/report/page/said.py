@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from identknee.report.answers.statements import statements_of
 from identknee.report.answers.taken import taken_for_granted
 from identknee.report.overview.searches import is_beaten
 from identknee.report.page.computed_part import short_path
 from identknee.report.page.fits_part import fits_statement
 from identknee.report.page.results import Result
 from identknee.report.page.warnings import warnings
+from identknee.report.presenter import of_type, statements_of
 from identknee.report.statement import Question, Statement
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import capital, listed
@@ -26,8 +26,8 @@ class Said:
 
 
 def all_said(results: Sequence[Result]) -> list[Said]:
-    """The statements of results: fits of one table compared, common assumptions once."""
-    fits = [x.answer for x in results if isinstance(x.answer, Calibration)]
+    """What results say: fits of one table side by side, what several take for granted once."""
+    fits = of_type([x.answer for x in results], Calibration)
     together = _together(results)
     said = []
     for result in results:
@@ -46,7 +46,7 @@ def _together(results: Sequence[Result]) -> list[Result]:
     found = [
         x
         for x in results
-        if isinstance(x.answer, Calibration) and x.answer.outcome is not Outcome.START_FAILED
+        if any(y.outcome is not Outcome.START_FAILED for y in of_type([x.answer], Calibration))
     ]
     counts = Counter(x.data_digest for x in found)
     main, n = counts.most_common(1)[0] if counts else ("", 0)
@@ -55,8 +55,7 @@ def _together(results: Sequence[Result]) -> list[Result]:
 
 def _warnings(result: Result, fits: Sequence[Calibration]) -> Iterator[Statement]:
     """What a result says against itself; of a fit that another beats, none leads the page."""
-    answer = result.answer
-    is_past = isinstance(answer, Calibration) and is_beaten(answer, fits)
+    is_past = any(is_beaten(x, fits) for x in of_type([result.answer], Calibration))
     for x in warnings(result):
         yield replace(x, question=Question.SEARCH, warning=None) if is_past else x
 

@@ -1,14 +1,14 @@
 """The knee of a subject's results, ready to be turned."""
 
+import numpy as np
+
 from identknee.calibrate.starts import load_start
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.page.knee_scene import KneeScene, model_scene
-from identknee.report.page.results import Findings, Result
-from identknee.runs.arrays import Array
+from identknee.report.page.results import Findings
+from identknee.report.presenter import presenter_of
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnosis import Diagnosis
-from identknee.verbs.simulate import SimulatedLaxity
 
 EXTENDED, FITTED = "extended", "fitted.toml"
 
@@ -33,15 +33,10 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
         if result.verb == "diagnose" and extended.is_dir():
             model = LaxityModel(knee=read_subject(extended), protocol=protocol)
             theta = load_start(str(extended / FITTED), model.parameters)
-            return model_scene(model, theta, missing_line=_line(result, model.knee))
-        if isinstance(result.answer, SimulatedLaxity):
+            line = presenter_of(result.answer).missing_line(result.answer, model.knee)
+            return model_scene(model, theta, missing_line=line)
+        if (values := result.answer.parameter_set) is not None:
             model = LaxityModel(knee=knee, protocol=protocol)
-            if result.answer.parameter_names == model.parameters.names:
-                return model_scene(model, result.answer.theta)
+            if tuple(values) == model.parameters.names:
+                return model_scene(model, np.array(list(values.values())))
     return None
-
-
-def _line(result: Result, knee: Knee) -> Array | None:
-    """Ends of the missing line of action in the common frame [mm]; None where there is none."""
-    line = result.answer.line if isinstance(result.answer, Diagnosis) else None
-    return line.in_common_frame(knee) if line is not None and line.is_line else None

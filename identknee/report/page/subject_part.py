@@ -1,14 +1,13 @@
 """All there is to say of one subject: the answer, then its parts, then how it was computed."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
 from identknee.diagnosis.verdict import Verdict
+from identknee.report.drawing import Drawing
 from identknee.report.overview.overview import KNOWN, Overview, Tone, overview
 from identknee.report.page.computed_part import computed_html, further_html
-from identknee.report.page.drawing import Drawing
-from identknee.report.page.drawings import drawings
 from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import (
@@ -21,20 +20,16 @@ from identknee.report.page.markup import (
     table_html,
 )
 from identknee.report.page.overview_part import overview_html
-from identknee.report.page.results import Findings, Result
+from identknee.report.page.results import Findings, drawings
 from identknee.report.page.said import Said, all_said
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import viewer_html
 from identknee.report.page.warnings import merge_duplicate_warnings
+from identknee.report.presenter import of_type, presenter_of
 from identknee.report.statement import Question
 from identknee.runs.progress import progress
 from identknee.verbs.diagnosis import Diagnosis
 
-PLACES = dict.fromkeys(("diagnose", "isolability"), Question.WRONG)
-PLACES |= {"design": Question.NEXT, "sweep": Question.SEARCH}
-PLACES |= {"sensitivity": Question.LAXITY, "demo-starts": Question.SEARCH}
-# What their figures show stands in the table, or is for those who want to know why.
-FOLDED = ("sample", "information")
 RIGHT = "What was tested of the model"
 VERDICT_HEADINGS = {
     Verdict.ADEQUATE: RIGHT,
@@ -96,10 +91,10 @@ def _heading(question: Question, main: Overview, findings: Findings) -> str:
     if question is Question.KNOWN and main.rows and all(x.status in KNOWN for x in main.rows):
         return "What is known"
     if question is Question.WRONG:
-        verdicts = [x.answer.verdict for x in findings.results if isinstance(x.answer, Diagnosis)]
-        if not verdicts:
+        diagnoses = of_type((x.answer for x in findings.results), Diagnosis)
+        if not diagnoses:
             return RIGHT
-        return VERDICT_HEADINGS.get(verdicts[-1], question.heading)
+        return VERDICT_HEADINGS.get(diagnoses[-1].verdict, question.heading)
     return question.heading
 
 
@@ -129,21 +124,17 @@ def _figures(findings: Findings, number: int) -> Mapping[Question, list[_Figure]
     placed: dict[Question, list[_Figure]] = {}
     shown = progress(findings.results, description="drawing the report")
     for k, result in enumerate(shown):
-        for i, (name, html) in enumerate(_of_result(result, f"s{number}r{k}")):
-            question = PLACES.get(name) or PLACES.get(result.verb, Question.KNOWN)
-            is_first = i == 0 and result.verb not in FOLDED
+        shows = presenter_of(result.answer)
+        for i, drawing in enumerate(drawings(result)):
+            question = shows.questions.get(drawing.name, shows.question)
+            html = _figure(drawing, f"s{number}r{k}-{drawing.name}")
+            is_first = i == 0 and not shows.is_folded
             placed.setdefault(question, []).append(_Figure(html=html, is_first=is_first))
     for k, (_, drawing) in enumerate(laxity_drawings(findings)):
         html = _figure(drawing, f"s{number}l{k}-{drawing.name}")
         is_first = drawing.name != "laxity-all"
         placed.setdefault(Question.LAXITY, []).append(_Figure(html=html, is_first=is_first))
     return placed
-
-
-def _of_result(result: Result, identity: str) -> Iterator[tuple[str, str]]:
-    """Verb and name of each figure of a result, with its HTML."""
-    for drawing in drawings(result):
-        yield f"{result.verb}-{drawing.name}", _figure(drawing, f"{identity}-{drawing.name}")
 
 
 def _figure(drawing: Drawing, identity: str) -> str:

@@ -14,7 +14,7 @@ import typer
 from typer.testing import CliRunner
 
 import identknee as ik
-from identknee.cli.command import Verb, Verbs
+from identknee.cli.command import Command, CommandGroup
 from identknee.runs import unforeseen
 from identknee.runs.arrays import frozen
 from identknee.runs.errors import NotComputed
@@ -24,7 +24,7 @@ from identknee.verbs.knee_digest import knee_digest
 
 def _ended(error: BaseException) -> tuple[int, str]:
     """Exit code and standard error of a verb that raises `error`."""
-    app = typer.Typer(cls=Verbs, pretty_exceptions_enable=False)
+    app = typer.Typer(cls=CommandGroup, pretty_exceptions_enable=False)
 
     @app.command()
     def first() -> NoReturn:
@@ -79,7 +79,7 @@ def test_ctrl_c_ends_with_130_and_a_sentence() -> None:
 
 
 def test_a_callers_mistake_ends_with_its_sentence() -> None:
-    app = typer.Typer(cls=Verbs)
+    app = typer.Typer(cls=CommandGroup)
 
     @app.command()
     def first() -> None:
@@ -112,9 +112,9 @@ def test_what_nobody_foresaw_ends_with_1_and_a_report(
 
 
 def _verb(action: Callable[[Path], None]) -> typer.Typer:
-    app = typer.Typer(cls=Verbs, pretty_exceptions_enable=False)
+    app = typer.Typer(cls=CommandGroup, pretty_exceptions_enable=False)
 
-    @app.command(cls=Verb)
+    @app.command(cls=Command)
     def first(data: Path, out: Path = Path("out")) -> None:
         out.mkdir(exist_ok=True)
         action(out)

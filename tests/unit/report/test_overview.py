@@ -12,9 +12,10 @@ from report_folders import few_trials, profile_folder, straight_profiles
 from identknee.identify.profile.result import ProfileVerdict
 from identknee.report.overview.agreement import Relation, agreement, reasons, relation
 from identknee.report.overview.overview import Tone, overview
-from identknee.report.overview.ranges import Range, Source, ranges_of
+from identknee.report.overview.ranges import ranges_of
 from identknee.report.overview.searches import disagreement, is_beaten, searches_sentences
 from identknee.report.page.results import by_subject, found_results
+from identknee.report.range import Range, Source
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnose import untestable

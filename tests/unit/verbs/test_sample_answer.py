@@ -12,7 +12,7 @@ from report_folders import write_given
 from identknee.identify.posterior.convergence import SampleOutcome, StopRule
 from identknee.identify.posterior.posterior import Posterior
 from identknee.identify.posterior.sample import sample
-from identknee.report.terminal import terminal_lines
+from identknee.report.printer import terminal_lines
 from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
 from identknee.runs.plain_records import summary_of, to_plain

@@ -2,31 +2,23 @@
 
 from collections.abc import Iterator
 
+from identknee.blind_test.revelation import Revelation
 from identknee.runs.declare import Entry, derived_entries, entries
 from identknee.runs.plain_records import hints_of, record_within
-from identknee.verbs.files import ANSWERS, class_at
+from identknee.verbs.installation import Installation
+from identknee.verbs.named_subjects import NamedSubjects
+from identknee.verbs.registry import verbs
 
 # What is printed and leaves no files.
-PRINTED = {
-    "reveal": "identknee.blind_test.revelation:Revelation",
-    "doctor": "identknee.verbs.installation:Installation",
-    "subject list": "identknee.verbs.named_subjects:NamedSubjects",
-}
+PRINTED = {"reveal": Revelation, "doctor": Installation, "subject list": NamedSubjects}
 HEAD = "| name | unit | axes | file | is |\n| --- | --- | --- | --- | --- |"
 
 
 def page_of_answers() -> str:
-    """A table for the answer of each verb, then one for each kind of record in them, as Markdown.
-
-    Examples
-    --------
-    >>> "| `deviance` |" in page_of_answers()
-    True
-    """
+    """A table for the answer of each verb, then one for each kind of record, as Markdown."""
     parts: list[str] = []
     records: dict[type, None] = {}
-    for verb, place in (ANSWERS | PRINTED).items():
-        answer = class_at(place)
+    for verb, answer in ({x.name: x.answer_class for x in verbs()} | PRINTED).items():
         parts += [f"## {verb}", _summary(answer), _table(answer)]
         records |= dict.fromkeys(_records(answer))
     parts.append("## Records")
