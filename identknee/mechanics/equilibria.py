@@ -137,10 +137,11 @@ def solve(
         centres=np.zeros((n, contact.n_compartments, 7)),
         solves=np.zeros(n, np.int64),
     )
+    # In one memory order: the compiler makes another version of its code for another.
     simulate_path(
         _node_arrays(paths),
-        np.array(np.broadcast_to(start, (n, 5))),
-        np.zeros((n, 5)) if guesses is None else np.array(guesses),
+        np.array(np.broadcast_to(start, (n, 5)), order="C"),
+        np.zeros((n, 5)) if guesses is None else np.array(guesses, order="C"),
         guesses is not None,
         _contact_arrays(contact),
         _field_arrays(field),
