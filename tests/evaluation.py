@@ -12,9 +12,9 @@ from identknee.mechanics.contact_elements import contact_element
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.energy import evaluate
+from identknee.mechanics.equilibria import workspace
 from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, POINT, record
 from identknee.mechanics.pose import rotation_matrix
-from identknee.mechanics.workspace import workspace
 from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array

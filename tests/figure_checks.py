@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from identknee.report.picture import names_as_they_are
+from identknee.report.figures import names_as_they_are
 
 # Boxes of text have room above and below the letters [px at 100 dots an inch].
 ROOM = 1.5

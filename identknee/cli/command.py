@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import typer.core
 
+from identknee.runs.crash_report import report_unforeseen, warnings_logged
 from identknee.runs.errors import InputError, NotComputed
 from identknee.runs.executors import WorkerDied
 from identknee.runs.files import plain
-from identknee.runs.unforeseen import report_unforeseen, warnings_logged
 from identknee.verbs.registry import verb_named
 
 if TYPE_CHECKING:

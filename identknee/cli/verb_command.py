@@ -89,7 +89,7 @@ def _run(verb: Verb, arguments: dict[str, Any]) -> None:
     finished(answer, out, then=verb.then.format(out=out), as_json=as_json)
     # What follows loads matplotlib, which takes longer than most mistakes.
     if verb.has_pictures:
-        from identknee.report.picture import png
+        from identknee.report.figures import png
         from identknee.report.presenter import presenter_of
 
         knee = ik.read_subject(arguments.get("subject", "reference"))

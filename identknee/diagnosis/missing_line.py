@@ -9,7 +9,7 @@ import scipy
 from identknee.diagnosis.fitting import Fitted, weighed
 from identknee.diagnosis.misfit import TrialLayout, base_projector
 from identknee.diagnosis.refit import Refit, refit
-from identknee.mechanics.contact_places import ContactPlaces
+from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions

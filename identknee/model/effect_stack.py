@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from identknee.mechanics.contact_motion import contact_motion_columns
+from identknee.mechanics.contact_points import contact_motion_columns
 from identknee.mechanics.equilibria import Lines
 from identknee.mechanics.ligament_tensions import line_gradients
 from identknee.mechanics.memory import CONVERGED, Equilibria

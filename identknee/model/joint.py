@@ -13,17 +13,20 @@ import numpy as np
 
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.contact_points import DEFAULT_NUMBER, contact_points
+from identknee.mechanics.contact_points import (
+    DEFAULT_NUMBER,
+    RimDistance,
+    contact_points,
+    rim_distance,
+)
 from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
 from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.pose import start_pose
-from identknee.mechanics.rims import RimDistance, rim_distance
 from identknee.model.nuisances import contact_rounding
 from identknee.runs.arrays import Array, IntArray, frozen
-from identknee.runs.cache_folder import cache_folder
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
-from identknee.runs.files import prepare_folder, write_atomically
+from identknee.runs.files import cache_folder, prepare_folder, write_atomically
 from identknee.subject.knee import Knee
 
 FIELD_FORMAT = b"field 6"

@@ -10,15 +10,13 @@ import numpy as np
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.contact_places import ContactPlaces, contact_places
-from identknee.mechanics.contact_points import DEFAULT_NUMBER
+from identknee.mechanics.contact_points import DEFAULT_NUMBER, ContactPlaces, contact_places
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
-from identknee.mechanics.mesh_contact import mesh_contact
-from identknee.mechanics.mesh_equilibrium import mesh_equilibria
+from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
 from identknee.model import measured_start
 from identknee.model.effect_stack import Extension
 from identknee.model.effects.effect import Effect, Tests

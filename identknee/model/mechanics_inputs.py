@@ -10,8 +10,7 @@ from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, Lines
 from identknee.mechanics.ligament_tensions import line_lengths
-from identknee.mechanics.placement import place
-from identknee.mechanics.pose import start_pose
+from identknee.mechanics.pose import place, start_pose
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 

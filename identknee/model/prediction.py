@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from identknee.mechanics.contact_points import RimDistance, share_near_rims
 from identknee.mechanics.equilibria import stability_margins
 from identknee.mechanics.memory import CONVERGED
-from identknee.mechanics.rims import RimDistance, share_near_rims
 from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome

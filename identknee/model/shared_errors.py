@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.laxity.table import COORDINATES
-from identknee.mechanics.contact_places import ContactPlaces
+from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.model.effects.toe_strain import toe_strain
 from identknee.model.laxity_model import LaxityModel, trial_contacts

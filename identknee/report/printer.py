@@ -3,8 +3,8 @@
 import textwrap
 from typing import TYPE_CHECKING
 
-from identknee.report.answers.taken import taken_for_granted
 from identknee.report.presenter import main_statements, statements_of
+from identknee.report.statement import taken_for_granted
 from identknee.runs.findings import finding_lines
 from identknee.verbs.answer import Answer
 

@@ -7,12 +7,10 @@ from identknee.calibrate.starts import load_start
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.model.of_tests import model_of_tests
 from identknee.report.notebook import result_of
-from identknee.report.page.knee_scene import KneeScene, model_scene
 from identknee.report.page.markup import element
 from identknee.report.page.page import document
 from identknee.report.page.results import Findings
-from identknee.report.page.scenes import scene_of
-from identknee.report.page.viewer import viewer_html
+from identknee.report.page.viewer import KneeScene, model_scene, scene_of, viewer_html
 from identknee.runs.files import PathLike, write_atomically
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer

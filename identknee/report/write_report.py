@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from identknee.report.figures import vector
 from identknee.report.notebook import result_of
 from identknee.report.page.page import report_drawings, report_html
 from identknee.report.page.results import Findings, Result, by_subject, found_results, in_order
-from identknee.report.page.scenes import scene_of
-from identknee.report.picture import vector
+from identknee.report.page.viewer import scene_of
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.progress import progress
 from identknee.subject.folder import read_subject

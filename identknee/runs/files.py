@@ -11,10 +11,12 @@ import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from platformdirs import user_cache_path
 
 from identknee.runs.errors import InputError
 
@@ -255,3 +257,9 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 def _reason(error: OSError) -> str:
     return (error.strerror or type(error).__name__).lower()
+
+
+@cache
+def cache_folder() -> Path:
+    """The folder for everything that can be computed again, ``IDENTKNEE_CACHE`` if that is set."""
+    return Path(os.environ.get("IDENTKNEE_CACHE") or user_cache_path("identknee"))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, TypeVar, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identknee.calibrate.fit import Fit, fit_many
 from identknee.calibrate.problem import Problem
@@ -19,20 +20,70 @@ from identknee.laxity.protocol import load_protocol
 from identknee.laxity.rmse import laxity_rmse
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameter_error import parameter_error
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
-from identknee.runs.executors import Executor, serial, threads
+from identknee.runs.executors import Executor, executor_of, serial, threads
 from identknee.runs.outcome import Outcome
-from identknee.runs.workers import executor_of
 from identknee.subject.folder import read_subject
 from identknee.verbs.options import REFERENCE, OutOption, Seed, Workers, option
 from identknee.verbs.simulate import LAXITY_FILE, SimulatedLaxity, simulated
 from identknee.verbs.values import by_ligament
-from identknee.verbs.verb import Run, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.verb import Run, verb, warm_up
+
+
+@declared
+class ParameterError:
+    """Absolute differences of a parameter set from another, over the ligaments."""
+
+    stiffness_kN: Array = array("Error of the stiffness of each ligament", "ligament", unit="kN")  # noqa: N815 - the unit
+    strain_pct: Array = array("Error of its reference strain", "ligament", unit="%")
+
+    @property
+    def mean_kN(self) -> float:  # noqa: N802 - the unit
+        """Mean over the ligaments [kN]."""
+        return float(self.stiffness_kN.mean())
+
+    @property
+    def sd_kN(self) -> float:  # noqa: N802 - the unit
+        """Sample standard deviation over the ligaments [kN]."""
+        return float(self.stiffness_kN.std(ddof=1))
+
+    @property
+    def mean_pct(self) -> float:
+        """Mean over the ligaments [%]."""
+        return float(self.strain_pct.mean())
+
+    @property
+    def sd_pct(self) -> float:
+        """Sample standard deviation over the ligaments [%]."""
+        return float(self.strain_pct.std(ddof=1))
+
+
+def parameter_error(theta: ArrayLike, truth: ArrayLike) -> ParameterError:
+    """Absolute differences of `theta` from `truth`, both stiffnesses first, shape ``(2 m,)``.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or the length is odd.
+
+    Examples
+    --------
+    >>> error = parameter_error([10.5, 18.0, 8.0, -4.5], [10.0, 18.0, 8.0, -4.0])
+    >>> error.mean_kN, error.mean_pct
+    (0.25, 0.25)
+    """
+    difference = np.abs(np.asarray(theta, float) - np.asarray(truth, float))
+    if difference.ndim != 1 or difference.size % 2:
+        raise ValueError(
+            "theta must hold a stiffness and a reference strain for every ligament, "
+            f"got shape {difference.shape}"
+        )
+    half = difference.size // 2
+    return ParameterError(stiffness_kN=difference[:half], strain_pct=difference[half:])
+
 
 STARTS = ("IG1", "IG2", "IG3", "IG4")
 SHORT_SETTINGS = "short settings"

@@ -29,6 +29,7 @@ from identknee.verbs.diagnosis import (
     WRENCH,
     AddedEffect,
     AddedVariable,
+    Comparison,
     Diagnosis,
     Explanation,
     LineFound,
@@ -38,20 +39,16 @@ from identknee.verbs.diagnosis import (
     RivalFound,
     StepScores,
     TrialWrench,
-)
-from identknee.verbs.diagnosis_gain import gain_found
-from identknee.verbs.diagnosis_rows import (
-    Comparison,
     advice_findings,
+    gain_found,
     implausible_explanation,
     sound,
     with_unsound,
 )
 from identknee.verbs.identification import with_noise
 from identknee.verbs.options import Candidates, Data, ExtraStart, KneeOptions, Noise, Seed, Subject
-from identknee.verbs.trials import advised, trials_of
-from identknee.verbs.verb import Run, recorded_as, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.values import advised, trials_of
+from identknee.verbs.verb import Run, recorded_as, verb, warm_up
 
 EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
 # From N mm to N·m, for the components of a wrench.

@@ -1,26 +1,155 @@
 """What a diagnosis gives back: the verdict with all that it stands on."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
+
+from identknee.checks.contradicted_trials import (
+    SuspiciousRow,
+    left_out,
+    suspicious_end_points,
+    suspicious_rows,
+    trial_findings,
+    without_rows,
+)
+from identknee.checks.implausible import implausible_findings
+from identknee.checks.subject_checks import rim_findings
 from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.data_noise import NoiseSource
-from identknee.diagnosis.misfit import CellScore
+from identknee.diagnosis.folds import Rmse
+from identknee.diagnosis.gain import (
+    Assessment,
+    ElpdDifference,
+    FamilyDifference,
+    Gain,
+    ParameterChange,
+    Process,
+)
+from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.misfit import CellScore, Check
 from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.diagnosis.refit import RivalState
 from identknee.diagnosis.verdict import Cause, Verdict
 from identknee.identify.laplace import Interval
-from identknee.laxity.table import COORDINATES
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.model.effects.effect import Effect
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
+from identknee.runs.findings import Finding, finding
 from identknee.runs.outcome import Outcome
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.insertion_sites import PlaceSide
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.diagnosis_gain import GainFound
-from identknee.verbs.trials import AdvisedTrial, Trials
+from identknee.verbs.values import AdvisedTrial, Trials
+
+OF_MODEL = "of the model without causes (before), with them (after), with a process (absorbed)"
+
+
+@declared
+class FamilyGain:
+    """The gain on trials held out of one family: an angle, a direction, the largest loads."""
+
+    elpd_difference: float = entry("Gain in log predictive density, in nats", unit="1")
+    elpd_se: float = entry("Its standard error", unit="1")
+    elpd_absorbed_difference: float = entry("The same of the process in place", unit="1")
+    elpd_absorbed_se: float = entry("Its standard error", unit="1")
+    folds: tuple[str, ...] = entry("Folds that count")
+    without_signature: tuple[str, ...] = entry("Folds in which both models predict alike")
+    not_scored: Mapping[str, str] = entry("Folds that could not be predicted, and why")
+    rmse_held_out: Mapping[str, Rmse] = entry(f"Error of trials held out, {OF_MODEL}")
+    rmse_held_out_expected: Mapping[str, Rmse] = entry(f"Error that it expects itself, {OF_MODEL}")
+
+
+@declared
+class GainFound:
+    """What the causes gain over the model without them."""
+
+    rmse_held_out_before: float = entry(
+        "Error of trials held out without causes, in units of noise", unit="1"
+    )
+    rmse_held_out_after: float = entry("The same with the causes", unit="1")
+    elpd_difference: float = entry(
+        "Gain in log predictive density of trials held out, in nats", unit="1"
+    )
+    elpd_se: float = entry("Its standard error", unit="1")
+    elpd_absorbed_difference: float = entry(
+        "The same of a Gaussian process that takes up the misfit unnamed", unit="1"
+    )
+    elpd_absorbed_se: float = entry("Its standard error", unit="1")
+    log_evidence_difference: float = entry("Log evidence with less without the causes", unit="1")
+    rmse_in_sample: Mapping[str, Rmse] = entry(f"Error of the trials fitted, {OF_MODEL}")
+    rmse_held_out: Mapping[str, Rmse] = entry(f"Error of trials held out, {OF_MODEL}")
+    rmse_held_out_expected: Mapping[str, Rmse] = entry(f"Error that it expects itself, {OF_MODEL}")
+    misfit: Mapping[str, Check] = entry(f"Test of the size of the misfit, {OF_MODEL}")
+    families: Mapping[str, FamilyGain] = entry("Gain by what is held out")
+    explained: Mapping[str, float] = entry("Share of each coordinate's misfit that goes")
+    discrepancy: Process = entry("The process")
+    parameters: Mapping[str, ParameterChange] = entry("Parameters of both models by name")
+    forces: Mapping[str, Mapping[str, Mapping[str, float]]] = entry(
+        "Force of each ligament under the largest loads, by trial, before_N and after_N", unit="N"
+    )
+
+
+def gain_found(gain: Gain) -> GainFound:
+    """A gain as its answer keeps it."""
+    models = {"before": gain.before, "after": gain.after, "absorbed": gain.absorbed}
+    forces = gain.forces
+    held_out = _held_out(gain, models)
+    return GainFound(
+        rmse_held_out_before=held_out["rmse_held_out"]["before"].noise,
+        rmse_held_out_after=held_out["rmse_held_out"]["after"].noise,
+        **_density(gain.elpd, gain.elpd_absorbed),
+        log_evidence_difference=gain.log_evidence_difference,
+        rmse_in_sample={name: x.in_sample for name, x in models.items()},
+        **held_out,
+        misfit={name: x.check for name, x in models.items()},
+        families={
+            one.family: FamilyGain(
+                **_density(one, absorbed),
+                folds=tuple(x.name for x in one.folds),
+                without_signature=tuple(x.name for x in one.without_signature),
+                not_scored={x.name: reason for x, reason in one.not_scored},
+                **_held_out(gain, models, one.family),
+            )
+            for one, absorbed in zip(gain.elpd.families, gain.elpd_absorbed.families, strict=True)
+        },
+        explained=gain.explained,
+        discrepancy=gain.discrepancy,
+        parameters={x.name: x for x in gain.parameters},
+        forces={
+            trial: {
+                ligament: {"before_N": float(before), "after_N": float(after)}
+                for ligament, before, after in zip(forces.ligaments, *pair, strict=True)
+            }
+            for trial, *pair in zip(forces.trials, forces.before, forces.after, strict=True)
+        },
+    )
+
+
+def _density(
+    found: ElpdDifference | FamilyDifference, absorbed: ElpdDifference | FamilyDifference
+) -> dict[str, Any]:
+    return {
+        "elpd_difference": found.difference,
+        "elpd_se": found.se,
+        "elpd_absorbed_difference": absorbed.difference,
+        "elpd_absorbed_se": absorbed.se,
+    }
+
+
+def _held_out(
+    gain: Gain, models: Mapping[str, Assessment], family: str | None = None
+) -> dict[str, Any]:
+    return {
+        "rmse_held_out": {k: gain.rmse_held_out(x, family) for k, x in models.items()},
+        "rmse_held_out_expected": {k: gain.expected_rmse(x, family) for k, x in models.items()},
+    }
+
 
 OF_WRENCH = "N or N·m, as the component's name says"
 WRENCH = ("varus_Nm", "internal_Nm", "x_N", "y_N", "z_N")
@@ -303,3 +432,124 @@ def _choice(effect: AddedEffect, knee: Knee) -> EffectChoice:
         stiffness_sd_kN=effect.stiffness_sd,
         site_sd_mm=effect.site_sd,
     )
+
+
+# Trials in which most misfit is left are named up to this number.
+MOST_REPEATED = 3
+
+
+def rows_of(found: Investigation) -> list[SuspiciousRow]:
+    """The trials that the other ones contradict, beside the best explanation of the misfit."""
+    fitted = found.explanation.fitted
+    rows, jacobian = fitted.residual_rows(), fitted.evaluation.jacobian
+    whitened = fitted.noise.whiten(np.eye(fitted.n_data))
+    columns = np.vstack([whitened, np.zeros((len(rows) - fitted.n_data, fitted.n_data))])
+    measured = fitted.laxity.is_measured
+    return suspicious_rows(left_out(rows, jacobian, columns), *np.nonzero(measured))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """The verdict on other trials than those of a diagnosis.
+
+    Attributes
+    ----------
+    knee
+        The subject.
+    starts, effects, seed
+        As in `identknee.diagnosis.investigation.investigate`, which is done again.
+    """
+
+    knee: Knee
+    starts: Sequence[Array]
+    effects: Sequence[Effect] | None
+    seed: int
+
+    def row_findings(self, found: Investigation) -> tuple[Finding, ...]:
+        """The rows that the fit contradicts, with the verdict that the other trials have."""
+        rows = rows_of(found)
+        if not rows:
+            return ()
+        it = "it" if len(rows) == 1 else "these trials"
+        then = self._verdict(without_rows(found.laxity, rows), found, f"Without {it}")
+        return trial_findings(rows, found.laxity, "trial-against-fit", then=then)
+
+    def table_findings(self, found: Investigation, whole: Laxity) -> tuple[Finding, ...]:
+        """The rows that the table contradicts, left out of `found`, with the verdict with them."""
+        rows = suspicious_end_points(whole)
+        if not rows:
+            return ()
+        it = "it" if len(rows) == 1 else "them"
+        then = self._verdict(whole, found, f"The diagnosis leaves {it} out; with {it}")
+        return trial_findings(rows, whole, "trial-against-course", then=then)
+
+    def _verdict(
+        self, laxity: Laxity, found: Investigation, start: str
+    ) -> tuple[str, dict[str, object]]:
+        """The verdict on other trials as a sentence, and as values."""
+        rest = investigate(
+            self.knee, laxity, starts=self.starts, effects=self.effects, seed=self.seed
+        )
+        if rest is None:
+            return f"{start} the data cannot be tested.", {"verdict": Verdict.NOT_TESTABLE.value}
+        verdict, causes = rest.conclusion.verdict.value, [x.name for x in rest.causes]
+        names = f" ({' and '.join(causes)})" if causes else ""
+        still = "still " if rest.conclusion.verdict is found.conclusion.verdict else ""
+        why = " ".join(rest.conclusion.reasons)
+        values: dict[str, object] = {"verdict": verdict, "causes": causes}
+        return f"{start} the verdict is {still}{verdict}{names}. {why}", values
+
+
+def sound(laxity: Laxity) -> Laxity:
+    """The data, cells blank in trials that the table alone contradicts, no model asked."""
+    return without_rows(laxity, suspicious_end_points(laxity))
+
+
+def with_unsound(part: Laxity, laxity: Laxity) -> Laxity:
+    """Some trials of the data, and those that the table contradicts."""
+    coordinates = np.array(part.coordinates)
+    rows = [x.trial for x in suspicious_end_points(laxity)]
+    coordinates[rows] = laxity.coordinates[rows]
+    return replace(part, coordinates=coordinates)
+
+
+def implausible_explanation(found: Investigation) -> tuple[Finding, ...]:
+    """What the best explanation says of contact, forces and strains that no knee has."""
+    fitted = found.explanation.fitted
+    model = fitted.compared.model
+    prediction = model.predict_once(fitted.theta)
+    return (
+        *rim_findings(model.protocol.trials, prediction),
+        *implausible_findings(model, prediction),
+    )
+
+
+def advice_findings(found: Investigation) -> tuple[Finding, ...]:
+    """That no trial can be advised, where some should be, and what to ask for instead."""
+    verdict = found.conclusion.verdict
+    if found.advice is not None or verdict not in (Verdict.AMBIGUOUS, Verdict.UNEXPLAINED):
+        return ()
+    if verdict is Verdict.AMBIGUOUS:
+        sentence = (
+            "No trial to add can be advised: the causes that are left differ in nothing that a "
+            "load could show, or the model has no equilibrium in the trials that could be added."
+        )
+        return (finding("no-trial-advised", "trials", sentence=sentence),)
+    # What would help where nothing explains the misfit: repeats, and errors known better.
+    fitted, trials = found.explanation.fitted, found.laxity.protocol.trials
+    left = np.nansum((fitted.differences / found.noise.sd) ** 2, axis=1)
+    worst = [trials[i] for i in np.argsort(-left, kind="stable")[:MOST_REPEATED]]
+    values: dict[str, object] = {"trials": worst}
+    sentence = (
+        "No trial to add can be advised: nothing explains the misfit, so there are no explanations "
+        f"that a trial could tell apart. Most of it is left in {', '.join(worst)}: measure these "
+        "again, to tell errors of a trial from the knee."
+    )
+    if fitted.nuisance_groups:
+        farthest = min(fitted.nuisance_groups, key=lambda x: x.p_value)
+        values["nuisances"] = farthest.name
+        sentence += (
+            f" Of what is stated as uncertain, the fit moves {farthest.name} to the least probable "
+            "place: measure it."
+        )
+    return (finding("no-trial-advised", "trials", values, sentence=sentence),)

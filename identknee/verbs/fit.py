@@ -1,15 +1,20 @@
 """One parameter set from measured laxity and one start, and what speaks against it."""
 
-from collections.abc import Sequence
+import fnmatch
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Annotated, Literal, Unpack, get_args
 
 import numpy as np
+from scipy.special import stdtrit
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import Fit
 from identknee.calibrate.fit import fit as search
+from identknee.calibrate.problem import Problem
 from identknee.calibrate.starts import load_start
+from identknee.calibrate.student import DEGREES, fit_student, student_scales
 from identknee.checks.all_checks import Fitted, check_fit, check_unfitted
 from identknee.checks.fit_warnings import (
     bound_findings,
@@ -23,26 +28,29 @@ from identknee.checks.usable_trials import (
     UsedTrials,
     about_inputs,
     lost_findings,
+    residuals_of,
     table_model,
     unfitted_findings,
 )
 from identknee.identify.nuisances import nuisance_estimates
 from identknee.laxity.rmse import LaxityError, laxity_rmse
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.zeros import ABSOLUTE
 from identknee.mechanics.load_paths import Continuation
+from identknee.model.candidate_laxity import at_own_poses
 from identknee.model.effects.stored import choice_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import poses_of
 from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, declared, derived, entry
+from identknee.runs.errors import suggestion
 from identknee.runs.findings import Finding
 from identknee.runs.outcome import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
-from identknee.verbs.heavy_tails import about_tails, robust
-from identknee.verbs.held_out import HeldOut, predicted, split
 from identknee.verbs.identification import with_noise
 from identknee.verbs.options import (
     LOAD_STEPS,
@@ -57,8 +65,211 @@ from identknee.verbs.options import (
 )
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import bounds_of, by_ligament, check_word
-from identknee.verbs.verb import Run, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.verb import Run, verb, warm_up
+
+LEVEL = 0.9
+MOST_NAMED = 6
+ROUNDS = 20
+
+
+@declared
+class HeldValue:
+    """A measured value that the fit did not see, and its prediction."""
+
+    trial: str = entry("Name of the trial")
+    coordinate: str = entry("Name of the coordinate")
+    measured: float = entry("Measured value", unit=OF_COORDINATE)
+    predicted: float = entry("Predicted value; null where the model has none", unit=OF_COORDINATE)
+    sd: float = entry(
+        "Standard deviation of the prediction, to first order: of noise as large as the fit left, "
+        "of parameters and of stated errors",
+        unit=OF_COORDINATE,
+    )
+
+
+@declared
+class HeldOut:
+    """What a fit predicts of the trials that were kept from it."""
+
+    values: tuple[HeldValue, ...] = entry("The measured values of these trials")
+    degrees_of_freedom: float = entry("Of the noise that the fit left", unit="1")
+
+    @property
+    @derived("Names of the trials")
+    def trials(self) -> tuple[str, ...]:
+        """Names of the trials."""
+        return tuple(dict.fromkeys(x.trial for x in self.values))
+
+    @property
+    @derived("Trials in which the model has no prediction")
+    def lost(self) -> tuple[str, ...]:
+        """Trials in which the model has no prediction."""
+        return tuple(dict.fromkeys(x.trial for x in self.values if np.isnan(x.predicted)))
+
+    @property
+    @derived("Root-mean-square error by coordinate", unit=OF_COORDINATE)
+    def rmse(self) -> dict[str, float]:
+        """Root-mean-square error of the values predicted, by coordinate."""
+        return {
+            name: float(np.sqrt(np.mean(own**2)))
+            for name in COORDINATES
+            if (own := self._errors([x for x in self.values if x.coordinate == name])).size
+        }
+
+    @property
+    @derived("Share of the values predicted that lie in their 90 % intervals", unit="1")
+    def within_90(self) -> float:
+        """Share of the values predicted that lie in their 90 % intervals; NaN without any."""
+        reach = stdtrit(self.degrees_of_freedom, 0.5 + 0.5 * LEVEL)
+        known = [x for x in self.values if not np.isnan(x.predicted)]
+        if not known:
+            return float("nan")
+        return float(np.mean([abs(x.predicted - x.measured) <= reach * x.sd for x in known]))
+
+    @staticmethod
+    def _errors(values: Sequence[HeldValue]) -> Array:
+        errors = np.array([x.predicted - x.measured for x in values])
+        return np.asarray(errors[~np.isnan(errors)])
+
+
+def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
+    """The data with the cells of the trials held out blank, and which these are, shape ``(n,)``.
+
+    Parameters
+    ----------
+    laxity
+        The data.
+    held_out
+        Names of trials, ``*`` standing for any letters.
+
+    Raises
+    ------
+    ValueError
+        If no trial is called so, none is left, or coordinates are not absolute.
+    """
+    if held_out and laxity.zero != ABSOLUTE:
+        raise ValueError(
+            "--hold-out predicts absolute coordinates, and those of the table count from the zero "
+            f"{laxity.zero}; leave cells blank instead"
+        )
+    trials = laxity.protocol.trials
+    held = np.zeros(laxity.n, bool)
+    for name in held_out:
+        own = np.array([fnmatch.fnmatchcase(x, name) for x in trials])
+        if not own.any():
+            raise ValueError(
+                f"--hold-out {name}: there is no such trial. "
+                f"{suggestion(name, trials, most=MOST_NAMED)}"
+            )
+        held |= own
+    if not (laxity.is_measured.any(axis=1) & ~held).any():
+        raise ValueError("--hold-out leaves no trial to fit to; hold out fewer")
+    blank = np.where(held[:, None], np.nan, laxity.coordinates)
+    return (replace(laxity, coordinates=blank) if held.any() else laxity), held
+
+
+def predicted(
+    knee: Knee, fitted: tuple[Problem, Laxity, Array], measured: Laxity, fixed: Sequence[str]
+) -> HeldOut:
+    """What the fitted knee predicts of trials, none of whose measured poses are looked at.
+
+    Parameters
+    ----------
+    knee
+        The subject with the parameters, errors and poses of the fit.
+    fitted
+        The problem of the fit, in residuals of its data, those data, and where it ended.
+    measured
+        The trials held out.
+    fixed
+        Parameters that were not fitted.
+    """
+    problem, data, theta = fitted
+    covariance, noise, degrees = _uncertainty(problem, data, theta, fixed)
+    model = LaxityModel(
+        knee=knee, protocol=measured.protocol, order=measured.order, phase=measured.phase
+    )
+    found = at_own_poses(model, theta).predict(theta)
+    if found.jacobian is None:  # pragma: no cover - it was asked for
+        raise AssertionError
+    spread = np.einsum("nip,pq,niq->ni", found.jacobian, covariance, found.jacobian)
+    sd = np.sqrt(spread + noise**2)
+    values = tuple(
+        HeldValue(
+            trial=measured.protocol.trials[i],
+            coordinate=COORDINATES[j],
+            measured=float(measured.coordinates[i, j]),
+            predicted=float(found.coordinates[i, j]),
+            sd=float(sd[i, j]),
+        )
+        for i, j in np.argwhere(measured.is_measured).tolist()
+    )
+    return HeldOut(values=values, degrees_of_freedom=degrees)
+
+
+def _uncertainty(
+    problem: Problem, data: Laxity, theta: Array, fixed: Sequence[str]
+) -> tuple[Array, Array, float]:
+    """Covariance of the parameters, noise by coordinate (5,), its degrees of freedom.
+
+    The noise of lengths and that of angles are what the fit leaves over their own degrees of
+    freedom. A parameter without a prior is known to lie within its bounds.
+    """
+    parameters, at = problem.parameters, evaluate(problem, theta)
+    is_angle = np.isin(np.nonzero(data.is_measured)[1], np.arange(5)[ROTATIONS]).astype(int)
+    n, residuals = is_angle.size, at.residuals[: is_angle.size]
+    free = ~np.isin(parameters.names, list(fixed))
+    weak = np.diag(np.sqrt(12.0) / (parameters.upper - parameters.lower))
+    rows = np.vstack([at.jacobian[n:], weak[parameters.is_of_interest]])[:, free]
+    jacobian, size = at.jacobian[:n, free], np.ones(2)
+    known = rows.T @ rows
+    for _ in range(ROUNDS):
+        scaled = jacobian / size[is_angle][:, None]
+        covariance = np.linalg.inv(scaled.T @ scaled + known)
+        left = 1.0 - np.einsum("ip,pq,iq->i", scaled, covariance, scaled)
+        degrees = np.maximum(np.bincount(is_angle, weights=left, minlength=2), 1.0)
+        squares = np.bincount(is_angle, weights=residuals**2, minlength=2)
+        size = np.where(squares > 0.0, np.sqrt(squares / degrees), 1.0)
+    whole = np.zeros((parameters.n, parameters.n))
+    whole[np.ix_(free, free)] = covariance
+    noise = np.empty(len(COORDINATES))
+    noise[TRANSLATIONS], noise[ROTATIONS] = size
+    return whole, noise, float(degrees.sum())
+
+
+# Of values with a weight below this so many are named.
+LIGHT, MOST_FAR = 0.5, 6
+
+
+def robust(plain: Callable[..., Fit], problem: Problem, start: Array, fixed: Sequence[str]) -> Fit:
+    """A fit whose errors have heavy tails."""
+    return fit_student(problem, residuals_of(problem).units, start, partial(plain, fixed=fixed))
+
+
+def about_tails(problem: Problem, laxity: Laxity, found: Fit) -> tuple[str, ...]:
+    """The scales of errors with heavy tails, and the values that count least."""
+    if not np.isfinite(found.objective):
+        return ()
+    data = residuals_of(problem)
+    scales, weights = student_scales(data, data.units, found.theta)
+    units = ("mm", "deg") if data.weighting == "unit" else ("sd of lengths", "sd of angles")
+    shown = " and ".join(
+        f"{scales[k]:.2g} {unit}" for k, unit in enumerate(units) if np.any(data.units == k)
+    )
+    trials, coordinates = np.nonzero(laxity.is_measured)
+    light = [k for k in np.argsort(weights)[:MOST_FAR].tolist() if weights[k] < LIGHT]
+    least = ", ".join(
+        f"{COORDINATES[coordinates[k]].rpartition('_')[0].replace('_', ' ')} of "
+        f"{laxity.protocol.trials[trials[k]]} ({weights[k]:.2f})"
+        for k in light
+    )
+    counted = f" Values counted least, with their weights: {least}." if least else ""
+    sentence = (
+        f"Errors were taken as Student's t with {DEGREES:.0f} degrees of freedom and a scale of "
+        f"{shown}, estimated with the parameters.{counted}"
+    )
+    return (sentence,)
+
 
 # The subject as fitted, in the folder of the results.
 FITTED = "fitted"

@@ -15,7 +15,7 @@ from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import with_stated
 from identknee.verbs.answer import Answer
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 INSERTION = "insertion"
 

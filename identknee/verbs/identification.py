@@ -48,7 +48,7 @@ from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
-from identknee.verbs.warming import warm_up
+from identknee.verbs.verb import warm_up
 
 # Simulations of a search that is only to tell whether it is the lowest. Of a measured knee with 104
 # parameters 15 of 17 came within 4 of their last deviance in so many.

@@ -1,21 +1,42 @@
 """Which causes the trials of a protocol could show and tell apart, before any data."""
 
-from collections.abc import Mapping
-from typing import Annotated, Unpack
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Unpack, overload
 
 from identknee.diagnosis.advice import ROOT, GroupAdvice, protocol_isolability
 from identknee.diagnosis.candidates import Visibility
 from identknee.diagnosis.isolability import LEAST_DISTANCE
-from identknee.laxity.named_trials import read_trials
+from identknee.laxity.named_trials import TrialsLike, read_trials
+from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputed
+from identknee.runs.files import PathLike
+from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
-from identknee.verbs.options import KneeOptions, ProtocolName, Seed, Subject, option
-from identknee.verbs.trials import AdvisedTrial, advised
-from identknee.verbs.values import noise_of
-from identknee.verbs.verb import Run, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.diagnose import diagnose_data
+from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.options import (
+    Candidates,
+    ExtraStart,
+    GivenData,
+    GivenSubject,
+    KneeOptions,
+    LaxityLike,
+    Noise,
+    Out,
+    ProtocolName,
+    Seed,
+    Subject,
+    SubjectLike,
+    Uncertain,
+    Workers,
+    documented,
+    option,
+    trials_option,
+)
+from identknee.verbs.values import AdvisedTrial, NoiseLike, advised, noise_of
+from identknee.verbs.verb import Run, verb, warm_up
 
 
 @declared
@@ -117,4 +138,88 @@ def _confused(advice: GroupAdvice) -> Confused:
         distance=advice.before,
         distance_with_advised_trials=advice.after,
         advised_trials=advised(advice.trials),
+    )
+
+
+@overload
+def diagnose(
+    subject: SubjectLike,
+    data: LaxityLike,
+    *,
+    protocol: None = None,
+    noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
+    start: str = "subject",
+    effects: Sequence[Effect] | None = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: Workers = 1,
+) -> Diagnosis: ...
+@overload
+def diagnose(
+    subject: SubjectLike,
+    data: None = None,
+    *,
+    protocol: TrialsLike,
+    noise: str | tuple[float, float],
+    uncertain: UncertainLike = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: Workers = 1,
+) -> Isolability: ...
+@documented
+def diagnose(
+    subject: GivenSubject,
+    data: GivenData = None,
+    *,
+    protocol: Annotated[
+        TrialsLike | None,
+        trials_option(
+            "Instead of DATA.csv: find out what planned trials could show, given --noise. The "
+            "trials: {}."
+        ),
+    ] = None,
+    noise: Noise = None,
+    uncertain: Uncertain = None,
+    start: ExtraStart = "subject",
+    effects: Candidates = None,
+    out: Out = None,
+    seed: Seed = 0,
+    workers: Workers = 1,
+) -> Diagnosis | Isolability:
+    """What the model of a subject gets wrong in the data, and which physical cause it has.
+
+    The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the other
+    causes that would fit, and the trials that would tell them apart. The folder extended holds the
+    subject with the causes found, for use with every other command. With --protocol instead of
+    DATA.csv, it says which causes such trials could show and tell apart.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do.
+    NotComputed
+        If the subject has no prediction in any trial of the protocol.
+    """
+    if (data is None) == (protocol is None):
+        raise ValueError(
+            "diagnose needs either DATA.csv or --protocol; give one of the two, for example "
+            "identknee diagnose reference --protocol seed63 --noise 0.3mm,0.3deg"
+        )
+    if data is not None:
+        return diagnose_data(
+            subject,
+            data,
+            noise=noise,
+            uncertain=uncertain,
+            start=start,
+            effects=effects,
+            out=out,
+            seed=seed,
+            workers=workers,
+        )
+    if noise is None or protocol is None:
+        raise ValueError("--protocol needs --noise; add for example --noise 0.3mm,0.3deg")
+    return isolability(
+        subject, protocol, noise, uncertain=uncertain, out=out, seed=seed, workers=workers
     )

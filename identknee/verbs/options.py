@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_origin, get
 from identknee.laxity.named_trials import TrialsLike
 from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect
-from identknee.runs import workers
+from identknee.runs import executors as workers
 from identknee.runs.files import PathLike
 from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import UncertainLike

@@ -190,7 +190,7 @@ _VERBS = [
     ),
     Verb(
         name="diagnose",
-        module="identknee.verbs.data_or_protocol",
+        module="identknee.verbs.isolability",
         function="diagnose",
         answer="Diagnosis",
         answer_module="identknee.verbs.diagnosis",
@@ -222,7 +222,7 @@ _VERBS = [
     ),
     Verb(
         name="subject check",
-        module="identknee.verbs.subject_check",
+        module="identknee.verbs.subject",
         function="check_subject",
         answer="SubjectCheck",
         summary="Check SUBJECT, and whether its trials are stable.",
@@ -231,7 +231,7 @@ _VERBS = [
     ),
     Verb(
         name="subject settle",
-        module="identknee.verbs.subject_settle",
+        module="identknee.verbs.subject",
         function="settle_subject",
         answer="SettledSubject",
         summary="Move the insertions of SUBJECT until all trials are stable.",
@@ -241,7 +241,7 @@ _VERBS = [
     ),
     Verb(
         name="subject show",
-        module="identknee.verbs.subject_facts",
+        module="identknee.verbs.subject",
         function="describe_subject",
         answer="SubjectFacts",
         summary="Draw SUBJECT in its scanned pose.",
@@ -251,7 +251,7 @@ _VERBS = [
     ),
     Verb(
         name="subject import-osim",
-        module="identknee.verbs.subject_facts",
+        module="identknee.verbs.subject",
         function="import_subject",
         answer="SubjectFacts",
         summary="Turn an OpenSim model into a subject folder.",

@@ -1,10 +1,12 @@
 """Which parameters the laxity of a knee depends on."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Unpack
 
 import numpy as np
+import xarray
 
 from identknee.calibrate.starts import load_start
 from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Sensitivity, box_around
@@ -18,6 +20,7 @@ from identknee.model.of_tests import model_of_tests
 from identknee.model.quantities import LaxityOutputs
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
+from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import finding
 from identknee.subject.knee import Knee
@@ -32,8 +35,7 @@ from identknee.verbs.options import (
     option,
     trials_option,
 )
-from identknee.verbs.verb import Run, not_deciding, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.verb import Run, not_deciding, verb, warm_up
 
 
 @declared
@@ -151,8 +153,54 @@ def _where(
         middle = outputs.free.restrict(outputs.free.fixed_values)
         return box_around(outputs.parameters, middle)
     # xarray takes longer to load than most mistakes take.
-    from identknee.verbs.posterior_draws import posterior_draws
 
     draws = posterior_draws(posterior, outputs.parameters.names, samples or DEFAULT_DRAWS)
     run.also_decide(draws=digest(np.ascontiguousarray(draws).tobytes()))
     return draws
+
+
+ARRAYS, POSTERIOR, THETA = "result.nc", "posterior", "theta"
+
+
+def posterior_draws(folder: PathLike, names: tuple[str, ...], n: int) -> Array:
+    """At most n draws of the parameters called `names` from what ``identknee sample`` left.
+
+    They are evenly spread over all chains and steps, shape ``(n, p)``.
+
+    Raises
+    ------
+    InputError
+        If the folder has no posterior, or that of other parameters.
+    """
+    path = Path(folder) / ARRAYS
+    remedy = "Give the folder --out of an identknee sample that has ended."
+    if not path.is_file():
+        raise InputError(path, "", "there are no results to read", remedy)
+    try:
+        tree = xarray.open_datatree(path, engine="h5netcdf")
+    except OSError as error:
+        raise InputError(path, "", f"there are no results to read ({error})", remedy) from error
+    with tree:
+        if POSTERIOR not in tree.children:
+            raise InputError(path, "", "there is no posterior in these results", remedy)
+        data = tree[POSTERIOR].to_dataset().load()
+    draws = _by_name(data, names)
+    if draws is None:
+        why = f"its posterior is not one of {', '.join(names)}"
+        raise InputError(path, POSTERIOR, why, "Sample and analyse with the same --fix.")
+    step = max(1, math.ceil(len(draws) / n))
+    return np.asarray(draws[::step])
+
+
+def _by_name(data: xarray.Dataset, names: tuple[str, ...]) -> Array | None:
+    """Draws of the parameters in this order, from one variable for all or one for each."""
+    if THETA in data:
+        theta = data[THETA]
+        known = [str(x) for x in theta["parameter"].values] if "parameter" in theta.coords else []
+        if set(known) != set(names):
+            return None
+        values = theta.transpose(..., "parameter").sel(parameter=list(names)).values
+        return np.asarray(values.reshape(-1, len(names)), dtype=np.float64)
+    if not all(name in data for name in names):
+        return None
+    return np.column_stack([data[name].values.ravel() for name in names])

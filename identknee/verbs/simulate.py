@@ -36,8 +36,7 @@ from identknee.verbs.values import (
     noise_of,
     values_of,
 )
-from identknee.verbs.verb import Run, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.verb import Run, verb, warm_up
 
 LAXITY_FILE = "laxity.csv"
 

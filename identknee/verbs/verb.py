@@ -14,17 +14,16 @@ from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
-from identknee.runs.executors import Executor
+from identknee.model.laxity_model import LaxityModel
+from identknee.runs.executors import Executor, Workers, executor_of, one_library_thread
 from identknee.runs.files import digest, prepare_folder
-from identknee.runs.library_threads import one_library_thread
+from identknee.runs.progress import progress_bar
 from identknee.runs.record import record
 from identknee.runs.store import Store, finish_work, open_work
-from identknee.runs.workers import Workers, executor_of
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import with_stated
+from identknee.subject.uncertainty import EXACTLY, with_stated
 from identknee.verbs.answer import Answer
-from identknee.verbs.knee_digest import knee_digest
 from identknee.verbs.options import (
     REFERENCE,
     LaxityLike,
@@ -32,6 +31,33 @@ from identknee.verbs.options import (
     explained,
     parameters_in_full,
 )
+
+
+def knee_digest(knee: Knee) -> str:
+    """SHA-256 of all numbers of a knee, and of what it states to be uncertain."""
+    parts = [knee.side.encode()]
+    for x in knee.ligaments:
+        numbers = (*x.femur.tolist(), *x.tibia.tolist(), x.stiffness_kN, x.reference_strain_pct)
+        parts.append(f"{x.name} {numbers}".encode())
+    for effect in knee.effects:
+        ends = [(femur.tolist(), tibia.tolist()) for femur, tibia in effect.lines]
+        spread = (effect.stiffness_sd_kN, effect.site_sd_mm)
+        parts.append(f"{effect.name} {dict(effect.values)} {effect.fixed} {ends} {spread}".encode())
+    stated = (knee.uncertainty, sorted(knee.priors.items()), sorted(knee.bounds.items()))
+    if stated != (EXACTLY, [], []):
+        parts.append(repr(stated).encode())
+    known = [(x.flexion_deg, x.coordinates.tolist()) for x in knee.poses]
+    further = (knee.groups, known, sorted(knee.fitted.items()))
+    if further != ((), [], []):
+        parts.append(repr(further).encode())
+    if knee.contact_rounding_mm:
+        parts.append(f"contact rounding {knee.contact_rounding_mm}".encode())
+    for surface in (knee.femur, *knee.tibia):
+        parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
+    for frame in (knee.femur_frame, knee.tibia_frame):
+        parts += [frame.origin.tobytes(), frame.axes.tobytes()]
+    return digest(b"".join(parts))
+
 
 WORK = "work.sqlite"
 # What cannot change a number; everything else decides whether stored work may be resumed. Of
@@ -295,3 +321,10 @@ def _setting(value: Any) -> Any:
     if isinstance(value, list | tuple) and any(isinstance(x, _NAMED) for x in value):
         return [_setting(x) for x in value]
     return "a table in memory" if isinstance(value, Laxity) else value
+
+
+def warm_up(knee: Knee, protocol: Protocol) -> None:
+    """Compile and build the distance field, or load them, so that times taken later exclude it."""
+    with progress_bar("preparing, longer the first time after an installation"):
+        model = LaxityModel(knee=knee, protocol=protocol.select([0]), effects=())
+        model.predict(model.parameters.center)

@@ -18,7 +18,7 @@ from common.records import Row, begun, parsed_options, rounded, say, working, wr
 import identknee as ik
 from identknee.checks.contradicted_trials import end_point_findings
 from identknee.runs.findings import Severity
-from identknee.verbs.held_out import HeldValue
+from identknee.verbs.fit import HeldValue
 
 KNEES = ("s192803", "s192803_bundles")
 WRONG_ROW = "Valgus_60"

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import identknee as ik
 from identknee.cli.app import app
 from identknee.cli.command import is_our_sentence
-from identknee.runs import unforeseen
+from identknee.runs import crash_report as unforeseen
 
 SLOWEST_S = 60.0
 LONGEST_SENTENCE = 8000

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 import typer
-from identknee.report.printer import terminal_lines
 
 from identknee.cli.app import app
 from identknee.cli.verb_command import WaitingCommand, command_of
+from identknee.report.printer import terminal_lines
 from identknee.verbs.files import load
 
 HERE = Path(__file__).parent

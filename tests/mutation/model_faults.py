@@ -341,7 +341,7 @@ MECHANICS = (
         "tests/unit/mechanics/test_contact_expansion.py",
     ),
     fault(
-        "identknee/mechanics/spline.py",
+        "identknee/mechanics/contact_elements.py",
         "along_axis",
         "half, third = (0.5 * place, 1.0 / 3.0 * place)",
         "half, third = (0.5 * place, 1.0 / 2.0 * place)",
@@ -349,7 +349,7 @@ MECHANICS = (
         "tests/unit/mechanics/test_spline.py",
     ),
     fault(
-        "identknee/mechanics/minimum.py",
+        "identknee/mechanics/kernel.py",
         "",
         "LAST_STEP = 3e-07",
         "LAST_STEP = 0.01",
@@ -399,7 +399,7 @@ MECHANICS = (
         "tests/unit/calibrate/test_curvature.py",
     ),
     fault(
-        "identknee/mechanics/ligament_law.py",
+        "identknee/mechanics/elements.py",
         "tension",
         "if strain <= 2.0 * transition:\n    slope = stiffness * strain / (2.0 * transition)\n    return (0.5 * slope * strain, slope, slope * strain * strain / 6.0)",
         "if strain <= 1.9 * transition:\n    slope = stiffness * strain / (2.0 * transition)\n    return (0.5 * slope * strain, slope, slope * strain * strain / 6.0)",
@@ -407,7 +407,7 @@ MECHANICS = (
         f"{_LAWS}::test_the_toe_ends_where_both_formulas_meet",
     ),
     fault(
-        "identknee/mechanics/ligament_wrench.py",
+        "identknee/mechanics/ligament_tensions.py",
         "line_tensions",
         "toe = stretched < 2.0 * width",
         "toe = stretched < 1.9 * width",
@@ -415,7 +415,7 @@ MECHANICS = (
         f"{_LAWS}::test_the_toe_ends_where_both_formulas_meet",
     ),
     fault(
-        "identknee/mechanics/ligament_law.py",
+        "identknee/mechanics/elements.py",
         "tension",
         "transition * transition / 6.0",
         "transition * transition / 3.0",
@@ -463,7 +463,7 @@ MECHANICS = (
         _GROOD,
     ),
     fault(
-        "identknee/mechanics/rims.py",
+        "identknee/mechanics/contact_points.py",
         "rim_distance",
         "named[count == 1]",
         "named[count == 2]",
@@ -487,7 +487,7 @@ MECHANICS = (
         _NOISE,
     ),
     fault(
-        "identknee/mechanics/workspace.py",
+        "identknee/mechanics/equilibria.py",
         "kept_workspace",
         "_forget(_kept.last.evaluation)",
         "pass",
@@ -506,7 +506,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/mechanics/contact_expansion.py",
+        "identknee/mechanics/contact_elements.py",
         "turn_expansion",
         "expansion[8, k] = a * x + d * y + g * z",
         "expansion[8, k] = a * x + b * y + c * z",
@@ -514,7 +514,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/mechanics/contact_motion.py",
+        "identknee/mechanics/contact_points.py",
         "contact_motion_columns",
         "[swinging + np.swapaxes(moment, 1, 2) - trace, swapped - pushing, turning, stiffness]",
         "[swinging + moment - trace, swapped - pushing, turning, stiffness]",

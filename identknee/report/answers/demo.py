@@ -115,7 +115,7 @@ class DemonstrationPresenter(Presenter[Demonstration]):
     @override
     def drawings(self, answer: Demonstration, subject: str, knee: Knee | None) -> Iterator[Drawing]:
         """Errors of the fits, then the profiles."""
-        from identknee.report.starts_figure import starts_figure
+        from identknee.report.sweep_figures import starts_figure
 
         methods = listed(dict.fromkeys(x.method for x in answer.starts))
         yield Drawing(
@@ -140,7 +140,7 @@ class DemonstrationPresenter(Presenter[Demonstration]):
         """The starts, the profiles and the knee."""
         from identknee.report.profile_figures import profiles_figure
         from identknee.report.scene import scene
-        from identknee.report.starts_figure import starts_figure
+        from identknee.report.sweep_figures import starts_figure
 
         return {
             "starts": starts_figure(answer.starts),

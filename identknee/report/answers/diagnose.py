@@ -15,8 +15,7 @@ from identknee.diagnosis.verdict import Cause, Estimate, Verdict
 from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
-from identknee.report.answers.advised import trial_table, trials_words
-from identknee.report.answers.better_known import sizes_words
+from identknee.report.answers.design import sizes_words, trial_table, trials_words
 from identknee.report.answers.isolability import SIZES, sizes_seen
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
@@ -37,8 +36,7 @@ from identknee.runs.words import (
 )
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.diagnosis import Diagnosis, Misfit, RivalFound
-from identknee.verbs.diagnosis_gain import FamilyGain, GainFound
+from identknee.verbs.diagnosis import Diagnosis, FamilyGain, GainFound, Misfit, RivalFound
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

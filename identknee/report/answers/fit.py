@@ -19,8 +19,7 @@ from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import amount, coordinate_words, label, listed, unit_of
 from identknee.verbs.answer import Answer
-from identknee.verbs.fit import Calibration
-from identknee.verbs.held_out import HeldOut
+from identknee.verbs.fit import Calibration, HeldOut
 
 if TYPE_CHECKING:
     from identknee.report.laxity_figures import LaxityCurves

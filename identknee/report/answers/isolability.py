@@ -8,7 +8,7 @@ from typing_extensions import override
 from identknee.diagnosis.candidates import Visibility
 from identknee.diagnosis.isolability import Distances
 from identknee.model.effects.facts import cause_label
-from identknee.report.answers.advised import trial_table, trials_words
+from identknee.report.answers.design import trial_table, trials_words
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
@@ -18,7 +18,7 @@ from identknee.runs.plain_records import summary_of
 from identknee.runs.words import amount, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability
-from identknee.verbs.trials import AdvisedTrial
+from identknee.verbs.values import AdvisedTrial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

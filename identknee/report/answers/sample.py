@@ -14,8 +14,7 @@ from identknee.report.tables import Column, Table
 from identknee.runs.arrays import Array
 from identknee.runs.words import interval, label, listed, parameter_words
 from identknee.subject.knee import Knee
-from identknee.verbs.sample import Sample
-from identknee.verbs.sample_records import Marginal, Nested, Predictive
+from identknee.verbs.sample import Marginal, Nested, Predictive, Sample
 
 STIFFNESS = "stiffness_kN"
 MOST_DRAWS = 400

@@ -8,9 +8,7 @@ from typing_extensions import override
 from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.subject.knee import Knee
-from identknee.verbs.subject_check import SubjectCheck
-from identknee.verbs.subject_facts import SubjectFacts
-from identknee.verbs.subject_settle import SettledSubject
+from identknee.verbs.subject import SettledSubject, SubjectCheck, SubjectFacts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

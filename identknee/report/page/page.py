@@ -6,11 +6,11 @@ from importlib.resources import files
 from itertools import chain
 
 from identknee.report.drawing import Drawing
-from identknee.report.page.knee_scene import KneeScene
 from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import element, paragraph, section
 from identknee.report.page.results import Findings, Result, by_subject, drawings
 from identknee.report.page.subject_part import subject_html
+from identknee.report.page.viewer import KneeScene
 from identknee.runs.progress import progress
 from identknee.runs.record import versions
 

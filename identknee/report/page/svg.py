@@ -10,8 +10,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
-from identknee.report.figures import COLOURS
-from identknee.report.picture import names_as_they_are
+from identknee.report.figures import COLOURS, names_as_they_are
 
 # Above something drawn in fixed colours black must stay black; this is not taken for it.
 FIXED_BLACK = "#010101"

@@ -148,7 +148,7 @@ def test_a_diagnosis_leaves_out_the_row_that_cannot_be_right_and_doubts_the_forc
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # The second diagnosis, with the row, takes as long again.
-    monkeypatch.setattr("identknee.verbs.diagnosis_rows.investigate", lambda *_, **__: None)
+    monkeypatch.setattr("identknee.verbs.diagnosis.investigate", lambda *_, **__: None)
     # Of the beginnings that a table without equilibria is searched from, one is enough here.
     monkeypatch.setattr("identknee.checks.usable_trials.STRETCHES", (0.04,))
     few = [ik.effect_named(ik.example("s192803"), "moment_gain_VV")]

@@ -15,11 +15,11 @@ from typer.testing import CliRunner
 
 import identknee as ik
 from identknee.cli.command import Command, CommandGroup
-from identknee.runs import unforeseen
+from identknee.runs import crash_report as unforeseen
 from identknee.runs.arrays import frozen
 from identknee.runs.errors import NotComputed
 from identknee.runs.files import digest
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 
 def _ended(error: BaseException) -> tuple[int, str]:

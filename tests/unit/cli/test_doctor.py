@@ -12,7 +12,8 @@ from cli_runs import run
 from typer.testing import Result
 
 import identknee as ik
-from identknee.verbs import installation, self_test
+from identknee.verbs import doctor as installation
+from identknee.verbs import doctor as self_test
 
 ROOT = Path(__file__).parents[3]
 

@@ -22,7 +22,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.files import plain
 from identknee.runs.plain_records import summary_of
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnosis_gain import gain_found
+from identknee.verbs.diagnosis import gain_found
 
 SD_MM, SD_DEG = 0.02, 0.1
 PLANTED = [0.08, 1.0]  # kN, %

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.mechanics.contact_places import distances
+from identknee.mechanics.contact_points import distances
 from identknee.mechanics.distance_field import build_field
 from identknee.model.effects.contact_law import Cartilage
 from identknee.model.joint import Joint

@@ -114,7 +114,7 @@ def test_theory_names_what_there_is_and_every_function_leads_back(pages: Any) ->
         assert hasattr(importlib.import_module(module), last), name
     lines: list[str] = []
     hook = pages("theory").way_back(DOCS / "theory.md")
-    hook(None, "function", "identknee.mechanics.ligament_law.tension", None, None, lines)
+    hook(None, "function", "identknee.mechanics.elements.tension", None, None, lines)
     assert any("theory-ligament" in line for line in lines)
 
 

@@ -9,7 +9,7 @@ from small_knee import small_knee, small_protocol
 from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.mechanics.contact_law import MOST_ROUNDING, ContactLaw
-from identknee.mechanics.contact_places import contact_places, distances
+from identknee.mechanics.contact_points import contact_places, distances
 from identknee.model.joint import Joint, joint_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array

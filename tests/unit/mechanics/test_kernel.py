@@ -17,7 +17,8 @@ from evaluation import (
 from tolerances import RESIDUAL_N, SAME_POSE
 
 from identknee.mechanics import kernel
-from identknee.mechanics.kernel import off_branch, sensitivities, tangent
+from identknee.mechanics.equilibria import workspace
+from identknee.mechanics.kernel import find_minimum, off_branch, sensitivities, tangent
 from identknee.mechanics.memory import (
     CONVERGED,
     FOLD,
@@ -25,8 +26,6 @@ from identknee.mechanics.memory import (
     UNCONSTRAINED,
     Segment,
 )
-from identknee.mechanics.minimum import find_minimum
-from identknee.mechanics.workspace import workspace
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array

@@ -6,9 +6,12 @@ from evaluation import central_difference
 from tolerances import CLOSED_FORM
 
 from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
-from identknee.mechanics.ligament_wrench import ligament_wrench
-from identknee.mechanics.placement import place
+from identknee.mechanics.ligament_tensions import (
+    LigamentTensions,
+    ligament_tensions,
+    ligament_wrench,
+)
+from identknee.mechanics.pose import place
 from identknee.runs.arrays import Array
 
 M, N, WITHOUT = 5, 7, 3

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_wrench import ligament_wrench, line_tensions
-from identknee.mechanics.placement import place
+from identknee.mechanics.ligament_tensions import ligament_wrench, line_tensions
+from identknee.mechanics.pose import place
 
 FEMORAL = np.array([[0.0, 5.0, -10.0], [3.0, -4.0, 12.0], [1.0, 8.0, 40.0]])
 TIBIAL = np.array([[10.0, -20.0, 2.0], [-15.0, -25.0, 0.0], [-9.0, -45.0, 44.0]])

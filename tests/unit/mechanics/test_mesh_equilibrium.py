@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 
 from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_wrench import ligament_wrench
+from identknee.mechanics.ligament_tensions import ligament_wrench
 from identknee.mechanics.load_paths import LoadPaths, load_paths
-from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
-from identknee.mechanics.mesh_equilibrium import (
+from identknee.mechanics.mesh_contact import (
     RESIDUAL_TOLERANCE,
+    MeshContact,
     MeshEquilibria,
+    mesh_contact,
     mesh_equilibria,
 )
-from identknee.mechanics.placement import place
+from identknee.mechanics.pose import place
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.outcome import Outcome
 

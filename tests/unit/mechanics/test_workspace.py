@@ -6,8 +6,8 @@ import numpy as np
 from evaluation import ligaments_of
 
 from identknee.mechanics.energy import evaluate
+from identknee.mechanics.equilibria import kept_workspace
 from identknee.mechanics.memory import N_LISTED, Workspace
-from identknee.mechanics.workspace import kept_workspace
 from identknee.model.laxity_model import LaxityModel
 
 

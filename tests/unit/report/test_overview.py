@@ -10,10 +10,18 @@ from diagnoses import FRAME, answered
 from report_folders import few_trials, profile_folder, straight_profiles
 
 from identknee.identify.profile.result import ProfileVerdict
-from identknee.report.overview.agreement import Relation, agreement, reasons, relation
-from identknee.report.overview.overview import Tone, overview
-from identknee.report.overview.ranges import ranges_of
-from identknee.report.overview.searches import disagreement, is_beaten, searches_sentences
+from identknee.report.overview import (
+    Relation,
+    Tone,
+    agreement,
+    disagreement,
+    is_beaten,
+    overview,
+    ranges_of,
+    reasons,
+    relation,
+    searches_sentences,
+)
 from identknee.report.page.results import by_subject, found_results
 from identknee.report.range import Range, Source
 from identknee.runs.arrays import Array

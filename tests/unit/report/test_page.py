@@ -22,7 +22,7 @@ from report_folders import (
 
 from identknee.report.page.page import report_drawings, report_html
 from identknee.report.page.results import by_subject, found_results
-from identknee.report.page.scenes import scene_of
+from identknee.report.page.viewer import scene_of
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnose import untestable

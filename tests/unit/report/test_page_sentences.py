@@ -14,14 +14,14 @@ from identknee.report.answers.isolability import isolability_statements
 from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
-from identknee.report.page.warnings import warnings
+from identknee.report.page.subject_part import warnings
 from identknee.report.statement import Question
 from identknee.runs.findings import finding
 from identknee.subject.reference import reference_knee
 from identknee.verbs.fit import fit
 from identknee.verbs.isolability import Confused, Isolability
 from identknee.verbs.simulate import simulate
-from identknee.verbs.trials import AdvisedTrial
+from identknee.verbs.values import AdvisedTrial
 
 
 def profile(

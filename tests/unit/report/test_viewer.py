@@ -12,7 +12,7 @@ from posed_knees import NAMES, posed_reference
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.contact_places import contact_places
+from identknee.mechanics.contact_points import contact_places
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.runs.dask_executor import dask_cluster
-from identknee.runs.executors import Executor, WorkerDied, spawn_seeds
+from identknee.runs.executors import Executor, WorkerDied, dask_cluster, spawn_seeds
 from identknee.runs.store import resumable_map
 
 WHY = "the extra `cluster` is not installed"

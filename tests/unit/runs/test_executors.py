@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from killed import is_running
 
+from identknee.runs.crash_report import are_warnings_logged, warnings_logged
 from identknee.runs.executors import process_pool, serial, spawn_seeds, threads
-from identknee.runs.unforeseen import are_warnings_logged, warnings_logged
 
 
 def draw(seed: np.random.SeedSequence) -> tuple[float, ...]:

@@ -10,7 +10,7 @@ from small_knee import small_knee
 from identknee.runs.errors import InputError
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.uncertainty import EXACTLY, StatedPrior, Uncertainty, with_stated
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 TILTED = ((4.0, 1.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 1.0))
 

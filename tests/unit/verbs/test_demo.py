@@ -10,8 +10,8 @@ from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.report.answers.demo import exact_fit
-from identknee.report.picture import png
-from identknee.report.starts_figure import starts_figure
+from identknee.report.figures import png
+from identknee.report.sweep_figures import starts_figure
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 from identknee.subject.reference import reference_knee

@@ -12,7 +12,8 @@ import pytest
 
 import identknee as ik
 from identknee.runs.errors import InputError
-from identknee.verbs import diagnose, subject_facts
+from identknee.verbs import diagnose
+from identknee.verbs import subject as subject_facts
 from identknee.verbs import verb as scaffold
 from identknee.verbs.answer import Answer
 from identknee.verbs.registry import verb_named, verbs

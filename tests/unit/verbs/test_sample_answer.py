@@ -17,8 +17,7 @@ from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
 from identknee.runs.plain_records import summary_of, to_plain
 from identknee.verbs.files import load
-from identknee.verbs.sample import Sample, as_answer
-from identknee.verbs.sample_records import Nested
+from identknee.verbs.sample import Nested, Sample, as_answer
 
 LOST = finding("no-prediction", "trials", sentence="no prediction")
 
