@@ -39,7 +39,7 @@ exclude_patterns = ["_build", "_parts", "paper", "tutorials", TIMES, f"**/{TIMES
 
 nitpicky = True
 # Other projects' names, which a build without a network cannot look up, and type variables.
-VARIABLES = r"identknee\.(runs|verbs)\.\w+\.(Item|Result|Made|Getter|Given|Found|Function)"
+VARIABLES = r"identknee\.(mechanics|runs|verbs)\.\w+\.(Item|Result|Made|Model|Group|Getter|Given|Found|Function)"
 # An object and no function: it has no page.
 SERIAL = r"identknee\.runs\.executors\.serial"
 nitpick_ignore_regex = [("py:.*", rf"(?!identknee).*|{VARIABLES}|{SERIAL}")]
