@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from identknee.blind_test.revelation import Revelation
 from identknee.runs.declare import Entry, derived_entries, entries
 from identknee.runs.plain_records import hints_of, record_within
-from identknee.verbs.doctor import Installation
+from identknee.verbs.installation import Installation
 from identknee.verbs.registry import verbs
 from identknee.verbs.subject import NamedSubjects
 

@@ -48,20 +48,18 @@ class Process:
 
 
 @declared
-class Discrepancy(Process):
-    """The process with what it leaves."""
+class Discrepancy:
+    """A process with what it leaves."""
 
+    process: Process = entry("The process")
     spread: Array = entry(
-        "Its standard deviation in each measured coordinate, in units of the noise",
-        is_in_json=False,
+        "Its standard deviation in each measured coordinate, in units of the noise"
     )
     errors: Array = entry(
-        "What it leaves in the data it was fitted to, measured less predicted [mm or deg]",
-        is_in_json=False,
+        "What it leaves in the data it was fitted to, measured less predicted [mm or deg]"
     )
     observations: Observations = entry(
-        "The measured values with it among their errors, for a prediction of held trials",
-        is_in_json=False,
+        "The measured values with it among their errors, for a prediction of held trials"
     )
 
 
@@ -111,13 +109,16 @@ def fit_discrepancy(
     # What the process absorbs of each value, by kriging.
     absorbing = cho_solve(cho_factor(np.eye(len(own)) + own), own)
     left = target - absorbing.T @ target
-    return Discrepancy(
-        spread=values[:-2],
-        flexion_length=float(values[-2]),
-        load_length=float(values[-1]),
-        errors=-at.residuals - noise.factor @ (absorbing.T @ target),
+    process = Process(
         absorbed=float(1.0 - left @ left / (target @ target)) if target.any() else 0.0,
         degrees_of_freedom=float(np.trace(absorbing)),
+        flexion_length=float(values[-2]),
+        load_length=float(values[-1]),
+    )
+    return Discrepancy(
+        process=process,
+        spread=values[:-2],
+        errors=-at.residuals - noise.factor @ (absorbing.T @ target),
         observations=replace(observations, noise=noise.widened(noise.factor, own)),
     )
 

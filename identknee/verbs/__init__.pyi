@@ -1,6 +1,6 @@
-from .doctor import Check as Check
-from .doctor import Installation as Installation
-from .doctor import doctor as doctor
+from .installation import Check as Check
+from .installation import Installation as Installation
+from .installation import doctor as doctor
 from .subject import SettledSubject as SettledSubject
 from .subject import SubjectCheck as SubjectCheck
 from .subject import SubjectFacts as SubjectFacts

@@ -119,7 +119,7 @@ def gain_found(gain: Gain) -> GainFound:
             for one, absorbed in zip(gain.elpd.families, gain.elpd_absorbed.families, strict=True)
         },
         explained=gain.explained,
-        discrepancy=gain.discrepancy,
+        discrepancy=gain.discrepancy.process,
         parameters={x.name: x for x in gain.parameters},
         forces={
             trial: {
