@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from identknee.blind_test.revelation import Revelation
 from identknee.runs.declare import Entry, derived_entries, entries
-from identknee.runs.plain_records import hints_of, record_within
+from identknee.runs.plain_records import record_within, type_hints_of
 from identknee.verbs.installation import Installation
 from identknee.verbs.registry import verbs
 from identknee.verbs.subject import NamedSubjects
@@ -14,7 +14,7 @@ PRINTED = {"reveal": Revelation, "doctor": Installation, "subject list": NamedSu
 HEAD = "| name | unit | axes | file | is |\n| --- | --- | --- | --- | --- |"
 
 
-def page_of_answers() -> str:
+def answer_reference_page() -> str:
     """A table for the answer of each verb, then one for each kind of record, as Markdown."""
     parts: list[str] = []
     records: dict[type, None] = {}
@@ -33,7 +33,7 @@ def _summary(cls: type) -> str:
 
 def _records(cls: type) -> Iterator[type]:
     """The declared classes within a class, and within those."""
-    for hint in hints_of(cls).values():
+    for hint in type_hints_of(cls).values():
         kind, _ = record_within(hint)
         if kind is not None:
             yield kind
@@ -45,7 +45,7 @@ def _table(cls: type) -> str:
 
 
 def _lines(cls: type) -> Iterator[str]:
-    hints = hints_of(cls)
+    hints = type_hints_of(cls)
     for name, about in (entries(cls) | derived_entries(cls)).items():
         kind, how = record_within(hints.get(name))
         if kind is not None and about.is_inline:

@@ -75,11 +75,11 @@ def reveal(blind_dir: BlindData | PathLike, diagnosis_dir: Diagnosis | PathLike)
     elif isinstance(blind_dir, BlindData):
         raise ValueError("answers read from files hold no truth; give the folder of the blind data")
     else:
-        truth = read_truth(_holding(Path(blind_dir), TRUTH_FILE, "blind"))
+        truth = read_truth(_folder_containing(Path(blind_dir), TRUTH_FILE, "blind"))
     if isinstance(diagnosis_dir, Diagnosis):
         diagnosis: Answer = diagnosis_dir
     else:
-        folder = _holding(Path(diagnosis_dir), SUMMARY, "diagnose")
+        folder = _folder_containing(Path(diagnosis_dir), SUMMARY, "diagnose")
         diagnosis = load(folder)
         if not isinstance(diagnosis, Diagnosis):
             why = "it holds no verdict, so identknee diagnose did not make it"
@@ -87,7 +87,7 @@ def reveal(blind_dir: BlindData | PathLike, diagnosis_dir: Diagnosis | PathLike)
     return Revelation(score=score(truth, summary_of(diagnosis)), truth=truth)
 
 
-def _holding(folder: Path, file: str, verb: str) -> Path:
+def _folder_containing(folder: Path, file: str, verb: str) -> Path:
     """The folder, which must hold a file of a verb."""
     if not (folder / file).exists():
         why = f"it holds no {file}, so identknee {verb} did not make it"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.complex import minimise_by_complex
-from identknee.calibrate.evaluation import Ended, Evaluator
+from identknee.calibrate.evaluation import Evaluator, SearchEnded
 from identknee.calibrate.least_squares import gauss_newton, minimise_by_least_squares
 from identknee.calibrate.population import (
     minimise_by_annealing,
@@ -42,7 +42,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 )
 
 
-class Settings(TypedDict, total=False):
+class FitSettings(TypedDict, total=False):
     """Options that `fit_many` passes on to each `fit`, under the same names."""
 
     method: str
@@ -168,7 +168,7 @@ def fit_many(
     *,
     seed: int = 0,
     executor: Executor = serial,
-    **settings: Unpack[Settings],
+    **settings: Unpack[FitSettings],
 ) -> tuple[Fit, ...]:
     """One fit from each start, in their order, failed ones included.
 
@@ -227,7 +227,7 @@ def _fit(
     began = time.perf_counter()
     try:
         outcome = minimise(evaluator, part.free.restrict(start), generator)
-    except Ended as end:
+    except SearchEnded as end:
         outcome = end.outcome
     if evaluator.best_theta is None:
         outcome = Outcome.START_FAILED

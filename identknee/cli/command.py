@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import typer.core
 
-from identknee.runs.crash_report import report_unforeseen, warnings_logged
-from identknee.runs.errors import InputError, NotComputed
-from identknee.runs.executors import WorkerDied
+from identknee.runs.crash_report import report_unexpected_error, warnings_to_log
+from identknee.runs.errors import InputError, NotComputable
+from identknee.runs.executors import WorkerTerminated
 from identknee.runs.files import plain
 from identknee.verbs.registry import verb_named
 
@@ -57,7 +57,7 @@ class CommandGroup(typer.core.TyperGroup):
     def invoke(self, ctx: Any) -> Any:  # type: ignore[explicit-override]
         """Result of the verb, its mistakes turned into exit codes."""
         try:
-            with warnings_logged():
+            with warnings_to_log():
                 return super().invoke(ctx)
         except KeyboardInterrupt:
             verb = verb_named(ctx.invoked_subcommand)
@@ -65,9 +65,12 @@ class CommandGroup(typer.core.TyperGroup):
             sentence, code = STOPPED_WORK if is_kept else STOPPED, INTERRUPTED
         # The one place where an error ends, foreseen or not.
         except Exception as error:
-            if _is_ending(error):
+            if _ends_command(error):
                 raise
-            sentence, code = _foreseen(error) or (_unforeseen(error, ctx.meta), NOT_COMPUTED)
+            sentence, code = _expected_error(error) or (
+                _unexpected_error(error, ctx.meta),
+                NOT_COMPUTED,
+            )
         _remove_if_empty(ctx.meta)
         # A file that is no text may bring anything into the sentence about it.
         plain = sentence.replace("\n", " ")
@@ -76,7 +79,7 @@ class CommandGroup(typer.core.TyperGroup):
         raise typer.Exit(code)
 
 
-def _is_ending(error: Exception) -> bool:
+def _ends_command(error: Exception) -> bool:
     """Whether an exception is how typer ends a command, or one that it answers itself."""
     # A closed pipe, as in `identknee ... | head`, ends quietly.
     if isinstance(error, OSError):
@@ -86,25 +89,27 @@ def _is_ending(error: Exception) -> bool:
     return is_typers and type(error) is not typer.BadParameter
 
 
-def _foreseen(error: Exception) -> tuple[str, int] | None:
-    """What a person is told, and the exit code; None where nobody foresaw the error."""
+def _expected_error(error: Exception) -> tuple[str, int] | None:
+    """The message for the user and the exit code; None for an unexpected error."""
     if isinstance(error, typer.BadParameter):
         return option_sentence(error), WRONG_INPUT
-    if isinstance(error, NotComputed | ModuleNotFoundError | WorkerDied):
-        return f"{error}{remedy_for_module(error)}", NOT_COMPUTED
+    if isinstance(error, NotComputable | ModuleNotFoundError | WorkerTerminated):
+        return f"{error}{missing_module_hint(error)}", NOT_COMPUTED
     if isinstance(error, MemoryError):
         return "there is not enough memory", NOT_COMPUTED
     if isinstance(error, OSError):
         return f"a file or folder cannot be used: {error}", WRONG_INPUT
-    if isinstance(error, ValueError) and is_our_sentence(error):
+    if isinstance(error, ValueError) and is_identknee_error(error):
         return str(error), WRONG_INPUT
     return None
 
 
-def _unforeseen(error: Exception, meta: Mapping[str, Any]) -> str:
+def _unexpected_error(error: Exception, meta: Mapping[str, Any]) -> str:
     settings = meta.get(SETTINGS, {})
     out = settings.get("out")
-    return report_unforeseen(error, settings, out if out is not None and out.is_dir() else None)
+    return report_unexpected_error(
+        error, settings, out if out is not None and out.is_dir() else None
+    )
 
 
 def _remove_if_empty(meta: Mapping[str, Any]) -> None:
@@ -122,13 +127,13 @@ def option_sentence(error: typer.BadParameter) -> str:
     return f"{message}. See: {where} --help"
 
 
-def remedy_for_module(error: Exception) -> str:
+def missing_module_hint(error: Exception) -> str:
     """What to do about a missing module, where only Python has spoken; empty for our own words."""
     is_python = isinstance(error, ModuleNotFoundError) and error.name is not None
     return ". To see what is missing: identknee doctor" if is_python else ""
 
 
-def is_our_sentence(error: ValueError) -> bool:
+def is_identknee_error(error: ValueError) -> bool:
     """Whether the error was raised by identknee for the caller, rather than inside a library."""
     if isinstance(error, InputError):
         return True
@@ -174,12 +179,12 @@ def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
     if answer.remark:
         typer.echo(answer.remark, err=True)
     if answer.failure:
-        raise NotComputed(answer.failure)
+        raise NotComputable(answer.failure)
     if answer.refuses_input:
         raise typer.Exit(WRONG_INPUT)
 
 
-def print_found(found: Any, *lines: str, as_json: bool) -> None:
+def print_result(found: Any, *lines: str, as_json: bool) -> None:
     """Print what a function found that leaves no files: as JSON, or in its own words."""
     summary = {}
     if as_json:
@@ -189,4 +194,4 @@ def print_found(found: Any, *lines: str, as_json: bool) -> None:
         summary = summary_of(found)
     show(summary, [str(found), *lines], as_json=as_json)
     if failure := getattr(found, "failure", ""):
-        raise NotComputed(failure)
+        raise NotComputable(failure)

@@ -29,9 +29,9 @@ def main() -> None:
         sys.exit(INTERRUPTED)
     # What breaks before or around the verbs, which answer for themselves.
     except Exception as error:  # noqa: BLE001
-        from identknee.runs.crash_report import report_unforeseen
+        from identknee.runs.crash_report import report_unexpected_error
 
-        print(f"identknee: {report_unforeseen(error, {}, None)}", file=sys.stderr)
+        print(f"identknee: {report_unexpected_error(error, {}, None)}", file=sys.stderr)
         sys.exit(NOT_COMPUTED)
 
 

@@ -1,7 +1,7 @@
 """`identknee subject list`: the knees that come with identknee."""
 
 import identknee as ik
-from identknee.cli.command import Json, print_found
+from identknee.cli.command import Json, print_result
 
 
 def list_all(as_json: Json = False) -> None:
@@ -10,7 +10,7 @@ def list_all(as_json: Json = False) -> None:
     Sources and licences stand with each. Use a name wherever a command wants SUBJECT. A subject
     with measured laxity also stands for its DATA.csv.
     """
-    print_found(
+    print_result(
         ik.verbs.list_subjects(),
         "Next: identknee subject check NAME, or identknee simulate NAME",
         as_json=as_json,

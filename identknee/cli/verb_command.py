@@ -175,15 +175,15 @@ def _typed(annotation: Any, typed: Any) -> Any:
 
 
 def _subject_word(word: str) -> str:
-    return _said_which(word, is_name=named_subject(word) is not None)
+    return _note_if_ambiguous(word, is_name=named_subject(word) is not None)
 
 
 def _data_word(word: str | None) -> str | None:
-    return word if word is None else _said_which(word, is_name=word in TABLES)
+    return word if word is None else _note_if_ambiguous(word, is_name=word in TABLES)
 
 
-def _said_which(word: str, *, is_name: bool) -> str:
-    """The word; where it is a name and a path too, a person is told which of them is meant."""
+def _note_if_ambiguous(word: str, *, is_name: bool) -> str:
+    """The word; if it is both a name and a path, a note says which is used."""
     if is_name and Path(word).exists():
         typer.echo(
             f"identknee: {word} means what comes with identknee under this name; "

@@ -7,18 +7,18 @@ import numpy as np
 
 from identknee.diagnosis.candidates import (
     UNSEEN,
-    Candidates,
+    CandidateCauses,
+    Detectability,
     Variant,
-    Visibility,
-    half_way,
     library_candidates,
+    secant_amplitudes,
 )
 from identknee.diagnosis.fitting import (
-    Fitted,
+    FittedModel,
     base_model,
-    fit_from,
+    best_fit_from,
     fitted_with_nuisances,
-    plain_noise,
+    stated_noise,
 )
 from identknee.diagnosis.isolability import (
     LEAST_DISTANCE,
@@ -27,16 +27,16 @@ from identknee.diagnosis.isolability import (
     Pair,
     advise_trials,
     groups,
+    least_favourable_distances,
+    noncentrality_root,
     pair_distances,
-    visible_root,
-    worst_distances,
 )
 from identknee.diagnosis.refit import Refit, Rival
 from identknee.identify.nuisances import nuisance_places
-from identknee.laxity.candidates import repeated
+from identknee.laxity.candidates import unique_names
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import Laxity
-from identknee.model.candidate_laxity import CandidateLaxity, offered_trials, typical_errors
+from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE, library
 from identknee.model.effects.stored import values_of
@@ -45,7 +45,7 @@ from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import nuisance_changes
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.marginalise import better_known
+from identknee.runs.marginalise import with_error_measured
 from identknee.subject.knee import Knee
 
 # Rivals beyond these follow from the nearest ones.
@@ -56,7 +56,7 @@ MOST_DIFFERENCE = 10.0
 
 
 @declared
-class Rows:
+class WhitenedRows:
     """Predictions, in units of noise, of the m values made and of n offered trials with r each."""
 
     made: Array = entry("Predictions of the values made, shape ``(m, ...)``")
@@ -66,31 +66,31 @@ class Rows:
 
 
 @declared
-class OfferedTrials:
+class AdviceCandidates:
     """The trials of data, and others to choose from."""
 
     laxity: Laxity = entry("The data with their errors")
     candidates: Protocol = entry("The trials to choose from, each measured as those made were")
 
-    def predict(self, model: LaxityModel, theta: Array) -> tuple[Rows, Rows]:
+    def predict(self, model: LaxityModel, theta: Array) -> tuple[WhitenedRows, WhitenedRows]:
         """Predicted minus measured values, and their derivatives by theta."""
         compared = LaxityResiduals(model=model, laxity=self.laxity)
         values, jacobian = self._choice(model, theta).predict(theta, range(self.candidates.n))
-        noise = plain_noise(self.laxity)
+        noise = stated_noise(self.laxity)
         return (
-            Rows(made=noise.whiten(compared.residuals(theta)), offered=values),
-            Rows(made=noise.whiten(compared.jacobian(theta)), offered=jacobian),
+            WhitenedRows(made=noise.whiten(compared.residuals(theta)), offered=values),
+            WhitenedRows(made=noise.whiten(compared.jacobian(theta)), offered=jacobian),
         )
 
-    def nuisances(self, fitted: Fitted) -> Rows:
+    def nuisances(self, fitted: FittedModel) -> WhitenedRows:
         """What nuisances change, for one prior standard deviation of each in the last dimension."""
         choice = self._choice(fitted.model, fitted.theta)
         # One that is made and offered is there once.
         whole = concatenate([self.laxity.protocol, choice.trials], name="made and offered")
         changes, spreads = nuisance_changes(choice.model.with_protocol(whole), fitted.theta)
         offered = [whole.trials.index(x) for x in choice.trials.trials]
-        return Rows(
-            made=plain_noise(self.laxity).whiten(
+        return WhitenedRows(
+            made=stated_noise(self.laxity).whiten(
                 fitted.compared.rows(changes[: self.laxity.n] * spreads)
             ),
             offered=choice.rows(changes[offered] * spreads),
@@ -98,9 +98,9 @@ class OfferedTrials:
 
     def advise(
         self,
-        rows: Rows,
+        rows: WhitenedRows,
         pairs: Sequence[Pair],
-        fitted: Fitted,
+        fitted: FittedModel,
         *,
         n_base: int,
         measured: Sequence[Array] = (),
@@ -149,7 +149,7 @@ class OfferedTrials:
         chosen, offered = list(found.chosen), self.candidates
         advised = Protocol(
             name="advised",
-            trials=repeated([offered.trials[i] for i in chosen], self.laxity.protocol.trials),
+            trials=unique_names([offered.trials[i] for i in chosen], self.laxity.protocol.trials),
             flexion_deg=offered.flexion_deg[chosen],
             loads=offered.loads[chosen],
         )
@@ -163,7 +163,7 @@ class OfferedTrials:
             sd=typical_errors(self.laxity),
             free=model.parameters.with_fixed((), theta),
         )
-        return choice.begun_at(theta)
+        return choice.with_start_poses(theta)
 
 
 @declared
@@ -208,8 +208,8 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProto
     rivals = [x for x in rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
     if not rivals or _depends_on_order(best):
         return None
-    offer = OfferedTrials(
-        laxity=laxity, candidates=offered_trials(best.fitted.model, laxity.protocol)
+    offer = AdviceCandidates(
+        laxity=laxity, candidates=offered_laxity(best.fitted.model, laxity.protocol)
     )
     rows, pairs = _table(best, rivals, offer)
     measured = measured_errors(best, rivals, pairs, rows.made.shape[1])
@@ -226,7 +226,7 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProto
         trials=trials,
         sentence=(
             f"With {which} the nearest rival would be {min(after):.1f} units of noise away instead "
-            f"of {min(before):.1f}; 5 are enough to tell it apart."
+            f"of {min(before):.1f}; 5 are enough to distinguish it."
         ),
         rivals=tuple(x.refit.names for x in rivals),
         distance_before=before,
@@ -243,7 +243,9 @@ def _depends_on_order(explanation: Refit) -> bool:
     return any(x in NEEDS_ORDER | NEEDS_PHASE for x in explanation.names)
 
 
-def _table(best: Refit, rivals: Sequence[Rival], offer: OfferedTrials) -> tuple[Rows, list[Pair]]:
+def _table(
+    best: Refit, rivals: Sequence[Rival], offer: AdviceCandidates
+) -> tuple[WhitenedRows, list[Pair]]:
     """Columns of the base parameters, of differences and of the rivals' causes, and the pairs.
 
     The difference between the predictions of the best explanation and of a rival is one column,
@@ -272,7 +274,7 @@ def _table(best: Refit, rivals: Sequence[Rival], offer: OfferedTrials) -> tuple[
             )
         )
         place = end
-    return Rows(made=np.hstack(made), offered=np.concatenate(offered, axis=2)), pairs
+    return WhitenedRows(made=np.hstack(made), offered=np.concatenate(offered, axis=2)), pairs
 
 
 def measured_errors(
@@ -300,7 +302,7 @@ def measured_errors(
     parameters = best.fitted.model.parameters
     made = {}
     for name, places in nuisance_places(parameters).items():
-        rows = better_known(n_columns, places, parameters.prior_sd[places])
+        rows = with_error_measured(n_columns, places, parameters.prior_sd[places])
         for rival, pair in zip(rivals, pairs, strict=True):
             apart = best.fitted.theta[places] - rival.refit.fitted.theta[places]
             rows[:, pair.effect[0]] = rows[:, places] @ apart
@@ -332,7 +334,7 @@ class ProtocolIsolability:
     """Isolability of the library's effects under a protocol."""
 
     protocol: Protocol = entry("The trials that have a prediction")
-    visibility: tuple[Visibility, ...] = entry(
+    visibility: tuple[Detectability, ...] = entry(
         "Size that would be seen, for every effect of the library"
     )
     distances: Distances = entry(
@@ -369,7 +371,7 @@ def protocol_isolability(
     seed
         Seed of the distributions under no effect.
     """
-    fitted = _own_fit(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
+    fitted = _fit_to_own_predictions(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
     if fitted is None:
         return None
     present = {x.name for x in fitted.model.effects}
@@ -378,8 +380,8 @@ def protocol_isolability(
     typical = [candidates.typical(x.name) for x in tried]
     variants = [x for x in typical if x is not None]
     projected = [candidates.projected(x) for x in variants]
-    apart = worst_distances(projected, ROOT, candidates.test.signatures)
-    confused = groups(_among(apart, [x for x in apart.effects if x != IMITATOR]))
+    apart = least_favourable_distances(projected, ROOT, candidates.test.signatures)
+    confused = groups(_mutual_distances(apart, [x for x in apart.effects if x != IMITATOR]))
     return ProtocolIsolability(
         protocol=fitted.laxity.protocol,
         visibility=tuple(candidates.visibility(x.effect) for x in variants),
@@ -389,11 +391,11 @@ def protocol_isolability(
             for names in confused
             if len(names) > 1
         ),
-        look_alikes=_look_alikes(apart),
+        look_alikes=_confusable_pairs(apart),
     )
 
 
-def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
+def _fit_to_own_predictions(knee: Knee, protocol: Protocol, sd: Array) -> FittedModel | None:
     """The base model at the subject's own values, as if fitted to its own prediction."""
     model = base_model(knee, protocol)
     theta = model.parameters.vector(values_of(knee))
@@ -404,11 +406,11 @@ def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
     coordinates = model.predict_once(theta).coordinates
     sds = np.broadcast_to(sd, coordinates.shape)
     laxity = Laxity(protocol=model.protocol, coordinates=coordinates, sd=sds)
-    plain = fit_from(model, laxity, plain_noise(laxity), [theta])
+    plain = best_fit_from(model, laxity, stated_noise(laxity), [theta])
     return fitted_with_nuisances(plain, sds, laxity.within_trial_correlation)
 
 
-def _among(apart: Distances, names: Sequence[str]) -> Distances:
+def _mutual_distances(apart: Distances, names: Sequence[str]) -> Distances:
     """The mutual distances of these effects."""
     rows = [apart.effects.index(x) for x in names]
     columns = [apart.rivals.index(x) for x in names]
@@ -416,8 +418,8 @@ def _among(apart: Distances, names: Sequence[str]) -> Distances:
     return Distances(effects=tuple(names), rivals=tuple(names), values=values)
 
 
-def _look_alikes(apart: Distances) -> dict[str, tuple[str, ...]]:
-    square = _among(apart, apart.effects)
+def _confusable_pairs(apart: Distances) -> dict[str, tuple[str, ...]]:
+    square = _mutual_distances(apart, apart.effects)
     least = np.minimum(square.values, square.values.T)
     near = {}
     for row, name in enumerate(square.effects):
@@ -426,14 +428,19 @@ def _look_alikes(apart: Distances) -> dict[str, tuple[str, ...]]:
     return near
 
 
-def _advise(fitted: Fitted, candidates: Candidates, members: Sequence[Variant]) -> GroupAdvice:
+def _advise(
+    fitted: FittedModel, candidates: CandidateCauses, members: Sequence[Variant]
+) -> GroupAdvice:
     """The trials that set the members of a group apart, each from the others where most alike."""
     confused = [
-        (one, _most_alike(candidates, one, other.effect)) for one, other in permutations(members, 2)
+        (one, _least_distinguishable(candidates, one, other.effect))
+        for one, other in permutations(members, 2)
     ]
     variants = list({id(x): x for x in [*members, *(rival for _, rival in confused)]}.values())
     laxity = fitted.laxity
-    offer = OfferedTrials(laxity=laxity, candidates=offered_trials(fitted.model, laxity.protocol))
+    offer = AdviceCandidates(
+        laxity=laxity, candidates=offered_laxity(fitted.model, laxity.protocol)
+    )
     trials, found, _ = offer.advise(
         _rows(fitted, variants, offer),
         _pairs(fitted, candidates, variants, confused),
@@ -448,7 +455,9 @@ def _advise(fitted: Fitted, candidates: Candidates, members: Sequence[Variant]) 
     )
 
 
-def _rows(fitted: Fitted, variants: Sequence[Variant], offer: OfferedTrials) -> Rows:
+def _rows(
+    fitted: FittedModel, variants: Sequence[Variant], offer: AdviceCandidates
+) -> WhitenedRows:
     """Derivatives by the base parameters, then by the amplitudes of each effect, side by side."""
     model, theta = fitted.model, fitted.theta
     _, slopes = offer.predict(model, theta)
@@ -459,27 +468,30 @@ def _rows(fitted: Fitted, variants: Sequence[Variant], offer: OfferedTrials) -> 
         _, slopes = offer.predict(extended, np.r_[theta, variant.values])
         size = np.linalg.norm(slopes.made[:, theta.size :], axis=0) * p.prior_sd
         if not (size > UNSEEN).any():
-            values = half_way(variant.effect, variant.values)
+            values = secant_amplitudes(variant.effect, variant.values)
             _, slopes = offer.predict(extended, np.r_[theta, values])
         moved = theta.size + variant.moved
-        blocks.append(Rows(made=slopes.made[:, moved], offered=slopes.offered[:, :, moved]))
-    return Rows(
+        blocks.append(WhitenedRows(made=slopes.made[:, moved], offered=slopes.offered[:, :, moved]))
+    return WhitenedRows(
         made=np.concatenate([x.made for x in blocks], axis=1),
         offered=np.concatenate([x.offered for x in blocks], axis=2),
     )
 
 
-def _most_alike(candidates: Candidates, effect: Variant, rival: Effect) -> Variant:
+def _least_distinguishable(candidates: CandidateCauses, effect: Variant, rival: Effect) -> Variant:
     """The variant of a rival that is hardest to distinguish from an effect."""
     rivals = [x for x in candidates.variants if x.effect is rival]
     seen = [candidates.projected(effect)]
-    values = [worst_distances(seen, ROOT, [candidates.projected(x)]).values[0, 0] for x in rivals]
+    values = [
+        least_favourable_distances(seen, ROOT, [candidates.projected(x)]).values[0, 0]
+        for x in rivals
+    ]
     return rivals[int(np.argmin(values))]
 
 
 def _pairs(
-    fitted: Fitted,
-    candidates: Candidates,
+    fitted: FittedModel,
+    candidates: CandidateCauses,
     variants: Sequence[Variant],
     confused: Sequence[tuple[Variant, Variant]],
 ) -> list[Pair]:
@@ -492,7 +504,7 @@ def _pairs(
     for one, other in confused:
         amplitude = np.zeros(len(one.moved))
         amplitude[0] = 1.0
-        amplitude[0] = ROOT / visible_root(candidates.projected(one), amplitude)
+        amplitude[0] = ROOT / noncentrality_root(candidates.projected(one), amplitude)
         pairs.append(
             Pair(
                 effect=places[id(one)],

@@ -38,7 +38,7 @@ class Distances:
     )
 
 
-def visible_root(signature: ProjectedSignature, amplitude: Array) -> float:
+def noncentrality_root(signature: ProjectedSignature, amplitude: Array) -> float:
     """Square root of the noncentrality of an effect after the fit."""
     return float(np.sqrt(max(float(amplitude @ signature.gram @ amplitude), 0.0)))
 
@@ -66,11 +66,11 @@ def distances(
         for rival in rivals:
             left = expected @ expected - rival.gain((expected @ rival.projected)[None])[0]
             _lower(values, row, names.index(rival.signature.name), left)
-        _same_is_zero(values[row], names, effect)
+        _zero_for_same_effect(values[row], names, effect)
     return Distances(effects=effect_names(effects), rivals=names, values=values)
 
 
-def worst_distances(
+def least_favourable_distances(
     effects: Sequence[ProjectedSignature],
     root: float,
     rivals: Sequence[ProjectedSignature],
@@ -87,7 +87,7 @@ def worst_distances(
     effects
         One variant of each, supposed true.
     root
-        How far each stands out of the noise, see `visible_root`.
+        How far each stands out of the noise, see `noncentrality_root`.
     rivals
         All variants of all rivals; they keep to their priors.
     """
@@ -100,7 +100,7 @@ def worst_distances(
             left = effect.gram - shared.T @ rival.covariance @ shared
             least = eigh(mixes.T @ left @ mixes, eigvals_only=True)[0]
             _lower(values, row, names.index(rival.signature.name), root**2 * least)
-        _same_is_zero(values[row], names, effect)
+        _zero_for_same_effect(values[row], names, effect)
     return Distances(effects=effect_names(effects), rivals=names, values=values)
 
 
@@ -253,7 +253,7 @@ def _lower(values: Array, row: int, column: int, square: float) -> None:
     values[row, column] = min(values[row, column], np.sqrt(max(float(square), 0.0)))
 
 
-def _same_is_zero(row: Array, names: tuple[str, ...], effect: ProjectedSignature) -> None:
+def _zero_for_same_effect(row: Array, names: tuple[str, ...], effect: ProjectedSignature) -> None:
     if effect.signature.name in names:
         row[names.index(effect.signature.name)] = 0.0
 

@@ -6,17 +6,17 @@ from typing import Self
 import numpy as np
 import scipy
 
-from identknee.diagnosis.fitting import Fitted, weighed
+from identknee.diagnosis.fitting import FittedModel, whitened_problem
 from identknee.diagnosis.misfit import TrialLayout, base_projector
 from identknee.diagnosis.refit import Refit, refit
 from identknee.mechanics.contact_points import ContactPlaces
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel, trial_contacts
-from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray, IntArray
@@ -105,7 +105,7 @@ def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLin
         raise ValueError('lines of action need a prediction with contact="field"')
     setting = model.setting(prediction.theta)
     flexion = setting.flexion[model.paths.trial_node]
-    unmeasured = Lines(
+    unmeasured = LineLigaments(
         femoral=model.knee.femur_frame.to_local(lines.femur),
         tibial=model.knee.tibia_frame.to_local(lines.tibia),
         reference_length=np.ones(lines.n),
@@ -186,7 +186,7 @@ class LineScan:
         return float((1 + np.count_nonzero(highest >= self.scores.max())) / (1 + N_DRAWS))
 
 
-def scan_lines(fitted: Fitted, theta: Array, lines: CandidateLines) -> LineScan | None:
+def scan_lines(fitted: FittedModel, theta: Array, lines: CandidateLines) -> LineScan | None:
     """Scores of lines of action where a model is linearised at `theta`.
 
     Theta need not be the best fit: what a change of it could explain is taken out. If the model
@@ -202,7 +202,7 @@ def scan_lines(fitted: Fitted, theta: Array, lines: CandidateLines) -> LineScan 
     lines
         The lines to score.
     """
-    problem = weighed(fitted.model, fitted.laxity, fitted.noise)
+    problem = whitened_problem(fitted.model, fitted.laxity, fitted.noise)
     residuals = -problem.residuals(theta)
     if not np.isfinite(residuals).all():
         return None
@@ -226,7 +226,7 @@ def scan_lines(fitted: Fitted, theta: Array, lines: CandidateLines) -> LineScan 
 
 
 def _without_line(
-    fitted: Fitted, theta: Array, residuals: Array, jacobian: Array
+    fitted: FittedModel, theta: Array, residuals: Array, jacobian: Array
 ) -> tuple[Array, Array]:
     """Rows of the residuals and of their Jacobian without those of a line the model has already."""
     names = fitted.model.parameters.names
@@ -253,12 +253,12 @@ class LineEnds:
     @classmethod
     def of(cls, ends: Array, knee: Knee) -> Self:
         """From both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
-        femur, tibia = map(tuple, knee.as_scanned(ends).tolist())
+        femur, tibia = map(tuple, knee.in_scan_frame(ends).tolist())
         return cls(femur=femur, tibia=tibia)
 
     def in_common_frame(self, knee: Knee) -> Array:
         """Both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
-        return knee.as_scanned(np.array([self.femur, self.tibia]))
+        return knee.in_scan_frame(np.array([self.femur, self.tibia]))
 
 
 SITE_SD = 10.0  # mm, around the bone
@@ -373,14 +373,14 @@ def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
     refits += _refits(base, center, scan_lines(fitted, center, lines))
     if not any(x.fitted.evaluation.is_finite for x in refits):
         return None
-    refits += _rescanned(base, refits, lines)
+    refits += _refits_of_rescan(base, refits, lines)
     best = _lowest(refits)
     last = refit(base, best.causes, [best.fitted.theta], most_steps=FINE_STEPS)
     n_simulations = sum(x.fitted.constrained.n_simulations for x in [*refits, last])
     return _finding(base, first, last, n_simulations, seed)
 
 
-def _rescanned(base: Refit, refits: list[Refit], lines: CandidateLines) -> list[Refit]:
+def _refits_of_rescan(base: Refit, refits: list[Refit], lines: CandidateLines) -> list[Refit]:
     """Refits of the lines that score best at the best refit so far."""
     added: list[Refit] = []
     best = _lowest(refits)
@@ -475,7 +475,9 @@ def _largest_force(model: LaxityModel, prediction: Prediction) -> tuple[int, flo
     return trial, float(pulled.tensions[trial, -1]), slope
 
 
-def _tensions(model: LaxityModel, setting: Setting, prediction: Prediction) -> LigamentTensions:
+def _tensions(
+    model: LaxityModel, setting: MechanicsInputs, prediction: Prediction
+) -> LigamentTensions:
     """Tensions of all lines at the poses of a prediction, the missing one last."""
     flexion = setting.flexion[model.paths.trial_node]
     return ligament_tensions(
@@ -556,7 +558,7 @@ def missing_wrench(
     covariance = stiffness @ errors @ stiffness.transpose(0, 2, 1)
     kept = np.stack(
         [
-            _outside_contact(x, model.joint.contact.compartment)
+            _without_contact_forces(x, model.joint.contact.compartment)
             for x in trial_contacts(model, prediction)
         ]
     )
@@ -569,7 +571,7 @@ def missing_wrench(
     )
 
 
-def _outside_contact(contact: ContactPlaces, compartment: IntArray) -> Array:
+def _without_contact_forces(contact: ContactPlaces, compartment: IntArray) -> Array:
     """What is left (5, 5) of a wrench without its parts along the forces of either contact."""
     touched = compartment[contact.index]
     pressed = [

@@ -71,7 +71,7 @@ class NoiseModel:
         """The errors of some of the values alone, `rows` of shape ``(m,)``."""
         return _noise_model(self.covariance[np.ix_(rows, rows)])
 
-    def widened(self, slopes: Array, prior: Array | None = None) -> "NoiseModel":
+    def with_added_covariance(self, slopes: Array, prior: Array | None = None) -> "NoiseModel":
         """These errors and those of nuisances on top, see `identknee.runs.marginalise`.
 
         Parameters
@@ -169,7 +169,7 @@ def estimate_correlation(
     found = []
     for first, second in combinations(range(residuals.shape[1]), 2):
         used = is_measured[:, first] & is_measured[:, second]
-        left = _left_by_polynomials(used, curves)
+        left = _detrending_projection(used, curves)
         if _degrees_of_freedom(left) < LEAST_DEGREES:
             continue
         pair = np.where(used[:, None], residuals[:, [first, second]], 0.0)
@@ -241,7 +241,7 @@ def _degrees_of_freedom(left: Array) -> float:
     return float(np.trace(left)) ** 2 / squares if squares > 0 else 0.0
 
 
-def _left_by_polynomials(used: BoolArray, curves: Sequence[Curve]) -> Array:
+def _detrending_projection(used: BoolArray, curves: Sequence[Curve]) -> Array:
     """The sum over curves of the projections that remove a polynomial, shape ``(n, n)``."""
     left = np.zeros((len(used), len(used)))
     for curve in curves:

@@ -30,14 +30,14 @@ LEAST_MOVED = 1e-6
 MULTIPLES = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 # A verdict that holds for only some of these multiples of a stated noise is none.
 NOISE_FACTORS = (0.75, 1.33)
-HANGS_ON_NOISE = (
-    "The verdict depends on the noise, which the data state but do not show: with 0.75 or 1.33 "
+NOISE_DEPENDENT = (
+    "The verdict depends on the stated noise, which the data do not confirm: with 0.75 or 1.33 "
     "times that noise it would be different. Measure longer load curves or replicates."
 )
 
 
-SEVERAL = "The model gets something wrong, and more than one known cause fits."
-UNTESTED = "The model gets something wrong that no known cause explains that could be tested."
+SEVERAL = "A misfit is detected, and more than one known cause fits."
+UNTESTED = "A misfit is detected that no testable known cause explains."
 
 
 class Verdict(StrEnum):
@@ -56,11 +56,11 @@ class Verdict(StrEnum):
 
 
 _SENTENCES = {
-    Verdict.ADEQUATE: "The data show nothing that the model gets wrong.",
-    Verdict.NAMED: "The data show what the model gets wrong, and only one known cause fits.",
-    Verdict.AMBIGUOUS: "The model gets something wrong, and the data leave its cause open.",
-    Verdict.UNEXPLAINED: "The model gets something wrong that no known cause explains.",
-    Verdict.NOT_TESTABLE: "The data cannot say whether the model gets anything wrong.",
+    Verdict.ADEQUATE: "No misfit of the model is detected.",
+    Verdict.NAMED: "A misfit is detected, and only one known cause fits.",
+    Verdict.AMBIGUOUS: "A misfit is detected, but the data do not determine its cause.",
+    Verdict.UNEXPLAINED: "A misfit is detected that no known cause explains.",
+    Verdict.NOT_TESTABLE: "The data cannot decide whether the model misfits.",
 }
 
 
@@ -83,8 +83,8 @@ class Conclusion:
 def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     """The verdict on an attribution whose base model's misfit has this probability."""
     best, base = attribution.best, attribution.base
-    if _hangs_on_noise(attribution, p_value):
-        return _conclusion(Verdict.NOT_TESTABLE, p_value, base, (), [HANGS_ON_NOISE])
+    if _depends_on_noise(attribution, p_value):
+        return _conclusion(Verdict.NOT_TESTABLE, p_value, base, (), [NOISE_DEPENDENT])
     if p_value > LEVEL:
         reasons = [f"Noise alone explains the misfit ({_p_words(p_value)})."]
         return _conclusion(Verdict.ADEQUATE, p_value, base, (), reasons)
@@ -93,12 +93,12 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     fits = best.misfit_p_value
     faults = ["No effect of the library fits better than the model without it."]
     if best.causes:
-        faults = _faults(best, fits)
+        faults = _rejection_reasons(best, fits)
     if faults:
-        reasons = [f"{reasons[0]}{_noise_that_would(attribution)}", *faults, *untested]
+        reasons = [f"{reasons[0]}{_noise_explaining_misfit(attribution)}", *faults, *untested]
         sentence = UNTESTED if untested else Verdict.UNEXPLAINED.sentence
         return _conclusion(Verdict.UNEXPLAINED, p_value, best, (), reasons, sentence)
-    doubts = _doubts(attribution, fits)
+    doubts = _reservations(attribution, fits)
     group = _group(attribution)
     is_alone = len(group) == len(best.causes)
     if is_alone and not doubts and not untested:
@@ -117,7 +117,7 @@ def _p_words(p_value: float) -> str:
     return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
 
 
-def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
+def _depends_on_noise(attribution: Attribution, p_value: float) -> bool:
     """Whether noise that is only stated, if wrong by a quarter or a third, turns the verdict."""
     base = attribution.base
     if np.isfinite(base.noise_degrees):
@@ -127,7 +127,7 @@ def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
     return any(x != (p_value <= LEVEL) for x in others)
 
 
-def _noise_that_would(attribution: Attribution) -> str:
+def _noise_explaining_misfit(attribution: Attribution) -> str:
     """About how much larger than stated the noise would have to be, as one more sentence."""
     base, score = attribution.base, attribution.steps[0].scores.p_value
     if np.isfinite(base.noise_degrees):
@@ -157,48 +157,48 @@ def _conclusion(
     )
 
 
-def _faults(best: Refit, fits: float) -> list[str]:
+def _rejection_reasons(best: Refit, fits: float) -> list[str]:
     """Reasons to reject the best explanation."""
     names = " and ".join(map(cause_label, best.names))
     faults = []
     if fits <= HARDLY_FITS:
         faults.append(f"With {names} the misfit is still improbable ({_p_words(fits)}).")
     faults += [
-        f"The {cause_label(name)} would need an amplitude at the end of its plausible range."
+        f"The {cause_label(name)} would need an amplitude at the limit of its plausible range."
         for name in best.names
-        if best.is_at_end(name)
+        if best.is_at_range_end(name)
     ]
     return faults
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Doubt:
+class _Reservation:
     """Why the best explanation may not be the right one or not all: in a few words, and whole."""
 
     short: str
     reason: str
 
 
-def _doubts(attribution: Attribution, fits: float) -> list[_Doubt]:
+def _reservations(attribution: Attribution, fits: float) -> list[_Reservation]:
     """Reservations about the best explanation, none of them sufficient to reject it."""
     best = attribution.best
     doubts = [
-        _Doubt(
-            short=f"the {cause_label(x.name)} would lie far from where anatomy has it",
+        _Reservation(
+            short=f"the {cause_label(x.name)} would lie far from its anatomical site",
             reason=f"The insertions of the {cause_label(x.name)} would lie "
-            f"{shift_mm(best, x):.0f} mm from where anatomy has them, which is rare "
+            f"{shift_mm(best, x):.0f} mm from their anatomical sites, which is rare "
             f"({_p_words(p_value)}): a structure that no library lists may lie there.",
         )
         for x in best.causes
         if isinstance(x, Structure) and (p_value := site_p_value(best, x)) <= FAR_OFF
     ]
     if fits <= FITS:
-        reason = f"The misfit that is left is rather improbable ({_p_words(fits)})."
-        doubts.append(_Doubt(short="it leaves more than noise would", reason=reason))
-    if attribution.is_left_unexplained:
+        reason = f"The remaining misfit is rather improbable ({_p_words(fits)})."
+        doubts.append(_Reservation(short="its residuals exceed the noise", reason=reason))
+    if attribution.has_remaining_misfit:
         further = cause_label(attribution.steps[-1].scores.candidates[0].name)
-        reason = f"Something else is left: the {further} scores high but does not fit."
-        doubts.append(_Doubt(short="something else is left", reason=reason))
+        reason = f"Significant misfit remains: the {further} scores high but does not fit."
+        doubts.append(_Reservation(short="significant misfit remains", reason=reason))
     return doubts
 
 
@@ -211,7 +211,7 @@ def _group(attribution: Attribution) -> tuple[str, ...]:
 
 
 def site_p_value(refit: Refit, structure: Structure) -> float:
-    """Probability that the insertions of a structure are found so far from where anatomy has them.
+    """Probability that the insertions of a structure are found so far from their anatomical sites.
 
     The shifts found are compared with what their prior, and how much of it the data can move, lead
     one to expect: of a shift with prior variance 1 and posterior variance c, the value found has

@@ -1,7 +1,7 @@
 """Which trials to add, so that the data bound what they leave open: chosen, predicted, verified.
 
 Where equilibria begin at measured poses, a small change of parameters may lead from one to another.
-A profile then depends on these jumps; the slopes at the best fit do not (`straight`).
+A profile then depends on these jumps; the slopes at the best fit do not (`linearised`).
 
 Nuisance parameters are marginalised about the best fit (`identknee.runs.marginalise`). Trials share
 them, so that a trial is worth what it adds given the others: the posterior of the nuisances after
@@ -21,7 +21,7 @@ from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.design_criteria import (
     CRITERIA,
     CandidatePredictions,
-    Candidates,
+    CandidateTrials,
     Criterion,
     Excluded,
     LocalLoss,
@@ -39,11 +39,11 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
-from identknee.runs.marginalise import NuisancePosterior, better_known, whitening
+from identknee.runs.marginalise import NuisancePosterior, whitening, with_error_measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StraightProblem:
+class LinearisedProblem:
     """A problem linearised at theta: residuals ``(m,)`` and Jacobian ``(m, n)``."""
 
     parameters: Parameters
@@ -61,7 +61,7 @@ class StraightProblem:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StraightCandidates:
+class LinearisedCandidates:
     """Candidates linearised at theta: values ``(k, m)`` and Jacobians ``(k, m, n)``."""
 
     names: tuple[str, ...]
@@ -75,19 +75,19 @@ class StraightCandidates:
         return self.at_theta[list(chosen)] + slopes @ (theta - self.theta), slopes
 
 
-def straight(
-    problem: Problem, theta: Array, candidates: Candidates
-) -> tuple[Problem, StraightCandidates]:
+def linearised(
+    problem: Problem, theta: Array, candidates: CandidateTrials
+) -> tuple[Problem, LinearisedCandidates]:
     """Problem and candidates linearised at theta, priors of nuisances kept."""
     data = without_priors(problem)
-    lines = StraightProblem(
+    lines = LinearisedProblem(
         parameters=problem.parameters,
         theta=theta,
         at_theta=data.residuals(theta),
         slopes=data.jacobian(theta),
     )
     values, slopes = candidates.predict(theta, range(len(candidates.names)))
-    offered = StraightCandidates(
+    offered = LinearisedCandidates(
         names=tuple(candidates.names), theta=theta, at_theta=values, slopes=slopes
     )
     return with_nuisance_priors(lines), offered
@@ -167,20 +167,23 @@ def narrowing(
     )
 
 
-def errors_halved(
+def halved_error_features(
     width: WidthLoss, points: CandidatePredictions, parameters: Parameters
 ) -> dict[str, Array]:
     """Features of nuisance parameters with their standard deviations halved, ``(1, f)`` each."""
     groups = nuisance_places(parameters)
-    return {name: width.of_trials(*_as_trial(points, parameters, x)) for name, x in groups.items()}
+    return {
+        name: width.features_of_trials(*_as_trial(points, parameters, x))
+        for name, x in groups.items()
+    }
 
 
-def mean_share(shares: Array) -> float:
+def mean_narrowing(shares: Array) -> float:
     """Narrowing by the geometric mean of the relative widths.
 
     Examples
     --------
-    >>> round(mean_share(np.array([0.5, 0.0])), 3)
+    >>> round(mean_narrowing(np.array([0.5, 0.0])), 3)
     0.293
     """
     return float(1.0 - np.exp(np.mean(np.log1p(-shares))))
@@ -199,7 +202,7 @@ def _as_trial(
     Values ``(q, 1, m)`` in units of that measurement's noise, derivatives ``(q, 1, m, n)`` by the
     scaled parameters.
     """
-    rows = better_known(parameters.n, places, parameters.prior_sd[places])
+    rows = with_error_measured(parameters.n, places, parameters.prior_sd[places])
     values = points.thetas[:, None] @ rows.T
     slopes = rows * points.scales
     return values, np.broadcast_to(slopes, (len(values), 1, *slopes.shape))
@@ -266,7 +269,7 @@ def marginal_problem(problem: Problem, theta: Array) -> MarginalProblem:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AtBestErrors:
+class CandidatesAtBestNuisances:
     """Candidates with the nuisance parameters at their best fit.
 
     Attributes
@@ -279,7 +282,7 @@ class AtBestErrors:
         Which of them vary, shape ``(n,)``.
     """
 
-    candidates: Candidates
+    candidates: CandidateTrials
     theta: Array
     is_of_interest: BoolArray
 
@@ -314,7 +317,7 @@ class SharedErrors:
     """
 
     problem: MarginalProblem
-    candidates: AtBestErrors
+    candidates: CandidatesAtBestNuisances
     slopes: Array
     groups: dict[str, list[int]]
 
@@ -338,7 +341,7 @@ class SharedErrors:
         return NuisancePosterior.after(residuals, jacobians, self.problem.slopes)
 
 
-def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> SharedErrors:
+def shared_errors(problem: Problem, theta: Array, candidates: CandidateTrials) -> SharedErrors:
     """The nuisances of a problem as errors shared with its candidates, about the best fit."""
     parameters = problem.parameters
     is_asked = parameters.is_of_interest
@@ -347,7 +350,9 @@ def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> Sha
     place = {int(x): i for i, x in enumerate(errors)}
     return SharedErrors(
         problem=marginal_problem(problem, theta),
-        candidates=AtBestErrors(candidates=candidates, theta=theta, is_of_interest=is_asked),
+        candidates=CandidatesAtBestNuisances(
+            candidates=candidates, theta=theta, is_of_interest=is_asked
+        ),
         slopes=jacobians[:, :, errors] * parameters.prior_sd[errors],
         groups={name: [place[i] for i in x] for name, x in nuisance_places(parameters).items()},
     )
@@ -386,10 +391,10 @@ class TrialFeatures:
             return made + trials[list(others)].sum(axis=0), trials
         for trial in others:
             own = self._of([trial])
-            made = made + self.loss.of_trials(*known.whitened(*own))[0]
+            made = made + self.loss.features_of_trials(*known.whitened(*own))[0]
             known = known.updated(own[0][:, 0], own[1][:, 0], own[2][0])
         offered = np.flatnonzero(self.allowed)
-        trials[offered] = self.loss.of_trials(*known.whitened(*self._of(offered.tolist())))
+        trials[offered] = self.loss.features_of_trials(*known.whitened(*self._of(offered.tolist())))
         return made, trials
 
     def halved(self) -> dict[str, Array]:
@@ -401,8 +406,12 @@ class TrialFeatures:
         found = {}
         for name, places in self.shared.groups.items():
             m = len(places)
-            measured = np.zeros((q, 1, m)), np.zeros((q, 1, m, p)), better_known(n, places)[None]
-            found[name] = self.loss.of_trials(*self.known.whitened(*measured))
+            measured = (
+                np.zeros((q, 1, m)),
+                np.zeros((q, 1, m, p)),
+                with_error_measured(n, places)[None],
+            )
+            found[name] = self.loss.features_of_trials(*self.known.whitened(*measured))
         return found
 
     def _of(self, trials: list[int]) -> tuple[Array, Array, Array]:
@@ -495,7 +504,7 @@ class ChosenTrials:
             ("error", self.narrowing.errors, self.narrowing.by_error),
         )
         rows: list[dict[str, Any]] = [
-            {"kind": kind, "name": name, "narrowing": mean_share(shares)}
+            {"kind": kind, "name": name, "narrowing": mean_narrowing(shares)}
             for kind, names, table in parts
             for name, shares in zip(names, table, strict=True)
             if np.isfinite(shares).all()
@@ -517,7 +526,7 @@ class ChosenTrials:
 def design(
     problem: Problem,
     optimum_theta: ArrayLike,
-    candidates: Candidates,
+    candidates: CandidateTrials,
     *,
     n_trials: int,
     targets: Sequence[Quantity] = (),
@@ -589,7 +598,11 @@ def design(
     features = TrialFeatures(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
     chosen = choose(lambda x: loss(np.add(*features.beside(x))), allowed, n_trials)
     along = replace(features, loss=width)
-    halved = errors_halved(width, points, problem.parameters) if shared is None else along.halved()
+    halved = (
+        halved_error_features(width, points, problem.parameters)
+        if shared is None
+        else along.halved()
+    )
     best = points.thetas[0]
     whole: Problem
     if shared is None:
@@ -627,7 +640,7 @@ def _check(problem: Problem, n_trials: int, criterion: Criterion) -> None:
 
 
 def _shared(
-    problem: Problem, theta: Array, candidates: Candidates, targets: Sequence[Quantity]
+    problem: Problem, theta: Array, candidates: CandidateTrials, targets: Sequence[Quantity]
 ) -> SharedErrors | None:
     """The nuisances marginalised; None without any, or where a target is no parameter."""
     is_error = ~problem.parameters.is_of_interest

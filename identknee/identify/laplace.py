@@ -263,7 +263,7 @@ def _gaussian(at: Evaluation, parameters: Parameters, is_active: BoolArray | Non
     """The Gaussian whose logarithm has the slope and curvature of the deviance at a point."""
     is_log, sd = np.array(parameters.is_log), parameters.prior_sd
     point, center, lower, upper = (
-        _logs(x, is_log) / sd
+        _log_where_lognormal(x, is_log) / sd
         for x in (at.theta, parameters.center, parameters.lower, parameters.upper)
     )
     jacobian = at.jacobian * np.where(is_log, at.theta, 1.0) * sd
@@ -338,7 +338,11 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
     constant = -0.5 * len(noise_factor) * np.log(2.0 * np.pi) - np.log(np.diag(noise_factor)).sum()
     sd = np.sqrt(np.diag(near.covariance)) * prior_sd
     found = box_intervals(near.middle, near.covariance, near.lower, near.upper)
-    point, lower, upper = _logs(at.theta, is_log), found.lower * prior_sd, found.upper * prior_sd
+    point, lower, upper = (
+        _log_where_lognormal(at.theta, is_log),
+        found.lower * prior_sd,
+        found.upper * prior_sd,
+    )
     # A fit stopped before its minimum is not where the straight model puts the parameters, and
     # neither end of such an interval is known.
     slack = ROUNDING * sd
@@ -355,7 +359,7 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
     )
 
 
-def _logs(values: Array, is_log: BoolArray) -> Array:
+def _log_where_lognormal(values: Array, is_log: BoolArray) -> Array:
     """The logarithms where the prior is lognormal."""
     with np.errstate(divide="ignore"):
         return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)

@@ -54,7 +54,7 @@ def best_fits(
     """
     parameters = problem.parameters
     first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
-    check_inside(first, parameters)
+    check_within_bounds(first, parameters)
     points = sobol_around(parameters, first, N_STARTS, reach=REACH, seed=seed)
     around = fit_many(problem, points, seed=seed, executor=executor, budget=budget)
     begun = [fit(problem, first, seed=seed, budget=budget), *around]
@@ -69,7 +69,7 @@ def best_fits(
     return tuple(fits)
 
 
-def check_inside(theta: Array, parameters: Parameters) -> None:
+def check_within_bounds(theta: Array, parameters: Parameters) -> None:
     """Raise for a theta outside the bounds.
 
     Raises

@@ -111,7 +111,7 @@ class Blocks:
         return float(self.values.max())
 
 
-class Inside(Protocol):
+class RegionConstraints(Protocol):
     """Constraints of a search for an extremum."""
 
     @property

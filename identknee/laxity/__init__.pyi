@@ -1,9 +1,9 @@
 from .candidates import candidate_trials as candidate_trials
-from .dominant import DominantLoads as DominantLoads
-from .dominant import dominant_loads as dominant_loads
-from .dominant import nominal_flexion as nominal_flexion
-from .dominant import opposite_pairs as opposite_pairs
-from .dominant import told_loads as told_loads
+from .dominant_load import DominantLoads as DominantLoads
+from .dominant_load import dominant_loads as dominant_loads
+from .dominant_load import nominal_flexion as nominal_flexion
+from .dominant_load import nominal_loads as nominal_loads
+from .dominant_load import opposite_pairs as opposite_pairs
 from .protocol import LOADS as LOADS
 from .protocol import concatenate as concatenate
 from .protocol import trial_name as trial_name

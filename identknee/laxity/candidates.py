@@ -71,12 +71,12 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     )
 
 
-def repeated(names: Sequence[str], taken: Sequence[str]) -> tuple[str, ...]:
+def unique_names(names: Sequence[str], taken: Sequence[str]) -> tuple[str, ...]:
     """The names, with a number added to those that are taken or come again.
 
     Examples
     --------
-    >>> repeated(["a", "b", "a"], taken=["b"])
+    >>> unique_names(["a", "b", "a"], taken=["b"])
     ('a', 'b_repeat2', 'a_repeat2')
     """
     used = set(taken)

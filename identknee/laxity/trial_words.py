@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from identknee.laxity.dominant import dominant_loads, nominal_flexion, told_loads
+from identknee.laxity.dominant_load import dominant_loads, nominal_flexion, nominal_loads
 from identknee.laxity.protocol import DIRECTIONS, FLEXION, LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.runs.arrays import Array
@@ -93,12 +93,12 @@ def setting_words(flexion_deg: float, loads: Sequence[float] | Array) -> str:
     return f"Flexion {round(flexion_deg, 1):g}°, {' and '.join(parts) or UNLOADED}"
 
 
-def trial_words(trial: Mapping[str, Any]) -> str:
+def trial_description(trial: Mapping[str, Any]) -> str:
     """A trial to do, from its angle and loads.
 
     Examples
     --------
-    >>> trial_words({"flexion_deg": 30.0, "anterior_force_N": -134.0})
+    >>> trial_description({"flexion_deg": 30.0, "anterior_force_N": -134.0})
     'posterior force of 134 N at 30 deg of flexion'
     """
     values = [float(trial.get(name) or 0.0) for name in LOADS]
@@ -150,7 +150,7 @@ def laxity_groups(protocol: Protocol) -> tuple[LaxityGroup, ...]:
     >>> laxity_groups(load_protocol("seed63"))[3].name
     'varus_deg, 0 deg, valgus moment'
     """
-    scenarios = load_scenarios(replace(protocol, loads=told_loads(protocol)))
+    scenarios = load_scenarios(replace(protocol, loads=nominal_loads(protocol)))
     return tuple(
         LaxityGroup(coordinate=coordinate, flexion_deg=float(flexion), load=scenario)
         for flexion, scenario in zip(nominal_flexion(protocol), scenarios, strict=True)

@@ -11,8 +11,8 @@ from identknee.mechanics.memory import FIRST_ROUNDED, N_LISTED, N_LISTINGS, N_TO
 
 
 @compiled_into_callers
-def felt_depth(depth, exponent, rounding):
-    """Depth as the pressure feels it, its derivative, and the integral of its power over depth.
+def effective_depth(depth, exponent, rounding):
+    """Effective depth of contact, its derivative, and the integral of its power over depth.
 
     The integral is given for ``felt^exponent``, divided by ``felt^(exponent - 1)``, by which the
     caller multiplies the spring.
@@ -50,7 +50,7 @@ def contact_element(expansion, i, R, t, exponent, rounding):
     bx, by, bz = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
     distance += x * (gx + 0.5 * bx) + y * (gy + 0.5 * by) + z * (gz + 0.5 * bz)
     gx, gy, gz = gx + bx, gy + by, gz + bz
-    felt, steepness, work = felt_depth(-distance, exponent, rounding)
+    felt, steepness, work = effective_depth(-distance, exponent, rounding)
     if exponent != 1.0 and felt > 0.0:
         spring *= (felt / REFERENCE_DEPTH) ** (exponent - 1.0)
     k1, k2 = -spring * felt, spring * exponent * steepness
@@ -86,7 +86,7 @@ def sum_contact(law, placed, expansion):
 
 
 @compiled
-def write_pushes(law, work):
+def write_contact_forces(law, work):
     """Write how every expanded point is pushed at the pose placed last into `work.pushes`."""
     placed, expansion, pushes = work.placed, work.expansion, work.pushes
     R, t = placed.rotation, placed.translation

@@ -294,7 +294,9 @@ def rim_distance(vertices: Array, faces: IntArray) -> RimDistance:
     return RimDistance(vertices=vertices, rim=vertices[is_on_rim])
 
 
-def share_near_rims(centres: Array, femoral: RimDistance, tibial: tuple[RimDistance, ...]) -> Array:
+def rim_force_fraction(
+    centres: Array, femoral: RimDistance, tibial: tuple[RimDistance, ...]
+) -> Array:
     """Share of each trial's contact force that acts within 3 mm of a rim, shape ``(n,)``.
 
     Parameters

@@ -275,7 +275,7 @@ def evaluate_near(flexion, load, law, grid, ligaments, placed, expansion, at):
 
 
 @compiled
-def evaluate_there(flexion, q, load, contact, field, ligaments, work):
+def evaluate_if_moved(flexion, q, load, contact, field, ligaments, work):
     """Make the elements those of a pose, unless the pose evaluated last is about the same."""
     at, last, far = work.solver.trial, work.evaluation.placed.pose, 0.0
     for i in range(5):

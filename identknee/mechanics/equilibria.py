@@ -114,7 +114,7 @@ class ContactPoints:
 
 
 @declared
-class Lines:
+class LineLigaments:
     """Line ligaments: insertions in femoral and tibial axes, and what does not change in a fit."""
 
     femoral: Array = entry("Femoral insertions [mm], shape ``(m, 3)``")
@@ -173,7 +173,7 @@ def solve(
         Varus, internal [rad], x, y, z [mm], shape ``(5,)``, or one for each node, ``(n_nodes, 5)``.
         Those of nodes reached from others are not looked at.
     ligaments
-        As `Lines.arrays` gives them.
+        As `LineLigaments.arrays` gives them.
     guesses
         Poses to try first, shape ``(n_nodes, 5)``. A guess is kept only if the equilibrium found
         from it agrees with its neighbour's tangents, as one found without must.

@@ -9,13 +9,13 @@ from identknee.mechanics.contact_elements import (
     contact_centres,
     contact_columns,
     sum_contact,
-    write_pushes,
+    write_contact_forces,
 )
 from identknee.mechanics.elements import write_sums
 from identknee.mechanics.energy import (
     evaluate,
+    evaluate_if_moved,
     evaluate_near,
-    evaluate_there,
     factorise,
     motion_axes,
     parameter_columns,
@@ -81,8 +81,8 @@ MOST_ITERATIONS = 200
 
 
 @compiled
-def promise(g, H, step):
-    """How much lower the energy is a step away, by gradient and Hessian."""
+def predicted_decrease(g, H, step):
+    """Decrease of the energy predicted by gradient and Hessian for a step."""
     lower = 0.0
     for i in range(5):
         s = 0.0
@@ -126,7 +126,7 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
         shift = trust_region_step(trial.gradient, trial.hessian, within, L, right, step)
         for i in range(5):
             candidate.pose[i] = trial.pose[i] + step[i]
-        lower, length = promise(trial.gradient, trial.hessian, step), scaled_norm(step)
+        lower, length = predicted_decrease(trial.gradient, trial.hessian, step), scaled_norm(step)
         far = distance_between(candidate.pose, point.pose)
         is_settled = shift == 0.0 and length < max(SETTLED, EXPANSION_ERROR * away * away)
         if is_settled or (k == 0 and (not is_expanded or far > EXPANSION_REACH)):
@@ -215,8 +215,8 @@ def tangent(state, load_change, flexion_change, L, right):
 
 
 @compiled
-def off_branch(before, after, share, tolerance):
-    """Whether a step disagrees with the tangents at its ends more than a smooth branch would.
+def leaves_branch(before, after, share, tolerance):
+    """Whether a step deviates from the tangents at its ends more than a smooth branch would.
 
     The disagreement is weighed against the way the tangents explain, of which a jump is no part.
     """
@@ -269,7 +269,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work):
             solves += 1
             tangent(there, change, flexion_change, L, right)
         tolerance = GUESS_TOLERANCE if guessed else 1.0
-        if outcome == CONVERGED and not off_branch(here, there, share, tolerance):
+        if outcome == CONVERGED and not leaves_branch(here, there, share, tolerance):
             copy_point(there, here)
             reached = goal
             n_far -= is_known
@@ -353,8 +353,8 @@ def simulate_path(
         write_state(here, results, n)
         # The last pose evaluated may be one that was searched on the way, or not kept. Whatever the
         # load, contact is that of the pose.
-        evaluate_there(angle, here.pose, load, contact, field, ligaments, work)
-        write_pushes(contact.law, work.evaluation)
+        evaluate_if_moved(angle, here.pose, load, contact, field, ligaments, work)
+        write_contact_forces(contact.law, work.evaluation)
         contact_centres(contact, work.evaluation, results.centres[n])
         if derivatives and outcome == CONVERGED:
             slopes, sums = results.sensitivities[n], results.contact_sums[n]

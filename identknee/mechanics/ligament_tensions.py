@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identknee.mechanics.equilibria import TRANSITION_STRAIN, Lines
+from identknee.mechanics.equilibria import TRANSITION_STRAIN, LineLigaments
 from identknee.mechanics.pose import Placement
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared
@@ -52,7 +52,7 @@ def line_tensions(
 
 
 def ligament_wrench(
-    placement: Placement, lines: Lines, stiffness: Array, reference_strain: Array
+    placement: Placement, lines: LineLigaments, stiffness: Array, reference_strain: Array
 ) -> LigamentWrench:
     """Tensions, generalised force and stiffness of the ligaments at a placement of the tibia.
 
@@ -118,7 +118,7 @@ class LigamentTensions:
 
 
 def ligament_tensions(
-    lines: Lines, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
+    lines: LineLigaments, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
 ) -> LigamentTensions:
     """Tensions of the ligaments at poses of the tibia.
 
@@ -151,7 +151,7 @@ def ligament_tensions(
 
 
 def line_gradients(
-    lines: Lines, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
+    lines: LineLigaments, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
 ) -> Array:
     """Gradient of each line's energy by the pose [N mm, N], shape ``(n, m, 5)``.
 
@@ -163,14 +163,14 @@ def line_gradients(
     return np.asarray(tensions[:, :, None] * lengthening)
 
 
-def line_lengths(lines: Lines, flexion: float, pose: Array) -> Array:
+def line_lengths(lines: LineLigaments, flexion: float, pose: Array) -> Array:
     """Lengths of the lines [mm], shape ``(m,)``, at `flexion` [rad] and a `pose` (5,)."""
     offset, _, _ = _offsets(lines, np.array([flexion]), pose[None])
     length, _ = _course(lines, offset)
     return length.reshape(-1)
 
 
-def _lengths(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array]:
+def _lengths(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array, Array]:
     """Lengths [mm], (n, m), and their derivatives by the poses [mm/rad, mm/mm], (n, m, 5)."""
     offset, tibial, turned_z = _offsets(lines, flexion, poses)
     length, (x, y, z) = _course(lines, offset)
@@ -180,7 +180,7 @@ def _lengths(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array]:
     return length, np.stack([by_varus, by_internal, x, y, z], axis=2)
 
 
-def _course(lines: Lines, offset: Array) -> tuple[Array, Array]:
+def _course(lines: LineLigaments, offset: Array) -> tuple[Array, Array]:
     """Length of each line and its gradient by `offset` (3, n, m), pushed aside where it is."""
     place, offset_z = np.asarray(lines.wrap_place), np.asarray(lines.wrap_offset)
     if not offset_z.any():
@@ -196,7 +196,7 @@ def _course(lines: Lines, offset: Array) -> tuple[Array, Array]:
     return length, direction
 
 
-def _offsets(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array, Array]:
+def _offsets(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array, Array, Array]:
     """From femoral to tibial insertions [mm], (3, n, m), the latter, and their z before varus.
 
     In femoral axes turned with flexion, where the translation of a pose stands as it is; tibial

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_wrench
 from identknee.mechanics.load_paths import LoadPaths
 from identknee.mechanics.memory import ROTATION_SCALE
@@ -266,9 +266,9 @@ def penetrations(points: Array, sheet: Sheet) -> Penetration:
     owner, triangle, height = owner[kept], triangle[kept], height[kept]
     closest = _closest_places(sheet.corners[triangle], points[owner])
     distance = np.linalg.norm(points[owner] - closest, axis=1)
-    first = _first_of_each(owner, distance, np.abs(height))
+    first = _closest_pairs(owner, distance, np.abs(height))
     inside = (height[first] < 0.0) & (distance[first] < DEEPEST)
-    inside[inside] = ~_past_rim(closest[first][inside], triangle[first][inside], sheet)
+    inside[inside] = ~_is_on_rim(closest[first][inside], triangle[first][inside], sheet)
     chosen = first[inside]
     return Penetration(
         point=frozen_integers(owner[chosen]),
@@ -307,7 +307,7 @@ def _closest_places(corners: Array, points: Array) -> Array:
     return places
 
 
-def _first_of_each(owner: IntArray, distance: Array, height: Array) -> IntArray:
+def _closest_pairs(owner: IntArray, distance: Array, height: Array) -> IntArray:
     """Which pair decides for each point: the closest, of equally close ones the most square."""
     if len(owner) == 0:
         return np.empty(0, np.int64)
@@ -318,7 +318,7 @@ def _first_of_each(owner: IntArray, distance: Array, height: Array) -> IntArray:
     return order[starts]
 
 
-def _past_rim(places: Array, triangle: IntArray, sheet: Sheet) -> BoolArray:
+def _is_on_rim(places: Array, triangle: IntArray, sheet: Sheet) -> BoolArray:
     """Whether each of `places`, on its triangle, lies on the sheet's rim."""
     from trimesh import triangles as trimesh_triangles
 
@@ -399,7 +399,7 @@ def mesh_equilibria(
     paths: LoadPaths,
     start: Array,
     contact: MeshContact,
-    lines: Lines,
+    lines: LineLigaments,
     stiffness: Array,
     reference_strain: Array,
 ) -> MeshEquilibria:
@@ -455,7 +455,7 @@ def _balance(
     flexion: float,
     load: Array,
     contact: MeshContact,
-    ligaments: tuple[Lines, Array, Array],
+    ligaments: tuple[LineLigaments, Array, Array],
 ) -> tuple[Array, Array]:
     placement = place(flexion, pose)
     pressed = contact.wrench(placement)

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, Laxity, noise_fault
-from identknee.laxity.zeros import from_zero
+from identknee.laxity.zero_conventions import from_zero
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, short_repr

@@ -162,7 +162,7 @@ def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
         Prior standard deviation of each, shape ``(k,)``.
     """
     rough = surface_changes(model, model.predict_once(theta), ROUGHNESS_LENGTH)
-    heights = np.full(rough.shape[2], roughness_of(model.knee))
+    heights = np.full(rough.shape[2], surface_roughness(model.knee))
     changes, spreads = [rough], [heights]
     toe = toe_strain()
     if toe.name not in {x.name for x in model.effects}:
@@ -178,7 +178,7 @@ def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
     return np.concatenate(changes, axis=2), np.concatenate(spreads)
 
 
-def roughness_of(knee: Knee) -> float:
+def surface_roughness(knee: Knee) -> float:
     """How far the surfaces of a model are from those of the knee [mm], bump by bump."""
     return MESH_ROUGHNESS if knee.femur_distance is None else FORMULA_ROUGHNESS
 

@@ -23,7 +23,7 @@ from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_lengths
 from identknee.mechanics.pose import Placement, place
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.of_tests import model_of_tests
+from identknee.model.model_for_tests import model_for_tests
 from identknee.model.parameters import Parameters
 from identknee.report.overview import ranges_of
 from identknee.report.page.results import Result, found_results
@@ -35,7 +35,12 @@ from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim_export import file_name, write_opensim
 from identknee.verbs.fit import Calibration
-from identknee.verbs.fitted_knee import as_fitted, as_stated, fitted_knee, fitted_values
+from identknee.verbs.fitted_knee import (
+    fitted_knee,
+    fitted_values,
+    knee_as_fitted,
+    with_stated_uncertainty_of,
+)
 from identknee.verbs.options import GivenSubject, Out, documented
 from identknee.verbs.registry import verb_named
 from identknee.verbs.subject import (
@@ -202,13 +207,13 @@ class _Poses:
         # The scan of a left knee is seen in a mirror, which turns its triangles round.
         order = slice(None, None, -1 if knee.side == "left" else 1)
         triangles = [x.faces[:, order] + i for x, i in zip(surfaces, starts[:-1], strict=True)]
-        gaps = np.concatenate(self._gaps(placement))
+        gaps = np.concatenate(self._contact_gaps(placement))
         places = np.concatenate([*lines, *sheets])
         numbers = [np.full(len(x.faces), i) for i, x in enumerate(surfaces)]
         empty, none = np.full(n, np.nan), np.full(len(gaps), np.nan)
-        tension, strain = self._pulled(trial)
+        tension, strain = self._line_tensions(trial)
         return polydata(
-            knee.as_scanned(knee.femur_frame.to_common(self._field.to_field(places))),
+            knee.in_scan_frame(knee.femur_frame.to_common(self._field.to_field(places))),
             np.column_stack([np.arange(n), n + np.arange(n)]),
             np.concatenate(triangles),
             {
@@ -225,7 +230,7 @@ class _Poses:
         own = [x.name for x in self._model.knee.ligaments]
         return [*own, *(f"line {i + 1} of effects" for i in range(n - len(own)))]
 
-    def _gaps(self, placement: Placement) -> list[Array]:
+    def _contact_gaps(self, placement: Placement) -> list[Array]:
         """Distance of the centre of each face from the other bone [mm], by bone."""
         knee = self._model.knee
         femoral = placement.to_tibia(self._femur[knee.femur.faces].mean(axis=1))
@@ -239,7 +244,7 @@ class _Poses:
     def _pressure(self, gaps: Array) -> Array:
         return self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0]
 
-    def _pulled(self, trial: int) -> tuple[Array, Array]:
+    def _line_tensions(self, trial: int) -> tuple[Array, Array]:
         """Tension [N] and strain [%] of every line."""
         pose, flexion = self._poses[trial : trial + 1], self._flexion[trial : trial + 1]
         found = ligament_tensions(self._lines, flexion, pose, self._stiffness, self._strain)
@@ -387,7 +392,7 @@ def export_knee(
     if results:
         others.append(_write_table(knee, results, folder))
     if osim or source is not None:
-        others.append(write_opensim(as_fitted(written), folder, source=source))
+        others.append(write_opensim(knee_as_fitted(written), folder, source=source))
     if vtk:
         others.append(_write_trials(written, results, protocol, folder))
     return Exported(knee=written, folder=folder, others=tuple(others))
@@ -435,7 +440,7 @@ def _of_knee(knee: Knee, folder: PathLike) -> list[Result]:
     results, refused = [], None
     for result in found_results(Path(folder)):
         try:
-            as_stated(knee, result.answer)
+            with_stated_uncertainty_of(knee, result.answer)
         except ValueError as error:
             refused = error
         else:
@@ -460,7 +465,7 @@ def _write_table(knee: Knee, results: list[Result], folder: Path) -> Path:
     """The parameters, with what all results of the same data say of them."""
     latest = _latest(results)
     answer = latest.answer
-    stated = as_stated(knee, answer)
+    stated = with_stated_uncertainty_of(knee, answer)
     parameters = LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters
     settings = {} if answer.record is None else answer.record.settings
     table = parameter_table(
@@ -479,7 +484,7 @@ def _write_trials(
     if protocol is None and answer is not None:
         protocol = presenter_of(answer).protocol(answer)
     tests = read_tests("drawer" if protocol is None else protocol)
-    model = model_of_tests(knee, tests)
+    model = model_for_tests(knee, tests)
     for fit in of_type([answer] if answer is not None else [], Calibration):
         if tests is fit.protocol:
             # The search of a measured trial begins at its measured pose.

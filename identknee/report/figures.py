@@ -55,7 +55,7 @@ MATH = "\\mathdefault"
 
 
 @contextmanager
-def names_as_they_are(figure: Figure) -> Iterator[None]:
+def without_mathtext(figure: Figure) -> Iterator[None]:
     """Draw the user's names literally, without mathtext.
 
     A letter that the font lacks is drawn as a box, without a warning.
@@ -72,7 +72,7 @@ def names_as_they_are(figure: Figure) -> Iterator[None]:
 def png(figure: Figure, dots: int = DOTS_PER_INCH) -> bytes:
     """The figure as a PNG with so many dots per inch."""
     buffer = io.BytesIO()
-    with names_as_they_are(figure):
+    with without_mathtext(figure):
         figure.savefig(buffer, format="png", dpi=dots)
     return buffer.getvalue()
 
@@ -93,7 +93,7 @@ def vector(figure: Figure, form: str) -> bytes:
     """The figure as ``"svg"`` or ``"pdf"`` for a paper: text stays text."""
     buffer = io.BytesIO()
     with (
-        names_as_they_are(figure),
+        without_mathtext(figure),
         mpl.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "identknee"}),
     ):
         figure.savefig(

@@ -13,7 +13,7 @@ from identknee.diagnosis.verdict import Verdict
 from identknee.identify.basins import WITHIN
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
-from identknee.laxity.trial_words import trial_words
+from identknee.laxity.trial_words import trial_description
 from identknee.model.effects.facts import cause_label
 from identknee.report.answers.fit import fit_statements
 from identknee.report.presenter import of_type, presenter_of, statements_of
@@ -21,7 +21,7 @@ from identknee.report.range import NOT_CONVERGED, Range, Source
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import (
     amount,
-    capital,
+    capitalised,
     interval,
     label_without_unit,
     listed,
@@ -157,9 +157,9 @@ _WHY = {
     Source.POSTERIOR: "The posterior adds the prior to the data.",
     Source.DIAGNOSIS: "The diagnosis takes the noise from the scatter of the data, and the model "
     "as linear near the fit.",
-    Source.CAUSE: "With the cause the model is another one, so its values may differ.",
-    Source.INFORMATION: "The local approximation takes the model as linear near the fit.",
-    Source.EQUIVALENTS: "Equivalent sets ask how far the fit can move, not what the data exclude.",
+    Source.CAUSE: "With the cause the model is different, so its values may differ.",
+    Source.INFORMATION: "The local approximation linearises the model at the fit.",
+    Source.EQUIVALENTS: "Equivalent sets show how far a fit can move, not what is excluded.",
 }
 
 
@@ -227,7 +227,7 @@ def disagreement(answers: Sequence[Answer]) -> str:
     )
 
 
-def is_beaten(fit: Calibration, others: Iterable[Calibration]) -> bool:
+def has_better_fit(fit: Calibration, others: Iterable[Calibration]) -> bool:
     """Whether another fit of the same data leaves less, of lengths as of angles."""
     return fit.rmse.n_compared > 0 and any(
         np.array_equal(x.data.coordinates, fit.data.coordinates, equal_nan=True)
@@ -428,7 +428,7 @@ def _trial_words(answers: Sequence[Answer]) -> dict[str, str]:
                 protocol.trials, protocol.flexion_deg, protocol.loads, strict=True
             ):
                 values = {FLEXION: float(flexion)} | dict(zip(LOADS, loads.tolist(), strict=True))
-                found[name] = trial_words(values)
+                found[name] = trial_description(values)
     return found
 
 
@@ -472,7 +472,7 @@ def _verdict(rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str) -> t
     if tone is Tone.GOOD and (unknown or doubts):
         tone = Tone.OPEN
     if doubts:
-        said.append(f"However, {listed(doubts)}." if said else f"{capital(listed(doubts))}.")
+        said.append(f"However, {listed(doubts)}." if said else f"{capitalised(listed(doubts))}.")
     return " ".join(said), tone
 
 
@@ -485,7 +485,7 @@ def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
         return diagnosis.verdict.sentence, Tone.OPEN
     if diagnosis.verdict is Verdict.NAMED:
         names = listed(map(cause_label, diagnosis.cause_names))
-        said = f"The model lacks something that the data show. Only one known cause fits: {names}."
+        said = f"A misfit is detected. Only one known cause fits: {names}."
         return said, Tone.WRONG
     return diagnosis.sentence, Tone.WRONG
 
@@ -500,7 +500,7 @@ def _known(rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | N
     elif diagnosis.verdict is Verdict.NOT_TESTABLE:
         proviso = ", if the model is right"
     elif diagnosis.verdict is not Verdict.ADEQUATE:
-        return "The sets below hold for the model as it stands."
+        return "The sets below are conditional on the model."
     if not unknown:
         which = {1: "The one parameter is", 2: "Both parameters are"}.get(
             n, f"All {n} parameters are"

@@ -81,7 +81,7 @@ class Presenter(Generic[Given]):
         return {}
 
     def ranges(self, _answer: Given) -> Iterator[tuple[str, "Range"]]:
-        """What is known of each parameter and force, by its name."""
+        """Parameters and forces, by its name."""
         yield from ()
 
     def next_tests(self, _answer: Given) -> Iterator[str]:

@@ -4,7 +4,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from identknee.report.presenter import main_statements, statements_of
-from identknee.report.statement import taken_for_granted
+from identknee.report.statement import assumption_sentences
 from identknee.runs.findings import finding_lines
 from identknee.verbs.answer import Answer
 
@@ -24,7 +24,7 @@ def terminal_lines(answer: Answer) -> list[str]:
     lines: list[str] = []
     for statement in statements_of(answer):
         lines += [statement.sentence, *(f"\n{x}\n" for x in statement.tables)]
-    return [*lines, *taken_for_granted(answer), *finding_lines(answer.findings)]
+    return [*lines, *assumption_sentences(answer), *finding_lines(answer.findings)]
 
 
 def short_text(answer: Answer) -> str:

@@ -60,12 +60,12 @@ class Range:
         return self.high - self.low
 
 
-def open_words(low: float | None, high: float | None) -> str:
+def open_ends_text(low: float | None, high: float | None) -> str:
     """Which ends of a range are open.
 
     Examples
     --------
-    >>> open_words(1.0, 2.0), open_words(1.0, None), open_words(None, None)
+    >>> open_ends_text(1.0, 2.0), open_ends_text(1.0, None), open_ends_text(None, None)
     ('known', 'open above', 'not known')
     """
     if low is None:

@@ -12,7 +12,7 @@ from identknee.verbs.answer import Answer
 MOST_NAMED = 8
 
 
-def taken_for_granted(answer: Answer) -> tuple[str, ...]:
+def assumption_sentences(answer: Answer) -> tuple[str, ...]:
     """The assumptions of an answer, as sentences."""
     trials = answer.trials_used
     if not trials:
@@ -56,6 +56,6 @@ class Statement:
     tables: tuple[Table, ...] = entry("The numbers behind it", default=())
     is_answer: bool = entry("Whether it leads its part of the page", default=False)
     warning: Finding | None = entry(
-        "What speaks against the result, where the sentence does; it leads the page",
+        "Findings: warnings about the result, where the sentence does; it leads the page",
         default=None,
     )

@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from identknee.laxity.trial_words import trial_words
-from identknee.runs.words import capital, interval, listed
+from identknee.laxity.trial_words import trial_description
+from identknee.runs.words import capitalised, interval, listed
 
 
 def trial_list(trials: Iterable[Mapping[str, Any]]) -> str:
     """Trials to do, the beginning of a sentence."""
-    return capital(counted(map(trial_words, trials)))
+    return capitalised(counted(map(trial_description, trials)))
 
 
 def counted(told: Iterable[str]) -> str:

@@ -51,7 +51,7 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     directions = list(dict.fromkeys(x.direction for x in pulls))
     size = (0.8 + 2.1 * max(len(directions), 1), 1.2 + 1.45 * max(len(angles), 1))
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle("what else would have to act on the tibia, seen from above", fontsize=10)
+    figure.suptitle("missing force and moment on the tibia, seen from above", fontsize=10)
     if not pulls:
         return figure
     grid = figure.subplots(len(angles), len(directions), squeeze=False)

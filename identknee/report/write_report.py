@@ -16,7 +16,7 @@ from identknee.runs.progress import progress
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.fitted_knee import as_stated
+from identknee.verbs.fitted_knee import with_stated_uncertainty_of
 
 FIGURES = "figures"
 
@@ -90,7 +90,7 @@ def _knee(findings: Findings, remarks: list[str], knee: Knee | None) -> Knee | N
         remarks.append(f"The knee itself is not shown: {error}")
         return None
     try:
-        return as_stated(knee, findings.results[0].answer)
+        return with_stated_uncertainty_of(knee, findings.results[0].answer)
     except ValueError:
         remarks.append(f"The knee itself is not shown: {name} has changed since.")
         return None

@@ -1,4 +1,4 @@
-"""What nobody foresaw: a report for the maintainers, and warnings kept out of a person's way."""
+"""Crash reports for the maintainers, and warnings kept off the terminal."""
 
 import logging
 import os
@@ -31,10 +31,10 @@ def log_folder() -> Path:
     return Path(kept) / "log" if kept else user_log_path("identknee")
 
 
-def report_unforeseen(
+def report_unexpected_error(
     error: BaseException, settings: Mapping[str, Any], folder: Path | None
 ) -> str:
-    """Sentence about an error that nobody foresaw; it names the report now written about it.
+    """Sentence about an unexpected error, naming the crash report written.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def report_unforeseen(
         Where the report belongs; the folder of logs where there is none or it cannot be written.
     """
     what = " ".join(traceback.format_exception_only(error)[-1].split())
-    said = f"this should not have happened ({what[:200]})"
+    said = f"unexpected error ({what[:200]})"
     for place in (folder, log_folder()):
         if place is None:
             continue
@@ -62,12 +62,12 @@ def report_unforeseen(
 
 
 @contextmanager
-def warnings_logged() -> Iterator[None]:
+def warnings_to_log() -> Iterator[None]:
     """Keep warnings of libraries off the terminal: they go to the log instead.
 
     Whoever calls the library from Python gets them as warnings.
     """
-    shown, handler = warnings.showwarning, _ToLog()
+    shown, handler = warnings.showwarning, _LogHandler()
     log_warnings()
     # Without a handler of its own a library's errors are printed by the last resort.
     logging.getLogger().addHandler(handler)
@@ -83,12 +83,12 @@ def log_warnings() -> None:
     warnings.showwarning = _show
 
 
-def are_warnings_logged() -> bool:
+def are_warnings_redirected() -> bool:
     """Whether this process sends its warnings to the log."""
     return warnings.showwarning is _show
 
 
-class _ToLog(logging.Handler):
+class _LogHandler(logging.Handler):
     """What libraries log as a warning or worse, in the log."""
 
     def __init__(self) -> None:
@@ -130,7 +130,7 @@ def _report(error: BaseException, settings: Mapping[str, Any]) -> str:
         for path, sha in _digests(value)
     ]
     lines = [
-        "An error in identknee that nobody foresaw.",
+        "Unexpected error in identknee.",
         "",
         f"call: {sys.argv}",
         f"settings: {dict(settings)}",

@@ -77,5 +77,5 @@ def closest(word: str, known: Iterable[str]) -> str:
     return names[close[0]] if close else ""
 
 
-class NotComputed(Exception):  # noqa: N818 - said to a person as a sentence
+class NotComputable(Exception):  # noqa: N818 - said to a person as a sentence
     """Raised where the input is fine and the answer still cannot be had; says why."""

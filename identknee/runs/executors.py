@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
-from identknee.runs.crash_report import are_warnings_logged, log_warnings
+from identknee.runs.crash_report import are_warnings_redirected, log_warnings
 from identknee.runs.files import write_atomically
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Executor(Protocol):
         ...
 
 
-class WorkerDied(RuntimeError):  # noqa: N818 - said to a person as a sentence
+class WorkerTerminated(RuntimeError):  # noqa: N818 - said to a person as a sentence
     """Raised where a worker process ended before its task: killed, or out of memory."""
 
 
@@ -126,7 +126,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
             n_workers,
             mp_context=context,
             initializer=_start_worker,
-            initargs=(line, folder, are_warnings_logged()),
+            initargs=(line, folder, are_warnings_redirected()),
         )
         try:
             yield _Processes(pool, Path(folder))
@@ -153,8 +153,8 @@ class _Processes:
         try:
             yield from self._pool.map(partial(_apply, str(path)), items)
         except BrokenProcessPool as error:
-            raise WorkerDied(
-                "a worker process died before its task was done, perhaps for want of memory; "
+            raise WorkerTerminated(
+                "a worker process ended before its task was done, perhaps out of memory; "
                 "try fewer workers"
             ) from error
 
@@ -308,8 +308,8 @@ class _Dask:
             for task in tasks:
                 yield task.result()
         except (KilledWorker, CancelledError) as error:
-            raise WorkerDied(
-                "a worker of the dask cluster died before its task was done, perhaps for want of "
+            raise WorkerTerminated(
+                "a worker of the dask cluster died before its task was done, perhaps out of "
                 "memory; try fewer workers"
             ) from error
         finally:

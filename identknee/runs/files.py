@@ -40,7 +40,7 @@ def write_atomically(path: PathLike, content: str | bytes) -> Path:
     """
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
-    temporary = part_beside(target)
+    temporary = temporary_path_beside(target)
     try:
         try:
             with temporary.open("xb") as file:
@@ -66,7 +66,7 @@ def prepare_folder(path: PathLike) -> Path:
         If it cannot be made or written to, or is a file.
     """
     folder = Path(path)
-    probe = part_beside(folder / "probe")
+    probe = temporary_path_beside(folder / "probe")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -83,7 +83,7 @@ def prepare_folder(path: PathLike) -> Path:
     return folder
 
 
-def part_beside(path: PathLike) -> Path:
+def temporary_path_beside(path: PathLike) -> Path:
     """Path in the same folder for what is to become `path` once it is whole.
 
     What a killed process leaves under such a name goes when the folder is next prepared.

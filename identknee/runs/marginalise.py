@@ -165,7 +165,7 @@ class NuisancePosterior(NamedTuple):
 SHARE = 0.5
 
 
-def better_known(n: int, places: list[int], prior_sd: Array | float = 1.0) -> Array:
+def with_error_measured(n: int, places: list[int], prior_sd: Array | float = 1.0) -> Array:
     """A measurement of some parameters that narrows their priors to `SHARE`.
 
     Rows in units of that measurement's noise: its derivatives by all parameters.
@@ -186,7 +186,7 @@ def better_known(n: int, places: list[int], prior_sd: Array | float = 1.0) -> Ar
 
     Examples
     --------
-    >>> row = better_known(1, [0], prior_sd=2.0)
+    >>> row = with_error_measured(1, [0], prior_sd=2.0)
     >>> float(np.sqrt(1.0 / (2.0**-2 + row @ row.T))[0, 0])
     1.0
     """

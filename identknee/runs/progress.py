@@ -61,7 +61,7 @@ def in_words(seconds: float | None) -> str:
 FIRST_LINE_S, MOST_RARELY_S = 30.0, 600.0
 
 
-class Lines:
+class ProgressLines:
     """Says on lines of standard error how far long work is."""
 
     def __init__(self, description: str, total: int | None, before: int) -> None:
@@ -241,7 +241,7 @@ def _bar(
         return
     if not sys.stderr.isatty():
         try:
-            yield Lines(description, total, before)
+            yield ProgressLines(description, total, before)
         finally:
             _one_bar.release()
         return
@@ -283,7 +283,7 @@ class _DelayedBar:
         self._total = total
         self._done = before
         self._share, self._before = 0.0, before / total if total else 0.0
-        self._note, self._left = "", _Left(None)
+        self._note, self._left = "", _TimeLeftColumn(None)
         self._began = time.monotonic()
         self._lock = threading.Lock()
         self._shown: tuple[Progress, TaskID] | None = None
@@ -304,14 +304,16 @@ class _DelayedBar:
         with self._lock:
             self._done += count
             share = self._done / self._total if self._total else 0.0
-            self._left = _Left(time_left(time.monotonic() - self._began, share, self._before))
+            self._left = _TimeLeftColumn(
+                time_left(time.monotonic() - self._began, share, self._before)
+            )
             self._update()
 
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
         with self._lock:
             if left_s is None:
                 left_s = time_left(time.monotonic() - self._began, share, self._before)
-            self._share, self._note, self._left = share, note, _Left(left_s)
+            self._share, self._note, self._left = share, note, _TimeLeftColumn(left_s)
             self._update()
 
     def say(self, sentence: str, /) -> None:
@@ -334,7 +336,7 @@ class _DelayedBar:
             self._shown[0].stop()
 
 
-class _Left:
+class _TimeLeftColumn:
     """The time left as it is when it is printed, also within an item that takes long."""
 
     def __init__(self, seconds: float | None) -> None:

@@ -1,5 +1,5 @@
-from .installation import Check as Check
 from .installation import Installation as Installation
+from .installation import InstallationCheck as InstallationCheck
 from .installation import doctor as doctor
 from .subject import SettledSubject as SettledSubject
 from .subject import SubjectCheck as SubjectCheck

@@ -1,4 +1,4 @@
-"""What every answer carries beside its numbers: what speaks against it, and how it was made."""
+"""The fields common to all answers: findings, assumptions and provenance."""
 
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ class Answer:
     trials_used: tuple[str, ...] = entry(
         "Measured trials that the result rests on", only="measured data", default=()
     )
-    assumptions: tuple[str, ...] = entry("What was taken for granted, as sentences", default=())
+    assumptions: tuple[str, ...] = entry("Assumptions, as sentences", default=())
     uncertainty: Mapping[str, str] = entry(
         "What of knee and tests was taken as uncertain, by how much, and what as exact",
         default_factory=dict,
@@ -29,7 +29,7 @@ class Answer:
     nuisances: tuple[NuisanceEstimate, ...] = entry(
         "What was taken as uncertain, as the best fit leaves it", default=()
     )
-    findings: tuple[Finding, ...] = entry("What speaks against the result", default=())
+    findings: tuple[Finding, ...] = entry("Findings: warnings about the result", default=())
     record: Record | None = entry(
         "The call, its inputs, seed, versions and time; only what a verb gave back has one",
         default=None,

@@ -168,8 +168,8 @@ class Demonstration(SimulatedLaxity):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Interruptible:
-    """A problem that ends its fits once it is told to, so that Ctrl-C does not wait for threads."""
+class _InterruptibleProblem:
+    """A problem that ends its fits on request, so that Ctrl-C does not wait for threads."""
 
     problem: Problem
     is_stopped: threading.Event = field(default_factory=threading.Event)
@@ -268,7 +268,7 @@ def _fits(
     """The fits from all starts by one method."""
     points = [load_start(name, problem.parameters) for name in STARTS for _ in range(runs)]
     seed, budget = settings
-    fits = _interruptibly(
+    fits = _with_interrupt(
         problem,
         lambda x: fit_many(x, points, seed=seed, executor=executor, method=method, budget=budget),
     )
@@ -289,12 +289,12 @@ def _profiles(
         best = best_fit(problem, seed=seed, executor=executor)
         return profile_parameters(problem, best.theta, executor=executor)
 
-    return _interruptibly(LaxityResiduals(model=model, laxity=noisy, weighting="noise"), profiled)
+    return _with_interrupt(LaxityResiduals(model=model, laxity=noisy, weighting="noise"), profiled)
 
 
-def _interruptibly(problem: Problem, work: Callable[[Problem], Made]) -> Made:
+def _with_interrupt(problem: Problem, work: Callable[[Problem], Made]) -> Made:
     """What `work` makes of the problem; where it is interrupted its threads end soon."""
-    interruptible = _Interruptible(problem=problem)
+    interruptible = _InterruptibleProblem(problem=problem)
     try:
         return work(interruptible)
     except BaseException:

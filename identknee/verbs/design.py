@@ -6,19 +6,19 @@ from typing import Annotated, Any, Unpack
 
 import numpy as np
 
-from identknee.calibrate.problem import Problem, Scaled
+from identknee.calibrate.problem import Problem, WhitenedResiduals
 from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
-from identknee.checks.usable_trials import about_offered
-from identknee.identify.design import ChosenTrials, straight
+from identknee.checks.usable_trials import candidate_path_findings
+from identknee.identify.design import ChosenTrials, linearised
 from identknee.identify.design import design as choose_trials
-from identknee.identify.design_criteria import Candidates, Criterion
+from identknee.identify.design_criteria import CandidateTrials, Criterion
 from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
-from identknee.laxity.candidates import repeated
+from identknee.laxity.candidates import unique_names
 from identknee.laxity.named_trials import TrialsLike, read_trials
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity, write_laxity
-from identknee.laxity.zeros import zero_of_more
-from identknee.model.candidate_laxity import CandidateLaxity, offered_trials, typical_errors
+from identknee.laxity.zero_conventions import zero_of_added_trials
+from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
@@ -42,7 +42,7 @@ from identknee.verbs.verb import Run, verb
 ADVICE = "advised_trials.csv"
 GROUP = "design"
 STRAIGHT = (
-    "Intervals and trials were predicted along straight lines about the best fit: equilibria that "
+    "Intervals and trials were predicted by linearisation about the best fit: equilibria that "
     "begin at measured poses jump too often for profiles."
 )
 
@@ -100,7 +100,7 @@ class Design(Answer):
             protocol=protocol,
             coordinates=np.full((n, len(COORDINATES)), np.nan),
             sd=None if self.coordinate_sd is None else np.tile(self.coordinate_sd, (n, 1)),
-            zero=zero_of_more(self.zero),
+            zero=zero_of_added_trials(self.zero),
             comments=("Trials advised by identknee design: measure, fill in, append to the data.",),
         )
 
@@ -176,16 +176,16 @@ def design(
     """
     asked = None if candidates is None else read_trials(candidates)
     setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
-    offered = _offered(setup, asked)
+    offered = _candidate_trials(setup, asked)
     wanted = [_target(setup, name) for name in targets or ()]
     degrees = setup.degrees_of_freedom
     run.start_clock()
     fits = best_fits(setup, seed=seed, executor=run.executor)
     problem: Problem = setup.problem
-    begun: Candidates = offered.begun_at(fits[0].theta)
-    about_errors = _about_errors(setup, wanted)
+    begun: CandidateTrials = offered.with_start_poses(fits[0].theta)
+    about_errors = _marginalisation_sentence(setup, wanted)
     if about_errors and setup.model.poses is not None:
-        problem, begun = straight(problem, fits[0].theta, begun)
+        problem, begun = linearised(problem, fits[0].theta, begun)
         about_errors = (*about_errors, STRAIGHT)
     choice = choose_trials(
         problem,
@@ -202,14 +202,14 @@ def design(
         choice=choice,
         flexion_deg=offered.protocol.flexion_deg,
         loads=offered.protocol.loads,
-        advised=repeated(choice.trials, setup.laxity.protocol.trials),
+        advised=unique_names(choice.trials, setup.laxity.protocol.trials),
         coordinate_sd=None if setup.laxity.sd is None else offered.sd,
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
         assumptions=(
             *setup.assumptions,
             *about_errors,
-            *about_offered(setup.model),
+            *candidate_path_findings(setup.model),
         ),
         **setup.uncertain_at(fits[0].theta),
         findings=setup.findings_at(fits[0].theta, 2.0 * fits[0].objective, fits),
@@ -219,21 +219,23 @@ def design(
     return answer
 
 
-def _about_errors(setup: Identification, targets: Sequence[Quantity]) -> tuple[str, ...]:
+def _marginalisation_sentence(
+    setup: Identification, targets: Sequence[Quantity]
+) -> tuple[str, ...]:
     """How stated errors count."""
     n = len(setup.problem.parameters.nuisance_names)
     if not n or not all(isinstance(x, ParameterQuantity) for x in targets):
         return ()
     sentence = (
-        f"{n} stated errors were averaged over to first order at the best fit, in the data and in "
+        f"{n} stated errors were marginalised to first order at the best fit, in the data and in "
         "the trials that may be added, which share them."
     )
     return (sentence,)
 
 
-def _offered(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
+def _candidate_trials(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
     made = setup.laxity.protocol
-    protocol = offered_trials(setup.model, made) if asked is None else asked
+    protocol = offered_laxity(setup.model, made) if asked is None else asked
     return CandidateLaxity(
         model=setup.model,
         laxity=setup.laxity,
@@ -245,7 +247,7 @@ def _offered(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
 
 def _with_errors(setup: Identification) -> Laxity:
     """The data with the errors that the problem takes them to have."""
-    if not isinstance(setup.problem, Scaled):
+    if not isinstance(setup.problem, WhitenedResiduals):
         return setup.laxity
     sd = np.full(setup.laxity.coordinates.shape, np.nan)
     sd[setup.laxity.is_measured] = setup.problem.sd

@@ -9,7 +9,11 @@ import numpy as np
 
 from identknee.checks.contradicted_trials import end_point_findings
 from identknee.checks.conventions import convention_findings
-from identknee.checks.usable_trials import about_offered, lost_findings, testable
+from identknee.checks.usable_trials import (
+    candidate_path_findings,
+    excluded_trial_findings,
+    knee_with_equilibria,
+)
 from identknee.diagnosis.data_noise import noise_of
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
 from identknee.diagnosis.missing_line import LineEnds, LineFinding
@@ -17,7 +21,7 @@ from identknee.diagnosis.refit import Refit, Rival, RivalState
 from identknee.diagnosis.verdict import Estimate, Verdict, causes_of, ligament_estimates
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
-from identknee.laxity.zeros import zero_of_more
+from identknee.laxity.zero_conventions import zero_of_added_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.files import write_atomically
 from identknee.runs.findings import Finding, without_repeats
@@ -42,8 +46,8 @@ from identknee.verbs.diagnosis import (
     advice_findings,
     gain_found,
     implausible_explanation,
-    sound,
-    with_unsound,
+    with_contradictory_trials,
+    without_contradictory_trials,
 )
 from identknee.verbs.identification import with_noise
 from identknee.verbs.options import Candidates, Data, ExtraStart, KneeOptions, Noise, Seed, Subject
@@ -75,28 +79,30 @@ def diagnose_data(
     model = LaxityModel(knee=subject, protocol=laxity.protocol)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)
-    checked = sound(laxity)
-    knee, used = testable(subject, checked, start)
+    checked = without_contradictory_trials(laxity)
+    knee, used = knee_with_equilibria(subject, checked, start)
     kept = used.laxity
-    lost = lost_findings(subject, checked, kept)
+    lost = excluded_trial_findings(subject, checked, kept)
     # Stiffness there as well: the knee has its strains already, and trials may hang on both.
     is_own = np.array_equal(used.start, model.parameters.start)
     begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
     with planned("diagnosing", work_of(model.parameters.n)):
         found = investigate(knee, kept, starts=begin, effects=effects, seed=seed)
         if found is None:
-            return untestable(_why_untestable(knee, laxity), (*lost, *end_point_findings(laxity)))
+            return untestable(
+                _reason_untestable(knee, laxity), (*lost, *end_point_findings(laxity))
+            )
         with stage("telling what follows"):
             answer = diagnosis_of(found)
     compared = Comparison(knee=knee, starts=begin, effects=effects, seed=seed)
     answer = replace(
         answer,
         trials_used=used.names,
-        assumptions=(*answer.assumptions, *used.sentences, *_about_advice(found)),
+        assumptions=(*answer.assumptions, *used.sentences, *_advice_remark(found)),
         findings=without_repeats(
             (
                 *lost,
-                *compared.table_findings(found, with_unsound(kept, laxity)),
+                *compared.table_findings(found, with_contradictory_trials(kept, laxity)),
                 *compared.row_findings(found),
                 *implausible_explanation(found),
                 *answer.findings,
@@ -109,8 +115,8 @@ def diagnose_data(
     return answer
 
 
-def _about_advice(found: Investigation) -> tuple[str, ...]:
-    return () if found.advice is None else about_offered(found.explanation.fitted.model)
+def _advice_remark(found: Investigation) -> tuple[str, ...]:
+    return () if found.advice is None else candidate_path_findings(found.explanation.fitted.model)
 
 
 def untestable(reason: str, findings: tuple[Finding, ...] = ()) -> Diagnosis:
@@ -170,7 +176,7 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
     )
 
 
-def _why_untestable(knee: Knee, laxity: Laxity) -> str:
+def _reason_untestable(knee: Knee, laxity: Laxity) -> str:
     if noise_of(laxity, laxity.coordinates) is None:
         return (
             "The data state no noise and their load curves are too short to show it: state it with "
@@ -198,7 +204,7 @@ def _blank(laxity: Laxity, trials: Protocol) -> Laxity:
     return Laxity(
         protocol=trials,
         coordinates=np.full((trials.n, laxity.coordinates.shape[1]), np.nan),
-        zero=zero_of_more(laxity.zero),
+        zero=zero_of_added_trials(laxity.zero),
         comments=("Trials advised by identknee diagnose: measure, fill in, append to the data.",),
     )
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from identknee.checks.contradicted_trials import (
     SuspiciousRow,
-    left_out,
+    leave_one_out,
     suspicious_end_points,
     suspicious_rows,
     trial_findings,
     without_rows,
 )
-from identknee.checks.implausible import implausible_findings
+from identknee.checks.plausibility import implausible_findings
 from identknee.checks.subject_checks import rim_findings
 from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
@@ -29,7 +29,7 @@ from identknee.diagnosis.gain import (
     Process,
 )
 from identknee.diagnosis.investigation import Investigation, investigate
-from identknee.diagnosis.misfit import CellScore, Check
+from identknee.diagnosis.misfit import CellScore, ResidualTest
 from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.diagnosis.refit import RivalState
 from identknee.diagnosis.verdict import Cause, Verdict
@@ -85,7 +85,7 @@ class GainFound:
     rmse_in_sample: Mapping[str, Rmse] = entry(f"Error of the trials fitted, {OF_MODEL}")
     rmse_held_out: Mapping[str, Rmse] = entry(f"Error of trials held out, {OF_MODEL}")
     rmse_held_out_expected: Mapping[str, Rmse] = entry(f"Error that it expects itself, {OF_MODEL}")
-    misfit: Mapping[str, Check] = entry(f"Test of the size of the misfit, {OF_MODEL}")
+    misfit: Mapping[str, ResidualTest] = entry(f"Test of the size of the misfit, {OF_MODEL}")
     families: Mapping[str, FamilyGain] = entry("Gain by what is held out")
     explained: Mapping[str, float] = entry("Share of each coordinate's misfit that goes")
     discrepancy: Process = entry("The process")
@@ -445,7 +445,7 @@ def rows_of(found: Investigation) -> list[SuspiciousRow]:
     whitened = fitted.noise.whiten(np.eye(fitted.n_data))
     columns = np.vstack([whitened, np.zeros((len(rows) - fitted.n_data, fitted.n_data))])
     measured = fitted.laxity.is_measured
-    return suspicious_rows(left_out(rows, jacobian, columns), *np.nonzero(measured))
+    return suspicious_rows(leave_one_out(rows, jacobian, columns), *np.nonzero(measured))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -500,12 +500,12 @@ class Comparison:
         return f"{start} the verdict is {still}{verdict}{names}. {why}", values
 
 
-def sound(laxity: Laxity) -> Laxity:
-    """The data, cells blank in trials that the table alone contradicts, no model asked."""
+def without_contradictory_trials(laxity: Laxity) -> Laxity:
+    """The data without contradictory trials, found without a model."""
     return without_rows(laxity, suspicious_end_points(laxity))
 
 
-def with_unsound(part: Laxity, laxity: Laxity) -> Laxity:
+def with_contradictory_trials(part: Laxity, laxity: Laxity) -> Laxity:
     """Some trials of the data, and those that the table contradicts."""
     coordinates = np.array(part.coordinates)
     rows = [x.trial for x in suspicious_end_points(laxity)]
@@ -531,7 +531,7 @@ def advice_findings(found: Investigation) -> tuple[Finding, ...]:
         return ()
     if verdict is Verdict.AMBIGUOUS:
         sentence = (
-            "No trial to add can be advised: the causes that are left differ in nothing that a "
+            "No trial can be recommended: the causes that are left differ in nothing that a "
             "load could show, or the model has no equilibrium in the trials that could be added."
         )
         return (finding("no-trial-advised", "trials", sentence=sentence),)
@@ -541,15 +541,15 @@ def advice_findings(found: Investigation) -> tuple[Finding, ...]:
     worst = [trials[i] for i in np.argsort(-left, kind="stable")[:MOST_REPEATED]]
     values: dict[str, object] = {"trials": worst}
     sentence = (
-        "No trial to add can be advised: nothing explains the misfit, so there are no explanations "
+        "No trial can be recommended: nothing explains the misfit, so there are no explanations "
         f"that a trial could tell apart. Most of it is left in {', '.join(worst)}: measure these "
-        "again, to tell errors of a trial from the knee."
+        "again, to separate errors of a trial from properties of the knee."
     )
     if fitted.nuisance_groups:
         farthest = min(fitted.nuisance_groups, key=lambda x: x.p_value)
         values["nuisances"] = farthest.name
         sentence += (
-            f" Of what is stated as uncertain, the fit moves {farthest.name} to the least probable "
-            "place: measure it."
+            f" Of what is stated as uncertain, {farthest.name} has the least probable estimate "
+            "under its prior: measure it."
         )
     return (finding("no-trial-advised", "trials", values, sentence=sentence),)

@@ -1,4 +1,4 @@
-"""Other parameter sets that the data could not tell apart, and what follows wrongly from them."""
+"""Equivalent parameter sets, and the ranges of forces over them."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal, Unpack, get_args
@@ -21,13 +21,13 @@ from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared,
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import planned
 from identknee.verbs.answer import Answer
-from identknee.verbs.averaged import averaged
 from identknee.verbs.identification import (
     Identification,
     check_start,
     identification,
     no_prediction,
 )
+from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import (
     Bounds,
     Data,
@@ -53,7 +53,7 @@ SHORTER = (
 
 @declared
 class Equivalents(Answer):
-    """Parameter sets that the data cannot tell apart, and the ranges that they leave open."""
+    """Equivalent parameter sets, and the ranges of quantities over them."""
 
     criterion: Criterion = entry(
         "What counts as equivalent: noise for a squared difference in units of the noise, paper "
@@ -124,7 +124,7 @@ def equivalents(
     seed: Seed = 0,
     **_: Unpack[KneeOptions],
 ) -> Equivalents:
-    """Other parameter sets that the data could not tell apart, as different as can be.
+    """Parameter sets that the data cannot distinguish, as different as possible.
 
     They predict the same laxity as the best fit, and are as different from each other as possible.
     The answer gives the smallest and largest value of every parameter and ligament force among all
@@ -142,7 +142,7 @@ def equivalents(
     check_word("--forces", forces, get_args(Forces))
     asked = None if trials is None else read_trials(trials)
     setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
-    setup = averaged(setup, seed=seed, executor=run.executor)[0]
+    setup = marginalise_nuisances(setup, seed=seed, executor=run.executor)[0]
     check_start(setup)
     quantities = _forces(setup, forces, asked)
     run.start_clock()

@@ -13,7 +13,14 @@ import xarray
 
 from identknee.runs.array_groups import axis_fault, groups_of, with_arrays
 from identknee.runs.errors import InputError
-from identknee.runs.files import PathLike, digest, part_beside, plain, write_atomically, write_json
+from identknee.runs.files import (
+    PathLike,
+    digest,
+    plain,
+    temporary_path_beside,
+    write_atomically,
+    write_json,
+)
 from identknee.runs.plain_records import from_plain, summary_of
 from identknee.runs.schema import Fault, read_json, shown
 from identknee.verbs.answer import Answer
@@ -123,7 +130,7 @@ def _write_arrays(path: Path, answer: Answer) -> bytes:
             "versions": ", ".join(f"{name} {x}" for name, x in record.versions.items()),
         }
     # The library writes to paths only; its file becomes bytes that are written whole or not at all.
-    temporary = part_beside(path)
+    temporary = temporary_path_beside(path)
     try:
         tree.to_netcdf(temporary, engine="h5netcdf")
         content = temporary.read_bytes()
@@ -140,7 +147,7 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
     if digest(path) != sha:
         why = "it is not the file that was written with result.json"
         raise InputError(path, "", why, AGAIN)
-    with warnings.catch_warnings(), _files_closed_in_silence():
+    with warnings.catch_warnings(), _silenced_netcdf_close():
         warnings.simplefilter("ignore")
         try:
             with xarray.open_datatree(path, engine="h5netcdf") as tree:
@@ -154,7 +161,7 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
 
 
 @contextmanager
-def _files_closed_in_silence() -> Iterator[None]:
+def _silenced_netcdf_close() -> Iterator[None]:
     """Keep off the terminal what the library prints when it closes a file it could not open."""
     shown_before = sys.unraisablehook
     sys.unraisablehook = lambda _: None

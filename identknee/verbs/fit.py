@@ -1,4 +1,4 @@
-"""One parameter set from measured laxity and one start, and what speaks against it."""
+"""One parameter set fitted from one start, with findings."""
 
 import fnmatch
 from collections.abc import Callable, Sequence
@@ -18,16 +18,16 @@ from identknee.calibrate.student import DEGREES, fit_student, student_scales
 from identknee.checks.all_checks import Fitted, check_fit, check_unfitted
 from identknee.checks.fit_warnings import (
     bound_findings,
+    fit_from_alternative_start,
     misfit_findings,
-    second_search,
     too_few_findings,
     unstated_misfit_findings,
 )
 from identknee.checks.usable_trials import (
     TrialSearch,
-    UsedTrials,
-    about_inputs,
-    lost_findings,
+    TrialSelection,
+    excluded_trial_findings,
+    input_findings,
     residuals_of,
     table_model,
     unfitted_findings,
@@ -35,9 +35,9 @@ from identknee.checks.usable_trials import (
 from identknee.identify.nuisances import nuisance_estimates
 from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.laxity.zeros import ABSOLUTE
+from identknee.laxity.zero_conventions import ABSOLUTE
 from identknee.mechanics.load_paths import Continuation
-from identknee.model.candidate_laxity import at_own_poses
+from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.effects.stored import choice_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import poses_of
@@ -189,7 +189,7 @@ def predicted(
     model = LaxityModel(
         knee=knee, protocol=measured.protocol, order=measured.order, phase=measured.phase
     )
-    found = at_own_poses(model, theta).predict(theta)
+    found = continued_from_own_poses(model, theta).predict(theta)
     if found.jacobian is None:  # pragma: no cover - it was asked for
         raise AssertionError
     spread = np.einsum("nip,pq,niq->ni", found.jacobian, covariance, found.jacobian)
@@ -241,12 +241,14 @@ def _uncertainty(
 LIGHT, MOST_FAR = 0.5, 6
 
 
-def robust(plain: Callable[..., Fit], problem: Problem, start: Array, fixed: Sequence[str]) -> Fit:
+def fit_student_errors(
+    plain: Callable[..., Fit], problem: Problem, start: Array, fixed: Sequence[str]
+) -> Fit:
     """A fit whose errors have heavy tails."""
     return fit_student(problem, residuals_of(problem).units, start, partial(plain, fixed=fixed))
 
 
-def about_tails(problem: Problem, laxity: Laxity, found: Fit) -> tuple[str, ...]:
+def heavy_tail_findings(problem: Problem, laxity: Laxity, found: Fit) -> tuple[str, ...]:
     """The scales of errors with heavy tails, and the values that count least."""
     if not np.isfinite(found.objective):
         return ()
@@ -263,9 +265,9 @@ def about_tails(problem: Problem, laxity: Laxity, found: Fit) -> tuple[str, ...]
         f"{laxity.protocol.trials[trials[k]]} ({weights[k]:.2f})"
         for k in light
     )
-    counted = f" Values counted least, with their weights: {least}." if least else ""
+    counted = f" Values with the smallest weights: {least}." if least else ""
     sentence = (
-        f"Errors were taken as Student's t with {DEGREES:.0f} degrees of freedom and a scale of "
+        f"Errors were modelled as Student's t with {DEGREES:.0f} degrees of freedom and a scale of "
         f"{shown}, estimated with the parameters.{counted}"
     )
     return (sentence,)
@@ -335,7 +337,7 @@ class Calibration(SimulatedLaxity):
     @derived("Measured trials in which the model has no prediction", only="a trial lost")
     def trials_without_equilibrium(self) -> tuple[TrialEnd, ...]:
         """Measured trials in which the model has no prediction."""
-        return _lost(self.trials, self.data)
+        return _trials_without_equilibrium(self.trials, self.data)
 
 
 @verb
@@ -433,7 +435,7 @@ def fit(
     run.start_clock()
     plain = partial(search, method=method, seed=seed, budget=budget, priors=priors)
     is_robust = likelihood == "student"
-    used, found = trials.fitted(theta, partial(robust, plain) if is_robust else plain)
+    used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
     problem = trials.problem(used.laxity)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
@@ -447,7 +449,7 @@ def fit(
         if is_held.any():
             kept = measured.select(is_held)
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
-    tails = about_tails(problem, used.laxity, found) if is_robust else ()
+    tails = heavy_tail_findings(problem, used.laxity, found) if is_robust else ()
     return Calibration(
         **simulated(model, prediction),
         start=start,
@@ -456,7 +458,7 @@ def fit(
         rmse=error,
         trials_used=() if found.outcome is Outcome.START_FAILED else used.names,
         held_out=held,
-        assumptions=(*about_inputs(subject, measured), *pattern, *used.sentences, *tails),
+        assumptions=(*input_findings(subject, measured), *pattern, *used.sentences, *tails),
         uncertainty=subject.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=_findings(trials, used, found, prediction, error),
@@ -481,7 +483,7 @@ def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
     )
 
 
-def _lost(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
+def _trials_without_equilibrium(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
     """The measured trials in which a simulation has no equilibrium."""
     measured = np.any(laxity.is_measured, axis=1).tolist()
     return tuple(
@@ -492,11 +494,15 @@ def _lost(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
 
 
 def _findings(
-    trials: TrialSearch, used: UsedTrials, found: Fit, prediction: Prediction, error: LaxityError
+    trials: TrialSearch,
+    used: TrialSelection,
+    found: Fit,
+    prediction: Prediction,
+    error: LaxityError,
 ) -> tuple[Finding, ...]:
-    """What speaks against a fit."""
+    """Findings about a fit."""
     model, table, laxity = trials.model, trials.laxity, used.laxity
-    lost = lost_findings(model.knee, table, laxity)
+    lost = excluded_trial_findings(model.knee, table, laxity)
     if found.outcome is Outcome.START_FAILED:
         return check_unfitted(model, table, (*lost, *unfitted_findings(laxity, prediction)))
     n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
@@ -518,4 +524,6 @@ def _findings(
     )
     few = too_few_findings(int(laxity.is_measured.sum()), n_free)
     problem = trials.problem(laxity)
-    return check_fit(fitted, (*lost, *few), second=lambda: second_search(problem, found))
+    return check_fit(
+        fitted, (*lost, *few), second=lambda: fit_from_alternative_start(problem, found)
+    )

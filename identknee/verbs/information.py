@@ -8,8 +8,8 @@ from identknee.identify.information import information as fisher_information
 from identknee.identify.structure import StructureCheck, check_structure
 from identknee.runs.declare import declared, derived, entry
 from identknee.verbs.answer import Answer
-from identknee.verbs.averaged import averaged
 from identknee.verbs.identification import best_fits, identification
+from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import (
     Bounds,
     Data,
@@ -89,7 +89,7 @@ def information(
     # Refuses a scaling that is none before anything takes time.
     scaled_units(setup.problem.parameters, scaling)
     run.start_clock()
-    setup, fits = averaged(setup, seed=seed, executor=run.executor)
+    setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
     fits = fits or best_fits(setup, seed=seed, executor=run.executor)
     theta = fits[0].theta[fits[0].parameters.is_of_interest]
     return LocalIdentifiability(

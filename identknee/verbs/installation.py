@@ -32,7 +32,7 @@ INSTALL_AGAIN = "Install it again from its checkout: pip install --force-reinsta
 
 
 @declared
-class Check:
+class InstallationCheck:
     """One thing looked at."""
 
     group: str = entry("What it belongs to: versions, machine, cache, extras or self-test")
@@ -55,7 +55,7 @@ class Check:
 class Installation:
     """All that was looked at in an installation."""
 
-    checks: tuple[Check, ...] = entry("What was looked at")
+    checks: tuple[InstallationCheck, ...] = entry("What was looked at")
 
     @property
     @derived("Whether all is as it should be")
@@ -80,7 +80,7 @@ class Installation:
         lines: list[str] = []
         for group, checks in groupby(self.checks, lambda x: x.group):
             lines += [group.capitalize(), *map(str, checks)]
-        return "\n".join([*lines, *(["All is as it should be."] if self.is_sound else [])])
+        return "\n".join([*lines, *(["All checks passed."] if self.is_sound else [])])
 
 
 def doctor() -> Installation:
@@ -93,17 +93,19 @@ def doctor() -> Installation:
     return Installation(checks=tuple(check for part in parts for check in part()))
 
 
-def versions() -> Iterator[Check]:
+def versions() -> Iterator[InstallationCheck]:
     """Python, identknee and every package it needs, against the versions it asks for."""
     its = _distribution()
     if its is None:
         found, remedy = "not installed, only found on the path", "Install it: pip install ."
-        yield Check(group="versions", name="identknee", is_sound=False, found=found, remedy=remedy)
+        yield InstallationCheck(
+            group="versions", name="identknee", is_sound=False, found=found, remedy=remedy
+        )
         return
-    yield Check(group="versions", name="identknee", is_sound=True, found=its.version)
+    yield InstallationCheck(group="versions", name="identknee", is_sound=True, found=its.version)
     python, wanted = platform.python_version(), its.metadata["Requires-Python"]
     fits = SpecifierSet(wanted).contains(python, prereleases=True)
-    yield Check(
+    yield InstallationCheck(
         group="versions",
         name="Python",
         is_sound=fits,
@@ -116,23 +118,25 @@ def versions() -> Iterator[Check]:
             yield _version_of(requirement)
 
 
-def machine() -> Iterator[Check]:
+def machine() -> Iterator[InstallationCheck]:
     """Processor cores and threads."""
     total = os.cpu_count() or 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else total
     found = f"{usable} of {total} can be used; more than one work with --workers"
-    yield Check(group="machine", name="cores", is_sound=True, found=found)
+    yield InstallationCheck(group="machine", name="cores", is_sound=True, found=found)
     threads = ", ".join(f"{x}={os.environ.get(x, 'unset')}" for x in LIBRARY_THREADS)
-    yield Check(group="machine", name="threads of linear algebra", is_sound=True, found=threads)
+    yield InstallationCheck(
+        group="machine", name="threads of linear algebra", is_sound=True, found=threads
+    )
 
 
-def cache() -> Iterator[Check]:
+def cache() -> Iterator[InstallationCheck]:
     """The folder of compiled code and distance fields: writable, how large, and what is in it."""
     folder = cache_folder()
     try:
         prepare_folder(folder)
     except InputError as error:
-        yield Check(
+        yield InstallationCheck(
             group="cache",
             name="folder",
             is_sound=False,
@@ -143,13 +147,13 @@ def cache() -> Iterator[Check]:
         return
     size = sum(x.stat().st_size for x in folder.rglob("*") if x.is_file())
     found = f"{folder}, can be written to, {size / BYTES_PER_MB:.0f} MB"
-    yield Check(group="cache", name="folder", is_sound=True, found=found)
+    yield InstallationCheck(group="cache", name="folder", is_sound=True, found=found)
     n = _n_compiled()
     found = f"{n} compiled functions are there" if n else "none yet; the first command compiles"
-    yield Check(group="cache", name="compiled code", is_sound=True, found=found)
+    yield InstallationCheck(group="cache", name="compiled code", is_sound=True, found=found)
 
 
-def extras() -> Iterator[Check]:
+def extras() -> Iterator[InstallationCheck]:
     """The optional parts, and how to add those that are missing."""
     its = _distribution()
     if its is None:
@@ -164,7 +168,7 @@ def extras() -> Iterator[Check]:
             and not x.marker.evaluate({"extra": ""})
         ]
         missing = [x.name for x in its_own if not x.is_sound]
-        yield Check(
+        yield InstallationCheck(
             group="extras",
             name=extra,
             is_sound=True,
@@ -173,21 +177,23 @@ def extras() -> Iterator[Check]:
         )
 
 
-def self_test() -> Iterator[Check]:
+def self_test() -> Iterator[InstallationCheck]:
     """Trials of the reference knee against stored ones, derivatives against differences, a fit."""
     try:
         for name, is_sound, found in self_tests():
-            yield Check(
+            yield InstallationCheck(
                 group="self-test",
                 name=name,
                 is_sound=is_sound,
                 found=found,
-                remedy="" if is_sound else f"Trust no result of this installation. {INSTALL_AGAIN}",
+                remedy=""
+                if is_sound
+                else f"Do not use results of this installation. {INSTALL_AGAIN}",
             )
     # A broken installation may raise anything, and what it is is the answer.
     except Exception as error:  # noqa: BLE001
         found = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(".")
-        yield Check(
+        yield InstallationCheck(
             group="self-test", name="run", is_sound=False, found=found, remedy=INSTALL_AGAIN
         )
 
@@ -199,7 +205,7 @@ def _distribution() -> Distribution | None:
         return None
 
 
-def _version_of(requirement: Requirement) -> Check:
+def _version_of(requirement: Requirement) -> InstallationCheck:
     wanted = str(requirement.specifier)
     try:
         found = version(requirement.name)
@@ -208,7 +214,7 @@ def _version_of(requirement: Requirement) -> Check:
     else:
         fits = requirement.specifier.contains(found, prereleases=True)
         found = found if fits else f"{found}, but {wanted} is needed"
-    return Check(
+    return InstallationCheck(
         group="versions",
         name=requirement.name,
         is_sound=fits,

@@ -1,16 +1,16 @@
-"""Which causes the trials of a protocol could show and tell apart, before any data."""
+"""Detectable and isolable causes under a protocol, before any data."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Unpack, overload
 
 from identknee.diagnosis.advice import ROOT, GroupAdvice, protocol_isolability
-from identknee.diagnosis.candidates import Visibility
+from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import LEAST_DISTANCE
 from identknee.laxity.named_trials import TrialsLike, read_trials
 from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.errors import NotComputed
+from identknee.runs.errors import NotComputable
 from identknee.runs.files import PathLike
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
@@ -40,8 +40,8 @@ from identknee.verbs.verb import Run, verb, warm_up
 
 
 @declared
-class Confused:
-    """Causes that a protocol cannot tell apart, and the trials that would."""
+class ConfusableCauses:
+    """Causes that a protocol cannot distinguish, and the trials that would."""
 
     effects: tuple[str, ...] = entry("Names of the causes")
     distance: float = entry("Distance of the closest two, in units of noise", unit="1")
@@ -51,15 +51,15 @@ class Confused:
 
 @declared
 class Isolability(Answer):
-    """What the trials of a protocol could show and tell apart on a subject."""
+    """Detectable and isolable causes under a protocol on a subject."""
 
     protocol: str = entry("Name of the protocol")
     n_trials: int = entry("Its trials with a prediction", unit="1")
-    groups: tuple[Confused, ...] = entry("Causes that it cannot tell apart")
+    groups: tuple[ConfusableCauses, ...] = entry("Causes that it cannot distinguish")
     look_alikes: Mapping[str, tuple[str, ...]] = entry(
         "What each cause could be taken for, the closest first"
     )
-    effects: Mapping[str, Visibility] = entry(
+    effects: Mapping[str, Detectability] = entry(
         "Which size of each cause it would show", rows="effect", group="isolability"
     )
     rivals: tuple[str, ...] = array(
@@ -73,7 +73,7 @@ class Isolability(Answer):
     )
     root_noncentrality: float = entry("How far each stands out of the noise", unit="1")
     least_distance: float = entry(
-        "Distance from which on two causes are told apart, in units of noise", unit="1"
+        "Distance from which two causes can be distinguished, in units of noise", unit="1"
     )
 
 
@@ -93,7 +93,7 @@ def isolability(
     seed: Seed = 0,
     **_: Unpack[KneeOptions],
 ) -> Isolability:
-    """Which causes the trials of a protocol could show and tell apart on a subject.
+    """Detectable and isolable causes under a protocol on a subject.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def isolability(
     run.start_clock()
     found = protocol_isolability(subject, trials, sd_mm=mm, sd_deg=deg, seed=seed)
     if found is None:
-        raise NotComputed(
+        raise NotComputable(
             "the subject's own values have no prediction in any trial of the protocol. See: "
             f"identknee subject check {subject.name}"
         )
@@ -122,7 +122,7 @@ def isolability(
         assumptions=(said,) if lost else (),
         protocol=found.protocol.name,
         n_trials=found.protocol.n,
-        groups=tuple(_confused(x) for x in found.advice),
+        groups=tuple(_confusable_causes(x) for x in found.advice),
         look_alikes=found.look_alikes,
         effects={x.name: x for x in found.visibility},
         rivals=found.distances.effects,
@@ -132,8 +132,8 @@ def isolability(
     )
 
 
-def _confused(advice: GroupAdvice) -> Confused:
-    return Confused(
+def _confusable_causes(advice: GroupAdvice) -> ConfusableCauses:
+    return ConfusableCauses(
         effects=advice.names,
         distance=advice.before,
         distance_with_advised_trials=advice.after,

@@ -182,7 +182,7 @@ def profile(
         *_parameters(setup, parameters),
         *_predictions(setup, quantities or (), forces or (), asked),
     ]
-    couples = [_couple(setup, x) for x in pairs or ()]
+    couples = [_pair_of_parameters(setup, x) for x in pairs or ()]
     run.start_clock()
     fits = best_fits(setup, seed=seed, executor=run.executor)
     thresholds = (
@@ -237,7 +237,7 @@ def _predictions(
     ]
 
 
-def _couple(setup: Identification, pair: Pair) -> tuple[str, str]:
+def _pair_of_parameters(setup: Identification, pair: Pair) -> tuple[str, str]:
     text = pair if isinstance(pair, str) else ",".join(pair)
     first, comma, second = (x.strip() for x in text.partition(","))
     if not comma:

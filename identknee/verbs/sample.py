@@ -9,7 +9,7 @@ from typing import Annotated, Any, Unpack
 import numpy as np
 
 from identknee.identify.posterior.convergence import ConvergenceCheck, SampleOutcome, StopRule
-from identknee.identify.posterior.density import ExcludedMass
+from identknee.identify.posterior.density import InfeasiblePriorMass
 from identknee.identify.posterior.nested import nested_posterior, quantile_differences
 from identknee.identify.posterior.posterior import Posterior, prior_sensitivity
 from identknee.identify.posterior.sample import Ensembles
@@ -37,7 +37,7 @@ from identknee.verbs.options import (
     Subject,
     option,
 )
-from identknee.verbs.verb import Run, not_deciding, verb
+from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 N_PREDICTIONS = 400
 CHAIN = ("chain", "draw")
@@ -349,7 +349,7 @@ class Sample(Answer):
         "Likelihood and predictions of every measured value; null without a sample", default=None
     )
     data: Laxity | None = entry("The measured laxity", group="observed_data", default=None)
-    excluded: ExcludedMass = entry(
+    excluded: InfeasiblePriorMass = entry(
         "How much of the prior the posterior cannot reach", key="excluded_prior"
     )
     optima: Array = array("What the walkers started around", *OPTIMUM, unit=OF_PARAMETER)
@@ -428,7 +428,7 @@ class Sample(Answer):
 
 
 @verb
-@not_deciding("budget", "nested")
+@not_resume_relevant("budget", "nested")
 def sample(
     run: Run,
     subject: Subject,
@@ -505,7 +505,7 @@ def sample(
         cells=None if predicted is None else _cells(setup, predicted, seed),
         data=setup.laxity,
         nested=_nested(setup, posterior, seed) if nested and is_begun else None,
-        assumptions=(*setup.assumptions, *_about_noise(setup)),
+        assumptions=(*setup.assumptions, *_noise_findings(setup)),
         trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
         findings=_findings(setup, posterior),
@@ -558,10 +558,10 @@ def _optima(path: Path, parameters: Parameters) -> Array:
     return np.array(thetas)
 
 
-def _about_noise(setup: Identification) -> tuple[str, ...]:
+def _noise_findings(setup: Identification) -> tuple[str, ...]:
     if setup.degrees_of_freedom is None:
         return ()
-    return ("The posterior takes this noise for known, which makes it a little too narrow.",)
+    return ("The posterior treats this noise as known, which makes it slightly too narrow.",)
 
 
 def _findings(setup: Identification, posterior: Posterior) -> tuple[Finding, ...]:

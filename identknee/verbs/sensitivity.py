@@ -16,7 +16,7 @@ from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import LaxityGroup, laxity_groups
-from identknee.model.of_tests import model_of_tests
+from identknee.model.model_for_tests import model_for_tests
 from identknee.model.quantities import LaxityOutputs
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
@@ -35,7 +35,7 @@ from identknee.verbs.options import (
     option,
     trials_option,
 )
-from identknee.verbs.verb import Run, not_deciding, verb, warm_up
+from identknee.verbs.verb import Run, not_resume_relevant, verb, warm_up
 
 
 @declared
@@ -53,7 +53,7 @@ class GlobalSensitivity(Answer):
 
 
 @verb
-@not_deciding("method", "samples")
+@not_resume_relevant("method", "samples")
 def sensitivity(
     run: Run,
     subject: Subject,
@@ -130,7 +130,7 @@ def sensitivity(
 def _outputs(
     knee: Knee, tests: Protocol | Laxity, start: str, fixed: Sequence[str] | None
 ) -> LaxityOutputs:
-    model = model_of_tests(knee, tests)
+    model = model_for_tests(knee, tests)
     held = {*(fixed or ()), *model.parameters.nuisance_names}
     free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
     if free.parameters.n < 2:
@@ -155,7 +155,7 @@ def _where(
     # xarray takes longer to load than most mistakes take.
 
     draws = posterior_draws(posterior, outputs.parameters.names, samples or DEFAULT_DRAWS)
-    run.also_decide(draws=digest(np.ascontiguousarray(draws).tobytes()))
+    run.add_resume_condition(draws=digest(np.ascontiguousarray(draws).tobytes()))
     return draws
 
 

@@ -5,14 +5,14 @@ from typing import Annotated, Any, Unpack, get_args
 
 from identknee.calibrate.starts import load_start
 from identknee.checks.subject_checks import rim_findings
-from identknee.checks.usable_trials import about_paths
+from identknee.checks.usable_trials import path_findings
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.mechanics.load_paths import Continuation
-from identknee.model.candidate_laxity import at_own_poses
+from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.laxity_model import Contact, LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
@@ -225,9 +225,9 @@ def simulate(
     theta = model.parameters.vector(dict(zip(model.parameters.names, begun, strict=True)) | chosen)
     warm_up(subject, trials)
     run.start_clock()
-    said = about_paths(model)
+    said = path_findings(model)
     if subject.poses:
-        model = at_own_poses(model, theta)
+        model = continued_from_own_poses(model, theta)
     prediction = model.predict(theta, derivatives=False)
     noisy = None
     if sizes is not None:

@@ -9,7 +9,7 @@ from identknee.checks.subject_checks import StabilityReport, check_stability
 from identknee.laxity.named_tables import TABLES
 from identknee.laxity.named_trials import TrialsLike, example_laxity, read_tests
 from identknee.model.insertion_moves import WITHIN, MovedInsertion, settle
-from identknee.model.of_tests import model_of_tests
+from identknee.model.model_for_tests import model_for_tests
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, derived, entry
 from identknee.runs.executors import executor_of, threads
@@ -113,7 +113,7 @@ class SubjectFacts(Answer):
     written: tuple[str, ...] = entry("Files written for other tools", default=())
 
 
-def facts_of(knee: Knee) -> dict[str, Any]:
+def subject_facts_of(knee: Knee) -> dict[str, Any]:
     """The fields of `SubjectFacts` by name."""
     return {
         "subject": knee.name,
@@ -139,7 +139,7 @@ def facts_of(knee: Knee) -> dict[str, Any]:
 @recorded_as("subject show")
 def describe_subject(_run: Run, subject: Subject, **_: Unpack[OutOption]) -> SubjectFacts:
     """What a subject is made of."""
-    return SubjectFacts(**facts_of(subject))
+    return SubjectFacts(**subject_facts_of(subject))
 
 
 @verb
@@ -152,7 +152,7 @@ def exported_subject(
     **_: Unpack[ExportOptions],
 ) -> SubjectFacts:
     """What a subject is made of that was written to a folder, and the files for other tools."""
-    return SubjectFacts(**facts_of(subject), written=tuple(map(str, written)))
+    return SubjectFacts(**subject_facts_of(subject), written=tuple(map(str, written)))
 
 
 @documented
@@ -181,11 +181,12 @@ def import_subject(
 def _import(run: Run, subject: Subject, **_: Unpack[ImportOptions]) -> SubjectFacts:
     if run.out is not None:
         write_subject(subject, run.out)
-    return SubjectFacts(**facts_of(subject))
+    return SubjectFacts(**subject_facts_of(subject))
 
 
 PROPOSAL = (
-    "The subject does not state how well it is known, so it counts as exact. If you know nothing "
+    "The subject does not state how well it is known, so it is treated as exact. If you have no "
+    "better information"
     "better, add to subject.toml: [uncertainty] insertions_mm = 2.0 (segmentation repeats to 1 to "
     "4 mm), contact_modulus = 0.3, contact_exponent = 0.2 and toe_region = 0.2 (estimates: no law "
     "of contact or of a toe region is exact)."
@@ -254,7 +255,7 @@ def check_subject(
     tests = read_tests(protocol)
     findings, stability = check_geometry(subject), None
     if not any(x.severity is Severity.ERROR for x in findings):
-        model = model_of_tests(subject, tests)
+        model = model_for_tests(subject, tests)
         warm_up(subject, model.protocol)
         run.start_clock()
         with executor_of(workers, threads) as executor:
@@ -263,7 +264,7 @@ def check_subject(
             )
         findings += stability.findings
     return SubjectCheck(
-        **facts_of(subject),
+        **subject_facts_of(subject),
         findings=findings,
         stability=stability,
         assumptions=(PROPOSAL,) if subject.uncertainty.is_exact else (),
@@ -329,7 +330,7 @@ def settle_subject(
     ValueError
         If the distance is not between 0 and 8 mm.
     """
-    model = model_of_tests(subject, read_tests(protocol))
+    model = model_for_tests(subject, read_tests(protocol))
     warm_up(subject, model.protocol)
     run.start_clock()
     with executor_of(workers, threads) as executor:
@@ -344,7 +345,7 @@ def settle_subject(
         n_after=found.n_after,
         lowest_margin=found.lowest_margin,
         moved=found.moved,
-        ligaments=facts_of(settled)["ligaments"],
+        ligaments=subject_facts_of(settled)["ligaments"],
         knee=settled,
     )
 

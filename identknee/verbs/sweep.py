@@ -9,7 +9,7 @@ from identknee.checks.fit_warnings import start_findings
 from identknee.identify.basins import WITHIN, Survey
 from identknee.identify.basins import survey as surveyed
 from identknee.identify.cliffs import CliffMap, map_cliffs
-from identknee.identify.sweep import STARTS_A_TASK, Searches, shell_starts, sobol_starts
+from identknee.identify.sweep import STARTS_A_TASK, SweepSearches, shell_starts, sobol_starts
 from identknee.identify.sweep import sweep as searched
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
@@ -31,7 +31,7 @@ from identknee.verbs.options import (
     Subject,
     option,
 )
-from identknee.verbs.verb import Run, not_deciding, verb
+from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 Design = Literal["sobol", "shells"]
 DISTANCES = "0,0.5,1,1.5,2,2.5,3,4,5,6"
@@ -54,13 +54,13 @@ class Sweep(Answer):
     )
 
     @property
-    def searches(self) -> Searches:
+    def searches(self) -> SweepSearches:
         """Every search."""
         return self.survey.searches
 
 
 @verb
-@not_deciding("within", "paths")
+@not_resume_relevant("within", "paths")
 def sweep(
     run: Run,
     subject: Subject,
@@ -205,7 +205,7 @@ def _lost(model: LaxityModel, free: FreeParameters, theta: Array) -> list[str]:
 
 
 def _findings(setup: Identification, survey: Survey) -> tuple[Finding, ...]:
-    """What speaks against the best fit, and whether others fit as well."""
+    """Findings about the best fit, and whether others fit as well."""
     searches = survey.searches
     if survey.target is None:
         return (no_prediction_finding(setup),)

@@ -22,7 +22,7 @@ from identknee.runs.record import record
 from identknee.runs.store import Store, finish_work, open_work
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import EXACTLY, with_stated
+from identknee.subject.uncertainty import EXACTLY, with_stated_uncertainty
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import (
     REFERENCE,
@@ -110,7 +110,7 @@ class Run:
             self._store = self._stack.enter_context(open_work(self.out / WORK, self.deciding))
         return self._store
 
-    def also_decide(self, **values: Any) -> None:
+    def add_resume_condition(self, **values: Any) -> None:
         """Add to what stored work must agree with, before the store is opened."""
         self.deciding = {**self.deciding, **values}
 
@@ -211,7 +211,7 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
     return explained(called, public)
 
 
-def not_deciding(*names: str) -> Callable[[Function], Function]:
+def not_resume_relevant(*names: str) -> Callable[[Function], Function]:
     """Decorator, below ``@verb``, that names options which cannot change a number in the store.
 
     With another value of them the same work goes on, as with a larger budget.
@@ -253,7 +253,7 @@ def _run(
     subject = arguments.get("subject", REFERENCE)
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
-        knee = knee.with_uncertainty(with_stated(knee.uncertainty, stated))
+        knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))
     read = {k: x for k, x in (("subject", knee), ("data", laxity)) if k in arguments}
     inputs = _inputs(arguments, knee, data)
     settings = {key: _setting(x) for key, x in arguments.items()}

@@ -111,7 +111,7 @@ def posterior_draws(model: ik.LaxityModel, truth: ik.runs.Array, n: int) -> ik.r
     """
     laxity = ik.add_noise(model.simulate(truth), sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=SEED)
     residuals = ik.LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-    problem = ik.calibrate.WithPriors(problem=residuals)
+    problem = ik.calibrate.ProblemWithPriors(problem=residuals)
     best = fit(problem, truth).theta
     problem.residuals(best)
     jacobian = problem.jacobian(best)

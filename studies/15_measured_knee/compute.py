@@ -216,7 +216,7 @@ def ended(found: ik.Calibration) -> Row:
 
 
 def doubts(found: ik.Calibration) -> list[str]:
-    """What speaks against a fit."""
+    """Findings about a fit."""
     return [x.sentence for x in found.findings if x.severity is not Severity.INFO]
 
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import identknee as ik
 from identknee.cli.app import app
-from identknee.cli.command import is_our_sentence
+from identknee.cli.command import is_identknee_error
 from identknee.runs import crash_report as unforeseen
 
 SLOWEST_S = 60.0
@@ -122,7 +122,7 @@ def _check_folder(out: Path | None, code: int) -> None:
 
 def _fault_of(error: Exception) -> str:
     """Why an error is no refusal; empty where it is one."""
-    if isinstance(error, ValueError) and is_our_sentence(error):
+    if isinstance(error, ValueError) and is_identknee_error(error):
         return ""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:

@@ -259,7 +259,7 @@ EFFECTS = (
     ),
     fault(
         "identknee/model/effects/history.py",
-        "_behind",
+        "_with_hysteresis",
         "(phase == UNLOADING).astype(float) - (phase == LOADING)",
         "(phase == LOADING).astype(float) - (phase == UNLOADING)",
         "loops run the other way",
@@ -267,7 +267,7 @@ EFFECTS = (
     ),
     fault(
         "identknee/model/effects/history.py",
-        "_crept",
+        "_with_creep",
         "np.log(order - order.min() + 1.0)",
         "order - order.min() + 1.0",
         "creep grows with time, not with its logarithm",
@@ -317,7 +317,7 @@ MECHANICS = (
     ),
     fault(
         "identknee/mechanics/contact_elements.py",
-        "felt_depth",
+        "effective_depth",
         "felt * felt / (exponent + 1.0) + more",
         "felt * felt / 2.0 + more",
         "the energy beside exponent 1 is not that of the force",
@@ -325,7 +325,7 @@ MECHANICS = (
     ),
     fault(
         "identknee/mechanics/contact_elements.py",
-        "felt_depth",
+        "effective_depth",
         "return (felt, steepness if is_rounded else 1.0, work)",
         "return (felt, 0.5 * steepness if is_rounded else 1.0, work)",
         "the stiffness of contact that begins gradually is half of what it is",
@@ -523,7 +523,7 @@ NUISANCES = (
     ),
     fault(
         "identknee/model/effect_stack.py",
-        "_by_lines",
+        "_gradient_differences",
         "share = moves[:, line, entry] / (2.0 * step)",
         "share = np.abs(moves[:, line, entry]) / (2.0 * step)",
         "a line that gets shorter changes the gradient as one that gets longer",
@@ -564,8 +564,8 @@ NUISANCES = (
     fault(
         "identknee/calibrate/problem.py",
         "with_all_priors",
-        "return WithPriors(problem=without_priors(problem))",
-        "return WithPriors(problem=problem)",
+        "return ProblemWithPriors(problem=without_priors(problem))",
+        "return ProblemWithPriors(problem=problem)",
         "priors of nuisances count twice",
         _ESTIMATES,
     ),
@@ -587,7 +587,7 @@ NUISANCES = (
     ),
     fault(
         "identknee/model/laxity_model.py",
-        "solve_past_folds",
+        "solve_beyond_folds",
         "(found.codes[nodes] != CONVERGED) & np.isfinite(fallback_poses).all(axis=1)",
         "(found.codes[nodes] == CONVERGED) & np.isfinite(fallback_poses).all(axis=1)",
         "trials past the ends of their load paths stay lost",
@@ -603,7 +603,7 @@ NUISANCES = (
     ),
     fault(
         "identknee/checks/trial_exclusion.py",
-        "TrialExclusion._on_the_way",
+        "TrialExclusion._blocking_trials",
         "return (~np.isfinite(rise), at.theta)",
         "return (np.isnan(rise), at.theta)",
         "a search stays before the trials that stop it",
@@ -611,9 +611,9 @@ NUISANCES = (
     ),
     fault(
         "identknee/calibrate/least_squares.py",
-        "_Watch._stop_creeping",
-        "if self._n_above_goal > self._creeping[0]:\n    raise Ended(Outcome.VALLEY)",
-        "if self._n_above_goal < 0:\n    raise Ended(Outcome.VALLEY)",
+        "_Monitored._stop_if_stagnating",
+        "if self._n_above_goal > self._creeping[0]:\n    raise SearchEnded(Outcome.VALLEY)",
+        "if self._n_above_goal < 0:\n    raise SearchEnded(Outcome.VALLEY)",
         "searches creep along kinks until their budget is spent",
         "tests/unit/calibrate/test_least_squares.py",
     ),

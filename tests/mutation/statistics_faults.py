@@ -346,7 +346,7 @@ IDENTIFICATION = (
     ),
     fault(
         "identknee/identify/geodesic.py",
-        "_Walk._bending",
+        "_Walk._geodesic_acceleration",
         "bending = -right.T @ (damped * (left.T @ second))",
         "bending = right.T @ (damped * (left.T @ second))",
         "geodesics bend the wrong way and end at other boundaries",
@@ -409,16 +409,16 @@ IDENTIFICATION = (
         "tests/unit/model/test_residuals.py",
     ),
     fault(
-        "identknee/verbs/averaged.py",
-        "_with_straight_lines",
-        "LaxityResiduals(model=_with_errors_held(setup.model, theta), laxity=setup.laxity, weighting='noise', shared=columns, offset=slopes @ (everything.center - theta)[varied])",
-        "LaxityResiduals(model=_with_errors_held(setup.model, theta), laxity=setup.laxity, weighting='noise', shared=columns, offset=slopes @ (theta - everything.center)[varied])",
+        "identknee/verbs/marginalise_nuisances.py",
+        "_linearised_residuals",
+        "LaxityResiduals(model=_with_fixed_nuisances(setup.model, theta), laxity=setup.laxity, weighting='noise', shared=columns, offset=slopes @ (everything.center - theta)[varied])",
+        "LaxityResiduals(model=_with_fixed_nuisances(setup.model, theta), laxity=setup.laxity, weighting='noise', shared=columns, offset=slopes @ (theta - everything.center)[varied])",
         "errors averaged over move predictions away from the middle of their priors",
         "tests/unit/verbs/test_averaged.py",
     ),
     fault(
         "identknee/runs/marginalise.py",
-        "better_known",
+        "with_error_measured",
         "np.sqrt(SHARE ** (-2) - 1.0)",
         "np.sqrt(SHARE ** (-2))",
         "an error known twice as well narrows too much",
@@ -444,7 +444,7 @@ DIAGNOSIS = (
     ),
     fault(
         "identknee/diagnosis/misfit.py",
-        "size_check",
+        "chi2_or_f_test",
         "p_value = float(scipy.stats.f.sf(ratio, degrees, noise_degrees))",
         "p_value = float(scipy.stats.chi2.sf(square, degrees))",
         "an estimated noise counts as known",
@@ -492,7 +492,7 @@ DIAGNOSIS = (
     ),
     fault(
         "identknee/diagnosis/score.py",
-        "judge",
+        "classify_effect",
         "is_powerful = power >= HIGH_POWER",
         "is_powerful = power <= HIGH_POWER",
         "what lacked power is called excluded",
@@ -516,7 +516,7 @@ DIAGNOSIS = (
     ),
     fault(
         "identknee/diagnosis/misfit.py",
-        "_share_of_excess",
+        "_fraction_of_excess",
         "expected = without.rank - projector.rank",
         "expected = 0",
         "noise counts as explained misfit",
@@ -566,7 +566,7 @@ NAMING = (
     ),
     fault(
         "identknee/diagnosis/attribution.py",
-        "Attribution.is_left_unexplained",
+        "Attribution.has_remaining_misfit",
         "return last.at is self.best and last.is_significant",
         "return last.is_significant",
         "what the best explanation explains counts as unexplained",
@@ -582,7 +582,7 @@ NAMING = (
     ),
     fault(
         "identknee/diagnosis/attribution.py",
-        "_with_flexible",
+        "_with_flexible_effects",
         "best = max([current, *flexible], key=lambda x: x.log_evidence)",
         "best = min([current, *flexible], key=lambda x: x.log_evidence)",
         "effects that fit anything win where they are worst",
@@ -590,7 +590,7 @@ NAMING = (
     ),
     fault(
         "identknee/diagnosis/attribution.py",
-        "Step.is_significant",
+        "AttributionStep.is_significant",
         "self.scores.p_value <= (FURTHER_LEVEL if self.at.causes else LEVEL)",
         "self.scores.p_value <= (LEVEL if self.at.causes else FURTHER_LEVEL)",
         "first causes are missed and further ones invented",
@@ -598,7 +598,7 @@ NAMING = (
     ),
     fault(
         "identknee/diagnosis/attribution.py",
-        "promising_refits",
+        "refit_top_candidates",
         "tuple(sorted(found, key=lambda x: -x.log_evidence))",
         "tuple(sorted(found, key=lambda x: x.log_evidence))",
         "the worst explanation is named",

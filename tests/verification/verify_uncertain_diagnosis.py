@@ -125,7 +125,7 @@ def _row(found: list[tuple[UncertainCase, dict[str, Any]]], n_parts: int) -> Row
         share_of(
             "nothing seen where the claimed power is at least 95 %",
             [x for x in outcomes if (x.get("power") or 0.0) >= POWERFUL],
-            _is_unseen,
+            _is_structurally_flat,
             bar=0.05,
         ),
         *_powers(outcomes),
@@ -166,7 +166,7 @@ def _named(hidden: list[tuple[UncertainCase, dict[str, Any]]]) -> list[Measure]:
     ]
 
 
-def _is_unseen(outcome: dict[str, Any]) -> bool:
+def _is_structurally_flat(outcome: dict[str, Any]) -> bool:
     return not is_alarm(outcome)
 
 

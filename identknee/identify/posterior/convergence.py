@@ -82,7 +82,7 @@ def normal_scores(values: Array) -> Array:
     return np.asarray(scipy.stats.norm.ppf((ranks - 0.375) / (values.size + 0.25)))
 
 
-def bulk_draws(values: Array) -> Array:
+def bulk_ess(values: Array) -> Array:
     """Effective sample size of the bulk (ranks) by ensemble, ``(ensembles,)``; they add up.
 
     References
@@ -93,7 +93,7 @@ def bulk_draws(values: Array) -> Array:
     return _by_ensemble(normal_scores(values))
 
 
-def tail_draws(values: Array) -> Array:
+def tail_ess(values: Array) -> Array:
     """Effective sample size of the tails (5 and 95 % quantile), the smaller, by ensemble."""
     low, high = np.quantile(values, [TAIL, 1.0 - TAIL])
     return np.minimum(
@@ -183,8 +183,8 @@ class SampleOutcome(Enum):
 
 _SENTENCES = {
     SampleOutcome.CONVERGED: "Every condition of convergence is met.",
-    SampleOutcome.BUDGET: "The budget of simulations was used up before the sample converged.",
-    SampleOutcome.STUCK: "A walker hardly ever moves, so the sample cannot be trusted.",
+    SampleOutcome.BUDGET: "The budget of simulations was exhausted before the sample converged.",
+    SampleOutcome.STUCK: "A walker is stuck, so the sample is not reliable.",
     SampleOutcome.START_FAILED: "The model has no prediction around the places to start from.",
 }
 
@@ -340,8 +340,8 @@ def check_convergence(
         tau=tau,
         drift=_drift(tau, steps, before),
         rhat=_each(split_rhat, kept),
-        bulk=_each(bulk_draws, kept),
-        tail=_each(tail_draws, kept),
+        bulk=_each(bulk_ess, kept),
+        tail=_each(tail_ess, kept),
         mean_error=_each(mean_error, kept),
         acceptance=moved[:, :, burn_in:].mean(axis=2),
     )
@@ -391,7 +391,7 @@ def expected_steps(checks: Sequence[ConvergenceCheck]) -> float:
     return max(latest.steps * max(1.0, *needed), _drift_steps(checks))
 
 
-def outlook(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, str]:
+def expected_end(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, str]:
     """Steps at which sampling is expected to end, and the state of its convergence in words.
 
     Parameters
@@ -419,7 +419,7 @@ def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
     block = latest.steps - checks[-2].steps
     scaled = [x.drift * x.steps for x in seen if np.isfinite(x.drift) and x.drift > 0.0]
     weight = PRIOR_CHECKS / (PRIOR_CHECKS + len(scaled))
-    typical = weight * np.log(_drift_times_steps(latest, block))
+    typical = weight * np.log(_expected_drift_noise(latest, block))
     typical += (1.0 - weight) * np.mean(np.log(scaled or [1.0]))
     steps = latest.steps + block * np.arange(1, MOST_CHECKS + 1)
     small = ndtr((np.log(latest.rule.drift * steps) - typical) / DRIFT_SPREAD)
@@ -427,7 +427,7 @@ def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
     return float(steps[np.argmax(passed)]) if passed.any() else np.inf
 
 
-def _drift_times_steps(latest: ConvergenceCheck, block: float) -> float:
+def _expected_drift_noise(latest: ConvergenceCheck, block: float) -> float:
     """Drift expected from the noise of autocorrelation times.
 
     The error of one, estimated over a window of 5 of them, is that of Sokal; it changes with the

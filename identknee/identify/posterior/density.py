@@ -5,7 +5,7 @@ from scipy.special import ndtr, ndtri
 
 from identknee.calibrate.evaluation import Evaluation, evaluate
 from identknee.calibrate.problem import Problem, without_priors
-from identknee.identify.shares import share
+from identknee.identify.binomial_interval import share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, entry
@@ -109,7 +109,7 @@ def prior_draws(parameters: Parameters, n: int, generator: np.random.Generator) 
 
 
 @declared
-class ExcludedMass:
+class InfeasiblePriorMass:
     """Prior mass without a prediction or beyond the bounds."""
 
     beyond_bounds: float = entry("Part of the priors that the bounds cut off, exact", unit="1")
@@ -133,10 +133,10 @@ class ExcludedMass:
         )
 
 
-def excluded_mass(parameters: Parameters, is_predicted: BoolArray) -> ExcludedMass:
+def infeasible_prior_mass(parameters: Parameters, is_predicted: BoolArray) -> InfeasiblePriorMass:
     """The excluded prior mass; `is_predicted` tells of draws of the prior, shape ``(n,)``."""
     failed = share(int(np.sum(~is_predicted)), len(is_predicted))
-    return ExcludedMass(
+    return InfeasiblePriorMass(
         beyond_bounds=max(0.0, 1.0 - mass_within_bounds(parameters)),
         without_prediction=failed.value,
         low=failed.lower,

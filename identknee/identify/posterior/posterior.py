@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.identify.posterior.convergence import ConvergenceCheck, SampleOutcome, quantile_error
-from identknee.identify.posterior.density import ExcludedMass, log_prior, log_prior_working
+from identknee.identify.posterior.density import InfeasiblePriorMass, log_prior, log_prior_working
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.record import Record
@@ -57,7 +57,7 @@ class Posterior:
     checks: tuple[ConvergenceCheck, ...]
     outcome: SampleOutcome
     prior: Array
-    excluded: ExcludedMass
+    excluded: InfeasiblePriorMass
     optima: Array
     n_simulations: int
     n_walk_simulations: int

@@ -43,7 +43,7 @@ def demo_statements(answer: Demonstration) -> Iterator[Statement]:
     worst = max(searches, key=lambda x: x.error["kN"])
     yield Statement(
         question=Question.SEARCH,
-        sentence=f"{misleading_fit(worst)} {exact_fit(descents)}",
+        sentence=f"{misleading_fit_sentence(worst)} {least_squares_sentence(descents)}",
         tables=(_table(answer.starts),),
         is_answer=True,
     )
@@ -52,7 +52,7 @@ def demo_statements(answer: Demonstration) -> Iterator[Statement]:
     yield from parameter_statements(tuple(answer.profiles.values()), given)
 
 
-def misleading_fit(fits: StartFits) -> str:
+def misleading_fit_sentence(fits: StartFits) -> str:
     """How wrong the parameters of a start were that fitted well."""
     error, rmse = fits.error, fits.rmse
     return (
@@ -63,7 +63,7 @@ def misleading_fit(fits: StartFits) -> str:
     )
 
 
-def exact_fit(fits: Sequence[StartFits]) -> str:
+def least_squares_sentence(fits: Sequence[StartFits]) -> str:
     """How near least squares came from the same starts."""
     largest = max(x.error["kN"] for x in fits)
     if largest > EXACT_KN:

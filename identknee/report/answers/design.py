@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from identknee.identify.nuisances import NuisanceEstimate, group_name
 from identknee.identify.profile.result import Profile
-from identknee.laxity.trial_words import trial_words
+from identknee.laxity.trial_words import trial_description
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
@@ -19,7 +19,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.marginalise import SHARE
 from identknee.runs.plain_records import summary_of
 from identknee.runs.words import (
-    capital,
+    capitalised,
     error_words,
     label,
     label_without_unit,
@@ -48,7 +48,7 @@ def table_of_trials(trials: Sequence[tuple[str, str]]) -> Table:
     first = {words: name for name, words in reversed(trials)}
     has_repeats = max(counts.values(), default=1) > 1
     return Table(
-        title="Trials to add, the most telling first",
+        title="Trials to add, the most informative first",
         columns=(Column(name="trial"), Column(name="what to do"), Column(name="repeats")),
         rows=tuple(
             (first[words], words, times(n) if has_repeats else "") for words, n in counts.items()
@@ -57,7 +57,7 @@ def table_of_trials(trials: Sequence[tuple[str, str]]) -> Table:
 
 
 def _words(trial: AdvisedTrial) -> str:
-    return trial_words(summary_of(trial))
+    return trial_description(summary_of(trial))
 
 
 MOST_ROWS = 12
@@ -101,11 +101,11 @@ def _ranking(answer: Design) -> Table:
     ]
     most = (Column(name="most of all"), Column(name="by", unit="%", decimals=1))
     columns = (
-        Column(name="one more trial, or what is known twice as well"),
+        Column(name="one more trial, or halved uncertainty"),
         Column(name="narrows by", unit="%", decimals=1),
         *(most if several else ()),
     )
-    return Table(title="What would narrow the targets", columns=columns, rows=tuple(rows))
+    return Table(title="Narrowing of the targets", columns=columns, rows=tuple(rows))
 
 
 def _most(answer: Design, row: dict[str, Any]) -> tuple[str, float]:
@@ -121,7 +121,7 @@ def _most(answer: Design, row: dict[str, Any]) -> tuple[str, float]:
 
 
 def _trial(answer: Design, name: str) -> str:
-    return trial_words(answer.candidate(answer.choice.names.index(name)))
+    return trial_description(answer.candidate(answer.choice.names.index(name)))
 
 
 def sizes_words(nuisances: Sequence[NuisanceEstimate], name: str) -> str:
@@ -151,11 +151,11 @@ def design_statements(answer: Design) -> Iterator[Statement]:
     targets = listed(map(parameter_words, choice.targets[:MOST_NAMED]))
     if len(choice.targets) > MOST_NAMED:
         targets = f"all {len(choice.targets)} targets"
-    trials = counted(map(trial_words, answer.trials))
+    trials = counted(map(trial_description, answer.trials))
     yield Statement(
         question=Question.NEXT,
         sentence=f"Next test for {targets}: {trials}. "
-        f"{_brings(name, before, after)} {ADVICE} lists the "
+        f"{_narrowing_words(name, before, after)} {ADVICE} lists the "
         "trials, to be filled in and appended to the data.",
         tables=(_targets(answer), _trials(answer)),
         is_answer=True,
@@ -164,13 +164,13 @@ def design_statements(answer: Design) -> Iterator[Statement]:
     if choice.excluded:
         yield Statement(
             question=Question.NEXT,
-            sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were not "
-            f"offered; for example, {choice.excluded[0].sentence}",
+            sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were excluded; "
+            f"for example, {choice.excluded[0].sentence}",
         )
 
 
-def _brings(name: str, before: Profile, after: Profile) -> str:
-    words = capital(parameter_words(name))
+def _narrowing_words(name: str, before: Profile, after: Profile) -> str:
+    words = capitalised(parameter_words(name))
     now, then = (interval_words(x.lower, x.upper, before.unit) for x in (before, after))
     return f"{words} {'stays' if now == then else 'would then be'} {then}" + (
         "." if now == then else f"; it is {now} now."
@@ -193,7 +193,7 @@ def _targets(answer: Design) -> Table:
 
 
 def _trials(answer: Design) -> Table:
-    return table_of_trials([(str(x["trial"]), trial_words(x)) for x in answer.trials])
+    return table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials])
 
 
 def _ends(*ends: float | None) -> str:
@@ -272,5 +272,5 @@ class DesignPresenter(Presenter[Design]):
         words = parameter_words(name)
         brings = f"This would narrow {words} to {then}; it is {now} now."
         if now == then:
-            brings = f"{capital(words)} stays {then}."
+            brings = f"{capitalised(words)} stays {then}."
         yield f"{trial_list(answer.trials)}. {brings}"

@@ -16,10 +16,10 @@ from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
 from identknee.report.answers.design import sizes_words, trial_table, trials_words
-from identknee.report.answers.isolability import SIZES, sizes_seen
+from identknee.report.answers.isolability import SIZES, detectable_sizes
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
-from identknee.report.range import Range, Source, open_words
+from identknee.report.range import Range, Source, open_ends_text
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import trial_list
@@ -73,7 +73,7 @@ def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
         yield _gain(answer.gain)
     if answer.parameters_before is not None:
         yield _change(answer)
-    if (whichever := _whichever(answer)) is not None:
+    if (whichever := _parameters_by_explanation(answer)) is not None:
         yield whichever
     if answer.noise is not None:
         yield Statement(question=Question.WRONG, sentence=answer.noise.sentence)
@@ -96,7 +96,7 @@ def verdict_sentence(answer: Diagnosis) -> str:
     if answer.verdict is Verdict.NAMED:
         means = " ".join(x.meaning for x in answer.causes)
         return (
-            "The data show something the model lacks, and only one known cause fits: "
+            "A misfit is detected, and only one known cause fits: "
             f"{listed(map(cause_label, answer.cause_names))}. {means} Its size is "
             f"{listed(map(size_words, answer.causes))}. {HYPOTHESIS}"
         )
@@ -251,7 +251,7 @@ def _gain(gain: GainFound) -> Statement:
     return Statement(
         question=Question.WRONG,
         sentence=_gain_sentence(gain),
-        tables=(Table(title="Errors of trials held out", columns=columns, rows=rows),),
+        tables=(Table(title="Errors of held-out trials", columns=columns, rows=rows),),
     )
 
 
@@ -317,11 +317,12 @@ def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
     return Statement(
         question=Question.NEXT,
         sentence=f"Knowing the {error_words(best)} twice as well"
-        f"{sizes_words(answer.nuisances, best)} would put the nearest rival {least[best]:.1f} "
+        f"{sizes_words(answer.nuisances, best)} would separate the nearest rival by "
+        f"{least[best]:.1f} "
         f"units of noise away instead of {now:.1f}; the first trial to add, {trial:.1f}.",
         tables=(
             Table(
-                title="What would tell the nearest rival",
+                title="What would separate the nearest rival",
                 columns=(
                     Column(name="known twice as well, or added"),
                     Column(name="distance", unit="sd of the noise", decimals=1),
@@ -332,7 +333,7 @@ def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
     )
 
 
-def _whichever(answer: Diagnosis) -> Statement | None:
+def _parameters_by_explanation(answer: Diagnosis) -> Statement | None:
     """What the ligaments' parameters are under every explanation that is open."""
     rivals = [_flat(x.parameters) for x in answer.rivals if x.state is RivalState.OPEN]
     if not rivals or not answer.causes:
@@ -366,7 +367,7 @@ def _whichever(answer: Diagnosis) -> Statement | None:
 
 def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
     rows = tuple(
-        (cause_label(name), FOUND[x.cell], x.score, *sizes_seen(x), 100.0 * x.power)
+        (cause_label(name), FOUND[x.cell], x.score, *detectable_sizes(x), 100.0 * x.power)
         for name, x in effects.items()
     )
     columns = (
@@ -442,7 +443,7 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             name="misfit",
             figure=misfit_figure(misfit.map, where),
             caption="Measured minus predicted, in units of the noise: red where more was measured, "
-            "blue where less. Framed cells are hardly due to noise alone.",
+            "blue where less. Framed cells are significant.",
             description=f"Map of the misfit by coordinate, flexion and load: {where}.",
         )
         causes = listed(map(cause_label, answer.cause_names))
@@ -452,7 +453,7 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             yield Drawing(
                 name="residuals",
                 figure=figure,
-                caption="What the model leaves unexplained along every load curve (dots, with a "
+                caption="Residuals of the model along every load curve (dots, with a "
                 "band of two standard deviations of the noise)"
                 + (", and what the cause explains of it (line)." if causes else "."),
                 description="Measured minus predicted laxity along every load curve"
@@ -462,7 +463,7 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             yield Drawing(
                 name="missing-wrench",
                 figure=wrench_figure(answer, knee),
-                caption="What else would have to act on the tibia, seen from above: arrows are "
+                caption="Missing force and moment on the tibia, seen from above: arrows are "
                 "forces, arcs are moments. Grey is the range that noise alone could explain.",
                 description="Forces and moments that the model lacks, by flexion and load.",
             )
@@ -514,7 +515,7 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             for owner, own in (values or {}).items():
                 for kind, value in own.items():
                     low, high = (intervals or {})[owner][kind]
-                    status = open_words(low, high)
+                    status = open_ends_text(low, high)
                     yield (
                         f"{owner}.{kind}",
                         Range(source=source, low=low, high=high, value=value, status=status),

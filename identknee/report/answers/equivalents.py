@@ -6,7 +6,7 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.identify.equivalents import Extrema
-from identknee.identify.extremum import End
+from identknee.identify.extremum import ExtremumEnd
 from identknee.laxity.table import COORDINATES
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Band, Presenter
@@ -30,7 +30,7 @@ MOST_FORCES = 12
 # Forces in a figure.
 MOST_DRAWN = 16
 # What ends a range as a rule.
-USUAL = {End.LIMIT, End.INTERIOR}
+USUAL = {ExtremumEnd.LIMIT, ExtremumEnd.INTERIOR}
 
 
 def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
@@ -38,7 +38,9 @@ def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
     region = answer.region
     yield Statement(
         question=Question.KNOWN,
-        sentence=" ".join([*_least_known(region.parameters.values()), *_sets(answer)]),
+        sentence=" ".join(
+            [*_least_determined_sentence(region.parameters.values()), *_sets(answer)]
+        ),
         tables=(_table(region.parameters.values(), "Ranges over all equivalent sets"),),
         is_answer=True,
     )
@@ -57,11 +59,11 @@ def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
         )
 
 
-def _least_known(parameters: Iterable[Extrema]) -> Iterator[str]:
+def _least_determined_sentence(parameters: Iterable[Extrema]) -> Iterator[str]:
     stiffness = [x for x in parameters if x.name.endswith(STIFFNESS)]
     for x in _widest_first(stiffness)[:1]:
         yield (
-            "Two knees that this measurement cannot tell apart may differ by "
+            "Two knees that this measurement cannot distinguish may differ by "
             f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
             f"({interval(_ends(x), x.unit)})."
         )
@@ -76,7 +78,8 @@ def _sets(answer: Equivalents) -> Iterator[str]:
     )
     if answer.power_of_best_test is not None:
         yield (
-            "Even the best test at the 5 % level tells one of them from the fit in only "
+            "Even the most powerful test at the 5 % level distinguishes one of them from the fit "
+            "in only "
             f"{100 * answer.power_of_best_test:.0f} of 100 measurements."
         )
 
@@ -130,7 +133,8 @@ class EquivalentsPresenter(Presenter[Equivalents]):
         yield Drawing(
             name="sets",
             figure=sets_figure(names, region.sets, region.fit, bands, origin="the mean"),
-            caption="Above: parameter sets that this measurement cannot tell apart, one line each. "
+            caption="Above: parameter sets that this measurement cannot distinguish, one line "
+            "each. "
             "Below: how little their laxity differs, trial by trial.",
             description=f"{region.n_sets} equivalent sets of {listed(map(label, names))}, and the "
             "spread of their laxity.",

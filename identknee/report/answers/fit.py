@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from identknee.checks.fit_warnings import AT_END
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.zeros import from_zero
+from identknee.laxity.zero_conventions import from_zero
 from identknee.report.answers.simulate import simulated_curves
 from identknee.report.presenter import Presenter, of_type, presenter_of
 from identknee.report.statement import Question, Statement
@@ -68,8 +68,7 @@ def _held_out(held: HeldOut) -> Statement:
     errors = f", to {listed(sizes)} on average (RMSE)" if sizes else ""
     return Statement(
         question=Question.SEARCH,
-        sentence=f"The fit predicts {len(held.trials)} trials that it did not see{errors}."
-        f"{lost}{shown}",
+        sentence=f"The fit predicts {len(held.trials)} held-out trials{errors}.{lost}{shown}",
         tables=(
             Table(
                 title="Trials held out",
@@ -90,7 +89,7 @@ def _held_out(held: HeldOut) -> Statement:
 
 def _table(answer: Calibration) -> Table:
     search = answer.search
-    notes = dict.fromkeys(at_their_bounds(answer), "at its bound")
+    notes = dict.fromkeys(parameters_at_bounds(answer), "at its bound")
     notes |= dict.fromkeys(search.fixed, "fixed")
     nuisances = {x.name for x in answer.nuisances}
     rows = zip(answer.parameter_names, search.start.tolist(), search.theta.tolist(), strict=True)
@@ -110,7 +109,7 @@ def _table(answer: Calibration) -> Table:
     )
 
 
-def at_their_bounds(answer: Calibration) -> tuple[str, ...]:
+def parameters_at_bounds(answer: Calibration) -> tuple[str, ...]:
     """Names of the parameters that the fit's own warning says to stand at a bound."""
     search, own = answer.search, answer.search.parameters
     margin = AT_END * (own.upper - own.lower)
@@ -126,7 +125,7 @@ def nuisance_tables(answer: Calibration) -> Iterator[Table]:
     if answer.nuisances:
         moved = sorted(answer.nuisances, key=lambda x: -abs(x.away))
         yield Table(
-            title="Stated errors of geometry and tests at the fit, those moved most first",
+            title="Stated errors of geometry and tests at the fit, largest shifts first",
             columns=(
                 Column(name="error"),
                 Column(name="fitted", decimals=None),

@@ -25,7 +25,7 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
     if n > 1:
         pair = found.most_collinear[0]
         words = listed(map(parameter_words, pair.parameters))
-        alike = f" Hardest to tell apart are {words} (collinearity {pair.collinearity:.3g})."
+        alike = f" Hardest to separate are {words} (collinearity {pair.collinearity:.3g})."
     yield _known(
         f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
         f"Of {structure.n_points} random parameter sets, {structure.n_with_prediction} have a "
@@ -33,28 +33,28 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
         f"{alike}"
     )
     yield _known(
-        f"{found.n_above_noise} of {n} combinations of parameters rise above the noise of the "
-        f"solver. Their condition number is {found.condition:.3g}.",
+        f"{found.n_above_noise} of {n} combinations of parameters exceed the noise of the solver"
+        f". Their condition number is {found.condition:.3g}.",
         Table(
-            title="Combinations of parameters, from well to badly known",
+            title="Combinations of parameters, from well to poorly determined",
             columns=(
                 Column(name="combination, in scaled units"),
                 Column(name="eigenvalue", decimals=None),
                 Column(name="noise floor", decimals=None),
             ),
             rows=tuple(
-                (_readable(x.combination, found.parameter_names), x.value, x.floor)
+                (_combination_words(x.combination, found.parameter_names), x.value, x.floor)
                 for x in found.spectrum
             ),
         ),
     )
     yield _known(
-        "These standard deviations take the model as linear near the best fit; profiles do not.",
+        "These standard deviations linearise the model at the best fit; profiles do not.",
         _parameters(found),
     )
     for path in answer.geodesics:
         yield _known(
-            "Followed one way, the path along the least known combination ends "
+            "The geodesic along the least-determined combination ends "
             f"{_end(path.boundary, path.involved)}."
         )
 
@@ -72,7 +72,7 @@ def _end(boundary: Boundary, involved: Sequence[str]) -> str:
         Boundary.INFINITY: f"nowhere: {words} go{s and 'es'} on without end, and the predictions "
         "keep changing",
         Boundary.CLIFF: f"at {words}: beyond this point the model has no prediction",
-        Boundary.BUDGET: f"at {words}, because the budget of simulations was used up",
+        Boundary.BUDGET: f"at {words}, because the budget of simulations was exhausted",
     }[boundary]
 
 
@@ -80,7 +80,7 @@ def _known(sentence: str, *tables: Table) -> Statement:
     return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
 
 
-def _readable(combination: str, names: Sequence[str]) -> str:
+def _combination_words(combination: str, names: Sequence[str]) -> str:
     """A combination with its parameters in words."""
     for name in sorted(names, key=len, reverse=True):
         combination = combination.replace(name, label_without_unit(name))
@@ -134,8 +134,7 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
             name="eigenvectors",
             figure=eigenvectors_figure(found),
             caption="Which parameters make up each of these combinations, one column each.",
-            description="The least known combination is "
-            f"{found.combination(found.theta.size - 1)}.",
+            description=f"The sloppiest combination is {found.combination(found.theta.size - 1)}.",
         )
 
     @override

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from identknee.diagnosis.candidates import Visibility
+from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import Distances
 from identknee.model.effects.facts import cause_label
 from identknee.report.answers.design import trial_table, trials_words
@@ -32,7 +32,7 @@ def isolability_statements(answer: Isolability) -> Iterator[Statement]:
     rows = tuple(
         (
             cause_label(name),
-            *sizes_seen(x),
+            *detectable_sizes(x),
             listed(map(cause_label, answer.look_alikes.get(name, ()))) or "-",
         )
         for name, x in answer.effects.items()
@@ -45,9 +45,9 @@ def isolability_statements(answer: Isolability) -> Iterator[Statement]:
     )
     trials = f"The {answer.n_trials} trials of {answer.protocol}"
     together = "; ".join(_few(x.effects) for x in answer.groups)
-    said = "would tell all causes apart."
+    said = "would distinguish all causes."
     if answer.groups:
-        said = f"could not tell all causes apart. These look alike: {together}."
+        said = f"could not distinguish all causes. These are confounded: {together}."
     yield Statement(
         question=Question.WRONG, sentence=f"{trials} {said}", tables=(table,), is_answer=True
     )
@@ -55,15 +55,15 @@ def isolability_statements(answer: Isolability) -> Iterator[Statement]:
         if group.advised_trials:
             yield Statement(
                 question=Question.NEXT,
-                sentence=f"{_more_trials(group.advised_trials)} would help to tell "
-                f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two most "
-                f"alike would then be {group.distance_with_advised_trials:.1f} and not "
+                sentence=f"{_more_trials(group.advised_trials)} would help to distinguish "
+                f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two "
+                f"closest would then be {group.distance_with_advised_trials:.1f} and not "
                 f"{group.distance:.1f} units of noise apart.",
                 tables=(trial_table(group.advised_trials),),
             )
 
 
-def sizes_seen(x: Visibility) -> tuple[str, str]:
+def detectable_sizes(x: Detectability) -> tuple[str, str]:
     """The size that nine of ten data sets would show, and the smallest that matters."""
     # Not finite in a computed answer, not a number in a loaded one.
     seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "not detectable"
@@ -107,7 +107,7 @@ class IsolabilityPresenter(Presenter[Isolability]):
             name="isolability",
             figure=isolability_figure(distances_of(answer)),
             caption="How far the data of each cause (rows) are from what another cause (columns) "
-            "could explain in its place. Causes in dark cells cannot be told apart.",
+            "could explain in its place. Causes in dark cells cannot be distinguished.",
             description=f"Distances between {len(answer.rivals)} causes.",
         )
 

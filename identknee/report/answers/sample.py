@@ -37,10 +37,10 @@ CONDITIONS = {
 def sample_statements(answer: Sample) -> Iterator[Statement]:
     """What is probable, whether the sample converged, and what the prior excludes."""
     if answer.last_check is None:
-        yield _statement(_trusted(answer))
+        yield _statement(_is_reliable(answer))
         return
     yield _statement(
-        f"Given the prior and the data, {_probable(answer.parameters)}. {_trusted(answer)}",
+        f"Given the prior and the data, {_probable(answer.parameters)}. {_is_reliable(answer)}",
         _table(answer.parameters),
     )
     check = answer.last_check
@@ -51,22 +51,22 @@ def sample_statements(answer: Sample) -> Iterator[Statement]:
     )
     yield _statement(f"{answer.excluded} The sample took {answer.n_simulations} simulations.")
     if answer.nested is not None:
-        yield _statement(_opinion(answer.nested))
+        yield _statement(_nested_sampling_comparison(answer.nested))
 
 
 def _statement(sentence: str, *tables: Table) -> Statement:
     return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
 
 
-def _trusted(answer: Sample) -> str:
+def _is_reliable(answer: Sample) -> str:
     """Whether the sample may be relied on."""
     if answer.outcome is SampleOutcome.CONVERGED:
         return "The independent ensembles of walkers agree."
     unmet = sum(not x["met"] for x in answer.gate.values())
     count = f" {unmet} of {len(answer.gate)} conditions of convergence are not met." * bool(unmet)
     is_short = answer.outcome is SampleOutcome.BUDGET
-    remedy = " The same command with a larger --budget goes on from here." if is_short else ""
-    return f"Do not rely on this yet. {answer.sentence}{count}{remedy}"
+    remedy = " The same command with a larger --budget continues from here." if is_short else ""
+    return f"The sample has not converged. {answer.sentence}{count}{remedy}"
 
 
 def _probable(marginals: Mapping[str, Marginal]) -> str:
@@ -108,7 +108,7 @@ def _conditions(answer: Sample) -> Table:
     )
 
 
-def _opinion(nested: Nested) -> str:
+def _nested_sampling_comparison(nested: Nested) -> str:
     worst = float(np.max(np.abs(nested.quantile_differences)))
     return (
         f"Nested sampling: log evidence {nested.log_evidence:.2f} ± "
@@ -188,15 +188,14 @@ class SamplePresenter(Presenter[Sample]):
             figure=prior_posterior_figure(
                 names, _thinned(answer.prior.theta), {"posterior": draws}
             ),
-            caption="What was assumed of each parameter before the data (grey), and what is "
-            "probable given the data.",
+            caption="Prior (grey) and posterior of each parameter.",
             description=f"Densities of {told} before and after the data.",
         )
         yield Drawing(
             name="corner",
             figure=corner_figure(names, draws),
             caption="Every pair of parameters: 50 and 95 % of the posterior lie inside the lines. "
-            "Oblong shapes are parameters that compensate for one another.",
+            "Elongated shapes are parameters that compensate for one another.",
             description=f"Pairwise posterior of {told}.",
         )
         if answer.predictive is not None and answer.data is not None:

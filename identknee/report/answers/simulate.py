@@ -9,7 +9,7 @@ from typing_extensions import override
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.rmse import LaxityError
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zeros import ABSOLUTE, from_zero
+from identknee.laxity.zero_conventions import ABSOLUTE, from_zero
 from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table

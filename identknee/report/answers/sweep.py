@@ -36,7 +36,7 @@ def sweep_statements(answer: Sweep) -> Iterator[Statement]:
     if survey.unseen.n:
         yield _statement(
             f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
-            f"{_pct(survey.unseen.upper)} %) would end at a minimum that no search has reached."
+            f"{_pct(survey.unseen.upper)} %) would end at a minimum not reached by any search."
         )
     recoveries = survey.recoveries
     if len(recoveries) > 1 and all(x.radius.value == 0.0 for x in recoveries.values()):
@@ -106,7 +106,8 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
     radius = recovery.radius
     if radius.value == 0.0:
         return (
-            f"No distance from the best fit is known to be safe for {searches}: at every one, "
+            f"At no distance from the best fit do nine in ten starts succeed for {searches}: at "
+            f"every one, "
             "fewer than nine in ten starts led back to it "
             f"(to within {_kN_and_pct(within)}). More starts may show one."
         )

@@ -72,7 +72,7 @@ def _caption(curves: LaxityCurves) -> str:
         parts.insert(0, f"dots: measured{bars}")
     if curves.band is not None:
         parts.append(f"band: {curves.band[0]}")
-    return f"How far the knee moves along each load; {'; '.join(parts)}."
+    return f"Displacement along each load; {'; '.join(parts)}."
 
 
 def _by_flexion_caption(curves: LaxityCurves) -> str:

@@ -115,4 +115,4 @@ def _lead(results: Sequence[Result]) -> str:
     verbs = ", ".join(dict.fromkeys(x.verb for x in results))
     days = sorted({str(x.record["started"])[:10] for x in results})
     when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
-    return f"From {verbs}, computed {when}. Every sentence has its numbers behind it."
+    return f"From {verbs}, computed {when}. Every sentence links to its numbers."

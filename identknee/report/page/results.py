@@ -51,7 +51,7 @@ class Result:
 
     @property
     def subject_digest(self) -> str:
-        """SHA-256 of the knee, by which subjects are told apart."""
+        """SHA-256 of the knee, which identifies the subject."""
         return str(self.record["inputs"].get("subject", self.subject))
 
     @property

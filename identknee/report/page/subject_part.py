@@ -10,13 +10,21 @@ from html import escape
 import numpy as np
 
 from identknee.diagnosis.verdict import Verdict
-from identknee.report.answers.fit import at_their_bounds, nuisance_tables
+from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
 from identknee.report.drawing import Drawing
-from identknee.report.overview import KNOWN, Overview, Row, Tone, fits_by_start, is_beaten, overview
+from identknee.report.overview import (
+    KNOWN,
+    Overview,
+    Row,
+    Tone,
+    fits_by_start,
+    has_better_fit,
+    overview,
+)
 from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import (
     bullets,
-    disclosed,
+    collapsible,
     element,
     escaped,
     figure_html,
@@ -29,13 +37,13 @@ from identknee.report.page.results import Findings, Result, drawings
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import KneeScene, viewer_html
 from identknee.report.presenter import of_type, presenter_of, statements_of
-from identknee.report.statement import Question, Statement, taken_for_granted
+from identknee.report.statement import Question, Statement, assumption_sentences
 from identknee.report.tables import Column, Table
 from identknee.runs.finding_kinds import About
-from identknee.runs.findings import Finding, Severity, gravest_first
+from identknee.runs.findings import Finding, Severity, by_severity
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress
-from identknee.runs.words import capital, label, listed
+from identknee.runs.words import capitalised, label, listed
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
@@ -43,7 +51,7 @@ from identknee.verbs.registry import verbs
 
 HEADS = ("quantity", "estimate", "95 % set", "status", "methods")
 MOST_OPEN = 3
-TITLE = "What is known of each parameter and force"
+TITLE = "Parameters and forces"
 
 
 def overview_html(found: Overview, cautions: Sequence[Finding], level: int) -> str:
@@ -80,7 +88,7 @@ def _cautions(found: Sequence[Finding]) -> str:
     n = len(found) if len(found) == n + 1 else n
     sentences = [x.line for x in found]
     rest = sentences[n:]
-    folded = disclosed(f"{len(rest)} more warnings", "".join(map(paragraph, rest)))
+    folded = collapsible(f"{len(rest)} more warnings", "".join(map(paragraph, rest)))
     return element("div", "".join(map(paragraph, sentences[:n])) + folded, class_="cautions")
 
 
@@ -129,8 +137,8 @@ def computed_html(results: Sequence[Result]) -> str:
     records = {f"{x.verb}, {x.folder}": x.record for x in results}
     text = json.dumps(records, indent=2, ensure_ascii=False)
     written = element("pre", escape(text), tabindex="0", aria_label="Records of all results")
-    folded = disclosed("Settings, digests of inputs and versions", written)
-    return disclosed(f"{len(results)} result{'' if len(results) == 1 else 's'}", table) + folded
+    folded = collapsible("Settings, digests of inputs and versions", written)
+    return collapsible(f"{len(results)} result{'' if len(results) == 1 else 's'}", table) + folded
 
 
 def further_html(findings: Findings) -> str:
@@ -214,7 +222,7 @@ def _parameters(fits: dict[str, Calibration]) -> Table:
         start: dict(zip(x.parameter_names, x.search.theta.tolist(), strict=True))
         for start, x in fits.items()
     }
-    notes = {start: at_their_bounds(x) for start, x in fits.items()}
+    notes = {start: parameters_at_bounds(x) for start, x in fits.items()}
     return Table(
         title="Fitted parameters by start",
         columns=(
@@ -280,7 +288,7 @@ def merge_duplicate_warnings(found: Iterable[tuple[Finding, str]]) -> list[Findi
     for place, (finding, _) in enumerate(kept):
         lead = (finding.severity, finding.kind.lead) if finding.kind.lead else place
         by_lead.setdefault(lead, []).append(finding)
-    return gravest_first(_as_one(x) for x in by_lead.values())
+    return by_severity(_as_one(x) for x in by_lead.values())
 
 
 def _as_one(findings: list[Finding]) -> Finding:
@@ -292,14 +300,14 @@ def _as_one(findings: list[Finding]) -> Finding:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Said:
+class SourcedStatement:
     """A finding with where it is from."""
 
     finding: Statement
     source: str
 
 
-def all_said(results: Sequence[Result]) -> list[Said]:
+def sourced_statements(results: Sequence[Result]) -> list[SourcedStatement]:
     """What results say: fits of one table side by side, what several take for granted once."""
     fits = of_type([x.answer for x in results], Calibration)
     together = _together(results)
@@ -311,8 +319,8 @@ def all_said(results: Sequence[Result]) -> list[Said]:
             own = [x for x in own if not x.is_answer]
             if result is together[0]:
                 own.insert(0, fits_statement([x.answer for x in together]))
-        said += [Said(finding=x, source=_source(result)) for x in own]
-    return [*said, *_taken(results)]
+        said += [SourcedStatement(finding=x, source=_source(result)) for x in own]
+    return [*said, *_assumptions(results)]
 
 
 def _together(results: Sequence[Result]) -> list[Result]:
@@ -329,14 +337,14 @@ def _together(results: Sequence[Result]) -> list[Result]:
 
 def _warnings(result: Result, fits: Sequence[Calibration]) -> Iterator[Statement]:
     """What a result says against itself; of a fit that another beats, none leads the page."""
-    is_past = any(is_beaten(x, fits) for x in of_type([result.answer], Calibration))
+    is_past = any(has_better_fit(x, fits) for x in of_type([result.answer], Calibration))
     for x in warnings(result):
         yield replace(x, question=Question.SEARCH, warning=None) if is_past else x
 
 
-def _taken(results: Sequence[Result]) -> Iterator[Said]:
+def _assumptions(results: Sequence[Result]) -> Iterator[SourcedStatement]:
     """The assumptions of results, with their source if not shared by all."""
-    taken = {_source(x): taken_for_granted(x.answer) for x in results}
+    taken = {_source(x): assumption_sentences(x.answer) for x in results}
     sources = [x for x in taken if taken[x]]
     by_sources: dict[tuple[str, ...], list[str]] = {}
     for sentence in dict.fromkeys(x for source in sources for x in taken[source]):
@@ -345,8 +353,10 @@ def _taken(results: Sequence[Result]) -> Iterator[Said]:
     for own, sentences in by_sources.items():
         told = " ".join(sentences)
         if len(own) < len(sources):
-            told = f"{capital(listed(own))}: {told}"
-        yield Said(finding=Statement(question=Question.KNOWN, sentence=told), source=listed(own))
+            told = f"{capitalised(listed(own))}: {told}"
+        yield SourcedStatement(
+            finding=Statement(question=Question.KNOWN, sentence=told), source=listed(own)
+        )
 
 
 def _source(result: Result) -> str:
@@ -384,7 +394,7 @@ def subject_html(findings: Findings, number: int, level: int, scene: KneeScene |
     """
     merged = findings.merged
     main = overview([x.answer for x in findings.of_main_data])
-    said = all_said(merged.results)
+    said = sourced_statements(merged.results)
     cautions = merge_duplicate_warnings(
         (x.finding.warning, x.source) for x in said if x.finding.warning is not None
     )
@@ -421,7 +431,7 @@ def _heading(question: Question, main: Overview, findings: Findings) -> str:
     return question.heading
 
 
-def _part(said: Sequence[Said], figures: Sequence[_Figure]) -> str:
+def _part(said: Sequence[SourcedStatement], figures: Sequence[_Figure]) -> str:
     """What matters most in the open, the rest one click away."""
     leading = [x for x in said if x.finding.is_answer] or said[:1]
     rest = [x for x in said if x not in leading]
@@ -429,17 +439,19 @@ def _part(said: Sequence[Said], figures: Sequence[_Figure]) -> str:
     more = "".join(x.html for x in figures if not x.is_first)
     return (
         bullets(map(_item, leading))
-        + disclosed(f"More in words ({len(rest)})", bullets(map(_item, rest)))
+        + collapsible(f"More in words ({len(rest)})", bullets(map(_item, rest)))
         + first
-        + disclosed("More figures", more)
+        + collapsible("More figures", more)
     )
 
 
-def _item(said: Said) -> str:
+def _item(said: SourcedStatement) -> str:
     """A sentence, and its numbers with their source one click away."""
     finding = said.finding
     tables = "".join(map(table_html, finding.tables))
-    return paragraph(finding.sentence) + disclosed(f"The numbers behind it ({said.source})", tables)
+    return paragraph(finding.sentence) + collapsible(
+        f"The numbers behind it ({said.source})", tables
+    )
 
 
 def _figures(findings: Findings, number: int) -> Mapping[Question, list[_Figure]]:

@@ -10,17 +10,17 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.calibrate.starts import load_start
-from identknee.laxity.dominant import told_loads
+from identknee.laxity.dominant_load import nominal_loads
 from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.contact_points import distances
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.grood_suntay import coordinates_from_pose
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import Placement, place
 from identknee.model.effects.effect import MechanicalEffect
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.mechanics_inputs import Setting
+from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.prediction import Prediction
 from identknee.report.page.results import Findings
 from identknee.report.presenter import presenter_of
@@ -141,7 +141,7 @@ class KneeScene:
     femur: Mesh = entry("Femoral cartilage, in the axes of poses")
     tibia: Mesh = entry("Tibial cartilage, both plateaus as one mesh")
     names: tuple[str, ...] = entry("Names of the m lines that carry the tensions")
-    lines: Lines = entry("Their courses")
+    lines: LineLigaments = entry("Their courses")
     missing_line: Array | None = entry(
         "Femoral end in femoral axes and tibial end in tibial axes [mm], shape ``(2, 3)``, of a "
         "line that the model lacks; None where none is shown"
@@ -196,10 +196,14 @@ def model_scene(
 
 
 def _trials(
-    model: LaxityModel, prediction: Prediction, setting: Setting, tensions: Array, tibia: Mesh
+    model: LaxityModel,
+    prediction: Prediction,
+    setting: MechanicsInputs,
+    tensions: Array,
+    tibia: Mesh,
 ) -> tuple[SceneTrial, ...]:
     protocol, trials = model.protocol, []
-    told = told_loads(protocol)
+    told = nominal_loads(protocol)
     flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
@@ -219,7 +223,7 @@ def _trials(
     return tuple(trials)
 
 
-def _drawn(surface: Surface, frame: Frame, setting: Setting, bone: int) -> Mesh:
+def _drawn(surface: Surface, frame: Frame, setting: MechanicsInputs, bone: int) -> Mesh:
     """The surface of femur (0) or tibia (1) in the axes of poses, with few triangles."""
     vertices = setting.as_measured_points(frame.to_local(surface.vertices), bone)
     return few_triangles(Surface(vertices=vertices, faces=surface.faces), N_VERTICES[bone])
@@ -237,7 +241,7 @@ def _contact(field: DistanceField, places: Array) -> tuple[IntArray, Array]:
     return index[near], depths[near]
 
 
-def _in_bones(knee: Knee, setting: Setting, ends: Array) -> Array:
+def _in_bones(knee: Knee, setting: MechanicsInputs, ends: Array) -> Array:
     """Femoral and tibial end of a line (2, 3) of the common frame, each in its bone's axes."""
     femoral, tibial = frozen(ends, 2, 3, name="missing_line")
     local = knee.femur_frame.to_local(femoral), knee.tibia_frame.to_local(tibial)
@@ -262,9 +266,9 @@ def _line_names(model: LaxityModel, theta: Array) -> list[str]:
     return names
 
 
-def _selected_lines(lines: Lines, index: IntArray) -> Lines:
+def _selected_lines(lines: LineLigaments, index: IntArray) -> LineLigaments:
     columns = ("femoral", "tibial", "reference_length", "transition", "wrap_offset", "wrap_place")
-    return Lines(**{x: np.asarray(getattr(lines, x))[index] for x in columns})
+    return LineLigaments(**{x: np.asarray(getattr(lines, x))[index] for x in columns})
 
 
 __all__ = ["KneeScene", "model_scene", "viewer_html"]
@@ -287,7 +291,7 @@ def viewer_html(scene: KneeScene) -> str:
         code=code,
         # Nothing in the data can end the element that holds them.
         data=data.replace("<", "\\u003c"),
-        words=html.escape(_in_words(scene)),
+        words=html.escape(_alternative_text(scene)),
         last=len(scene.trials) - 1,
         hidden=" hidden" if len(scene.trials) == 1 else "",
     )
@@ -374,7 +378,7 @@ def _rounded(values: Array, decimals: int) -> Any:
     return (np.round(values, decimals) + 0.0).tolist()
 
 
-def _in_words(scene: KneeScene) -> str:
+def _alternative_text(scene: KneeScene) -> str:
     """Alternative text of the interactive figure."""
     forces = np.array([x.tensions for x in scene.trials])
     knee, n = scene.knee, len(scene.trials)

@@ -139,7 +139,7 @@ def test_a_robust_fit_is_not_moved_by_a_wrong_row() -> None:
     strains = slice(4, 8)
     off = np.abs(np.array([plain.theta, robust.theta]) - truth)[:, strains].max(axis=1)
     assert off[1] < 0.25 * off[0]
-    (said,) = [x for x in robust.assumptions if x.startswith("Errors were taken as Student's t")]
+    (said,) = [x for x in robust.assumptions if x.startswith("Errors were modelled as Student's t")]
     assert "internal of trial 3 (0.0" in said
 
 

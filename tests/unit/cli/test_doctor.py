@@ -50,7 +50,7 @@ def test_all_is_sound_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     result = run("doctor")
     assert result.exit_code == 0, result.output
     assert "FAIL" not in result.stdout
-    assert result.stdout.endswith("All is as it should be.\n")
+    assert result.stdout.endswith("All checks passed.\n")
     for name in ("Python", "numpy", "cores", "folder", "poses", "derivatives", "fit"):
         assert _lines(result, name).startswith("ok")
 
@@ -136,7 +136,7 @@ def test_wrong_poses_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installation, "SAME_MM_OR_DEG", -1.0)
     result = run("doctor")
     assert result.exit_code == 1
-    assert "Trust no result of this installation." in _lines(result, "poses")
+    assert "Do not use results of this installation." in _lines(result, "poses")
     assert _lines(result, "fit").startswith("ok")
 
 

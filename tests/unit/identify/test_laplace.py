@@ -10,7 +10,7 @@ from tolerances import CLOSED_FORM
 
 from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.problem import WithPriors
+from identknee.calibrate.problem import ProblemWithPriors
 from identknee.identify.laplace import (
     Laplace,
     box_intervals,
@@ -72,7 +72,7 @@ def line(
 
 def posterior(made: Line) -> Laplace:
     n = made.parameters.n
-    found = minimise(Evaluator(WithPriors(problem=made)), np.full(n, 0.5))
+    found = minimise(Evaluator(ProblemWithPriors(problem=made)), np.full(n, 0.5))
     return laplace(found.evaluation, made.parameters, SD * np.eye(N_DATA))
 
 
@@ -108,7 +108,7 @@ def test_one_bound_is_exact(truth: float) -> None:
 @pytest.mark.parametrize("truth", [[2.0, 0.5], [-1.0, 0.5]])
 def test_fits_are_ranked_by_the_evidence_that_is_reported(truth: list[float]) -> None:
     made = line(truth, lower=[0.0, -np.inf])
-    found = minimise(Evaluator(WithPriors(problem=made)), np.full(2, 0.5))
+    found = minimise(Evaluator(ProblemWithPriors(problem=made)), np.full(2, 0.5))
     is_active = np.array([truth[0] < 0.0, False])
     assert found.is_held.tolist() == is_active.tolist()
     constant = N_DATA * np.log(SD * np.sqrt(2.0 * np.pi))
@@ -118,7 +118,7 @@ def test_fits_are_ranked_by_the_evidence_that_is_reported(truth: list[float]) ->
 
 def test_a_fit_stopped_short_is_ranked_as_it_is() -> None:
     made = line([2.0, -0.5])
-    problem = Evaluator(WithPriors(problem=made))
+    problem = Evaluator(ProblemWithPriors(problem=made))
     theta = posterior(made).theta
     at, short = problem(theta), problem(theta + np.array([0.5, 0.0]))
     free = np.zeros(2, bool)
@@ -237,7 +237,7 @@ def test_a_bound_moves_the_intervals_of_the_others(mean: list[float]) -> None:
 def test_a_fit_stopped_short_has_no_end_at_its_estimate() -> None:
     made = line([2.0, -0.5])
     made = replace(made, columns=4 * made.columns, measured=4 * made.measured)
-    problem = Evaluator(WithPriors(problem=made))
+    problem = Evaluator(ProblemWithPriors(problem=made))
     whole = posterior(made)
     stopped = np.array(whole.theta)
     stopped[0] -= 3.0 * whole.sd[0]

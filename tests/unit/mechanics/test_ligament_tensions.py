@@ -5,7 +5,7 @@ import pytest
 from evaluation import central_difference
 from tolerances import CLOSED_FORM
 
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import (
     LigamentTensions,
     ligament_tensions,
@@ -32,9 +32,9 @@ def case() -> dict[str, Array]:
     }
 
 
-def _lines(case: dict[str, Array]) -> Lines:
+def _lines(case: dict[str, Array]) -> LineLigaments:
     offset = case["tibial"] - case["femoral"]
-    return Lines(
+    return LineLigaments(
         femoral=case["femoral"],
         tibial=case["tibial"],
         reference_length=np.linalg.norm(offset, axis=1),

@@ -275,4 +275,4 @@ def test_a_result_that_could_not_be_had_is_still_reported(tmp_path: Path) -> Non
     page = report_html(found_results(tmp_path))
     assert 'class="verdict open"' in page
     assert "Why the model could not be tested" in page
-    assert "The data cannot say whether the model gets anything wrong. The data state no" in page
+    assert "The data cannot decide whether the model misfits. The data state no" in page

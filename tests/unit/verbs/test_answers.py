@@ -12,7 +12,7 @@ import identknee as ik
 from identknee.runs.array_groups import groups_of
 from identknee.runs.declare import declared, derived_entries, entries, entry
 from identknee.runs.errors import InputError
-from identknee.runs.plain_records import hints_of, record_within, summary_of
+from identknee.runs.plain_records import record_within, summary_of, type_hints_of
 from identknee.runs.record import record
 from identknee.verbs import registry
 from identknee.verbs.files import load, write_answer
@@ -22,7 +22,7 @@ from identknee.verbs.registry import Verb, verbs
 
 def classes(cls: type) -> Iterator[type]:
     yield cls
-    for hint in hints_of(cls).values():
+    for hint in type_hints_of(cls).values():
         kind, _ = record_within(hint)
         if kind is not None:
             yield from classes(kind)
@@ -37,7 +37,7 @@ def test_every_field_says_what_it_holds(verb: Verb) -> None:
             where = f"{cls.__name__}.{name}"
             assert len(about.meaning) > 5, where
             assert not about.meaning.endswith("."), where
-            if hints_of(cls).get(name) in (float, float | None):
+            if type_hints_of(cls).get(name) in (float, float | None):
                 assert about.unit, f"{where} has no unit"
 
 
@@ -61,7 +61,7 @@ def test_a_new_field_is_stored_loaded_and_documented(
     monkeypatch.syspath_prepend(str(Path(ik.__file__).parents[1] / "docs"))
     write_answer(tmp_path, answer)
     again = load(tmp_path)
-    page = import_module("pages.answers").page_of_answers()
+    page = import_module("pages.answers").answer_reference_page()
     assert isinstance(again, Longer)
     assert again.temperature == 18.25
     assert "| `temperature` | deg C |  | json | Temperature of the laboratory |" in page

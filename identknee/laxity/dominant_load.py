@@ -53,7 +53,7 @@ def dominant_loads(protocol: Protocol) -> DominantLoads:
     )
 
 
-def told_loads(protocol: Protocol) -> Array:
+def nominal_loads(protocol: Protocol) -> Array:
     """The loads that tell the trials apart, shape ``(n, 5)``: stray and constant ones are zero.
 
     A load is a stray one where it is small, also beside the largest of its trial, unless it is the

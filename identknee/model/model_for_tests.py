@@ -6,7 +6,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee
 
 
-def model_of_tests(knee: Knee, tests: Protocol | Laxity) -> LaxityModel:
+def model_for_tests(knee: Knee, tests: Protocol | Laxity) -> LaxityModel:
     """The model of a knee under these tests, set up as for a fit to them.
 
     A knee that states the poses of its fit begins at those, also in measured trials.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identknee.laxity.dominant import opposite_pairs
+from identknee.laxity.dominant_load import opposite_pairs
 from identknee.laxity.protocol import Protocol
 from identknee.runs.arrays import Array, BoolArray, IntArray
 
@@ -82,7 +82,7 @@ def unloaded_trials(protocol: Protocol) -> tuple[IntArray, ...]:
     return tuple(found)
 
 
-def zero_of_more(zero: str) -> str:
+def zero_of_added_trials(zero: str) -> str:
     """What trials to be added to a table are counted from: where it is not absolute, unloaded."""
     return ABSOLUTE if zero == ABSOLUTE else UNLOADED
 

@@ -1,12 +1,12 @@
-"""Stated errors of geometry and tests, averaged over to first order instead of fitted."""
+"""Stated errors of geometry and tests, marginalised to first order instead of fitted."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from identknee.calibrate.fit import Fit
-from identknee.calibrate.problem import Bounded, restricted
-from identknee.model.effects.effect import held
+from identknee.calibrate.problem import BoundedProblem, restricted
+from identknee.model.effects.effect import with_fixed_amplitudes
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import has_shared_errors, shared_errors
@@ -18,10 +18,10 @@ from identknee.verbs.identification import Identification, best_fits
 N_DRAWS, DRAWS_SEED = 16, 0
 
 
-def averaged(
+def marginalise_nuisances(
     setup: Identification, *, seed: int, executor: Executor
 ) -> tuple[Identification, tuple[Fit, ...]]:
-    """The same question of the parameters of interest alone, which starts at the best fit.
+    """The problem with marginalised nuisances, which starts at the best fit.
 
     Around the best fit nuisances change predictions along straight lines. Their priors then add
     to the covariance of the noise, ``V = noise + J C J'``, and leave no parameter behind. Far from
@@ -54,25 +54,25 @@ def averaged(
         return setup, ()
     if setup.degrees_of_freedom is not None:
         raise ValueError(
-            "stated errors can be averaged over only beside a stated noise; add --noise, for "
-            "example --noise 0.5mm,0.5deg, or hold the geometry exact with --uncertain none"
+            "stated errors can be marginalised only if the noise is stated; add --noise, for "
+            "example --noise 0.5mm,0.5deg, or treat the geometry as exact with --uncertain none"
         )
     fits = best_fits(setup, seed=seed, executor=executor)
     return _about(setup, fits[0].theta), fits
 
 
 def _about(setup: Identification, best: Array) -> Identification:
-    """The question of the parameters of interest, nuisances averaged over about a best fit."""
+    """The problem of the parameters of interest, nuisances marginalised at a best fit."""
     theta, everything = setup.free.expand(best), setup.free.everything
-    residuals = _with_straight_lines(setup, theta)
+    residuals = _linearised_residuals(setup, theta)
     asked, nuisances = setup.problem.parameters.names_of_interest, everything.nuisance_names
     kept = everything.with_fixed(nuisances, theta)
-    bounded = Bounded(problem=residuals, parameters=kept.parameters)
+    bounded = BoundedProblem(problem=residuals, parameters=kept.parameters)
     fixed = [name for name in kept.parameters.names if name not in asked]
     free = everything.with_fixed([*fixed, *nuisances], theta)
     sentence = (
-        f"{setup.problem.parameters.n - len(asked)} stated errors were averaged over to first "
-        f"order at the best fit, where predictions hold them. {_bend(setup, residuals, theta)}"
+        f"{setup.problem.parameters.n - len(asked)} stated errors were marginalised to first "
+        f"order at the best fit, which predictions use. {_nonlinearity(setup, residuals, theta)}"
     )
     return replace(
         setup,
@@ -84,7 +84,7 @@ def _about(setup: Identification, best: Array) -> Identification:
     )
 
 
-def _with_straight_lines(setup: Identification, theta: Array) -> LaxityResiduals:
+def _linearised_residuals(setup: Identification, theta: Array) -> LaxityResiduals:
     """Residuals whose covariance holds the nuisances, their means at the priors' middles."""
     everything = setup.free.everything
     varied = ~everything.is_of_interest
@@ -94,7 +94,7 @@ def _with_straight_lines(setup: Identification, theta: Array) -> LaxityResiduals
     if has_shared_errors(setup.knee.uncertainty):
         columns = np.concatenate([columns, shared_errors(setup.model, theta)], axis=2)
     return LaxityResiduals(
-        model=_with_errors_held(setup.model, theta),
+        model=_with_fixed_nuisances(setup.model, theta),
         laxity=setup.laxity,
         weighting="noise",
         shared=columns,
@@ -102,13 +102,13 @@ def _with_straight_lines(setup: Identification, theta: Array) -> LaxityResiduals
     )
 
 
-def _with_errors_held(model: LaxityModel, theta: Array) -> LaxityModel:
-    """The model with its nuisances as in theta: their derivatives are most of a simulation."""
+def _with_fixed_nuisances(model: LaxityModel, theta: Array) -> LaxityModel:
+    """The model with its nuisances fixed at theta: their derivatives are most of a simulation."""
     nuisances = set(model.parameters.nuisance_names)
     values = dict(zip(model.parameters.names, theta.tolist(), strict=True))
     return model.with_effects(
         [
-            held(x, {name: values[name] for name in x.parameters.names})
+            with_fixed_amplitudes(x, {name: values[name] for name in x.parameters.names})
             if nuisances.issuperset(x.parameters.names)
             else x
             for x in model.effects
@@ -116,8 +116,8 @@ def _with_errors_held(model: LaxityModel, theta: Array) -> LaxityModel:
     )
 
 
-def _bend(setup: Identification, residuals: LaxityResiduals, theta: Array) -> str:
-    """How far draws of the errors depart from straight lines, as a sentence."""
+def _nonlinearity(setup: Identification, residuals: LaxityResiduals, theta: Array) -> str:
+    """Nonlinearity of predictions over draws of the errors, as a sentence."""
     everything, model = setup.free.everything, setup.model
     varied = ~everything.is_of_interest
     generator = np.random.default_rng(DRAWS_SEED)
@@ -134,10 +134,11 @@ def _bend(setup: Identification, residuals: LaxityResiduals, theta: Array) -> st
             squares.append(np.mean(rows**2))
     if not squares:
         return (
-            "No draw from their priors has a prediction in every trial: the result may be far off."
+            "No draw from their priors has a prediction in every trial: the result may be "
+            "inaccurate."
         )
     return (
-        "Drawn from their priors they bend predictions away from straight lines by "
+        "Drawn from their priors the nonlinearity of predictions is "
         f"{np.sqrt(np.mean(squares)):.2g} standard deviations of noise and errors together (root "
         f"mean square of {len(squares)} draws)."
     )

@@ -20,7 +20,7 @@ from identknee.mechanics.contact_points import (
     rim_distance,
 )
 from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
-from identknee.mechanics.equilibria import ContactPoints, Lines
+from identknee.mechanics.equilibria import ContactPoints, LineLigaments
 from identknee.mechanics.pose import start_pose
 from identknee.model.nuisances import contact_rounding
 from identknee.runs.arrays import Array, IntArray, frozen
@@ -34,12 +34,12 @@ Sheet = tuple[Array, IntArray]
 
 
 @declared
-class Joint:
+class ContactGeometry:
     """The arrays of a knee for the kernel."""
 
     field: DistanceField = entry("Signed distance to the femur, in femoral axes")
     contact: ContactPoints = entry("Points of the tibia that carry contact, in tibial axes")
-    lines: Lines = entry("The ligaments")
+    lines: LineLigaments = entry("The ligaments")
     femoral_rim: RimDistance = entry("How far places on the femoral surface are from its rim")
     tibial_rims: tuple[RimDistance, ...] = entry("The same of each tibial surface")
     start_flexion: float = entry("Flexion of the scanned pose [rad]")
@@ -47,12 +47,12 @@ class Joint:
 
 
 @lru_cache(maxsize=16)
-def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
+def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> ContactGeometry:
     """The joint of a knee with about `n_points` contact points (None for every vertex).
 
     The distance field is read from the cache on disk where it was built before.
     """
-    (femoral, _), sheets = sheets_of(knee)
+    (femoral, _), sheets = contact_sheets(knee)
     flexion, start = start_pose(
         knee.femur_frame.axes @ knee.tibia_frame.axes.T,
         knee.femur_frame.to_local(knee.tibia_frame.origin[None])[0],
@@ -62,10 +62,10 @@ def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
     contact, rounding = contact_points(sheets, n_points), contact_rounding(knee)
     if rounding:
         contact = replace(contact, law=ContactLaw(rounding=rounding))
-    return Joint(
+    return ContactGeometry(
         field=_field(knee, femoral),
         contact=contact,
-        lines=Lines(
+        lines=LineLigaments(
             femoral=knee.femur_frame.to_local(insertions),
             tibial=knee.tibia_frame.to_local(tibial_insertions),
             reference_length=knee.reference_lengths,
@@ -77,7 +77,7 @@ def joint_of(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Joint:
     )
 
 
-def sheets_of(knee: Knee) -> tuple[Sheet, tuple[Sheet, ...]]:
+def contact_sheets(knee: Knee) -> tuple[Sheet, tuple[Sheet, ...]]:
     """Vertices and faces of the femur in femoral axes, of each tibial surface in tibial axes."""
     femur = (knee.femur_frame.to_local(knee.femur.vertices), knee.femur.faces)
     tibia = tuple((knee.tibia_frame.to_local(x.vertices), x.faces) for x in knee.tibia)

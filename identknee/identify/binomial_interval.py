@@ -8,7 +8,7 @@ LEVEL = 0.95
 
 
 @declared
-class Share:
+class Proportion:
     """A binomial proportion with Clopper-Pearson limits."""
 
     count: int = entry("How many", unit="1")
@@ -35,7 +35,7 @@ class Share:
         return f"{self.count} of {self.n}, {100 * self.value:.1f} % ({limits})"
 
 
-def share(count: int, n: int) -> Share:
+def share(count: int, n: int) -> Proportion:
     """The proportion `count` of `n`, with its limits.
 
     Raises
@@ -56,6 +56,6 @@ def share(count: int, n: int) -> Share:
     if not 0 <= count <= n:
         raise ValueError(f"a share must be from 0 to {n} of {n}, got {count}")
     if n == 0:
-        return Share(count=0, n=0, lower=0.0, upper=1.0)
+        return Proportion(count=0, n=0, lower=0.0, upper=1.0)
     limits = scipy.stats.binomtest(count, n).proportion_ci(LEVEL, method="exact")
-    return Share(count=count, n=n, lower=float(limits.low), upper=float(limits.high))
+    return Proportion(count=count, n=n, lower=float(limits.low), upper=float(limits.high))

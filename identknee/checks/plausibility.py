@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from identknee.laxity.dominant import dominant_loads
+from identknee.laxity.dominant_load import dominant_loads
 from identknee.laxity.protocol import LOADS
 from identknee.laxity.trial_words import load_words
 from identknee.mechanics.equilibria import TRANSITION_STRAIN

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from identknee.calibrate.starts import load_start
 from identknee.laxity.named_trials import TrialsLike, read_tests
-from identknee.model.of_tests import model_of_tests
+from identknee.model.model_for_tests import model_for_tests
 from identknee.report.notebook import result_of
 from identknee.report.page.markup import element
 from identknee.report.page.page import document
@@ -72,7 +72,7 @@ def scene_3d(
 
 
 def _of_subject(knee: Knee, protocol: TrialsLike) -> KneeScene:
-    model = model_of_tests(knee, read_tests(protocol))
+    model = model_for_tests(knee, read_tests(protocol))
     return model_scene(model, load_start("subject", model.parameters))
 
 
