@@ -271,8 +271,6 @@ def _selected_lines(lines: LineLigaments, index: IntArray) -> LineLigaments:
     return LineLigaments(**{x: np.asarray(getattr(lines, x))[index] for x in columns})
 
 
-__all__ = ["KneeScene", "model_scene", "viewer_html"]
-
 MICROMETRES = 1000.0  # in a mm
 MARGIN = 8.0  # mm around what is drawn, room for names
 SHAFT = 38.0  # mm, length of the strokes that stand for the bones' shafts
