@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Annotated, Unpack
 
+from typing_extensions import override
+
 from identknee.blind.case import RANDOM, BlindCase, blind_case, write_blind
 from identknee.blind.conditions import stated_conditions
 from identknee.runs.declare import declared, entry
@@ -32,15 +34,16 @@ class BlindData(Answer):
         "Whether even who made the data is not to know the effect", is_in_json=False, default=True
     )
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """How many trials there are, and nothing of what is hidden."""
         return f"{self.n_trials} trials of {self.subject}; something may be hidden in them."
 
     __repr__ = __str__
 
     @property
-    def remark(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def remark(self) -> str:
         """What who made the data must know of the signal; empty where there is nothing to know.
 
         Where chance drew the effect, the same is said whatever was drawn.

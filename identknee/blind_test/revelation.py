@@ -5,6 +5,8 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from typing_extensions import override
+
 from identknee.blind.scoring import Score, score
 from identknee.blind.truth import TRUTH_FILE, Truth, read_truth
 from identknee.blind_test.blind_data import BlindData
@@ -26,8 +28,8 @@ class Revelation:
     score: Score = entry("The diagnosis beside the truth", is_inline=True)
     truth: Truth = entry("What is behind the data")
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """What was hidden, with its sizes, and how near the diagnosis came."""
         return "\n".join(self._lines())
 

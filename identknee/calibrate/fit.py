@@ -8,6 +8,7 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from identknee.calibrate.complex import minimise_by_complex
 from identknee.calibrate.evaluation import Evaluator, SearchEnded
@@ -97,8 +98,8 @@ class Fit:
         """Sum of squares at `theta`: twice the objective."""
         return 2.0 * self.objective
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """A short table: start and end of each parameter, and how it ended."""
         width = max(len(name) for name in self.parameters.names)
         rows = [

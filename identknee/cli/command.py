@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import typer.core
+from typing_extensions import override
 
 from identknee.runs.crash_report import report_unexpected_error, warnings_to_log
 from identknee.runs.errors import InputError, NotComputable
@@ -36,8 +37,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print only result.json, to s
 class Command(typer.core.TyperCommand):
     """A verb that tells the group it belongs to what it was called with."""
 
-    # typing.override came with Python 3.12.
-    def invoke(self, ctx: Any) -> Any:  # type: ignore[explicit-override]
+    @override
+    def invoke(self, ctx: Any) -> Any:
         """Result of the verb."""
         out = ctx.params.get("out")
         ctx.meta[SETTINGS] = ctx.params
@@ -53,8 +54,8 @@ class Command(typer.core.TyperCommand):
 class CommandGroup(typer.core.TyperGroup):
     """Verbs that end with a sentence and an exit code instead of a traceback."""
 
-    # typing.override came with Python 3.12.
-    def invoke(self, ctx: Any) -> Any:  # type: ignore[explicit-override]
+    @override
+    def invoke(self, ctx: Any) -> Any:
         """Result of the verb, its mistakes turned into exit codes."""
         try:
             with warnings_to_log():

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from identknee.calibrate.evaluation import sum_of_squares
 from identknee.calibrate.problem import Problem, typical_steps
@@ -78,8 +79,8 @@ class Basins:
             for x in self.basins[:MOST_LISTED]
         ]
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """One line a basin."""
         lines = [
             f"basin {i}: objective {x.objective:.6g}, {x.share}" for i, x in enumerate(self.basins)

@@ -1,6 +1,7 @@
 """A binomial proportion with its exact confidence limits."""
 
 import scipy
+from typing_extensions import override
 
 from identknee.runs.declare import declared, derived, entry
 
@@ -26,8 +27,8 @@ class Proportion:
         """The proportion in the sample; NaN for an empty one."""
         return self.count / self.n if self.n else float("nan")
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """Count and limits, for people."""
         if not self.n:
             return "none of none"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import BUDGET, METHODS, Fit, fit
@@ -164,8 +165,8 @@ class SweepSearches:
         number = np.bincount(codes, minlength=len(OUTCOMES))
         return {x.value: int(k) for x, k in zip(OUTCOMES, number, strict=True) if k}
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """What is at the ends, and where they go on to."""
         kinds = ", ".join(f"{k} {x}" for x, k in self.kinds.items())
         polished = ", ".join(f"{k} {x}" for x, k in self.polished_outcomes.items())

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 BOOTSTRAP_DRAWS = 9999
 
@@ -154,8 +155,8 @@ class Table:
         lines = ["| " + " | ".join(row) + " |" for row in (heads, rule, *self.texts())]
         return "\n".join([f"**{self.title}**", "", *lines])
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """The table in columns of even width, for a terminal."""
         if self.told is not self:
             return str(self.told)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from platformdirs import user_log_path
+from typing_extensions import override
 
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest, write_atomically
@@ -94,8 +95,8 @@ class _LogHandler(logging.Handler):
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
 
-    # typing.override came with Python 3.12.
-    def emit(self, record: logging.LogRecord) -> None:  # type: ignore[explicit-override]
+    @override
+    def emit(self, record: logging.LogRecord) -> None:
         """Write one record."""
         with suppress(Exception):
             _note(f"{record.name}: {record.getMessage()}")

@@ -5,6 +5,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.pose import angles_of
@@ -53,9 +54,9 @@ class GeometryFinding(Finding):
     where: str = entry("What it is about, such as a surface or a ligament", key="subject")
     remedy: str = entry("What to do about it; empty where there is nothing to do")
 
-    # typing.override came with Python 3.12.
     @property
-    def line(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def line(self) -> str:
         """As a terminal shows it."""
         return f"{self.severity.prefix}{self.where}: {self.sentence} {self.remedy}".rstrip()
 

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
+from typing_extensions import override
+
 from identknee.identify.nuisances import NuisanceEstimate
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, invalidating
@@ -72,12 +74,13 @@ class Answer:
             raise ValueError("nothing here draws; import identknee")
         return shown_by.figure(self, name)
 
-    # typing.override came with Python 3.12.
-    def __repr__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __repr__(self) -> str:
         """What the result says, on at most 25 lines."""
         return _shown(lambda x: x.short_text(self), type(self).__name__)
 
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """All that the result says, as the command line prints it."""
         return _shown(lambda x: x.full_text(self), type(self).__name__)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from typing_extensions import override
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.starts import load_start
@@ -43,8 +44,8 @@ class InstallationCheck:
         "What to do about it, a sentence; empty where there is nothing to do", default=""
     )
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """The check as a line for a person."""
         mark = "  ok  " if self.is_sound else "  FAIL"
         text = f"{mark}  {self.name}: {self.found}"
@@ -74,8 +75,8 @@ class Installation:
             "Do what their lines say, then run again: identknee doctor"
         )
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """The checks, a line each, under their groups."""
         lines: list[str] = []
         for group, checks in groupby(self.checks, lambda x: x.group):

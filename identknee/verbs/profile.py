@@ -5,6 +5,7 @@ from functools import partial
 from typing import Annotated, Unpack
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
 from identknee.identify.profile.pairs import PairProfile, profile_pair
@@ -77,7 +78,8 @@ class Profiles(Answer):
         return dict(zip(self.parameter_names, self.optimum.tolist(), strict=True))
 
     @property
-    def parameter_set(self) -> dict[str, float]:  # type: ignore[explicit-override]
+    @override
+    def parameter_set(self) -> dict[str, float]:
         """Theta of the best fit by parameter."""
         return self.optimum_by_name
 

@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import Annotated, Any, Unpack, get_args
 
+from typing_extensions import override
+
 from identknee.calibrate.starts import load_start
 from identknee.checks.subject_checks import rim_findings
 from identknee.checks.usable_trials import path_findings
@@ -89,7 +91,8 @@ class SimulatedLaxity(Answer):
         return Laxity(protocol=self.protocol, coordinates=self.coordinates)
 
     @property
-    def parameter_set(self) -> dict[str, float]:  # type: ignore[explicit-override]
+    @override
+    def parameter_set(self) -> dict[str, float]:
         """The parameters simulated with, by name."""
         return dict(zip(self.parameter_names, self.theta.tolist(), strict=True))
 
@@ -131,7 +134,8 @@ class Simulation(SimulatedLaxity):
     )
 
     @property
-    def failure(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def failure(self) -> str:
         """That no trial has an equilibrium; empty where one has."""
         if self.n_converged:
             return ""

@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Unpack
 
+from typing_extensions import override
+
 from identknee.checks.subject_checks import StabilityReport, check_stability
 from identknee.laxity.named_tables import TABLES
 from identknee.laxity.named_trials import TrialsLike, example_laxity, read_tests
@@ -217,7 +219,8 @@ class SubjectCheck(SubjectFacts):
         return self._count(Severity.WARNING)
 
     @property
-    def refuses_input(self) -> bool:  # type: ignore[explicit-override]
+    @override
+    def refuses_input(self) -> bool:
         """Whether a finding forbids any use."""
         return self.n_errors > 0
 
@@ -296,9 +299,9 @@ class SettledSubject(Answer):
         default=None,
     )
 
-    # typing.override came with Python 3.12.
     @property
-    def failure(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def failure(self) -> str:
         """Why the knee did not settle; empty where it did."""
         if self.n_after == self.n_trials:
             return ""
@@ -376,8 +379,8 @@ class NamedSubjects:
 
     subjects: tuple[NamedSubjectFacts, ...] = entry("The knees")
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """Each knee with its ligaments and its source."""
         lines = []
         for x in self.subjects:

@@ -10,6 +10,7 @@ from enum import Enum, unique
 import numpy as np
 import scipy
 from scipy.special import ndtr, ndtri
+from typing_extensions import override
 
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, entry
@@ -285,8 +286,8 @@ class ConvergenceCheck:
         is_stuck = (self.acceptance < STUCK_ACCEPTANCE) & (self.kept >= STUCK_STEPS)
         return np.asarray(is_stuck)
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """Every condition with its number."""
         lines = [f"{self.steps} steps of every walker, the first {self.burn_in} left out."]
         for name, (value, bar, met) in self.conditions.items():

@@ -2,6 +2,7 @@
 
 import numpy as np
 from scipy.special import ndtr, ndtri
+from typing_extensions import override
 
 from identknee.calibrate.evaluation import Evaluation, evaluate
 from identknee.calibrate.problem import Problem, without_priors
@@ -122,8 +123,8 @@ class InfeasiblePriorMass:
     high: float = entry("Upper 95 % confidence limit of that estimate", unit="1")
     n_draws: int = entry("Draws of the prior simulated for it", unit="1")
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """Both parts as a sentence."""
         return (
             f"The bounds exclude {100 * self.beyond_bounds:.2g} % of the prior. Another "

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.optimize
+from typing_extensions import override
 
 from identknee.identify.profile.thresholds import threshold_below
 from identknee.runs.arrays import Array, IntArray
@@ -257,8 +258,8 @@ class Profile:
             ends.append(None)
         return tuple(zip(ends[0::2], ends[1::2], strict=True))
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """A line: the set and the verdict."""
         parts = " and ".join(f"{_end(low)} to {_end(high)}" for low, high in self.intervals)
         unit = f" {self.unit}" if self.unit else ""
