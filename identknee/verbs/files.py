@@ -101,7 +101,7 @@ def _check_agreement(file: Path, summary: Mapping[str, Any], answer: Answer) -> 
     again = plain(summary_of(answer))
     for key, value in again.items():
         # A result of an earlier version lacks what was added since.
-        if key not in summary and not value:
+        if key not in summary:
             continue
         if key not in ("record", *PROSE) and not _is_same(summary.get(key), value):
             raise InputError(file, key, "it does not agree with the rest of the result", AGAIN)
