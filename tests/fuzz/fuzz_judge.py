@@ -82,8 +82,8 @@ def commanded(words: list[str], out: Path | None = None) -> str:
     with (
         patch.object(ik, "read_subject", read_once),
         patch("identknee.verbs.verb.read_subject", read_once),
-        patch.object(unforeseen, "report_unforeseen", _raise),
-        patch("identknee.cli.command.report_unforeseen", _raise),
+        patch.object(unforeseen, "report_unexpected_error", _raise),
+        patch("identknee.cli.command.report_unexpected_error", _raise),
     ):
         result = CliRunner().invoke(app, words)
     if result.exception is not None and not isinstance(result.exception, SystemExit):

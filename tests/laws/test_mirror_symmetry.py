@@ -13,7 +13,7 @@ from tolerances import DERIVATIVE, SAME_POSE
 
 from identknee.mechanics.distance_field import DistanceField, _near, _reach
 from identknee.mechanics.equilibria import ContactPoints, LineLigaments
-from identknee.model import joint as module
+from identknee.model import contact_geometry as module
 from identknee.model.contact_geometry import ContactGeometry
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
