@@ -22,6 +22,42 @@ function; the packages below hold the rest, such as ik.identify.geodesics.
 # no ``__all__``: help() would print all documentation of all names.
 from lazy_loader import attach_stub
 
+from identknee.verbs.printer import Printer, set_printer
+from identknee.verbs.registry import Verb, register
+
 __version__ = "0.1.0"
+
+
+def _printer() -> Printer:
+    from identknee.report import printer
+
+    return printer
+
+
+# What verbs may not import, because it stands above them, is given to them here.
+set_printer(_printer)
+register(
+    Verb(
+        name="blind",
+        module="identknee.blind_test.blind_data",
+        function="make_blind",
+        answer="BlindData",
+        summary="Make laxity data with a hidden effect, to test a diagnosis.",
+        example="reference --seed 7 --effect random --out blind7",
+        folder="identknee-blind",
+    )
+)
+register(
+    Verb(
+        name="subject export",
+        module="identknee.report.export",
+        function="export_subject",
+        answer="SubjectFacts",
+        summary="Write SUBJECT as a subject folder, and for other tools.",
+        example="reference --out my-knee",
+        folder="identknee-subject",
+        then="Next: identknee subject check {out}",
+    )
+)
 __getattr__, __dir__, _ = attach_stub(__name__, __file__)
-del attach_stub
+del attach_stub, set_printer, register, Verb

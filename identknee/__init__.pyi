@@ -26,8 +26,8 @@ from .model.effects.library import effect_named as effect_named
 from .model.laxity_model import LaxityModel as LaxityModel
 from .model.parameters import Parameters as Parameters
 from .model.residuals import LaxityResiduals as LaxityResiduals
+from .report.interactive_scene import scene_3d as scene_3d
 from .report.scene import scene as scene
-from .report.turnable import scene_3d as scene_3d
 from .runs.errors import InputError as InputError
 from .runs.outcome import Outcome as Outcome
 from .subject.check import check_geometry as check_geometry
@@ -37,7 +37,6 @@ from .subject.folder import write_subject as write_subject
 from .subject.knee import Knee as Knee
 from .subject.opensim import import_opensim as import_opensim
 from .subject.reference import reference_knee as reference_knee
-from .verbs.data_or_protocol import diagnose as diagnose
 from .verbs.demo import demo as demo
 from .verbs.design import Design as Design
 from .verbs.design import design as design
@@ -49,6 +48,7 @@ from .verbs.fit import Calibration as Calibration
 from .verbs.fit import fit as fit
 from .verbs.information import LocalIdentifiability as LocalIdentifiability
 from .verbs.information import information as information
+from .verbs.isolability import diagnose as diagnose
 from .verbs.isolability import isolability as isolability
 from .verbs.profile import Profiles as Profiles
 from .verbs.profile import profile as profile

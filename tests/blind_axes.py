@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from identknee.blind.conditions import STANDARD, Conditions, Spread
+from identknee.blind.conditions import STANDARD, Conditions, TruncatedNormal
 from identknee.blind.effects import LISTED
 from identknee.model.effects.library import library
 from identknee.model.parameters import STRAIN, Parameters, ligament_parameters
@@ -46,8 +46,8 @@ def _from_the_prior(width: float, knee: Knee) -> Conditions:
     )
 
 
-def _spread(parameters: Parameters, index: int, width: float) -> Spread:
-    return Spread(
+def _spread(parameters: Parameters, index: int, width: float) -> TruncatedNormal:
+    return TruncatedNormal(
         sd=width * float(parameters.prior_sd[index]),
         center=float(parameters.center[index]),
         lower=float(parameters.lower[index]),

@@ -7,7 +7,7 @@ from identknee.blind.effects import EFFECTS
 from identknee.blind.experiment import LINE_COLUMNS, Experiment
 from identknee.blind.femur import DistanceGrid
 from identknee.blind.hidden import Hidden, Scene
-from identknee.blind.sites import Places
+from identknee.blind.sites import AnatomicalSites
 from identknee.laxity.protocol import Protocol
 
 # Internal, varus [N·m]; anterior, distraction, lateral [N].
@@ -40,7 +40,7 @@ def scene(conditions: Conditions = STANDARD) -> Scene:
         ]
     )
     plateaus[:, :, 1] += 40.0
-    places = Places(
+    places = AnatomicalSites(
         scale=1.0,
         medial=0,
         lateral=1,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from knees import model
 
-from identknee.calibrate.bounded_least_squares import Constrained, minimise, solve_constrained
+from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.laxity.noise import add_noise
@@ -96,22 +96,24 @@ def replicate(
     }
 
 
-def held_at_truth(evaluator: Evaluator, free: Constrained, name: str, truth: Array) -> Constrained:
+def held_at_truth(
+    evaluator: Evaluator, free: ConstrainedFit, name: str, truth: Array
+) -> ConstrainedFit:
     """The fit with one parameter at the truth, from the free fit and, where in doubt, the truth."""
     quantity = ParameterQuantity(parameters=evaluator.parameters, name=name)
     target = float(truth[quantity.index])
 
-    def fit_from(start: Array) -> Constrained:
+    def best_fit_from(start: Array) -> ConstrainedFit:
         return solve_constrained(
             evaluator, start, quantity=quantity, target=target, tolerance=HELD_TOLERANCE
         )
 
-    first = fit_from(free.evaluation.theta)
+    first = best_fit_from(free.evaluation.theta)
     rise = first.evaluation.deviance - free.evaluation.deviance
     # Where the truth is about to be missed the fit must not be what missed it.
     if first.outcome is Outcome.MINIMUM and first.is_on_target and rise < NEAR_MISS:
         return first
-    return min(first, fit_from(truth), key=lambda found: found.evaluation.deviance)
+    return min(first, best_fit_from(truth), key=lambda found: found.evaluation.deviance)
 
 
 def _lowest_elsewhere(problem: LaxityResiduals, theta: Array, seed: tuple[int, ...]) -> float:

@@ -12,10 +12,10 @@ from identknee.mechanics.contact_elements import contact_element
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.energy import evaluate
+from identknee.mechanics.equilibria import workspace
 from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, POINT, record
 from identknee.mechanics.pose import rotation_matrix
-from identknee.mechanics.workspace import workspace
-from identknee.model.joint import Joint
+from identknee.model.contact_geometry import ContactGeometry
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 
@@ -50,7 +50,7 @@ def point_at(pose: Array) -> Any:
 class Evaluator:
     """The energy of a joint; its list of candidates lives on from one pose to the next."""
 
-    def __init__(self, joint: Joint) -> None:
+    def __init__(self, joint: ContactGeometry) -> None:
         self._contact, self._field = joint.contact.arrays(), joint.field.arrays()
         self.work = workspace(len(joint.contact.points)).evaluation
 
@@ -108,7 +108,7 @@ def femoral_places(flexion: float, pose: Array, points: Array) -> Array:
     return np.asarray(points @ rotation_matrix(flexion, pose[0], pose[1]).T + origin)
 
 
-def depths(joint: Joint, flexion: float, pose: Array) -> Array:
+def depths(joint: ContactGeometry, flexion: float, pose: Array) -> Array:
     """Signed distance of every contact point to the femur [mm], without any list."""
     places = femoral_places(flexion, pose, joint.contact.points)
     size = np.array(joint.field.coefficients.shape)
@@ -117,13 +117,13 @@ def depths(joint: Joint, flexion: float, pose: Array) -> Array:
     return np.where(supported, field_values(joint.field, places), 1.0)
 
 
-def contact_energy(joint: Joint, depth: Array) -> float:
+def contact_energy(joint: ContactGeometry, depth: Array) -> float:
     """Energy of springs compressed by the depths that are negative [N mm]."""
     inside = np.minimum(depth, 0.0)
     return float(0.5 * PRESSURE_MODULUS * (joint.contact.areas * inside**2).sum())
 
 
-def oracle_of(joint: Joint) -> OracleKnee:
+def oracle_of(joint: ContactGeometry) -> OracleKnee:
     """The joint for the oracle."""
     return OracleKnee(
         coefficients=joint.field.coefficients.tolist(),

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from identknee.report.picture import names_as_they_are
+from identknee.report.figures import without_mathtext
 
 # Boxes of text have room above and below the letters [px at 100 dots an inch].
 ROOM = 1.5
@@ -26,7 +26,7 @@ _CODE_NAME = re.compile(r"[a-z]_(?:kN|pct|mm|deg|Nm|N)\b")
 def drawn(figure: Figure) -> RendererAgg:
     """The renderer of a figure that has been drawn."""
     canvas: Any = FigureCanvasAgg(figure)
-    with names_as_they_are(figure):
+    with without_mathtext(figure):
         canvas.draw()
     renderer: RendererAgg = canvas.get_renderer()
     return renderer

@@ -11,8 +11,8 @@ from oracle import OracleKnee
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.energy import evaluate
+from identknee.mechanics.equilibria import workspace
 from identknee.mechanics.memory import N_TOUCHING, ROTATION_SCALE
-from identknee.mechanics.workspace import workspace
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals

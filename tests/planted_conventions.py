@@ -60,7 +60,7 @@ def _with_loads(protocol: Protocol, loads: np.ndarray) -> Protocol:
     )
 
 
-def _flipped(name: str) -> Planted:
+def _flipped_surfaces(name: str) -> Planted:
     if name in LOADS:
         k = LOADS.index(name)
         return Planted(broken=lambda x: _loads(x, [k], -1.0), what=f"negating {name}")
@@ -79,12 +79,12 @@ def _exchanged(one: str, other: str) -> Planted:
 
 
 PLANTED: Mapping[str, Planted] = {
-    "internal rotation flipped": _flipped("internal_deg"),
-    "varus flipped": _flipped("varus_deg"),
-    "drawer flipped": _flipped("anterior_drawer_mm"),
-    "internal moment flipped": _flipped("internal_moment_Nm"),
-    "varus moment flipped": _flipped("varus_moment_Nm"),
-    "anterior force flipped": _flipped("anterior_force_N"),
+    "internal rotation flipped": _flipped_surfaces("internal_deg"),
+    "varus flipped": _flipped_surfaces("varus_deg"),
+    "drawer flipped": _flipped_surfaces("anterior_drawer_mm"),
+    "internal moment flipped": _flipped_surfaces("internal_moment_Nm"),
+    "varus moment flipped": _flipped_surfaces("varus_moment_Nm"),
+    "anterior force flipped": _flipped_surfaces("anterior_force_N"),
     "angles in radians": Planted(
         broken=lambda x: _coordinates(x, ROTATIONS, np.pi / 180.0), what="taking angles for radians"
     ),

@@ -10,7 +10,7 @@ from knees import knee
 
 from identknee.blind.case import BlindCase, blind_case
 from identknee.blind.conditions import Conditions
-from identknee.diagnosis.fitting import fit_from
+from identknee.diagnosis.fitting import best_fit_from
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.score import detection_power
 from identknee.diagnosis.verdict import Verdict
@@ -70,7 +70,7 @@ def _beyond(case: BlindCase, found: Investigation) -> float:
     values = {**case.truth.theta, **case.truth.stated_errors}
     true = [values.get(x, y) for x, y in zip(base.model.parameters.names, base.theta, strict=True)]
     exact = replace(base.laxity, coordinates=case.noise_free.coordinates)
-    fitted = fit_from(base.model, exact, base.noise, [np.array(true), base.theta])
+    fitted = best_fit_from(base.model, exact, base.noise, [np.array(true), base.theta])
     return float(np.sqrt(fitted.deviance))
 
 

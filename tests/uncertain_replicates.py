@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from identknee.blind.case import CORRELATION, SD, BlindCase, blind_case
 from identknee.blind.conditions import Conditions
-from identknee.calibrate.bounded_least_squares import Constrained, minimise, solve_constrained
+from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import LigamentForce
@@ -99,8 +99,8 @@ def uncertain_replicate(task: UncertainTask) -> dict[str, Any]:
 
 
 def _held_forces(
-    evaluator: Evaluator, model: LaxityModel, free: Constrained, truth: tuple[Array, BlindCase]
-) -> list[Constrained]:
+    evaluator: Evaluator, model: LaxityModel, free: ConstrainedFit, truth: tuple[Array, BlindCase]
+) -> list[ConstrainedFit]:
     """Fits with each ligament's largest force at its true value, from the free fit or the truth."""
     near_truth, case = truth
     trials = model.protocol.trials

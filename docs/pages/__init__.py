@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from identknee.verbs.documented import page_of_answers
+from pages.answers import answer_reference_page
 from pages.api import write_api
 from pages.commands import write_commands
 from pages.figures import write_figures
@@ -22,5 +22,5 @@ def write_pages(docs: Path) -> None:
     write_figures(parts / "figures.md", docs.parent / "studies")
     write_flow(parts / "flow.html")
     write_records(parts / "records.md", docs.parent / "tests")
-    (parts / "answers.md").write_text(page_of_answers(), encoding="utf-8")
+    (parts / "answers.md").write_text(answer_reference_page(), encoding="utf-8")
     write_studies(docs / "studies", docs.parent / "studies")

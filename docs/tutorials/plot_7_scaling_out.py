@@ -13,7 +13,7 @@ from distributed import LocalCluster
 import identknee as ik
 from identknee.identify.sweep import sweep
 from identknee.report.sweep_figures import waterfall_figure
-from identknee.runs.dask_executor import dask_cluster
+from identknee.runs.executors import dask_cluster
 
 knee = ik.reference_knee()
 laxity = ik.simulate(knee, ik.load_protocol("drawer")).laxity

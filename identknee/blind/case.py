@@ -10,7 +10,7 @@ from identknee.blind.conditions import (
     NO_ERRORS,
     STANDARD,
     Conditions,
-    drawn_wrong,
+    draw_stated_errors,
     true_errors,
     with_load_errors,
 )
@@ -19,15 +19,15 @@ from identknee.blind.experiment import (
     REFERENCE_STRAIN,
     STIFFNESS,
     Experiment,
-    Run,
-    conduct,
+    ExperimentRun,
     experiment_of,
+    parameter_derivatives,
+    run_experiment,
     tensions,
-    theta_slopes,
 )
 from identknee.blind.hidden import Hidden, Scene
-from identknee.blind.rims import rims_of, stays_inside
-from identknee.blind.sites import places_of
+from identknee.blind.rims import contact_stays_inside, rims_of
+from identknee.blind.sites import anatomical_sites
 from identknee.blind.truth import Truth, write_truth
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
@@ -68,16 +68,16 @@ class Noise:
 
 
 @declared
-class BaseFit:
+class LigamentFit:
     """The best fit of the ligament parameters alone."""
 
     theta: Array = entry("Stiffnesses [kN], then reference strains [%]")
-    run: Run = entry("The run there")
+    run: ExperimentRun = entry("The run there")
     signal: float = entry("Root of the chi-square left")
 
 
 @declared
-class Scaled:
+class SizedAmplitude:
     """An amplitude for a wanted signal."""
 
     amplitude: float = entry("Amplitude in the effect's unit, > 0")
@@ -87,7 +87,7 @@ class Scaled:
     )
 
 
-def left_over(slopes: Array, change: Array, noise: Noise) -> float:
+def unexplained_norm(slopes: Array, change: Array, noise: Noise) -> float:
     """Length of what `slopes` (n, 5, p) cannot absorb of a `change` (n, 5), in units of noise."""
     columns = noise.whitened(slopes).reshape(-1, slopes.shape[2])
     white = noise.whitened(change).ravel()
@@ -95,7 +95,7 @@ def left_over(slopes: Array, change: Array, noise: Noise) -> float:
     return float(np.linalg.norm(white - columns @ share))
 
 
-def base_fit(base: Experiment, target: Array, noise: Noise, start: BaseFit) -> BaseFit:
+def base_fit(base: Experiment, target: Array, noise: Noise, start: LigamentFit) -> LigamentFit:
     """Best fit of `base`, an experiment without effect, to coordinates `target` ``(n, 5)``.
 
     Damped Gauss-Newton from a fit nearby. A step after which a trial has no equilibrium is refused
@@ -106,12 +106,14 @@ def base_fit(base: Experiment, target: Array, noise: Noise, start: BaseFit) -> B
     residual = noise.whitened(run.coordinates - target).ravel()
     damping = 1e-3
     for _ in range(FIT_STEPS):
-        slopes = noise.whitened(theta_slopes(base.with_theta(theta), run, m)).reshape(-1, 2 * m)
+        slopes = noise.whitened(parameter_derivatives(base.with_theta(theta), run, m)).reshape(
+            -1, 2 * m
+        )
         normal, slope = slopes.T @ slopes, slopes.T @ residual
         step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), slope)
         new = theta + step
         new[:m] = np.maximum(new[:m], LEAST_STIFFNESS_KN)
-        new_run = conduct(base.with_theta(new), run)
+        new_run = run_experiment(base.with_theta(new), run)
         gained = -1.0
         if new_run.is_complete:
             new_residual = noise.whitened(new_run.coordinates - target).ravel()
@@ -125,15 +127,15 @@ def base_fit(base: Experiment, target: Array, noise: Noise, start: BaseFit) -> B
         damping *= 0.1
         if gained <= FIT_TOLERANCE * max(1.0, float(residual @ residual)):
             break
-    return BaseFit(theta=theta, run=run, signal=float(np.sqrt(residual @ residual)))
+    return LigamentFit(theta=theta, run=run, signal=float(np.sqrt(residual @ residual)))
 
 
-def scaled_to(
+def amplitude_for_signal(
     projected: Callable[[float], float | None],
     fitted: Callable[[float], float | None],
     wanted: float,
     largest: float,
-) -> Scaled | None:
+) -> SizedAmplitude | None:
     """The amplitude whose signal is `wanted`, at most `largest`; None where a trial fails.
 
     Parameters
@@ -152,7 +154,7 @@ def scaled_to(
 
 def _searched(
     signal_of: Callable[[float], float | None], wanted: float, amplitude: float, largest: float
-) -> Scaled | None:
+) -> SizedAmplitude | None:
     known: list[tuple[float, float]] = []
     for _ in range(AMPLITUDE_STEPS):
         signal = signal_of(amplitude)
@@ -161,9 +163,9 @@ def _searched(
         known.append((amplitude, signal))
         is_largest = signal < wanted and amplitude >= largest
         if is_largest or abs(signal / wanted - 1.0) < SIGNAL_TOLERANCE:
-            return Scaled(amplitude=amplitude, signal=signal, is_largest=is_largest)
+            return SizedAmplitude(amplitude=amplitude, signal=signal, is_largest=is_largest)
         amplitude = min(largest, _next(known, wanted))
-    return Scaled(amplitude=known[-1][0], signal=known[-1][1], is_largest=False)
+    return SizedAmplitude(amplitude=known[-1][0], signal=known[-1][1], is_largest=False)
 
 
 def _next(known: list[tuple[float, float]], wanted: float) -> float:
@@ -226,7 +228,7 @@ class _Found:
 
     theta: Array
     own: Experiment
-    run: Run
+    run: ExperimentRun
     hidden: tuple[Hidden, ...]
     sizes: tuple[float, ...]
     signal: float
@@ -283,7 +285,7 @@ def blind_case(
     names = _names(effect, streams[0])
     order, is_unloading = _history(protocol, streams[1])
     scene = Scene(
-        places=places_of(knee),
+        places=anatomical_sites(knee),
         n_lines=len(knee.ligaments),
         start=_start(knee),
         load_Nm=protocol.loads[:, :2],
@@ -297,14 +299,14 @@ def blind_case(
     wanted, redraws, found = (noise, signal, amplitude), 0, None
     while found is None and redraws < MOST_DRAWS:
         if redraws % DRAWS_A_KNEE == 0 and conditions.has_stated_errors:
-            actual, off = drawn_wrong(knee, conditions, streams[6])
+            actual, off = draw_stated_errors(knee, conditions, streams[6])
             base = with_load_errors(experiment_of(actual, protocol, exponent), off)
-            scene = replace(scene, places=places_of(actual), start=_start(actual))
+            scene = replace(scene, places=anatomical_sites(actual), start=_start(actual))
         found = _drawn(base, names, scene, wanted, streams[2])
-        if found is None or not stays_inside(found.own, found.run, rims_of(actual)):
+        if found is None or not contact_stays_inside(found.own, found.run, rims_of(actual)):
             found, redraws = None, redraws + 1
     if found is None:
-        raise _no_draw(names, knee)
+        raise _draw_failed_error(names, knee)
     tells_order = bool(HISTORY & set(names)) or streams[1].random() < ORDER_SHARE
     exact = Laxity(
         protocol=protocol,
@@ -326,7 +328,7 @@ def blind_case(
     )
 
 
-def _no_draw(names: Sequence[str], knee: Knee) -> ValueError:
+def _draw_failed_error(names: Sequence[str], knee: Knee) -> ValueError:
     return ValueError(
         f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
         f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
@@ -383,10 +385,10 @@ def _drawn(
         return None
     hidden = tuple(EFFECTS[name](scene, generator) for name in names)
     own = base.with_theta(theta)
-    run = conduct(own)
+    run = run_experiment(own)
     if not run.is_complete:
         return None
-    null = BaseFit(theta=theta, run=run, signal=0.0)
+    null = LigamentFit(theta=theta, run=run, signal=0.0)
     sizes, is_largest = [], False
     for x in hidden:
         size = _usual_size(x, scene, generator)
@@ -405,7 +407,7 @@ def _drawn(
         )
     for x, size in zip(hidden, sizes, strict=True):
         own = x.apply(own, size)
-    run = conduct(own)
+    run = run_experiment(own)
     if not run.is_complete:
         return None
     fit = base_fit(base, run.coordinates, noise, null)
@@ -421,23 +423,23 @@ def _drawn(
 
 
 def _sized(
-    hidden: Hidden, own: Experiment, null: BaseFit, wanted: tuple[Noise, float]
+    hidden: Hidden, own: Experiment, null: LigamentFit, wanted: tuple[Noise, float]
 ) -> tuple[float, bool] | None:
     """Amplitude > 0 for a signal, and whether it is the largest plausible one."""
     noise, signal = wanted
 
-    slopes = theta_slopes(own, null.run, len(null.theta) // 2)
+    slopes = parameter_derivatives(own, null.run, len(null.theta) // 2)
     last = null
 
-    def run_at(amplitude: float) -> Run | None:
-        run = conduct(hidden.apply(own, hidden.sign * amplitude), null.run)
+    def run_at(amplitude: float) -> ExperimentRun | None:
+        run = run_experiment(hidden.apply(own, hidden.sign * amplitude), null.run)
         return run if run.is_complete else None
 
     def projected(amplitude: float) -> float | None:
         run = run_at(amplitude)
         if run is None:
             return None
-        return left_over(slopes, run.coordinates - null.run.coordinates, noise)
+        return unexplained_norm(slopes, run.coordinates - null.run.coordinates, noise)
 
     def fitted(amplitude: float) -> float | None:
         nonlocal last
@@ -447,7 +449,7 @@ def _sized(
         last = base_fit(own, run.coordinates, noise, last)
         return last.signal
 
-    scaled = scaled_to(projected, fitted, signal, hidden.largest)
+    scaled = amplitude_for_signal(projected, fitted, signal, hidden.largest)
     return None if scaled is None else (scaled.amplitude, scaled.is_largest)
 
 
@@ -512,8 +514,8 @@ def _truth(knee: Knee, seed: int, found: _Found, facts: Mapping[str, object]) ->
         amplitudes[x.name] = {"amplitude": (size, x.unit), **dict(x.amplitudes(size))}
         if x.line is not None:
             lines[x.name] = (
-                knee.as_scanned(knee.femur_frame.to_common(x.line[0])),
-                knee.as_scanned(knee.tibia_frame.to_common(x.line[1])),
+                knee.in_scan_frame(knee.femur_frame.to_common(x.line[0])),
+                knee.in_scan_frame(knee.tibia_frame.to_common(x.line[1])),
             )
     return Truth(
         seed=seed,

@@ -11,7 +11,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import EXACTLY, UncertainLike, with_stated
+from identknee.subject.uncertainty import EXACTLY, UncertainLike, with_stated_uncertainty
 
 # Draws until one lies between the ends of a spread.
 MOST_TRIES = 1000
@@ -38,7 +38,7 @@ STATED = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Spread:
+class TruncatedNormal:
     """A truncated normal distribution.
 
     Attributes
@@ -136,8 +136,8 @@ class Conditions:
     largest_shift_pct: float = 2.0
     most_stiffness_kN: float = np.inf  # noqa: N815 - the unit
     most_strain_pct: float = np.inf
-    amplitudes: Mapping[str, Spread] = field(default_factory=dict)
-    structure_strain_pct: Spread | None = None
+    amplitudes: Mapping[str, TruncatedNormal] = field(default_factory=dict)
+    structure_strain_pct: TruncatedNormal | None = None
     exponents: tuple[float, float] = (EXPONENT, EXPONENT)
     jitter_mm: float = 3.0
     shift_mm: float | None = None
@@ -213,7 +213,7 @@ def stated_conditions(uncertain: UncertainLike) -> Conditions:
     >>> stated_conditions("insertions=2mm").insertion_mm
     2.0
     """
-    stated = with_stated(EXACTLY, uncertain)
+    stated = with_stated_uncertainty(EXACTLY, uncertain)
     sizes = {x.name: getattr(stated, x.name) for x in fields(stated)}
     for name, size in sizes.items():
         if name not in STATED and size != 0.0:
@@ -232,7 +232,7 @@ GAINS = tuple(
 ROUNDING = 1e-9
 
 
-def actual_knee(knee: Knee, conditions: Conditions, generator: np.random.Generator) -> Knee:
+def knee_with_errors(knee: Knee, conditions: Conditions, generator: np.random.Generator) -> Knee:
     """The knee as it is in the rig, where the one given has errors of the stated size.
 
     Insertions lie elsewhere, with reference lengths measured between them in the scanned pose; and
@@ -265,11 +265,11 @@ class LoadErrors:
 NO_ERRORS = LoadErrors(gains=np.zeros(5), turn_deg=np.zeros(3))
 
 
-def drawn_wrong(
+def draw_stated_errors(
     knee: Knee, conditions: Conditions, generator: np.random.Generator
 ) -> tuple[Knee, LoadErrors]:
     """The true knee in the rig, and the errors of the loads."""
-    return actual_knee(knee, conditions, generator), load_errors(conditions, generator)
+    return knee_with_errors(knee, conditions, generator), load_errors(conditions, generator)
 
 
 def load_errors(conditions: Conditions, generator: np.random.Generator) -> LoadErrors:

@@ -248,7 +248,7 @@ def _contact_energy(R, t, surface, field, listed, wrench, touching):
 
 
 @compiled
-def course(R, t, line):
+def line_path(R, t, line):
     """Length of a line, where it acts on the tibia and its slope with that place's motion.
 
     The place is given from the tibial origin, along the femoral axes. A lifted line bends at a
@@ -273,7 +273,7 @@ def course(R, t, line):
 def _line_energy(R, t, lines, wrench):
     energy = 0.0
     for line in lines:
-        length, arm, slope = course(R, t, line)
+        length, arm, slope = line_path(R, t, line)
         slack = line[6] / (1.0 + line[8])
         force, _, area = smooth_tension(length / slack - 1.0, line[9])
         energy += line[7] * slack * area

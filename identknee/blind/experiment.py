@@ -28,7 +28,7 @@ LINE_COLUMNS = 12
 FEMUR_END, TIBIA_END = slice(0, 3), slice(3, 6)
 
 
-class TrialEnd(Enum):
+class ExperimentOutcome(Enum):
     """How a trial of the virtual test ended; each with its sentence."""
 
     FOUND = "A stable equilibrium was found along the load."
@@ -37,9 +37,9 @@ class TrialEnd(Enum):
 
 
 _ENDS = {
-    equilibrium.FOUND: TrialEnd.FOUND,
-    equilibrium.STUCK: TrialEnd.STUCK,
-    equilibrium.SNAPPED: TrialEnd.SNAPPED,
+    equilibrium.FOUND: ExperimentOutcome.FOUND,
+    equilibrium.STUCK: ExperimentOutcome.STUCK,
+    equilibrium.SNAPPED: ExperimentOutcome.SNAPPED,
 }
 
 
@@ -109,14 +109,14 @@ class Experiment:
 
 
 @declared
-class Run:
+class ExperimentRun:
     """The results of an experiment."""
 
     coordinates: Array = entry(
         "As the rig reads them, in the order and units of a laxity table, shape ``(n, 5)``; NaN "
         "where there is none"
     )
-    ends: tuple[TrialEnd, ...] = entry("How each trial ended")
+    ends: tuple[ExperimentOutcome, ...] = entry("How each trial ended")
     poses: tuple[tuple[Array, Array], ...] = entry(
         "Rotation and position of the tibia of each trial"
     )
@@ -127,13 +127,13 @@ class Run:
     @property
     def is_complete(self) -> bool:
         """Whether every trial has its equilibrium."""
-        return all(end is TrialEnd.FOUND for end in self.ends)
+        return all(end is ExperimentOutcome.FOUND for end in self.ends)
 
 
 def experiment_of(knee: Knee, protocol: Protocol, exponent: float = EXPONENT) -> Experiment:
     """The experiment on a knee with nothing hidden, at the subject's own ligament values."""
     femur, tibia = knee.femur_frame, knee.tibia_frame
-    surfaces = [_refined(Surface(vertices=tibia.to_local(x.vertices), faces=x.faces))
+    surfaces = [_subdivided(Surface(vertices=tibia.to_local(x.vertices), faces=x.faces))
                 for x in knee.tibia]  # fmt: skip
     lines = np.zeros((len(knee.ligaments), LINE_COLUMNS))
     for line, x in zip(lines, knee.ligaments, strict=True):
@@ -161,7 +161,7 @@ def experiment_of(knee: Knee, protocol: Protocol, exponent: float = EXPONENT) ->
     )
 
 
-def conduct(experiment: Experiment, near: Run | None = None) -> Run:
+def run_experiment(experiment: Experiment, near: ExperimentRun | None = None) -> ExperimentRun:
     """The run of an experiment: from the unloaded pose of each flexion along the load.
 
     Parameters
@@ -175,7 +175,7 @@ def conduct(experiment: Experiment, near: Run | None = None) -> Run:
     return _along_paths(experiment) if near is None else _from_poses(experiment, near)
 
 
-def theta_slopes(experiment: Experiment, run: Run, n_lines: int) -> Array:
+def parameter_derivatives(experiment: Experiment, run: ExperimentRun, n_lines: int) -> Array:
     """Change of the poses' coordinates [mm, deg] with stiffness [kN] and strain [%].
 
     Those of the first `n_lines` lines, by the implicit function theorem; ``(n, 5, 2 n_lines)``.
@@ -183,14 +183,14 @@ def theta_slopes(experiment: Experiment, run: Run, n_lines: int) -> Array:
     slopes = np.empty((len(run.poses), 5, 2 * n_lines))
     flexion = _flexion(experiment)
     for i, (R, t) in enumerate(run.poses):
-        forces = _line_slopes(R, t, experiment.lines[:n_lines])
+        forces = _line_parameter_derivatives(R, t, experiment.lines[:n_lines])
         tangent = -np.linalg.solve(run.hessians[i], forces)
-        slopes[i] = _coordinate_slopes(R, t, flexion[i]) @ tangent
+        slopes[i] = _coordinate_derivatives(R, t, flexion[i]) @ tangent
     slopes[:, 3:] *= 180.0 / np.pi
     return slopes
 
 
-def _refined(surface: Surface) -> Surface:
+def _subdivided(surface: Surface) -> Surface:
     """The surface with every triangle cut into four at the middles of its edges."""
     edges, number = np.unique(np.sort(surface.edges, axis=1), axis=0, return_inverse=True)
     n = len(surface.vertices)
@@ -229,9 +229,9 @@ def _read(experiment: Experiment, poses: list[tuple[Array, Array] | None]) -> Ar
     return result + experiment.added
 
 
-def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> Run:
+def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> ExperimentRun:
     poses = [(x[1], x[2]) if x[0] == equilibrium.FOUND else None for x in found]
-    return Run(
+    return ExperimentRun(
         coordinates=_read(experiment, poses),
         ends=tuple(_ENDS[x[0]] for x in found),
         poses=tuple((x[1], x[2]) for x in found),
@@ -239,7 +239,7 @@ def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> Run:
     )
 
 
-def _from_poses(experiment: Experiment, near: Run) -> Run:
+def _from_poses(experiment: Experiment, near: ExperimentRun) -> ExperimentRun:
     angles, knee = _flexion(experiment), experiment.arrays()
     found = [
         _from_pose(pose, angles[i], experiment.loads[i], knee) for i, pose in enumerate(near.poses)
@@ -257,7 +257,7 @@ def _from_pose(
     return (equilibrium.FOUND if is_found and is_near else equilibrium.STUCK), R, t, H
 
 
-def _along_paths(experiment: Experiment) -> Run:
+def _along_paths(experiment: Experiment) -> ExperimentRun:
     angles, knee = _flexion(experiment), experiment.arrays()
     found: list[Any] = [None] * experiment.protocol.n
     for flexion, rest in _unloaded(experiment, np.unique(angles)).items():
@@ -311,12 +311,12 @@ def _rays(experiment: Experiment, trials: IntArray) -> list[list[int]]:
     return list(groups.values())
 
 
-def _line_slopes(R: Array, t: Array, lines: Array) -> Array:
+def _line_parameter_derivatives(R: Array, t: Array, lines: Array) -> Array:
     """Change of the gradient with stiffness [kN] and strain [%], the pose held; ``(5, 2 l)``."""
     axes = energy.joint_axes(R)
     columns = []
     for line in lines:
-        length, arm, slope = energy.course(R, t, line)
+        length, arm, slope = energy.line_path(R, t, line)
         stretch = length / line[REFERENCE_LENGTH]
         strain = stretch * (1.0 + line[REFERENCE_STRAIN]) - 1.0
         force, rise, _ = energy.smooth_tension(strain, line[TOE])
@@ -326,20 +326,20 @@ def _line_slopes(R: Array, t: Array, lines: Array) -> Array:
     return slopes
 
 
-def tensions(experiment: Experiment, run: Run, n_lines: int) -> Array:
+def tensions(experiment: Experiment, run: ExperimentRun, n_lines: int) -> Array:
     """Tension of the first `n_lines` lines in every trial of a run [N], shape ``(n, n_lines)``."""
     rows = []
     for R, t in run.poses:
         row = []
         for line in experiment.lines[:n_lines]:
-            length, _, _ = energy.course(R, t, line)
+            length, _, _ = energy.line_path(R, t, line)
             strain = length / line[REFERENCE_LENGTH] * (1.0 + line[REFERENCE_STRAIN]) - 1.0
             row.append(line[STIFFNESS] * energy.smooth_tension(strain, line[TOE])[0])
         rows.append(row)
     return np.array(rows)
 
 
-def _coordinate_slopes(R: Array, t: Array, flexion: float) -> Array:
+def _coordinate_derivatives(R: Array, t: Array, flexion: float) -> Array:
     """Change of the coordinates [mm, rad] with a tangent step [mm], shape ``(5, 5)``."""
     size = equilibrium.DIFFERENCE
     columns = []

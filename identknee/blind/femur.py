@@ -8,10 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array, IntArray
-from identknee.runs.cache_folder import cache_folder
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
-from identknee.runs.files import prepare_folder
+from identknee.runs.files import cache_folder, prepare_folder
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface
 

@@ -16,7 +16,7 @@ from identknee.blind.experiment import (
     TOE_STRAIN,
     Experiment,
 )
-from identknee.blind.sites import Places
+from identknee.blind.sites import AnatomicalSites
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
 
@@ -25,7 +25,7 @@ from identknee.runs.declare import declared, entry
 class Scene:
     """What an effect is drawn for."""
 
-    places: Places = entry("Anatomy of the knee")
+    places: AnatomicalSites = entry("Anatomy of the knee")
     n_lines: int = entry("How many ligaments the knee has")
     start: tuple[Array, Array] = entry(
         "Rotation and position of the tibia in the femur in the scanned pose"

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.blind import energy
-from identknee.blind.experiment import Experiment, Run
+from identknee.blind.experiment import Experiment, ExperimentRun
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
@@ -39,7 +39,7 @@ def rims_of(knee: Knee) -> Rims:
     )
 
 
-def stays_inside(experiment: Experiment, run: Run, rims: Rims) -> bool:
+def contact_stays_inside(experiment: Experiment, run: ExperimentRun, rims: Rims) -> bool:
     """Whether the middle of every contact of every trial is well inside both surfaces."""
     return all(_is_inside(experiment, R, t, rims) for R, t in run.poses)
 

@@ -11,7 +11,7 @@ EPICONDYLES_MM = 83.0
 
 
 @declared
-class Places:
+class AnatomicalSites:
     """Anatomy of a right knee in its scanned pose [mm], the places of a bone in its frame."""
 
     scale: float = entry("Size of the knee over that of an average one")
@@ -30,7 +30,7 @@ class Places:
     femur: Array = entry("Lowest and highest corner of the femoral surface, shape ``(2, 3)``")
 
 
-def places_of(knee: Knee) -> Places:
+def anatomical_sites(knee: Knee) -> AnatomicalSites:
     """Anatomy of a knee.
 
     The collaterals are the ligaments farthest to either side; of the others the anterior cruciate
@@ -48,7 +48,7 @@ def places_of(knee: Knee) -> Places:
         (knee.tibia_frame.to_local(x.vertices) for x in knee.tibia), key=lambda x: x[:, 2].mean()
     )
     femur = knee.femur_frame.to_local(knee.femur.vertices)
-    return Places(
+    return AnatomicalSites(
         scale=float(femoral[lateral, 2] - femoral[medial, 2]) / EPICONDYLES_MM,
         medial=medial,
         lateral=lateral,
@@ -61,7 +61,7 @@ def places_of(knee: Knee) -> Places:
     )
 
 
-def structure_ends(places: Places) -> dict[str, tuple[Array, Array]]:
+def structure_insertions(places: AnatomicalSites) -> dict[str, tuple[Array, Array]]:
     """Femoral and tibial end of each structure a four-line knee lacks [mm], shape ``(3,)`` each.
 
     References

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.blind.energy import course
+from identknee.blind.energy import line_path
 from identknee.blind.experiment import (
     FEMUR_END,
     LIFT,
@@ -19,7 +19,7 @@ from identknee.blind.experiment import (
     Experiment,
 )
 from identknee.blind.hidden import Apply, Draw, Hidden, Scene, line_row
-from identknee.blind.sites import structure_ends
+from identknee.blind.sites import structure_insertions
 from identknee.runs.arrays import Array
 
 # Slack strain of a structure [%].
@@ -35,10 +35,12 @@ def with_lines(experiment: Experiment, rows: list[Array]) -> Experiment:
 
 
 def structure(name: str, *, smallest_kN: float, largest_kN: float) -> Draw:
-    """Draw of a missing structure of one line, by its name in `structure_ends`."""
+    """Draw of a missing structure of one line, by its name in `structure_insertions`."""
 
     def draw(scene: Scene, generator: np.random.Generator) -> Hidden:
-        ends = [scene.conditions.place(x, generator) for x in structure_ends(scene.places)[name]]
+        ends = [
+            scene.conditions.place(x, generator) for x in structure_insertions(scene.places)[name]
+        ]
         return _line_effect(name, scene, ends, _strain(scene, generator), (smallest_kN, largest_kN))
 
     return draw
@@ -92,7 +94,7 @@ def rotational_spring(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 def posterior_capsule(scene: Scene, generator: np.random.Generator) -> Hidden:
     """Medial and lateral posterior capsule, either as a line; the amplitude is the stiffer one."""
-    ends = structure_ends(scene.places)
+    ends = structure_insertions(scene.places)
     strands = [
         [scene.conditions.place(x, generator) for x in ends[f"posterior_capsule_{side}"]]
         for side in ("medial", "lateral")
@@ -168,7 +170,7 @@ def mcl_wrapping(scene: Scene, generator: np.random.Generator) -> Hidden:
         line = lines[places.medial]
         top, bottom = R.T @ (line[FEMUR_END] - t), line[TIBIA_END]
         line[LIFT], line[LIFT_SHARE] = -amplitude, (top[1] - height) / (top[1] - bottom[1])
-        line[REFERENCE_LENGTH] = course(R, t, line)[0]
+        line[REFERENCE_LENGTH] = line_path(R, t, line)[0]
         return replace(experiment, lines=lines)
 
     return Hidden(

@@ -1,14 +1,17 @@
 """Laxity of a knee with a hidden effect."""
 
 from collections.abc import Sequence
+from typing import Annotated, Unpack
+
+from typing_extensions import override
 
 from identknee.blind.case import RANDOM, BlindCase, blind_case, write_blind
 from identknee.blind.conditions import stated_conditions
 from identknee.runs.declare import declared, entry
-from identknee.runs.files import PathLike
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
-from identknee.verbs.verb import Run, SubjectLike, recorded_as, verb
+from identknee.verbs.options import REFERENCE, OutOption, Seed, Subject, option
+from identknee.verbs.verb import Run, recorded_as, verb
 
 # The word for no effect.
 NONE = "none"
@@ -31,14 +34,15 @@ class BlindData(Answer):
         "Whether even who made the data is not to know the effect", is_in_json=False, default=True
     )
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """How many trials there are, and nothing of what is hidden."""
         return f"{self.n_trials} trials of {self.subject}; something may be hidden in them."
 
     __repr__ = __str__
 
     @property
+    @override
     def remark(self) -> str:
         """What who made the data must know of the signal; empty where there is nothing to know.
 
@@ -66,32 +70,39 @@ class BlindData(Answer):
 @recorded_as("blind", secret=("effect", "signal"))
 def make_blind(
     run: Run,
-    subject: SubjectLike = "reference",
+    # What is read of it gets here.
+    subject: Subject = REFERENCE,  # type: ignore[assignment]
     *,
-    effect: str | Sequence[str] | None = RANDOM,
-    signal: float | None = None,
-    uncertain: UncertainLike | None = None,
-    out: PathLike | None = None,
-    seed: int = 0,
+    effect: Annotated[
+        str | Sequence[str] | None,
+        option(
+            "The hidden cause: its name, random, or none; two at most.",
+            in_python="None for no cause too.",
+            metavar="ID",
+            typed=list[str],
+        ),
+    ] = RANDOM,
+    signal: Annotated[
+        float | None,
+        option("Size of the effect relative to the noise; taken from the literature if not given."),
+    ] = None,
+    uncertain: Annotated[
+        UncertainLike,
+        option(
+            "How wrong the knee and the tests are to be, as in insertions=2mm,registration=2deg: "
+            "one standard deviation. Exact if not given. Give `diagnose` the same.",
+            metavar="NAME=SIZE,...",
+            typed=list[str] | None,
+        ),
+    ] = None,
+    seed: Seed = 0,
+    **_: Unpack[OutOption],
 ) -> BlindData:
-    """Laxity data with a hidden effect, made by an independent generator, to test a diagnosis.
+    """Laxity data with a hidden effect, to test a diagnosis.
 
-    Parameters
-    ----------
-    subject
-        A knee, a subject folder, or the name of one that comes with identknee.
-    effect
-        Name of the hidden cause, several names, ``"random"``, or None or ``"none"`` for nothing.
-    signal
-        Root of the chi-square that ligament parameters alone cannot fit; from the literature if
-        None.
-    uncertain
-        How wrong the knee and the tests are to be, as in ``"insertions=2mm,registration=2deg"``:
-        one standard deviation. Exact if None. Give `diagnose` the same.
-    out
-        Folder for ``laxity.csv`` and the sealed ``truth.json``; nothing is written if None.
-    seed
-        Seed of all random numbers.
+    The data come from an independent generator. Writes laxity.csv for `diagnose`, and a sealed
+    truth.json for `reveal`. The signal is the root of the chi-square that ligament parameters
+    alone cannot fit. It runs on one thread: more workers change nothing.
 
     Raises
     ------
@@ -101,7 +112,7 @@ def make_blind(
     """
     names = (effect,) if isinstance(effect, str) else tuple(effect or ())
     case = blind_case(
-        run.knee,
+        subject,
         seed=seed,
         effect=RANDOM if names == (RANDOM,) else None if names in ((), (NONE,)) else names,
         signal=signal,
@@ -110,5 +121,5 @@ def make_blind(
     if run.out is not None:
         write_blind(case, run.out)
     return BlindData(
-        subject=run.knee.name, n_trials=case.laxity.n, case=case, is_secret=RANDOM in names
+        subject=subject.name, n_trials=case.laxity.n, case=case, is_secret=RANDOM in names
     )

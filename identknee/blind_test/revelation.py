@@ -5,6 +5,8 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from typing_extensions import override
+
 from identknee.blind.scoring import Score, score
 from identknee.blind.truth import TRUTH_FILE, Truth, read_truth
 from identknee.blind_test.blind_data import BlindData
@@ -26,8 +28,8 @@ class Revelation:
     score: Score = entry("The diagnosis beside the truth", is_inline=True)
     truth: Truth = entry("What is behind the data")
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """What was hidden, with its sizes, and how near the diagnosis came."""
         return "\n".join(self._lines())
 
@@ -75,11 +77,11 @@ def reveal(blind_dir: BlindData | PathLike, diagnosis_dir: Diagnosis | PathLike)
     elif isinstance(blind_dir, BlindData):
         raise ValueError("answers read from files hold no truth; give the folder of the blind data")
     else:
-        truth = read_truth(_holding(Path(blind_dir), TRUTH_FILE, "blind"))
+        truth = read_truth(_folder_containing(Path(blind_dir), TRUTH_FILE, "blind"))
     if isinstance(diagnosis_dir, Diagnosis):
         diagnosis: Answer = diagnosis_dir
     else:
-        folder = _holding(Path(diagnosis_dir), SUMMARY, "diagnose")
+        folder = _folder_containing(Path(diagnosis_dir), SUMMARY, "diagnose")
         diagnosis = load(folder)
         if not isinstance(diagnosis, Diagnosis):
             why = "it holds no verdict, so identknee diagnose did not make it"
@@ -87,7 +89,7 @@ def reveal(blind_dir: BlindData | PathLike, diagnosis_dir: Diagnosis | PathLike)
     return Revelation(score=score(truth, summary_of(diagnosis)), truth=truth)
 
 
-def _holding(folder: Path, file: str, verb: str) -> Path:
+def _folder_containing(folder: Path, file: str, verb: str) -> Path:
     """The folder, which must hold a file of a verb."""
     if not (folder / file).exists():
         why = f"it holds no {file}, so identknee {verb} did not make it"

@@ -1,4 +1,4 @@
-from .bounded_least_squares import Constrained as Constrained
+from .bounded_least_squares import ConstrainedFit as ConstrainedFit
 from .bounded_least_squares import minimise as minimise
 from .bounded_least_squares import solve_constrained as solve_constrained
 from .evaluation import Evaluator as Evaluator
@@ -7,7 +7,7 @@ from .fit import METHODS as METHODS
 from .fit import Fit as Fit
 from .fit import fit_many as fit_many
 from .problem import Problem as Problem
-from .problem import WithPriors as WithPriors
+from .problem import ProblemWithPriors as ProblemWithPriors
 from .problem import with_bounds as with_bounds
 from .quantity import ParameterQuantity as ParameterQuantity
 from .quantity import Quantity as Quantity

@@ -1,11 +1,42 @@
-"""Bounded least squares, with an optional equality constraint on a quantity."""
+"""Bounded least squares by an active set, with or without a wanted value of a quantity.
+
+The deviance ``D(theta) = |r(theta)|^2`` is minimised over ``lower <= theta <= upper``, and at
+``q(theta) = c`` if asked. With scales s, the conditional standard deviations, and
+``J = r' diag(s)``:
+
+1. Step: ``d`` minimises ``|J d + r|^2`` over ``(lower - theta) / s <= d <= (upper - theta) / s``
+   and ``|d_i| <= radius``, Gauss-Newton within bounds and a trust region [1]_, or the same with
+   a curvature that is learned (`bounded_step`).
+2. Active bounds: with the slope ``g = J'(J d + r) - lambda a`` a bound stays active while g pushes
+   against it; the component with the most negative multiplier is released (algorithm 16.3 of [1]_).
+3. Constraint: ``a'd = c - q`` with ``a = q' diag(s)``, as far as the bounds allow; ``lambda`` is
+   its multiplier. A target that is missed costs the exact penalty ``rho |q - c|``, rho at least
+   twice the multiplier of D (section 15.4 of [1]_).
+4. Acceptance: by actual over predicted reduction, which also sets the radius (chapter 4 of [1]_).
+5. Nonsmooth steps: where the derivatives of r jump, d minimises the highest of the linear models
+   of both sides, ``min_d max_k |J_k d + r_k|^2``, by its dual over weights of the models [2]_
+   (`KinkModels`).
+6. Stopping: at a minimum no step within the bounds promises more than the tolerance, on target; at
+   a cliff every such step within the trust region has no prediction; else the search ends as a
+   valley.
+
+It is the method near a minimum and with a constraint; `identknee.calibrate.least_squares` descends
+from far away, where slack ligaments have no slope and an active set is trapped at bounds.
+
+References
+----------
+.. [1] J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. (2006),
+       doi:10.1007/978-0-387-40065-5.
+.. [2] K. C. Kiwiel, Methods of Descent for Nondifferentiable Optimization (1985), chapter 2,
+       doi:10.1007/BFb0074500.
+"""
 
 from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator, Linearised
+from identknee.calibrate.evaluation import Evaluation, Evaluator, LinearisedResiduals, SearchEnded
 from identknee.calibrate.problem import STEP_RANK_TOLERANCE, conditional_sds
 from identknee.calibrate.quantity import Quantity
 from identknee.runs.arrays import Array, BoolArray, IntArray
@@ -25,7 +56,7 @@ LEAST_DIAGONAL = 1e-6
 
 
 @declared
-class Step:
+class BoundedStep:
     """The constrained minimum of a linear model, with its active bounds.
 
     Attributes
@@ -45,12 +76,12 @@ class Step:
 
 def bounded_step(
     matrix: Array, data: Array, bounds: tuple[Array, Array], constraint: tuple[Array, float] | None
-) -> Step:
+) -> BoundedStep:
     """The step d that minimises ``|matrix d + data|`` within bounds and on a plane.
 
     A primal active-set method: from a point within the bounds and on the plane it goes to the
-    lowest point over the components that are free, holds the first component that meets a bound on
-    the way, and lets go of the one that pulls hardest inward when nothing else is left to do.
+    lowest point over the components that are free, makes the first bound on the way active, and
+    releases the component with the most negative multiplier when nothing else is left to do.
     Along directions that change nothing it stays where it is.
 
     Parameters
@@ -62,25 +93,20 @@ def bounded_step(
     constraint
         Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is brought into the range
         that the bounds allow.
-
-    References
-    ----------
-    J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. (2006), algorithm 16.3,
-    doi:10.1007/978-0-387-40065-5.
     """
     n = matrix.shape[1]
     triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))[:n]
     return _ActiveSet(triangle[:, :n], triangle[:, n], bounds, constraint).solve()
 
 
-def attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
+def nearest_attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
     """The value nearest to `wanted` that ``normal d`` can attain within the bounds."""
     has_say = normal != 0.0
     ends = np.array([normal[has_say] * bounds[0][has_say], normal[has_say] * bounds[1][has_say]])
     return float(np.clip(wanted, ends.min(axis=0).sum(), ends.max(axis=0).sum()))
 
 
-def point_on_plane(normal: Array, bounds: tuple[Array, Array], wanted: float) -> Array:
+def feasible_point(normal: Array, bounds: tuple[Array, Array], wanted: float) -> Array:
     """A feasible point at which ``normal d`` equals `wanted`; one must exist.
 
     It is the point of the shortest way along the normal, cut off at the bounds.
@@ -117,22 +143,22 @@ class _ActiveSet:
         self._held = np.zeros(n, dtype=np.bool_)
         if constraint is None:
             self._at = np.zeros(n)
-            if _is_of_full_rank(matrix):
-                self._at, self._held = _near_the_lowest(matrix, data, bounds)
+            if _has_full_rank(matrix):
+                self._at, self._held = _initial_point(matrix, data, bounds)
         else:
             normal, wanted = constraint
-            self._at = point_on_plane(normal, bounds, attainable(normal, bounds, wanted))
+            self._at = feasible_point(normal, bounds, nearest_attainable(normal, bounds, wanted))
 
-    def solve(self) -> Step:
+    def solve(self) -> BoundedStep:
         for _ in range(ROUNDS_PER_PARAMETER * len(self._at)):
-            if not self._go_to_lowest():
+            if not self._minimise_free():
                 continue
-            if not self._let_go():
+            if not self._release():
                 break
         multiplier, _ = self._forces()
-        return Step(step=self._at, multiplier=multiplier, is_held=self._held)
+        return BoundedStep(step=self._at, multiplier=multiplier, is_held=self._held)
 
-    def _go_to_lowest(self) -> bool:
+    def _minimise_free(self) -> bool:
         """Minimise over the free components; False if a bound became active on the way."""
         free = np.flatnonzero(~self._held)
         move = np.zeros(len(self._at))
@@ -154,12 +180,12 @@ class _ActiveSet:
         missing = self._matrix @ self._at + self._data
         least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
         if self._normal is None:
-            return _lowest_move(matrix, missing, least)
+            return _least_norm_step(matrix, missing, least)
         basis = _null_space(self._normal[free])
-        return np.asarray(basis @ _lowest_move(matrix @ basis, missing, least))
+        return np.asarray(basis @ _least_norm_step(matrix @ basis, missing, least))
 
-    def _let_go(self) -> bool:
-        """Drop the active bound with the most negative multiplier; False if there is none."""
+    def _release(self) -> bool:
+        """Release the active bound with the most negative multiplier; False if there is none."""
         _, force = self._forces()
         inward = np.where(self._at >= self._upper, force, -force)
         inward[~self._held | (self._lower == self._upper)] = 0.0
@@ -183,12 +209,12 @@ class _ActiveSet:
         return multiplier, slope - multiplier * self._normal
 
 
-def _near_the_lowest(
+def _initial_point(
     matrix: Array, data: Array, bounds: tuple[Array, Array]
 ) -> tuple[Array, BoolArray]:
     """A feasible point near the minimum, and the bounds active there.
 
-    All components that a bound stops or lets go change sides at once, which seldom takes more than
+    All components that a bound stops or releases change sides at once, which seldom takes more than
     a few rounds but need not end: a beginning for a search that does.
 
     References
@@ -214,7 +240,7 @@ def _near_the_lowest(
     return at, (side != 0.0) & (at == np.where(side < 0.0, *bounds))
 
 
-def _is_of_full_rank(triangle: Array) -> bool:
+def _has_full_rank(triangle: Array) -> bool:
     """Whether the normal equations of a triangular factor are solvable."""
     diagonal = np.abs(np.diagonal(triangle))
     if len(triangle) < triangle.shape[1] or not diagonal.size:
@@ -222,7 +248,7 @@ def _is_of_full_rank(triangle: Array) -> bool:
     return bool(diagonal.min() > max(LEAST_DIAGONAL * diagonal.max(), SMALLEST))
 
 
-def _lowest_move(matrix: Array, missing: Array, least: float) -> Array:
+def _least_norm_step(matrix: Array, missing: Array, least: float) -> Array:
     """The least-norm step that minimises ``matrix d + missing``.
 
     Singular values up to `least` count as zero.
@@ -258,32 +284,29 @@ REMEMBERED = 12
 MOST_EXCHANGES, MOST_HALVINGS = 12, 40
 
 
-class Kinks:
+class KinkModels:
     """Linear models collected across kinks near the current point.
 
     Where a contact begins or ends, the derivatives of the residuals jump. At a minimum on such a
     kink those of either side promise a decrease on the other, so that steps by one of them zigzag
     and shrink. The highest of the linear models of both sides has its minimum on the kink.
-
-    References
-    ----------
-    K. C. Kiwiel, Methods of Descent for Nondifferentiable Optimization (1985), chapter 2,
-    doi:10.1007/BFb0074500.
     """
 
     def __init__(self) -> None:
-        self._points: list[Linearised] = []
+        self._points: list[LinearisedResiduals] = []
 
     @property
-    def is_met(self) -> bool:
+    def has_kinks(self) -> bool:
         """Whether any step achieved less than its predicted reduction."""
         return bool(self._points)
 
-    def remember(self, point: Linearised) -> None:
+    def remember(self, point: LinearisedResiduals) -> None:
         """Add a point at either end of a step that achieved less than predicted."""
         self._points = [point, *self._points[: REMEMBERED - 1]]
 
-    def models(self, at: Linearised, scales: Array, *, length: float, slack: float) -> Array:
+    def models(
+        self, at: LinearisedResiduals, scales: Array, *, length: float, slack: float
+    ) -> Array:
         """Linear models of the residuals around a point, its own first, ``(k, n + 1, n + 1)``.
 
         Each is a triangle whose product with a step, in parameters divided by `scales`, and a one
@@ -314,9 +337,9 @@ class Kinks:
         return np.array(models)
 
 
-def lowest_of_the_highest(
+def minimise_max_model(
     models: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None, gap: float
-) -> tuple[Step, float]:
+) -> tuple[BoundedStep, float]:
     """The step that minimises the maximum of several models, and the deviance there.
 
     It is found through its dual: a weighted sum of the models whose minimum is as high as can be.
@@ -325,7 +348,7 @@ def lowest_of_the_highest(
     Parameters
     ----------
     models
-        From `Kinks.models`.
+        From `KinkModels.models`.
     box, constraint
         As for `identknee.calibrate.bounded_least_squares.bounded_step`.
     gap
@@ -356,7 +379,7 @@ def lowest_of_the_highest(
 
 def _lowest(
     models: Array, weights: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None
-) -> tuple[Step, Array]:
+) -> tuple[BoundedStep, Array]:
     """The minimiser of a weighted sum of models, and the value of each there, ``(k,)``."""
     used = weights > 0.0
     rows = np.concatenate(np.sqrt(weights[used])[:, None, None] * models[used])
@@ -364,7 +387,7 @@ def _lowest(
     return step, np.sum((models @ np.append(step.step, 1.0)) ** 2, axis=1)
 
 
-def _triangle(of: Linearised, at: Linearised, scales: Array) -> Array:
+def _triangle(of: LinearisedResiduals, at: LinearisedResiduals, scales: Array) -> Array:
     """The linear model of one point around another, shape ``(n + 1, n + 1)``."""
     data = of.residuals + of.jacobian @ (at.theta - of.theta)
     rows = np.column_stack([of.jacobian * scales, data])
@@ -392,7 +415,7 @@ IsEnough = Callable[[Evaluation], bool]
 
 
 @declared
-class Constrained:
+class ConstrainedFit:
     """Where a constrained fit ended, and how.
 
     Attributes
@@ -440,7 +463,7 @@ def solve_constrained(
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
     is_enough: IsEnough | None = None,
-) -> Constrained:
+) -> ConstrainedFit:
     """The parameter set of least deviance within the bounds at which the quantity is `target`.
 
     Gauss-Newton steps within the bounds and on the linearised constraint, kept to a box around the
@@ -475,7 +498,7 @@ def minimise(
     tolerance: float = TOLERANCE,
     most_steps: int = MAX_STEPS,
     is_enough: IsEnough | None = None,
-) -> Constrained:
+) -> ConstrainedFit:
     """The parameter set of least deviance within the bounds, by descent from `start`.
 
     Parameters
@@ -512,11 +535,11 @@ class _Point:
 
 
 @declared
-class _Plan:
+class _PlannedStep:
     """The step proposed by the model around a point, and its predicted reduction."""
 
     theta: Array
-    step: Step
+    step: BoundedStep
     length: float
     reduction: float
     linear_reduction: float
@@ -547,35 +570,35 @@ class _Search:
         self._price = 0.0
         self._met_cliff = False
         self._curvature = evaluator.curvature
-        self._kinks = Kinks()
+        self._kinks = KinkModels()
 
-    def run(self, start: Array, most_steps: int) -> Constrained:
+    def run(self, start: Array, most_steps: int) -> ConstrainedFit:
         before = self._evaluator.n_simulations
-        start = self._on_target(np.clip(start, self._lower, self._upper))
+        start = self._start_on_target(np.clip(start, self._lower, self._upper))
         try:
             point = self._point(start)
-        except Ended as end:
-            return _unsolved(start, end.outcome)
+        except SearchEnded as end:
+            return _start_failed(start, end.outcome)
         if not point.is_finite:
             return self._result(point, None, Outcome.START_FAILED, before)
         for _ in range(most_steps):
             if self._is_enough(point.evaluation):
                 return self._result(point, None, Outcome.VALLEY, before)
             plan = self._plan(point)
-            if self._is_done(plan, point):
+            if self._is_converged_step(plan, point):
                 met_cliff = plan.is_boxed and self._met_cliff
                 outcome = Outcome.CLIFF if met_cliff else Outcome.MINIMUM
                 return self._result(point, plan, outcome, before)
             try:
                 point = self._next(point, plan)
-            except Ended as end:
+            except SearchEnded as end:
                 return self._result(point, plan, end.outcome, before)
             if self._radius < SHORTEST:
                 outcome = Outcome.CLIFF if self._met_cliff else Outcome.VALLEY
                 return self._result(point, plan, outcome, before)
         return self._result(point, plan, Outcome.VALLEY, before)
 
-    def _on_target(self, start: Array) -> Array:
+    def _start_on_target(self, start: Array) -> Array:
         """The start with the target inserted if the quantity is a parameter."""
         if self._quantity is None:
             return start
@@ -594,7 +617,7 @@ class _Search:
         value, gradient = self._quantity.evaluate(theta)
         return _Point(evaluation=evaluation, value=value, gradient=gradient)
 
-    def _plan(self, point: _Point) -> _Plan:
+    def _plan(self, point: _Point) -> _PlannedStep:
         at = point.evaluation
         scales = conditional_sds(at.jacobian, self._evaluator.parameters)
         matrix, data = self._model(at, scales)
@@ -605,28 +628,28 @@ class _Search:
             normal = point.gradient * scales
             size = float(np.linalg.norm(normal))
             wanted = self._target - point.value
-            reachable = attainable(normal, box, wanted)
+            reachable = nearest_attainable(normal, box, wanted)
             constraint = normal, reachable
             gap = abs(wanted) / size if size > 0 else (np.inf if wanted else 0.0)
             remaining = abs(wanted - reachable)
         step = bounded_step(matrix, data, box, constraint)
-        reduction = linear_reduction = _reduction(matrix, data, step)
-        if self._kinks.is_met:
+        reduction = linear_reduction = _predicted_reduction(matrix, data, step)
+        if self._kinks.has_kinks:
             whole = bounded_step(matrix, data, (low, high), constraint)
             length = float(np.max(np.abs(whole.step), initial=0.0))
             models = self._kinks.models(at, scales, length=length, slack=self._tolerance)
             if len(models) > 1:
-                step, height = lowest_of_the_highest(models, box, constraint, GAP * self._tolerance)
+                step, height = minimise_max_model(models, box, constraint, GAP * self._tolerance)
                 reduction = linear_reduction = at.deviance - height
         if self._curvature is not None and self._curvature.is_known:
             linear = at.jacobian * scales
             by_it = bounded_step(linear, at.residuals, box, constraint)
-            linear_reduction = _reduction(linear, at.residuals, by_it)
+            linear_reduction = _predicted_reduction(linear, at.residuals, by_it)
         theta = np.clip(at.theta + scales * step.step, self._lower, self._upper)
         theta = np.where(step.step == low, self._lower, theta)
         theta = np.where(step.step == high, self._upper, theta)
         length = float(np.max(np.abs(step.step), initial=0.0))
-        return _Plan(
+        return _PlannedStep(
             theta=theta,
             step=step,
             length=length,
@@ -637,7 +660,7 @@ class _Search:
             is_boxed=length >= self._radius,
         )
 
-    def _is_done(self, plan: _Plan, point: _Point) -> bool:
+    def _is_converged_step(self, plan: _PlannedStep, point: _Point) -> bool:
         tolerance = max(self._tolerance, ROUNDING * point.evaluation.deviance)
         if max(abs(plan.reduction), abs(plan.linear_reduction)) > tolerance:
             return False
@@ -647,7 +670,7 @@ class _Search:
         missing = abs(self._target - point.value)
         return not plan.is_boxed and missing - plan.remaining <= self._tolerance * missing
 
-    def _next(self, point: _Point, plan: _Plan) -> _Point:
+    def _next(self, point: _Point, plan: _PlannedStep) -> _Point:
         """The next point: the planned one if actual over predicted reduction is large enough."""
         new = self._point(plan.theta)
         if not new.is_finite:
@@ -684,8 +707,8 @@ class _Search:
         return point.evaluation.deviance + self._price * missing
 
     def _result(
-        self, point: _Point, plan: _Plan | None, outcome: Outcome, before: int
-    ) -> Constrained:
+        self, point: _Point, plan: _PlannedStep | None, outcome: Outcome, before: int
+    ) -> ConstrainedFit:
         n = point.evaluation.theta.size
         held = np.zeros(n, dtype=np.bool_)
         tangent = np.full(n, np.nan)
@@ -695,7 +718,7 @@ class _Search:
             held = plan.step.is_held & at_bound
             if point.gradient is not None:
                 tangent = self._tangent(point, held)
-        return Constrained(
+        return ConstrainedFit(
             evaluation=point.evaluation,
             value=point.value,
             multiplier=np.nan if plan is None else 2.0 * plan.step.multiplier,
@@ -726,18 +749,18 @@ class _Search:
         return np.asarray(scales * step / size)
 
 
-def _reduction(matrix: Array, data: Array, step: Step) -> float:
+def _predicted_reduction(matrix: Array, data: Array, step: BoundedStep) -> float:
     """Predicted reduction of the deviance by a model after its step."""
     change = matrix @ step.step
     return float(-2.0 * data @ change - change @ change)
 
 
-def _unsolved(start: Array, outcome: Outcome) -> Constrained:
+def _start_failed(start: Array, outcome: Outcome) -> ConstrainedFit:
     n = start.size
     evaluation = Evaluation(
         theta=start, residuals=np.full(1, np.inf), jacobian=np.full((1, n), np.nan)
     )
-    return Constrained(
+    return ConstrainedFit(
         evaluation=evaluation,
         value=np.nan,
         multiplier=np.nan,

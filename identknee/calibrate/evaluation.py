@@ -19,7 +19,7 @@ LEAST_PRODUCT = 1e-8
 LEAST_EIGENVALUE = 1e-14
 
 
-class Linearised(Protocol):
+class LinearisedResiduals(Protocol):
     """Residuals at a parameter vector, with their derivatives."""
 
     @property
@@ -66,7 +66,7 @@ class Curvature:
         """Whether any update has been made."""
         return bool(self._matrix.any())
 
-    def learn(self, before: Linearised, after: Linearised) -> None:
+    def learn(self, before: LinearisedResiduals, after: LinearisedResiduals) -> None:
         """Update from two points with derivatives."""
         step = after.theta - before.theta
         gradient = after.jacobian.T @ after.residuals
@@ -89,7 +89,7 @@ class Curvature:
             - float(missing @ step) / product**2 * np.outer(change, change)
         )
 
-    def model(self, at: Linearised, scales: Array) -> tuple[Array, Array]:
+    def model(self, at: LinearisedResiduals, scales: Array) -> tuple[Array, Array]:
         """Matrix and data whose sum of squares is the deviance around a point, up to a constant.
 
         In parameters divided by `scales`, shape ``(n,)``. A direction along which the deviance
@@ -114,7 +114,7 @@ REMEMBERED = 4
 NEAR = 0.1
 
 
-class Ended(Exception):  # noqa: N818 - not an error: it says how a search ended
+class SearchEnded(Exception):  # noqa: N818 - not an error: it says how a search ended
     """Raised inside a search to end it, whichever library owns the loop."""
 
     def __init__(self, outcome: Outcome) -> None:
@@ -166,12 +166,12 @@ class Evaluator:
     problem
         What to evaluate.
     budget
-        Simulations allowed; one more raises `Ended`. No limit if None.
+        Simulations allowed; one more raises `SearchEnded`. No limit if None.
     on_simulation
         Told of every simulation, for a progress bar.
     ends
         Where other searches ended. One that is about to come to such a place, and has seen no lower
-        deviance, is left: it raises `Ended`.
+        deviance, is left: it raises `SearchEnded`.
     learns_curvature
         Whether searches learn the curvature of the problem although its geometry is exact.
     """
@@ -253,9 +253,9 @@ class Evaluator:
             if np.array_equal(known.theta, theta):
                 return known
         if self.budget is not None and self.n_simulations >= self.budget:
-            raise Ended(Outcome.BUDGET)
+            raise SearchEnded(Outcome.BUDGET)
         if any(self._joins(x, theta) for x in self._ends):
-            raise Ended(Outcome.VALLEY)
+            raise SearchEnded(Outcome.VALLEY)
         theta = np.array(theta, dtype=np.float64)
         self.n_simulations += 1
         if self._on_simulation is not None:

@@ -8,9 +8,10 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from identknee.calibrate.complex import minimise_by_complex
-from identknee.calibrate.evaluation import Ended, Evaluator
+from identknee.calibrate.evaluation import Evaluator, SearchEnded
 from identknee.calibrate.least_squares import gauss_newton, minimise_by_least_squares
 from identknee.calibrate.population import (
     minimise_by_annealing,
@@ -42,7 +43,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 )
 
 
-class Settings(TypedDict, total=False):
+class FitSettings(TypedDict, total=False):
     """Options that `fit_many` passes on to each `fit`, under the same names."""
 
     method: str
@@ -97,8 +98,8 @@ class Fit:
         """Sum of squares at `theta`: twice the objective."""
         return 2.0 * self.objective
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """A short table: start and end of each parameter, and how it ended."""
         width = max(len(name) for name in self.parameters.names)
         rows = [
@@ -168,7 +169,7 @@ def fit_many(
     *,
     seed: int = 0,
     executor: Executor = serial,
-    **settings: Unpack[Settings],
+    **settings: Unpack[FitSettings],
 ) -> tuple[Fit, ...]:
     """One fit from each start, in their order, failed ones included.
 
@@ -214,16 +215,20 @@ def _fit(
 ) -> Fit:
     parameters, seed = problem.parameters, task[1]
     start = _checked_start(task[0], parameters)
-    minimise = _method(method)
+    if method not in METHODS:
+        raise ValueError(f"there is no method {method!r}; the methods are {', '.join(METHODS)}")
+    minimise = METHODS[method]
     allowed = _checked_budget(budget)
-    generator = _generator(seed)
+    if seed < 0:
+        raise ValueError(f"the seed must not be negative, got {seed}")
+    generator = np.random.default_rng(seed)
     whole = with_all_priors(problem) if priors else problem
     part = restricted(whole, fixed, start)
     evaluator = Evaluator(part, budget=allowed, on_simulation=on_simulation)
     began = time.perf_counter()
     try:
         outcome = minimise(evaluator, part.free.restrict(start), generator)
-    except Ended as end:
+    except SearchEnded as end:
         outcome = end.outcome
     if evaluator.best_theta is None:
         outcome = Outcome.START_FAILED
@@ -265,12 +270,6 @@ def _gradient_norm(evaluator: Evaluator) -> float | None:
     return 0.5 * gauss_newton(here, evaluator.parameters).gradient_norm
 
 
-def _method(name: str) -> Method:
-    if name not in METHODS:
-        raise ValueError(f"there is no method {name!r}; the methods are {', '.join(METHODS)}")
-    return METHODS[name]
-
-
 def _checked_start(start: ArrayLike, parameters: Parameters) -> Array:
     checked = frozen(start, parameters.n, name="the start")
     for name, value in zip(parameters.names, checked, strict=True):
@@ -285,9 +284,3 @@ def _checked_budget(budget: int | None) -> int:
     if budget < 1:
         raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
     return budget
-
-
-def _generator(seed: int) -> np.random.Generator:
-    if seed < 0:
-        raise ValueError(f"the seed must not be negative, got {seed}")
-    return np.random.default_rng(seed)

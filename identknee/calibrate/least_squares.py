@@ -1,10 +1,31 @@
-"""Bounded least squares with the exact Jacobian, which detects cliffs and steps around them."""
+"""Bounded least squares from far away: scipy's trust-region reflective descent, around cliffs.
+
+1. Step: in the interior of the bounds, ``(J'J + C) d = -J'r`` in variables scaled by the distance
+   to the bounds that the gradient points at, within a trust region and reflected at bounds [1]_.
+2. Active bounds: none before the end, when one Gauss-Newton step within the bounds puts the
+   parameters on them (`gauss_newton`).
+3. Cliffs: where every longer step has no prediction, points are tried in coordinates in which the
+   linear model is a distance, ``|y - y*|^2`` with ``J = U S V'``, ``y = S V' d`` and
+   ``y* = -U'r``: along single components of y*, then along y* tilted sideways
+   (`descent_around_cliff`).
+4. Stopping: at a minimum the Gauss-Newton step within the bounds vanishes or promises less than
+   rounding, ``-2 r'J d - |J d|^2``; on a kink no step goes down and it promises next to nothing.
+
+It exists beside `identknee.calibrate.bounded_least_squares` because it stays off the bounds on the
+way: far from the minimum it arrives more often (`minimise_by_least_squares` has the counts).
+
+References
+----------
+.. [1] M. A. Branch, T. F. Coleman and Y. Li, A subspace, interior, and conjugate gradient method
+       for large-scale bound-constrained minimization problems, SIAM J. Sci. Comput. 21 (1999) 1-23,
+       doi:10.1137/S1064827595289108.
+"""
 
 import numpy as np
 import scipy.linalg
 
 from identknee.calibrate.bounded_least_squares import bounded_step, minimise
-from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
+from identknee.calibrate.evaluation import Evaluation, Evaluator, SearchEnded
 from identknee.calibrate.problem import KINK_DEVIANCE, KINK_SHARE, RANK_TOLERANCE, typical_steps
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
@@ -84,7 +105,9 @@ TILTED_LENGTHS = (1.0, 0.1, 0.01)
 ENOUGH = 0.01
 
 
-def way_around(evaluator: Evaluator, theta: Array, generator: np.random.Generator) -> Array | None:
+def descent_around_cliff(
+    evaluator: Evaluator, theta: Array, generator: np.random.Generator
+) -> Array | None:
     """A feasible point clearly lower than `theta`, shape ``(n,)``; None if there is none.
 
     The singular vectors of the Jacobian turn the deviance into the distance from a target. First
@@ -110,10 +133,10 @@ def way_around(evaluator: Evaluator, theta: Array, generator: np.random.Generato
         lower = poll.lowest(steps[np.argsort(-np.abs(poll.target))])
         if lower is not None:
             return lower
-    across = _across(poll.target, generator)
+    across = _orthogonal_directions(poll.target, generator)
     for length in TILTED_LENGTHS:
         for tilt in np.deg2rad(TILTS_DEG):
-            lower = _slide(poll, across, float(tilt), length)
+            lower = _search_tilted(poll, across, float(tilt), length)
             if lower is not None:
                 return lower
     return None
@@ -157,7 +180,7 @@ class _Poll:
         return deviance < self._deviance - ENOUGH * self.distance**2
 
 
-def _slide(poll: _Poll, across: Array, tilt: float, length: float) -> Array | None:
+def _search_tilted(poll: _Poll, across: Array, tilt: float, length: float) -> Array | None:
     """The lowest point along directions tilted from the target by an angle [rad]."""
     toward = np.cos(tilt) * poll.target
     sideways = np.sin(tilt) * poll.distance
@@ -174,7 +197,7 @@ def _slide(poll: _Poll, across: Array, tilt: float, length: float) -> Array | No
     return poll.lowest((reach * (toward + sideways * away))[None])
 
 
-def _across(target: Array, generator: np.random.Generator) -> Array:
+def _orthogonal_directions(target: Array, generator: np.random.Generator) -> Array:
     """Orthonormal directions orthogonal to `target`, as rows, randomly rotated."""
     basis = scipy.linalg.null_space(target[None])
     turn, _ = np.linalg.qr(generator.standard_normal((basis.shape[1], basis.shape[1])))
@@ -218,7 +241,7 @@ def minimise_by_least_squares(
         outcome = _descend(evaluator, theta)
         if outcome is not Outcome.CLIFF:
             return outcome
-        around = way_around(evaluator, _best(evaluator), generator)
+        around = descent_around_cliff(evaluator, _best(evaluator), generator)
         if around is None:
             return Outcome.CLIFF
         theta = around
@@ -233,8 +256,8 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
     theta = _strictly_inside(theta, parameters)
     if not np.isfinite(evaluator.deviance(theta)):
         return Outcome.CLIFF
-    watch = _Watch(evaluator)
-    # Only the step is left to scipy as a reason to stop: the others are tested in `_Watch`.
+    watch = _Monitored(evaluator)
+    # Only the step is left to scipy as a reason to stop: the others are tested in `_Monitored`.
     try:
         scipy.optimize.least_squares(
             watch.residuals,
@@ -249,7 +272,7 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
             # The budget of the evaluator ends it.
             max_nfev=np.iinfo(np.int32).max,
         )
-    except Ended as end:
+    except SearchEnded as end:
         if end.outcome is Outcome.BUDGET:
             raise
         outcome = end.outcome
@@ -258,16 +281,16 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
     if evaluator.curvature is not None:
         found = minimise(evaluator, _best(evaluator), most_steps=MOST_STEPS)
         if found.outcome is Outcome.BUDGET:
-            raise Ended(Outcome.BUDGET)
+            raise SearchEnded(Outcome.BUDGET)
         outcome = found.outcome
     if outcome is Outcome.VALLEY and _is_on_a_kink(evaluator):
         outcome = Outcome.MINIMUM
     if outcome is Outcome.MINIMUM:
-        _settle(evaluator)
+        _final_newton_step(evaluator)
     return outcome
 
 
-class _Watch:
+class _Monitored:
     """Residuals and Jacobian for scipy, which end its loop when it stagnates.
 
     It asks for a Jacobian at each point it accepts and nowhere else. It shrinks its steps fourfold
@@ -284,28 +307,28 @@ class _Watch:
 
     def residuals(self, theta: Array) -> Array:
         residuals = self._evaluator.residuals(theta)
-        self._stop_creeping()
+        self._stop_if_stagnating()
         if self._accepted is not None and not np.all(np.isfinite(residuals)):
             step = np.max(np.abs(theta - self._accepted) / self._scales)
             if step < CLIFF_STEP:
-                raise Ended(Outcome.CLIFF)
+                raise SearchEnded(Outcome.CLIFF)
         return residuals
 
-    def _stop_creeping(self) -> None:
+    def _stop_if_stagnating(self) -> None:
         """End the search when its steps stay negligibly short, as along a kink."""
         lowest = self._evaluator.best_deviance
         self._n_above_goal += 1
         if lowest < self._goal:
             self._goal, self._n_above_goal = (1.0 - self._creeping[1]) * lowest, 0
         if self._n_above_goal > self._creeping[0]:
-            raise Ended(Outcome.VALLEY)
+            raise SearchEnded(Outcome.VALLEY)
 
     def jacobian(self, theta: Array) -> Array:
         here = self._evaluator(theta)
         if not here.is_finite:
-            raise Ended(Outcome.VALLEY)
+            raise SearchEnded(Outcome.VALLEY)
         if gauss_newton(here, self._evaluator.parameters).is_stationary:
-            raise Ended(Outcome.MINIMUM)
+            raise SearchEnded(Outcome.MINIMUM)
         self._accepted = here.theta
         return here.jacobian
 
@@ -320,7 +343,7 @@ def _is_on_a_kink(evaluator: Evaluator) -> bool:
     return here.is_finite and gauss_newton(here, evaluator.parameters).is_on_a_kink
 
 
-def _settle(evaluator: Evaluator) -> None:
+def _final_newton_step(evaluator: Evaluator) -> None:
     """Take a last Gauss-Newton step, which ends on the active bound, not just before it."""
     theta = _best(evaluator)
     parameters = evaluator.parameters
@@ -330,7 +353,7 @@ def _settle(evaluator: Evaluator) -> None:
 
 def _best(evaluator: Evaluator) -> Array:
     if evaluator.best_theta is None:  # pragma: no cover - only called after a finite start
-        raise Ended(Outcome.START_FAILED)
+        raise SearchEnded(Outcome.START_FAILED)
     return evaluator.best_theta
 
 

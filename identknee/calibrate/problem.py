@@ -24,12 +24,12 @@ def half_widths(parameters: Parameters) -> Array:
     They are 2 kN and 3 % as in the paper (section 2.5), and two prior standard deviations for
     parameters in other units.
     """
-    return by_unit(parameters, 2.0, 3.0, 2.0 * parameters.prior_sd_in_own_units)
+    return values_by_unit(parameters, 2.0, 3.0, 2.0 * parameters.prior_sd_in_own_units)
 
 
 def typical_steps(parameters: Parameters) -> Array:
     """A typical uncertainty of each parameter, shape ``(n,)``: 3 kN, 2 % or the prior's sd."""
-    return by_unit(parameters, 3.0, 2.0, parameters.prior_sd_in_own_units)
+    return values_by_unit(parameters, 3.0, 2.0, parameters.prior_sd_in_own_units)
 
 
 def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
@@ -56,7 +56,7 @@ def floors(parameters: Parameters) -> Array:
     return np.where(positive, 0.0, -np.inf)
 
 
-def by_unit(
+def values_by_unit(
     parameters: Parameters, stiffness: ArrayLike, strain: ArrayLike, others: Array
 ) -> Array:
     """Values for stiffnesses in kN, strains in % and all others, shape ``(n,)`` each or numbers."""
@@ -85,7 +85,7 @@ class Problem(Protocol):
 
 
 @declared
-class Restricted:
+class RestrictedProblem:
     """A problem in which only some parameters are free.
 
     Attributes
@@ -114,7 +114,7 @@ class Restricted:
 
 
 @declared
-class Bounded:
+class BoundedProblem:
     """A problem whose parameters have bounds of their own.
 
     Attributes
@@ -138,7 +138,7 @@ class Bounded:
 
 
 @declared
-class Scaled:
+class WhitenedResiduals:
     """A problem whose residuals are divided by the standard deviation of their noise."""
 
     problem: Problem
@@ -159,7 +159,7 @@ class Scaled:
 
 
 @declared
-class WithPriors:
+class ProblemWithPriors:
     """A problem with one more residual for each prior: a parameter's distance from its centre.
 
     The residual is ``(theta - center) / sd`` for a normal prior and
@@ -216,20 +216,20 @@ class WithPriors:
 def with_nuisance_priors(problem: Problem) -> Problem:
     """The problem with a residual for the prior of each nuisance; itself where it has none."""
     has_prior = ~problem.parameters.is_of_interest
-    return WithPriors(problem=problem, has_prior=has_prior) if has_prior.any() else problem
+    return ProblemWithPriors(problem=problem, has_prior=has_prior) if has_prior.any() else problem
 
 
-def with_all_priors(problem: Problem) -> WithPriors:
+def with_all_priors(problem: Problem) -> ProblemWithPriors:
     """The problem with a residual for the prior of every parameter, each once."""
-    return WithPriors(problem=without_priors(problem))
+    return ProblemWithPriors(problem=without_priors(problem))
 
 
 def without_priors(problem: Problem) -> Problem:
     """The problem with the residuals of its data alone."""
-    return problem.problem if isinstance(problem, WithPriors) else problem
+    return problem.problem if isinstance(problem, ProblemWithPriors) else problem
 
 
-def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> Restricted:
+def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> RestrictedProblem:
     """The problem with the parameters named `fixed` fixed at their `values`, shape ``(n,)``.
 
     Raises
@@ -240,7 +240,7 @@ def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> Restric
     free = problem.parameters.with_fixed(fixed, values)
     if not free.free_indices:
         raise ValueError("all parameters are fixed; leave at least one free")
-    return Restricted(problem=problem, free=free)
+    return RestrictedProblem(problem=problem, free=free)
 
 
 def with_bounds(problem: Problem, bounds: Mapping[str, tuple[float, float]]) -> Problem:
@@ -258,7 +258,7 @@ def with_bounds(problem: Problem, bounds: Mapping[str, tuple[float, float]]) -> 
     ):
         if low < floor:
             raise ValueError(f"the lower bound of {name} must be {floor:g} or more, got {low:g}")
-    return Bounded(problem=problem, parameters=parameters)
+    return BoundedProblem(problem=problem, parameters=parameters)
 
 
 # Singular values of a Jacobian below this share of the largest are rounding, not information.

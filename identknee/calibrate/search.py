@@ -12,7 +12,7 @@ POPULATION = 20
 SPREAD_TOLERANCE = 1e-3
 
 
-class Search(Protocol):
+class AskTellSearch(Protocol):
     """An ask-and-tell search."""
 
     @property
@@ -29,7 +29,7 @@ class Search(Protocol):
         ...
 
 
-def run_search(search: Search, evaluator: Evaluator) -> Outcome:
+def run_search(search: AskTellSearch, evaluator: Evaluator) -> Outcome:
     """How the search ended: when the population's spread in every parameter was below 1e-3.
 
     The spread is the largest minus the smallest value, in the unit of the parameter (kN or %).

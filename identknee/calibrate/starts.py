@@ -70,11 +70,12 @@ def named_start(name: str, parameters: Parameters) -> Array:
     values = dict(_flat(published[name]))
     missing = [parameter for parameter in values if parameter not in parameters.names]
     if missing:
+        owner = parameters.names[0].rpartition(".")[0]
         lacking = list(dict.fromkeys(parameter.rpartition(".")[0] for parameter in missing))
         raise ValueError(
             f"the start {name} speaks of {', '.join(lacking)}, which this knee does not have; "
             "write a start of your own as a TOML file, such as\n"
-            f"[{_an_owner(parameters)}]\nstiffness_kN = 9.5\nreference_strain_pct = 7.5"
+            f"[{owner}]\nstiffness_kN = 9.5\nreference_strain_pct = 7.5"
         )
     return frozen(parameters.vector(values), parameters.n, name="the start")
 
@@ -144,7 +145,3 @@ def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             waiting += [(f"{name}.{key}", x) for key, x in [*value.items()][::-1]]
         else:
             yield name, value
-
-
-def _an_owner(parameters: Parameters) -> str:
-    return parameters.names[0].rpartition(".")[0]

@@ -9,7 +9,7 @@ from identknee.calibrate.fit import Fit
 from identknee.calibrate.problem import (
     RANK_TOLERANCE,
     Problem,
-    Scaled,
+    WhitenedResiduals,
     with_nuisance_priors,
     without_priors,
 )
@@ -63,7 +63,7 @@ def fit_student(
         scales, weights = student_scales(data, units, found.theta)
         if np.all(np.abs(scales - before) <= SETTLED * scales):
             break
-        scaled = Scaled(problem=data, sd=scales[units] / np.sqrt(weights))
+        scaled = WhitenedResiduals(problem=data, sd=scales[units] / np.sqrt(weights))
         found = search(with_nuisance_priors(scaled), found.theta)
         n_simulations += found.n_simulations
     return replace(found, start=begun, n_simulations=n_simulations)
@@ -88,8 +88,8 @@ def student_scales(data: Problem, units: IntArray, theta: Array) -> tuple[Array,
     scales, weights = np.ones(2), np.ones(units.size)
     for _ in range(ROUNDS):
         before = scales
-        scaled = Scaled(problem=data, sd=scales[units] / np.sqrt(weights))
-        degrees = _degrees_left(with_nuisance_priors(scaled).jacobian(theta), units)
+        scaled = WhitenedResiduals(problem=data, sd=scales[units] / np.sqrt(weights))
+        degrees = _residual_degrees_of_freedom(with_nuisance_priors(scaled).jacobian(theta), units)
         squares = np.bincount(units, weights=weights * residuals**2, minlength=2)
         scales = np.where(is_there, np.maximum(np.sqrt(squares / degrees), SMALLEST), 1.0)
         weights = (DEGREES + 1.0) / (DEGREES + (residuals / scales[units]) ** 2)
@@ -98,7 +98,7 @@ def student_scales(data: Problem, units: IntArray, theta: Array) -> tuple[Array,
     return scales, weights
 
 
-def _degrees_left(jacobian: Array, units: IntArray) -> Array:
+def _residual_degrees_of_freedom(jacobian: Array, units: IntArray) -> Array:
     """Residual degrees of freedom of the values of each unit, at least 1."""
     left, size, _ = np.linalg.svd(jacobian, full_matrices=False)
     leverage = np.sum(left[: units.size, size > size[0] * RANK_TOLERANCE] ** 2, axis=1)

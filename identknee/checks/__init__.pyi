@@ -10,7 +10,7 @@ from .conventions import convention_findings as convention_findings
 from .conventions import conventions_of as conventions_of
 from .conventions import find_broken_convention as find_broken_convention
 from .data_checks import load_sign_findings as load_sign_findings
-from .implausible import implausible_findings as implausible_findings
+from .plausibility import implausible_findings as implausible_findings
 from .subject_checks import StabilityReport as StabilityReport
 from .subject_checks import box_sample as box_sample
 from .subject_checks import check_stability as check_stability

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from identknee.checks.contradicted_trials import end_point_findings, row_findings
 from identknee.checks.conventions import convention_findings
 from identknee.checks.data_checks import frame_findings, load_findings, load_sign_findings
-from identknee.checks.fit_warnings import SecondSearch
-from identknee.checks.implausible import implausible_findings
+from identknee.checks.fit_warnings import AlternativeFit
+from identknee.checks.plausibility import implausible_findings
 from identknee.checks.subject_checks import rim_findings, stability_findings
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
@@ -48,7 +48,7 @@ def check_fit(
     fitted: Fitted,
     others: Sequence[Finding] = (),
     *,
-    second: Callable[[], SecondSearch] | None = None,
+    second: Callable[[], AlternativeFit] | None = None,
 ) -> tuple[Finding, ...]:
     """What speaks against a fit, the gravest first.
 

@@ -8,10 +8,11 @@ from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Scaled, restricted, typical_steps
-from identknee.laxity.dominant import dominant_loads, load_words
+from identknee.calibrate.problem import WhitenedResiduals, restricted, typical_steps
+from identknee.laxity.dominant_load import dominant_loads
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.trial_words import load_words
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray
@@ -42,14 +43,14 @@ AT_END, WORTH = 1e-6, 0.1
 NORMAL = 1.4826
 # What contradicts a trial, by the code of the finding.
 AGAINST = {
-    "trial-against-fit": "what the fit to the other trials says",
+    "trial-against-fit": "the prediction of the fit to the other trials",
     "trial-against-course": "the course of the other trials over flexion",
 }
 
 
 @declared
 class SuspiciousRow:
-    """A trial that does not go with all others, its worst values first."""
+    """A contradictory trial, its worst values first."""
 
     trial: int = entry("Its place among the trials")
     coordinates: IntArray = array("Places of its coordinates", "value", dtype=int)
@@ -64,8 +65,8 @@ class SuspiciousRow:
 
 
 @declared
-class LeftOut:
-    """What a fit leaves of every measured value, ready to leave any of them out.
+class LeaveOneOut:
+    """Leave-one-out residuals of a fit, for any subset of the measured values.
 
     A value that is wrong by ``x`` adds ``x`` times its column to what is left. With one more
     parameter for each value left out this is exact for a straight model.
@@ -81,11 +82,11 @@ class LeftOut:
         block = self.products[np.ix_(chosen, chosen)]
         return float(self.left[chosen] @ _inverse(block) @ self.left[chosen])
 
-    def without(self, chosen: IntArray) -> "LeftOut":
+    def without(self, chosen: IntArray) -> "LeaveOneOut":
         """What is left without the values `chosen`."""
         block, columns = self.products[np.ix_(chosen, chosen)], self.products[:, chosen]
         half = _inverse(block) @ np.column_stack([columns.T, self.left[chosen]])
-        return LeftOut(
+        return LeaveOneOut(
             products=self.products - columns @ half[:, :-1],
             left=self.left - columns @ half[:, -1],
             square=max(self.square - self.fall(chosen), 0.0),
@@ -98,7 +99,7 @@ def _inverse(block: Array) -> Array:
     return np.asarray(np.linalg.pinv(block, rcond=LEAST_LEFT, hermitian=True), float)
 
 
-def left_out(residuals: Array, jacobian: Array, columns: Array) -> LeftOut:
+def leave_one_out(residuals: Array, jacobian: Array, columns: Array) -> LeaveOneOut:
     """What a fit leaves, from its residuals in units of their noise.
 
     Parameters
@@ -116,7 +117,7 @@ def left_out(residuals: Array, jacobian: Array, columns: Array) -> LeftOut:
     basis = basis[:, spread > LEAST_LEFT * spread.max(initial=0.0)]
     rest = residuals - basis @ (basis.T @ residuals)
     free = columns - basis @ (basis.T @ columns)
-    return LeftOut(
+    return LeaveOneOut(
         products=free.T @ free,
         left=free.T @ rest,
         square=float(rest @ rest),
@@ -125,7 +126,7 @@ def left_out(residuals: Array, jacobian: Array, columns: Array) -> LeftOut:
 
 
 def suspicious_rows(
-    fit: LeftOut, trials: IntArray, coordinates: IntArray, *, level: float = LEVEL
+    fit: LeaveOneOut, trials: IntArray, coordinates: IntArray, *, level: float = LEVEL
 ) -> list[SuspiciousRow]:
     """The trials that the others contradict, the worst first; none where there are too many.
 
@@ -159,7 +160,7 @@ def suspicious_rows(
     return found
 
 
-def _p_value_of(fit: LeftOut, trials: IntArray, trial: int) -> float:
+def _p_value_of(fit: LeaveOneOut, trials: IntArray, trial: int) -> float:
     """Of one trial, as one of all trials and of all values; 1 where nothing can be said."""
     own = _seen(fit, trials, trial)
     if not own.size or fit.degrees <= own.size:
@@ -170,7 +171,7 @@ def _p_value_of(fit: LeftOut, trials: IntArray, trial: int) -> float:
 
 
 def _described(
-    fit: LeftOut, own: IntArray, trial: int, coordinates: IntArray, p_value: float
+    fit: LeaveOneOut, own: IntArray, trial: int, coordinates: IntArray, p_value: float
 ) -> SuspiciousRow:
     size = np.diag(fit.products)[own]
     off = fit.left[own] / size
@@ -185,14 +186,14 @@ def _described(
     )
 
 
-def _p_value(fit: LeftOut, fall: float, k: int) -> float:
+def _p_value(fit: LeaveOneOut, fall: float, k: int) -> float:
     """Probability of so great a fall of the square by chance if `k` values are left out."""
     degrees = fit.degrees - k
     rest = max(fit.square - fall, 0.0) / degrees
     return float(fdtrc(k, degrees, fall / k / rest)) if rest > 0.0 else 1.0
 
 
-def _seen(fit: LeftOut, trials: IntArray, trial: int) -> IntArray:
+def _seen(fit: LeaveOneOut, trials: IntArray, trial: int) -> IntArray:
     """The values of a trial whose change the parameters and trials left out cannot make up for."""
     chosen = np.flatnonzero(trials == trial)
     size = np.diag(fit.products)
@@ -206,7 +207,7 @@ def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
     directions. This is for tables with one load a direction, such as end points of a robot; of
     others nothing is said.
     """
-    rows, design = _courses(laxity.protocol)
+    rows, design = _courses_over_flexion(laxity.protocol)
     values = laxity.coordinates[rows]
     measured = ~np.isnan(values)
     parts = [(values[use, j], design[use]) for j, use in enumerate(measured.T) if use.any()]
@@ -214,7 +215,7 @@ def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
         return []
     scales = [_scale(x, X) for x, X in parts]
     spread = np.concatenate([np.full(len(x), s) for (x, _), s in zip(parts, scales, strict=True)])
-    fit = left_out(
+    fit = leave_one_out(
         np.concatenate([x for x, _ in parts]) / spread,
         block_diag(*[X for _, X in parts]) / spread[:, None],
         np.diag(1.0 / spread),
@@ -223,7 +224,7 @@ def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
     return suspicious_rows(fit, rows[places], coordinates, level=TABLE_LEVEL)
 
 
-def _courses(protocol: Protocol) -> tuple[IntArray, Array]:
+def _courses_over_flexion(protocol: Protocol) -> tuple[IntArray, Array]:
     """The trials that can be compared, and the course over flexion that each is on."""
     found = dominant_loads(protocol)
     group = np.where(found.axis < 0, 0, np.sign(found.size) * (found.axis + 1)).astype(int)
@@ -264,7 +265,9 @@ def row_findings(
         return ()
     rest = without_rows(laxity, rows)
     compared = LaxityResiduals(model=model, laxity=rest)
-    part = restricted(Scaled(problem=compared, sd=_scales(compared, theta)), fixed, theta)
+    part = restricted(
+        WhitenedResiduals(problem=compared, sd=_scales(compared, theta)), fixed, theta
+    )
     begin = part.free.restrict(theta)
     end = part.free.expand(fit(part, begin, method="least-squares", budget=BUDGET).theta)
     before = LaxityResiduals(model=model, laxity=laxity).differences(theta)
@@ -307,10 +310,10 @@ def contradicted_rows(
     left = compared.residuals(theta)
     if not np.isfinite(left).all():
         return []
-    jacobian = compared.jacobian(theta)[:, _free(model, theta, fixed)]
-    columns = compared.weighted(_each_value(laxity))
+    jacobian = compared.jacobian(theta)[:, _unconstrained_parameters(model, theta, fixed)]
+    columns = compared.weighted(_unit_errors(laxity))
     whiten = np.ones(left.size) if is_stated else 1.0 / _scales(compared, theta)
-    fitted = left_out(-left * whiten, jacobian * whiten[:, None], columns * whiten[:, None])
+    fitted = leave_one_out(-left * whiten, jacobian * whiten[:, None], columns * whiten[:, None])
     return suspicious_rows(fitted, *np.nonzero(laxity.is_measured))
 
 
@@ -347,9 +350,9 @@ def trial_findings(
         differences, values = _differences(row)
         chance = f"{row.p_value:.1g}" if row.p_value >= 1e-6 else "less than 1e-06"
         sentence = (
-            f"{trial} does not agree with the other trials: under {load} its "
-            f"{listed(differences)} than {AGAINST[code]}. In as many trials, chance alone puts one "
-            f"as far off with probability {chance}. Check the trial, and leave its cells blank if "
+            f"{trial} is inconsistent with the other trials: under {load} its "
+            f"{listed(differences)} than {AGAINST[code]}. The probability of such an outlier "
+            f"among as many trials is {chance}. Check the trial, and leave its cells blank if "
             "it is wrong."
         )
         values |= {"load": load, "p_value": row.p_value}
@@ -372,7 +375,7 @@ def _differences(row: SuspiciousRow) -> tuple[list[str], dict[str, object]]:
     return said, values
 
 
-def _free(model: LaxityModel, theta: Array, fixed: Sequence[str]) -> list[int]:
+def _unconstrained_parameters(model: LaxityModel, theta: Array, fixed: Sequence[str]) -> list[int]:
     """Parameters that could have moved: neither fixed nor at a bound."""
     own = model.parameters
     margin = AT_END * (own.upper - own.lower)
@@ -394,7 +397,7 @@ def _scales(compared: LaxityResiduals, theta: Array) -> Array:
     return scales
 
 
-def _each_value(laxity: Laxity) -> Array:
+def _unit_errors(laxity: Laxity) -> Array:
     """A unit error in each measured value alone, shape ``(n, 5, m)``."""
     trials, coordinates = np.nonzero(laxity.is_measured)
     errors = np.zeros((*laxity.coordinates.shape, trials.size))

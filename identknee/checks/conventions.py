@@ -8,12 +8,12 @@ import numpy as np
 from scipy.special import chdtrc
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Scaled
+from identknee.calibrate.problem import WhitenedResiduals
 from identknee.checks.data_checks import load_sign_findings
 from identknee.checks.fit_warnings import GROSS, IMPROBABLE, MOST_DEG, MOST_MM
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.laxity.zeros import unloaded_trials
+from identknee.laxity.zero_conventions import unloaded_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray
@@ -204,7 +204,7 @@ def _scaled(names: Sequence[str], factor: float) -> tuple[float, ...]:
 
 @declared
 class BrokenConvention:
-    """A convention whose change removes nearly all of a misfit, and leaves a plausible one."""
+    """A convention whose change removes nearly all of the misfit, and leaves a plausible one."""
 
     what: str = entry("The change of the table that puts it right")
     removed: float = entry("Share of the misfit that it removes", unit="1")
@@ -224,8 +224,8 @@ class BrokenConvention:
         what = self.what[:1].upper() + self.what[1:]
         return (
             f"{what} removes {min(100.0 * self.removed, 99.0):.0f} % of the misfit (the error "
-            f"falls {falls}), and what is left is plausible: the table breaks this convention, and "
-            f"nothing fitted to it holds.{also} Correct the table and begin again."
+            f"falls {falls}), and what is left is plausible: the table violates this convention, "
+            f"and no fit to it is valid.{also} Correct the table and repeat the command."
         )
 
     @property
@@ -271,10 +271,10 @@ def find_broken_convention(
     found = []
     for convention, table in _promising(as_is, start):
         end = table.fitted(start)
-        before, after = table.square_of(as_is.differences(theta)), table.square(end)
+        before, after = table.chi_square_of(as_is.differences(theta)), table.square(end)
         # What noise leaves in any table is no part of the misfit to be removed.
         noise = 0.0 if table.laxity.sd is None else min(after, table.degrees)
-        if before - after >= REMOVED * (before - noise) and table.is_believable(end):
+        if before - after >= REMOVED * (before - noise) and table.is_plausible_model_misfit(end):
             found.append((after, 1.0 - after / before, convention.what, table.errors(end)))
     if not found:
         return None
@@ -321,7 +321,7 @@ class _Table:
 
     def fitted(self, start: Array) -> Array:
         """Parameters fitted to it with their priors, shape ``(p,)``."""
-        problem = Scaled(problem=self.residuals, sd=self.sd[self.laxity.is_measured])
+        problem = WhitenedResiduals(problem=self.residuals, sd=self.sd[self.laxity.is_measured])
         return fit(problem, start, method="least-squares", budget=BUDGET, priors=True).theta
 
     def has_prediction(self, theta: Array) -> bool:
@@ -331,13 +331,13 @@ class _Table:
         """Measured less predicted, shape ``(n, 5)``; NaN where not measured."""
         return self.residuals.differences(theta)
 
-    def square_of(self, differences: Array) -> float:
+    def chi_square_of(self, differences: Array) -> float:
         """Sum of squares of differences in units of the noise of this table."""
         return float(np.nansum((differences / self.sd) ** 2))
 
     def square(self, theta: Array) -> float:
         """The same of what is left of this table."""
-        return self.square_of(self.differences(theta))
+        return self.chi_square_of(self.differences(theta))
 
     def is_plausible(self, theta: Array) -> bool:
         """Whether noise alone may leave so much."""
@@ -345,7 +345,7 @@ class _Table:
             return self._is_small(theta)
         return bool(chdtrc(self.degrees, self.square(theta)) >= IMPROBABLE)
 
-    def is_believable(self, theta: Array) -> bool:
+    def is_plausible_model_misfit(self, theta: Array) -> bool:
         """Whether the model of a knee may leave so much: seldom does it fit to the noise."""
         if self.laxity.sd is None:
             return self._is_small(theta)
@@ -404,7 +404,7 @@ def _promising(as_is: _Table, start: Array) -> list[tuple[Convention, _Table]]:
         table = _Table(as_is.residuals.model, changed)
         if not table.has_prediction(start):
             continue
-        share = table.square_of(table.straight(start)) / table.square_of(here)
+        share = table.chi_square_of(table.straight(start)) / table.chi_square_of(here)
         if share <= PROMISED:
             found.append((share, convention, table))
     found.sort(key=lambda x: x[0])

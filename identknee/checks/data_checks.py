@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identknee.laxity.dominant import dominant_loads, opposite_pairs
+from identknee.laxity.dominant_load import dominant_loads, opposite_pairs
 from identknee.laxity.protocol import LOADS
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.ligament_tensions import line_lengths
@@ -85,8 +85,8 @@ def load_sign_findings(laxity: Laxity) -> tuple[Finding, ...]:
         sentence = (
             f"{coordinate} falls as {load} rises, by {-np.median(moved):.3g} {unit} between "
             f"opposite loads in the middle of {moved.size} pairs of trials; no knee moves against "
-            "its load. The sign of one of the two columns is flipped, or two columns are "
-            "exchanged. Correct the table and begin again."
+            "an applied load. The sign of one of the two columns is flipped, or two columns are "
+            "exchanged. Correct the table and repeat the command."
         )
         found.append(finding("moves-against-load", "data", values, sentence=sentence))
     return tuple(found)

@@ -9,9 +9,9 @@ from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import Problem, typical_steps
 from identknee.calibrate.starts import named_start, start_names
+from identknee.identify.binomial_interval import Proportion, share
 from identknee.identify.nuisances import group_name, nuisance_estimates, nuisance_groups
 from identknee.identify.posterior.density import newton_kernel
-from identknee.identify.shares import Share, share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared
@@ -19,11 +19,11 @@ from identknee.runs.findings import Finding, finding
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import (
     amount,
-    capital,
-    either,
+    capitalised,
     error_words,
     label_without_unit,
     listed,
+    two_values_words,
     unit_of,
 )
 
@@ -38,7 +38,7 @@ AT_END = 1e-6
 AS_GOOD, SAME = 3.84, 0.1
 # Typical steps (3 kN, 2 %) between parameter sets that are not the same.
 APART = 0.1
-MISTAKES = "a sign, a unit or a side of the data may be wrong, or the model lacks something"
+MISTAKES = "check signs, units and side of the data; otherwise the model may lack something"
 # Share of the objective, and objective: ends that are the same, also where a search stops early.
 ALIKE, ROUNDING = 1e-3, 1e-9
 N_DRAWS = 100
@@ -82,7 +82,7 @@ def too_few_findings(n_values: int, n_parameters: int) -> tuple[Finding, ...]:
     said = "1 value was" if n_values == 1 else f"{n_values} values were"
     sentence = (
         f"Only {said} measured for {n_parameters} free parameters: many other parameter sets fit "
-        "just as well. Measure more trials, or hold parameters with --fix."
+        "just as well. Measure more trials, or fix parameters with --fix."
     )
     values = {"n_values": n_values, "n_parameters": n_parameters}
     return (finding("too-few-values", "data", values, sentence=sentence),)
@@ -105,7 +105,7 @@ def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Findi
         return (finding("noise-unstated", "data"),)
     said = " and ".join(amount(size, unit_of(name)) for name, size in sizes.items())
     sentence = (
-        f"The best fit leaves {said}, more than a laxity test should err by "
+        f"The best fit leaves {said}, more than the expected error of a laxity test "
         f"({MOST_MM:g} mm, {MOST_DEG:g} deg): {MISTAKES}. See: identknee diagnose"
     )
     return (finding("error-large", "data", sizes, sentence=sentence),)
@@ -129,14 +129,14 @@ def bound_findings(
     many = "1 parameter stands" if len(standing) == 1 else f"{len(standing)} parameters stand"
     said = [f"{label_without_unit(name)} ({amount(end, unit_of(name))})" for name, end in standing]
     sentence = (
-        f"{many} at a bound, where the bound stopped the fit and not the data: "
+        f"{many} at a bound, where the bound limits the fit, not the data: "
         f"{listed(said)}. The other parameters compensate for it."
     )
     values = {"parameters": [x for x, _ in standing], "bounds": [x for _, x in standing]}
     return (finding("at-bound", "parameters", values, sentence=sentence),)
 
 
-def at_zero(theta: Array, parameters: Parameters) -> tuple[str, ...]:
+def parameters_at_zero(theta: Array, parameters: Parameters) -> tuple[str, ...]:
     """Names of the parameters that stand at a lower bound of zero, as what is absent does."""
     zero = (theta <= 0.0) & (parameters.lower == 0.0)
     return tuple(x for x, is_zero in zip(parameters.names, zero, strict=True) if is_zero)
@@ -169,8 +169,8 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
         rise = rises[farthest]
         names, apart = _changes(thetas[best], thetas[farthest], parameters)
         sentence = (
-            f"Starts disagree: {rivals.size} of {k} ended at other parameters that fit as well at "
-            f"95 % ({listed(apart)}; misfit higher by {rise:.2g}). See: identknee profile"
+            f"Starts disagree: {rivals.size} of {k} ended at other parameters that also fit at "
+            f"the 95 % level ({listed(apart)}; misfit higher by {rise:.2g}). See: identknee profile"
         )
         values = {"n_starts": k, "n_apart": rivals.size, "rise": rise, "parameters": names}
         return (finding("starts-disagree", "starts", values, sentence=sentence),)
@@ -178,7 +178,7 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
         return ()
     others = rises[np.isfinite(rises) & (rises > SAME)]
     next_best = (
-        f" (the next best misfit is higher by {others.min():.3g})"
+        f" (the next lowest misfit is higher by {others.min():.3g})"
         if others.size
         else " and no other had a prediction"
     )
@@ -196,11 +196,11 @@ def _changes(theta: Array, other: Array, parameters: Parameters) -> tuple[list[s
     asked = parameters.is_of_interest
     most = np.argsort(-np.where(asked, size, 0.0))[: min(2, int(asked.sum()))]
     names = [parameters.names[i] for i in most]
-    return names, [either(parameters.names[i], theta[i], other[i]) for i in most]
+    return names, [two_values_words(parameters.names[i], theta[i], other[i]) for i in most]
 
 
 @declared
-class SecondSearch:
+class AlternativeFit:
     """Where least squares from another start ended.
 
     Attributes
@@ -250,14 +250,16 @@ class SecondSearch:
             if steps[i] > APART:
                 code, name = "starts-disagree", self.first.parameters.names[i]
                 values |= {"parameters": [name]}
-                both = either(name, self.first.theta[i], self.second.theta[i])
+                both = two_values_words(name, self.first.theta[i], self.second.theta[i])
                 sentence = (
                     f"Starts disagree: {ended} at the same misfit with other parameters ({both}). "
                     "See: identknee profile"
                 )
             else:
                 code = "start-confirmed"
-                sentence = f"{capital(ended)} at the same parameters: the start is not the reason."
+                sentence = (
+                    f"{capitalised(ended)} at the same parameters: the start is not the reason."
+                )
         return finding(code, "starts", values, sentence=sentence)
 
 
@@ -265,7 +267,7 @@ def _alike(objective: float) -> float:
     return ALIKE * objective + ROUNDING
 
 
-def second_search(problem: Problem, first: Fit) -> SecondSearch:
+def fit_from_alternative_start(problem: Problem, first: Fit) -> AlternativeFit:
     """Least squares from the first named start that is not the one of a fit.
 
     Parameters
@@ -275,12 +277,12 @@ def second_search(problem: Problem, first: Fit) -> SecondSearch:
     first
         The fit; its fixed parameters and its priors are kept.
     """
-    name, start = _other_start(first)
+    name, start = _alternative_start(first)
     second = fit(problem, start, seed=first.seed, fixed=first.fixed, priors=first.priors)
-    return SecondSearch(name=name, first=first, second=second)
+    return AlternativeFit(name=name, first=first, second=second)
 
 
-def _other_start(first: Fit) -> tuple[str, Array]:
+def _alternative_start(first: Fit) -> tuple[str, Array]:
     """A start by name with a free parameter elsewhere; the middle of the bounds failing that."""
     parameters = first.parameters
     free = parameters.with_fixed(first.fixed, first.start)
@@ -297,9 +299,9 @@ def _other_start(first: Fit) -> tuple[str, Array]:
     return "the middle of the bounds", free.expand(free.restrict(middle))
 
 
-def share_without_prediction(
+def infeasible_proportion(
     problem: Problem, theta: Array, *, n_draws: int = N_DRAWS, seed: int = 0
-) -> Share:
+) -> Proportion:
     """How many parameter sets that fit about as well as `theta` have no prediction.
 
     They are drawn from the normal density around theta whose precision is that of the data and the
@@ -336,7 +338,7 @@ def share_without_prediction(
 
 def feasibility_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
     """Whether the feasibility boundary of the model, and not the data, makes limits near a fit."""
-    lost = share_without_prediction(problem, theta)
+    lost = infeasible_proportion(problem, theta)
     if lost.value < NOTEWORTHY:
         return ()
     return (finding("sets-without-prediction", "model", {"n": lost.n, "n_lost": lost.count}),)
@@ -370,8 +372,8 @@ def nuisance_findings(
             f"{amount(moved, unit)}{where}, where an error stated to "
             f"{amount(farthest.prior_sd, unit)} leaves at most "
             f"{amount(2.0 * farthest.scatter, unit)} in 95 % of fits (p = {group.p_value:.2g}"
-            f"{together}). The stated uncertainty is too small, or another cause stands behind "
-            f"it.{hint}"
+            f"{together}). The stated uncertainty is too small, or there is another cause"
+            f".{hint}"
         )
         values = {
             "nuisance": farthest.name,

@@ -179,7 +179,9 @@ def check_stability(
     drawn = executor.map(predict, vectors)
     for prediction in progress(drawn, total=n_samples, description="simulating the parameter box"):
         counts.update(prediction.outcomes)
-        lowest.append(_lowest(prediction.margins) if prediction.all_converged else np.nan)
+        margins = prediction.margins
+        is_known = prediction.all_converged and margins.size
+        lowest.append(float(margins.min()) if is_known else np.nan)
     moves: tuple[InsertionMove, ...] = ()
     if not own.all_converged:
         moves = rank_moves(model, within_mm=within_mm, executor=executor)
@@ -222,10 +224,6 @@ def _largest_change(first: Prediction, second: Prediction) -> Array:
     return np.asarray(difference.max(axis=0))
 
 
-def _lowest(values: Array) -> float:
-    return float(values.min()) if values.size else float("nan")
-
-
 def _own_finding(report: StabilityReport) -> GeometryFinding:
     n, protocol = report.n_trials, report.protocol
     if report.n_converged < n:
@@ -236,7 +234,7 @@ def _own_finding(report: StabilityReport) -> GeometryFinding:
             f"{n - report.n_converged} of the {n} trials of {protocol} do not converge at the "
             f"subject's own parameters. {' '.join(_lost(report))}",
             {"n": n, "n_lost": len(lost), "trials": lost},
-            remedy=f"{_worth_moving(report.moves)} Otherwise correct the ligament parameters or "
+            remedy=f"{_move_advice(report.moves)} Otherwise correct the ligament parameters or "
             "lower the loads before calibrating: a model that loses trials has cliffs in its "
             "objective.",
         )
@@ -270,7 +268,7 @@ def _lost(report: StabilityReport) -> list[str]:
     return sentences
 
 
-def _worth_moving(moves: tuple[InsertionMove, ...]) -> str:
+def _move_advice(moves: tuple[InsertionMove, ...]) -> str:
     """Which insertions to move, where to and what that gains."""
     best = [x for x in moves if x.n_restored > 0][:MOST_LISTED]
     if not best:
@@ -328,7 +326,7 @@ _ENDED = {
 }
 
 
-def counted_outcomes(outcomes: Sequence[Outcome]) -> str:
+def outcome_counts_words(outcomes: Sequence[Outcome]) -> str:
     """Counts of the trials without an equilibrium by outcome, in words."""
     return _counted(Counter(x for x in outcomes if x is not Outcome.CONVERGED))
 
@@ -350,7 +348,7 @@ def stability_findings(model: LaxityModel) -> tuple[Finding, ...]:
         first = model.protocol.trials[int(lost[0])]
         sentence = (
             f"The subject fails its stability check: at its own parameters {lost.size} of {n} "
-            f"trials have no equilibrium ({counted_outcomes(found.outcomes)}; the first is "
+            f"trials have no equilibrium ({outcome_counts_words(found.outcomes)}; the first is "
             f"{first}). See: identknee subject check SUBJECT --protocol DATA.csv"
         )
         values = {"n": n, "n_lost": lost.size, "first": first}

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from identknee.calibrate.bounded_least_squares import Constrained, minimise
+from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import Problem
 from identknee.laxity.table import Laxity
@@ -45,7 +45,7 @@ class ExclusionResult:
     was_excluded: BoolArray
 
     def sentence(self, trials: Sequence[str]) -> str:
-        """What was done, with the names of the trials."""
+        """The exclusion as a sentence, with the names of the trials."""
         if not self.was_excluded.any():
             return "Least squares from the start stopped where load paths end, and went on beyond."
         names = [trials[i] for i in np.flatnonzero(self.was_excluded).tolist()]
@@ -84,19 +84,19 @@ class TrialExclusion:
 
         Trials without equilibrium at the start are reinstated where the fit to the others has one.
         """
-        out = was_excluded = self._is_lost(start)
+        out = was_excluded = self._has_lost_trials(start)
         best = first = self._search(start, out)
         if out.any() and best.evaluation.is_finite:
-            out = out & self._is_lost(best.evaluation.theta)
+            out = out & self._has_lost_trials(best.evaluation.theta)
             best = self._search(best.evaluation.theta, out)
         for _ in range(MOST_ROUNDS):
             if best.outcome is Outcome.START_FAILED:
                 break
-            beyond, aside = self._past(best, out)
+            beyond, aside = self._search_without_blocking_trials(best, out)
             if beyond is best:
                 break
             was_excluded = was_excluded | aside
-            lost = out | self._is_lost(beyond.evaluation.theta)
+            lost = out | self._has_lost_trials(beyond.evaluation.theta)
             again = self._search(beyond.evaluation.theta, lost)
             if (lost & ~out).any() and not self._contradicts(best, again, out, lost):
                 break
@@ -109,7 +109,7 @@ class TrialExclusion:
             theta=best.evaluation.theta, is_excluded=out, was_excluded=was_excluded
         )
 
-    def _search(self, start: Array, aside: BoolArray) -> Constrained:
+    def _search(self, start: Array, aside: BoolArray) -> ConstrainedFit:
         return minimise(self._evaluator(aside), start, tolerance=TOLERANCE)
 
     def _evaluator(self, aside: BoolArray) -> Evaluator:
@@ -117,17 +117,19 @@ class TrialExclusion:
         coordinates = np.where(aside[:, None], np.nan, laxity.coordinates)
         return Evaluator(self.problem(replace(laxity, coordinates=coordinates)))
 
-    def _past(self, found: Constrained, aside: BoolArray) -> tuple[Constrained, BoolArray]:
+    def _search_without_blocking_trials(
+        self, found: ConstrainedFit, aside: BoolArray
+    ) -> tuple[ConstrainedFit, BoolArray]:
         """The search continued without the trials that stop it, and those excluded."""
         for _ in range(MOST_ROUNDS):
-            stopping, start = self._on_the_way(found.evaluation, aside)
+            stopping, start = self._blocking_trials(found.evaluation, aside)
             if not stopping.any() and start is found.evaluation.theta:
                 break
             aside = aside | stopping
             found = self._search(start, aside)
         return found, aside
 
-    def _on_the_way(self, at: Evaluation, aside: BoolArray) -> tuple[BoolArray, Array]:
+    def _blocking_trials(self, at: Evaluation, aside: BoolArray) -> tuple[BoolArray, Array]:
         """The trials whose misfit ends or jumps along the step that fits the others best.
 
         And where to go on: at the lowest point along that step where none does, else from here.
@@ -161,11 +163,11 @@ class TrialExclusion:
         squares = np.where(laxity.is_measured, differences**2, 0.0).sum(axis=1)
         return np.where(np.isnan(squares), np.inf, squares)
 
-    def _is_lost(self, theta: Array) -> BoolArray:
+    def _has_lost_trials(self, theta: Array) -> BoolArray:
         return np.isinf(self._misfits(theta))
 
     def _contradicts(
-        self, best: Constrained, without: Constrained, out: BoolArray, lost: BoolArray
+        self, best: ConstrainedFit, without: ConstrainedFit, out: BoolArray, lost: BoolArray
     ) -> bool:
         """Whether the trials `lost` cost more misfit than so many values of the others have."""
         measured = self.compared.laxity.is_measured

@@ -11,7 +11,7 @@ import numpy as np
 
 from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import (
-    Bounded,
+    BoundedProblem,
     Problem,
     restricted,
     with_bounds,
@@ -22,7 +22,7 @@ from identknee.calibrate.starts import load_start
 from identknee.checks.trial_exclusion import TrialExclusion
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zeros import from_zero
+from identknee.laxity.zero_conventions import from_zero
 from identknee.mechanics.load_paths import NEAR, Continuation
 from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
@@ -43,17 +43,17 @@ MOST_ROUNDS, BUDGET = 8, 300
 # How many trials without equilibrium are listed by name for each reason.
 MOST_LISTED = 6
 ABOUT_FALLBACK = (
-    "Geometry is uncertain: a trial whose load path ends, or whose unloaded knee is loose, was "
+    "Geometry is uncertain: a trial whose load path ends, or whose unloaded knee is unstable, was "
     "looked for from its measured pose under its whole load."
 )
 ABOUT_NO_POSES = (
-    "No trial has all five coordinates: equilibria were followed along paths from the scanned "
-    "pose, not looked for at measured poses."
+    "No trial has all five coordinates: equilibria were continued along load paths from the "
+    "scanned pose, not sought at measured poses."
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class UsedTrials:
+class TrialSelection:
     """The data that a fit can rest on, and where it can begin.
 
     Attributes
@@ -99,26 +99,26 @@ class TrialSearch:
     bounds: Mapping[str, tuple[float, float]]
     fixed: Sequence[str] = ()
 
-    def used(self, start: Array) -> UsedTrials:
+    def used(self, start: Array) -> TrialSelection:
         """The trials to be fitted, and where to begin, at or away from `start`.
 
         Where trials have no equilibrium at the start, searches go from there; where the model
         begins at measured poses also from reference strains by the lengths of the ligaments there.
         Where no trial carries even its compression anywhere, all trials stay.
         """
-        said = about_paths(self.model)
+        said = path_findings(self.model)
         lost = self.measured & ~self.has_equilibrium(start)
-        used = self._past_stops(UsedTrials(laxity=self.laxity, start=start, sentences=said))
+        used = self._past_stops(TrialSelection(laxity=self.laxity, start=start, sentences=said))
         if not lost.any() or (used.start is not start and len(used.names) == self.measured.sum()):
             return used
         beginnings = progress(
-            self._beginnings(start).items(),
+            self._candidate_starts(start).items(),
             description="looking for a start at which all trials have an equilibrium",
         )
-        made = {x: self._regained(y) for x, y in beginnings}
+        made = {x: self._refit_with_reinstated_trials(y) for x, y in beginnings}
         if not made:
-            return UsedTrials(laxity=self.laxity, start=start, sentences=said)
-        best = max(made, key=lambda x: self._worth(made[x].theta))
+            return TrialSelection(laxity=self.laxity, start=start, sentences=said)
+        best = max(made, key=lambda x: self._start_rank(made[x].theta))
         theta = made[best].theta
         sentence = (
             f"At the start {lost.sum()} of {self.measured.sum()} measured trials had no "
@@ -127,14 +127,14 @@ class TrialSearch:
             f"({sum(x.n_simulations for x in made.values())} simulations)."
         )
         return self._past_stops(
-            UsedTrials(
+            TrialSelection(
                 laxity=self.with_equilibrium(theta),
                 start=theta,
                 sentences=(*said, sentence),
             )
         )
 
-    def _past_stops(self, used: UsedTrials) -> UsedTrials:
+    def _past_stops(self, used: TrialSelection) -> TrialSelection:
         """The trials used and a start past those that would stop a search from there.
 
         Where the knee is exact its load paths are part of the model, and so are their ends.
@@ -152,17 +152,19 @@ class TrialSearch:
             return used
         return replace(
             used,
-            laxity=_blanked(self.laxity, beyond.is_excluded),
+            laxity=_with_blank_trials(self.laxity, beyond.is_excluded),
             start=free.expand(beyond.theta),
             sentences=(*used.sentences, beyond.sentence(self.laxity.protocol.trials)),
         )
 
-    def fitted(self, start: Array, search: Callable[..., Fit]) -> tuple[UsedTrials, Fit]:
+    def fitted(self, start: Array, search: Callable[..., Fit]) -> tuple[TrialSelection, Fit]:
         """The trials used and the fit to them by `search`, again where it brings trials back."""
         used, found = self.refitted(self.used(start), search)
         return used, replace(found, start=start)
 
-    def refitted(self, used: UsedTrials, search: Callable[..., Fit]) -> tuple[UsedTrials, Fit]:
+    def refitted(
+        self, used: TrialSelection, search: Callable[..., Fit]
+    ) -> tuple[TrialSelection, Fit]:
         """The fit to the trials used, and to those it brings back until it brings back none."""
         for _ in range(MOST_ROUNDS):
             found = search(self.problem(used.laxity), used.start, fixed=self.fixed)
@@ -189,14 +191,14 @@ class TrialSearch:
 
     def with_equilibrium(self, theta: Array) -> Laxity:
         """The data, cells of trials without equilibrium blank."""
-        return _blanked(self.laxity, ~self.has_equilibrium(theta))
+        return _with_blank_trials(self.laxity, ~self.has_equilibrium(theta))
 
     def problem(self, laxity: Laxity) -> Problem:
         """The residuals of the model against `laxity`, with priors of the nuisances."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
         return with_nuisance_priors(with_bounds(residuals, self.bounds))
 
-    def _beginnings(self, start: Array) -> dict[str, Array]:
+    def _candidate_starts(self, start: Array) -> dict[str, Array]:
         """Starts in words, and theta there, at which some trial carries a load."""
         begun = {"the given start": start}
         if self.model.poses is not None:
@@ -212,13 +214,13 @@ class TrialSearch:
         n, m = self.model.tied.n, len(self.model.knee.ligaments)
         theta = np.array(start)
         strains = strains_as_measured(self.model.setting(start), stretch)[:m]
-        theta[n : 2 * n] = self.model.tied.least_strain(strains)
+        theta[n : 2 * n] = self.model.tied.strain_upper_limits(strains)
         theta = np.clip(theta, parameters.lower, parameters.upper)
         held = [parameters.index(x) for x in self.fixed]
         theta[held] = start[held]
         return theta
 
-    def _regained(self, theta: Array) -> Fit:
+    def _refit_with_reinstated_trials(self, theta: Array) -> Fit:
         """The best of a few fits, each at the load fractions reached where the last one ended.
 
         The last one is where all trials reach their load, or reach no more than before.
@@ -230,11 +232,11 @@ class TrialSearch:
             if shares.tolist() in known:
                 break
             known.append(shares.tolist())
-            part = _blanked(_under(self.laxity, np.maximum(shares, 0.0)), shares < 0.0)
+            part = _with_blank_trials(_under(self.laxity, np.maximum(shares, 0.0)), shares < 0.0)
             found = fit(self.problem(part), theta, budget=BUDGET, fixed=self.fixed)
             made.append(found)
             theta = found.theta
-        best = max(made, key=lambda x: self._worth(x.theta))
+        best = max(made, key=lambda x: self._start_rank(x.theta))
         return replace(best, n_simulations=sum(x.n_simulations for x in made))
 
     def _load_fraction_reached(self, theta: Array) -> Array:
@@ -248,7 +250,7 @@ class TrialSearch:
                 break
         return borne
 
-    def _worth(self, theta: Array) -> tuple[int, float]:
+    def _start_rank(self, theta: Array) -> tuple[int, float]:
         """How many trials have an equilibrium, then how well they fit."""
         used = self.with_equilibrium(theta)
         residuals = self.problem(used).residuals(theta)
@@ -262,7 +264,7 @@ def _of(n: int) -> str:
 def residuals_of(problem: Problem) -> LaxityResiduals:
     """The residuals of the data of a problem that `TrialSearch` made."""
     inner = without_priors(problem)
-    while isinstance(inner, Bounded):
+    while isinstance(inner, BoundedProblem):
         inner = inner.problem
     if not isinstance(inner, LaxityResiduals):
         raise TypeError(f"{type(inner).__name__} has no residuals of a table")
@@ -300,7 +302,7 @@ def table_model(
     return replace(model, knee=knee.with_ligaments(ligaments)), (sentence,)
 
 
-def testable(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, UsedTrials]:
+def knee_with_equilibria(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, TrialSelection]:
     """The knee with strains at which trials have an equilibrium, and these trials.
 
     Strains away from which a fit has to begin are no prior knowledge: where it has, the knee's own
@@ -326,14 +328,14 @@ def testable(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, UsedTrials]:
     )
 
 
-def _blanked(laxity: Laxity, lost: BoolArray) -> Laxity:
+def _with_blank_trials(laxity: Laxity, lost: BoolArray) -> Laxity:
     if not lost.any():
         return laxity
     return replace(laxity, coordinates=np.where(lost[:, None], np.nan, laxity.coordinates))
 
 
 def _under(laxity: Laxity, shares: Array) -> Laxity:
-    """The data as if each trial had borne a share of its load; compression stays, as it held."""
+    """The data at fractions of the loads; compression stays, as it held."""
     if np.all(shares == 1.0):
         return laxity
     return replace(laxity, protocol=laxity.protocol.under(shares))
@@ -344,7 +346,7 @@ def trial_names(laxity: Laxity) -> tuple[str, ...]:
     return tuple(laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.any(axis=1)))
 
 
-def about_blanks(laxity: Laxity) -> tuple[str, ...]:
+def blank_cell_findings(laxity: Laxity) -> tuple[str, ...]:
     """What was not measured at all: coordinates, and trials, which are only predicted."""
     columns = zip(COORDINATES, laxity.is_measured.T, strict=True)
     said = [f"{name} was not measured." for name, column in columns if not column.any()]
@@ -355,9 +357,9 @@ def about_blanks(laxity: Laxity) -> tuple[str, ...]:
     return tuple(said)
 
 
-def about_inputs(knee: Knee, laxity: Laxity) -> tuple[str, ...]:
+def input_findings(knee: Knee, laxity: Laxity) -> tuple[str, ...]:
     """What a fit assumes of knee and table: what is uncertain, blank, or left aside."""
-    said = (knee.uncertainty.sentence, *about_blanks(laxity))
+    said = (knee.uncertainty.sentence, *blank_cell_findings(laxity))
     if laxity.sd is None:
         return said
     stated = ~np.isnan(laxity.sd)
@@ -365,13 +367,13 @@ def about_inputs(knee: Knee, laxity: Laxity) -> tuple[str, ...]:
         return said
     names = ", ".join(COORDINATES[i] for i in np.flatnonzero(np.any(stated, axis=0)))
     sentence = (
-        f"Errors are stated of {names} only, so they were left aside: 1 mm counts as much as "
-        "1 deg. State all, or give --noise."
+        f"Errors are stated of {names} only, so they were not used: 1 mm is weighted like 1 deg"
+        ". State all, or give --noise."
     )
     return (*said, sentence)
 
 
-def lost_findings(knee: Knee, laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
+def excluded_trial_findings(knee: Knee, laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
     """Which measured trials a result does not rest on."""
     measured, kept = trial_names(laxity), trial_names(used)
     lost = [x for x in measured if x not in kept]
@@ -380,8 +382,8 @@ def lost_findings(knee: Knee, laxity: Laxity, used: Laxity) -> tuple[Finding, ..
     is_exact = knee.uncertainty.is_exact
     or_state = ", or state how well geometry is known with --uncertain" if is_exact else ""
     sentence = (
-        f"The result rests on {len(kept)} of {len(measured)} measured trials: the model has no "
-        f"equilibrium in {', '.join(lost)}. Look them up{or_state}."
+        f"The result is based on {len(kept)} of {len(measured)} measured trials: the model has no "
+        f"equilibrium in {', '.join(lost)}. Check these trials in the raw data{or_state}."
     )
     values = {"n_measured": len(measured), "n_used": len(kept), "trials": lost}
     return (finding("trials-lost", "trials", values, sentence=sentence),)
@@ -450,7 +452,7 @@ def prediction_finding(model: LaxityModel, laxity: Laxity, start: Array) -> Find
     return finding("no-prediction", "trials", values, sentence=sentence)
 
 
-def about_paths(model: LaxityModel) -> tuple[str, ...]:
+def path_findings(model: LaxityModel) -> tuple[str, ...]:
     """Where equilibria were looked for, if not along paths from the scanned pose."""
     if model.fallback_poses is not None:
         has_poses = np.isfinite(model.fallback_poses).all(axis=1).any()
@@ -460,10 +462,10 @@ def about_paths(model: LaxityModel) -> tuple[str, ...]:
     known = known_poses(model.knee, model.protocol)
     if known is not None and np.array_equal(model.poses, known):
         sentence = (
-            "Equilibria were followed under growing loads from the poses that the fitted "
+            "Equilibria were continued under increasing loads from the poses that the fitted "
             "subject states for each flexion angle, not from measured ones."
         )
-        return (sentence, *_about_extrapolation(model))
+        return (sentence, *_extrapolation_findings(model))
     sentence = (
         "Each trial has a flexion angle of its own, as a rig reads it: its equilibrium was looked "
         "for from its measured pose under its whole load, not along a path from the scanned pose, "
@@ -472,7 +474,7 @@ def about_paths(model: LaxityModel) -> tuple[str, ...]:
     return (sentence,)
 
 
-def _about_extrapolation(model: LaxityModel) -> tuple[str, ...]:
+def _extrapolation_findings(model: LaxityModel) -> tuple[str, ...]:
     """Which trials lie beyond the flexion angles at which the knee states poses."""
     angles, known = model.protocol.flexion_deg, [x.flexion_deg for x in model.knee.poses]
     is_beyond = (angles < min(known) - POSE_EVERY_DEG) | (angles > max(known) + POSE_EVERY_DEG)
@@ -480,18 +482,18 @@ def _about_extrapolation(model: LaxityModel) -> tuple[str, ...]:
         return ()
     names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
     sentence = (
-        f"These poses lie at {min(known):.0f} to {max(known):.0f} deg of flexion: what is said of "
+        f"These poses lie at {min(known):.0f} to {max(known):.0f} deg of flexion: predictions of "
         f"trials far beyond ({names}) is extrapolated."
     )
     return (sentence,)
 
 
-def about_offered(model: LaxityModel) -> tuple[str, ...]:
+def candidate_path_findings(model: LaxityModel) -> tuple[str, ...]:
     """Where equilibria of trials that were not made are looked for, if not on paths from a scan."""
     if model.poses is None:
         return ()
     sentence = (
-        "A trial that was not made has no measured pose: its equilibrium was followed under a "
+        "A trial that was not made has no measured pose: its equilibrium was continued under an "
         "growing load from the mean pose of the trials made, interpolated over flexion."
     )
     return (sentence,)

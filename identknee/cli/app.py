@@ -5,26 +5,15 @@ from typing import Annotated
 
 import typer
 
-from identknee.cli import subject
-from identknee.cli.blind import blind
-from identknee.cli.command import Verb, Verbs
-from identknee.cli.demo import demo
-from identknee.cli.design import design
-from identknee.cli.diagnose import diagnose
+from identknee.cli.command import Command
 from identknee.cli.doctor import doctor
-from identknee.cli.equivalents import equivalents
-from identknee.cli.fit import fit
-from identknee.cli.information import information
-from identknee.cli.profile import profile
 from identknee.cli.report import report
 from identknee.cli.reveal import reveal
-from identknee.cli.sample import sample
-from identknee.cli.sensitivity import sensitivity
-from identknee.cli.simulate import simulate
-from identknee.cli.sweep import sweep
+from identknee.cli.subject_list import list_all
+from identknee.cli.verb_command import SubjectGroup, VerbGroup
 
 app = typer.Typer(
-    cls=Verbs,
+    cls=VerbGroup,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     # Plain help needs no rich, which takes longer to load than everything else here.
@@ -56,23 +45,19 @@ def identknee(
     """
 
 
-app.add_typer(subject.app, name="subject")
-# Each verb with what its help gives as an example.
-for verb, words in (
-    (demo, "--out story"),
-    (simulate, "reference --noise 0.5mm,0.5deg --out knee"),
-    (fit, "reference data.csv --start IG4"),
-    (sweep, "reference data.csv --n-starts 200 --workers 2"),
-    (profile, "reference data.csv --parameter ACL.stiffness_kN"),
-    (sample, "reference data.csv --workers 2"),
-    (information, "reference data.csv --noise 0.5mm,0.5deg"),
-    (sensitivity, "reference --method morris --workers 2"),
-    (equivalents, "reference data.csv --criterion paper"),
-    (design, "reference data.csv --target ACL.stiffness_kN"),
-    (diagnose, "reference data.csv --noise 0.3mm,0.3deg"),
-    (blind, "reference --seed 7 --effect random --out blind7"),
+subject = typer.Typer(
+    cls=SubjectGroup,
+    help="List, check, show, settle, export or import a subject.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+subject.command("list", epilog="Example: identknee subject list --json")(list_all)
+app.add_typer(subject, name="subject")
+# What gives no answer with files; the verbs are commands by themselves.
+for command, words in (
     (reveal, "blind7 identknee-diagnose"),
     (report, "identknee-demo"),
     (doctor, ""),
 ):
-    app.command(cls=Verb, epilog=f"Example: identknee {verb.__name__} {words}".rstrip())(verb)
+    epilog = f"Example: identknee {command.__name__} {words}".rstrip()
+    app.command(cls=Command, epilog=epilog)(command)

@@ -1,27 +1,24 @@
-"""What all verbs share: their options, how they end, and what they leave behind."""
+"""How commands end: what they print, their exit codes, and what they leave behind."""
 
 import errno
 import json
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import typer.core
+from typing_extensions import override
 
-from identknee.laxity.named_tables import TABLES
-from identknee.runs.errors import InputError, NotComputed
-from identknee.runs.executors import WorkerDied
+from identknee.runs.crash_report import report_unexpected_error, warnings_to_log
+from identknee.runs.errors import InputError, NotComputable
+from identknee.runs.executors import WorkerTerminated
 from identknee.runs.files import plain
-from identknee.runs.unforeseen import report_unforeseen, warnings_logged
-from identknee.subject.examples import named_subject
+from identknee.verbs.registry import verb_named
 
 if TYPE_CHECKING:
     from identknee.verbs.answer import Answer
-
-    Given = TypeVar("Given", bound=Answer)
 
 # Of a path or a value that is absurdly long.
 LONGEST_SENTENCE = 2000
@@ -32,103 +29,16 @@ STOPPED = "stopped; the same command does it again from the start"
 STOPPED_WORK = "stopped; what was finished is kept in --out, and the same command resumes"
 # What a verb was called with, and whether its folder --out is its own.
 SETTINGS, IS_NEW = "identknee.settings", "identknee.is_new"
-RESUMING = {"sweep", "profile", "sample", "sensitivity", "equivalents"}
 
 
-def _subject_word(word: str) -> str:
-    return _said_which(word, is_name=named_subject(word) is not None)
-
-
-def _data_word(word: str | None) -> str | None:
-    return word if word is None else _said_which(word, is_name=word in TABLES)
-
-
-def _said_which(word: str, *, is_name: bool) -> str:
-    """The word; where it is a name and a path too, a person is told which of them is meant."""
-    if is_name and Path(word).exists():
-        typer.echo(
-            f"identknee: {word} means what comes with identknee under this name; "
-            f"write .{os.sep}{word} for what is called so here.",
-            err=True,
-        )
-    return word
-
-
-def _workers(word: str) -> int | str:
-    """A number of workers, or the address of a scheduler."""
-    if "://" in word:
-        return word
-    if not word.isdecimal() or int(word) < 1:
-        raise typer.BadParameter(
-            f"{word} is neither a number of processes nor the address of a scheduler; "
-            "write for example 4, or tcp://10.0.0.5:8786"
-        )
-    return int(word)
-
-
-Subject = Annotated[
-    str,
-    typer.Argument(
-        metavar="SUBJECT",
-        help="A subject folder, or a name from: identknee subject list.",
-        callback=_subject_word,
-    ),
-]
-SubjectOrReference = Annotated[
-    str,
-    typer.Argument(
-        metavar="[SUBJECT]",
-        help="A subject folder, or a name from: identknee subject list.",
-        callback=_subject_word,
-    ),
-]
-Data = Annotated[
-    str,
-    typer.Argument(
-        metavar="DATA.csv",
-        help="The table of measured laxity, or the name of a subject that comes with one.",
-        callback=_data_word,
-    ),
-]
-MaybeData = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="[DATA.csv]",
-        help="The table of measured laxity, or the name of a subject that comes with one. "
-        "Leave it out with --protocol.",
-        callback=_data_word,
-    ),
-]
-# What every option that takes trials knows.
-PROTOCOLS = (
-    "seed63, table2, drawer, a protocol file (TOML), a laxity table (CSV), "
-    "or a named subject with measured laxity"
-)
-Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
-Seed = Annotated[
-    int, typer.Option(min=0, help="Seed of all random numbers. It is stored with the result.")
-]
-Workers = Annotated[
-    str,
-    typer.Option(
-        metavar="N",
-        help="Number of processor cores to work on, or the address of a dask scheduler such as "
-        "tcp://10.0.0.5:8786. The results do not depend on it.",
-        callback=_workers,
-    ),
-]
 Json = Annotated[bool, typer.Option("--json", help="Print only result.json, to standard output.")]
-Continuation = Annotated[
-    Literal["continuation", "single-step"],
-    typer.Option(help="Apply the load in small steps, or all at once as in the paper."),
-]
 
 
-class Verb(typer.core.TyperCommand):
+class Command(typer.core.TyperCommand):
     """A verb that tells the group it belongs to what it was called with."""
 
-    # typing.override came with Python 3.12.
-    def invoke(self, ctx: Any) -> Any:  # type: ignore[explicit-override]
+    @override
+    def invoke(self, ctx: Any) -> Any:
         """Result of the verb."""
         out = ctx.params.get("out")
         ctx.meta[SETTINGS] = ctx.params
@@ -141,23 +51,27 @@ class Verb(typer.core.TyperCommand):
         return super().invoke(ctx)
 
 
-class Verbs(typer.core.TyperGroup):
+class CommandGroup(typer.core.TyperGroup):
     """Verbs that end with a sentence and an exit code instead of a traceback."""
 
-    # typing.override came with Python 3.12.
-    def invoke(self, ctx: Any) -> Any:  # type: ignore[explicit-override]
+    @override
+    def invoke(self, ctx: Any) -> Any:
         """Result of the verb, its mistakes turned into exit codes."""
         try:
-            with warnings_logged():
+            with warnings_to_log():
                 return super().invoke(ctx)
         except KeyboardInterrupt:
-            is_kept = ctx.invoked_subcommand in RESUMING
+            verb = verb_named(ctx.invoked_subcommand)
+            is_kept = verb is not None and verb.resumes
             sentence, code = STOPPED_WORK if is_kept else STOPPED, INTERRUPTED
         # The one place where an error ends, foreseen or not.
         except Exception as error:
-            if _is_ending(error):
+            if _ends_command(error):
                 raise
-            sentence, code = _foreseen(error) or (_unforeseen(error, ctx.meta), NOT_COMPUTED)
+            sentence, code = _expected_error(error) or (
+                _unexpected_error(error, ctx.meta),
+                NOT_COMPUTED,
+            )
         _remove_if_empty(ctx.meta)
         # A file that is no text may bring anything into the sentence about it.
         plain = sentence.replace("\n", " ")
@@ -166,7 +80,7 @@ class Verbs(typer.core.TyperGroup):
         raise typer.Exit(code)
 
 
-def _is_ending(error: Exception) -> bool:
+def _ends_command(error: Exception) -> bool:
     """Whether an exception is how typer ends a command, or one that it answers itself."""
     # A closed pipe, as in `identknee ... | head`, ends quietly.
     if isinstance(error, OSError):
@@ -176,25 +90,27 @@ def _is_ending(error: Exception) -> bool:
     return is_typers and type(error) is not typer.BadParameter
 
 
-def _foreseen(error: Exception) -> tuple[str, int] | None:
-    """What a person is told, and the exit code; None where nobody foresaw the error."""
+def _expected_error(error: Exception) -> tuple[str, int] | None:
+    """The message for the user and the exit code; None for an unexpected error."""
     if isinstance(error, typer.BadParameter):
         return option_sentence(error), WRONG_INPUT
-    if isinstance(error, NotComputed | ModuleNotFoundError | WorkerDied):
-        return f"{error}{remedy_for_module(error)}", NOT_COMPUTED
+    if isinstance(error, NotComputable | ModuleNotFoundError | WorkerTerminated):
+        return f"{error}{missing_module_hint(error)}", NOT_COMPUTED
     if isinstance(error, MemoryError):
         return "there is not enough memory", NOT_COMPUTED
     if isinstance(error, OSError):
         return f"a file or folder cannot be used: {error}", WRONG_INPUT
-    if isinstance(error, ValueError) and is_our_sentence(error):
+    if isinstance(error, ValueError) and is_identknee_error(error):
         return str(error), WRONG_INPUT
     return None
 
 
-def _unforeseen(error: Exception, meta: Mapping[str, Any]) -> str:
+def _unexpected_error(error: Exception, meta: Mapping[str, Any]) -> str:
     settings = meta.get(SETTINGS, {})
     out = settings.get("out")
-    return report_unforeseen(error, settings, out if out is not None and out.is_dir() else None)
+    return report_unexpected_error(
+        error, settings, out if out is not None and out.is_dir() else None
+    )
 
 
 def _remove_if_empty(meta: Mapping[str, Any]) -> None:
@@ -212,13 +128,13 @@ def option_sentence(error: typer.BadParameter) -> str:
     return f"{message}. See: {where} --help"
 
 
-def remedy_for_module(error: Exception) -> str:
+def missing_module_hint(error: Exception) -> str:
     """What to do about a missing module, where only Python has spoken; empty for our own words."""
     is_python = isinstance(error, ModuleNotFoundError) and error.name is not None
     return ". To see what is missing: identknee doctor" if is_python else ""
 
 
-def is_our_sentence(error: ValueError) -> bool:
+def is_identknee_error(error: ValueError) -> bool:
     """Whether the error was raised by identknee for the caller, rather than inside a library."""
     if isinstance(error, InputError):
         return True
@@ -241,41 +157,35 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
-def run_verb(
-    context: typer.Context,
-    function: "Callable[..., Given]",
-    *,
-    without: Sequence[str] = (),
-    then: str = "",
-) -> "Given":
-    """Call a verb of the library with the options of the command, and print its answer.
+def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
+    """Print an answer, and leave with the exit code that it asks for.
 
     Parameters
     ----------
-    context
-        The command with its options.
-    function
-        The verb.
-    without
-        Options of the command that the verb does not have.
+    answer
+        What the verb gave back.
+    out
+        Folder of the results.
     then
-        What to do next, said after the answer.
+        What to do next; empty for nothing.
+    as_json
+        Whether to print only the summary.
     """
-    arguments = {name: x for name, x in context.params.items() if name not in without}
-    as_json = arguments.pop("as_json")
-    answer = function(**arguments)
     # These load xarray and what draws tables, which takes longer than most mistakes.
     from identknee.runs.plain_records import summary_of
 
     lines = [] if as_json else [str(answer)]
-    lines += [f"Results: {arguments['out']}", *([then] if then else [])]
+    lines += [f"Results: {out}", *([then] if then else [])]
     show(summary_of(answer), lines, as_json=as_json)
+    if answer.remark:
+        typer.echo(answer.remark, err=True)
     if answer.failure:
-        raise NotComputed(answer.failure)
-    return answer
+        raise NotComputable(answer.failure)
+    if answer.refuses_input:
+        raise typer.Exit(WRONG_INPUT)
 
 
-def print_found(found: Any, *lines: str, as_json: bool) -> None:
+def print_result(found: Any, *lines: str, as_json: bool) -> None:
     """Print what a function found that leaves no files: as JSON, or in its own words."""
     summary = {}
     if as_json:
@@ -285,4 +195,4 @@ def print_found(found: Any, *lines: str, as_json: bool) -> None:
         summary = summary_of(found)
     show(summary, [str(found), *lines], as_json=as_json)
     if failure := getattr(found, "failure", ""):
-        raise NotComputed(failure)
+        raise NotComputable(failure)

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 import identknee as ik
-from identknee.cli.command import print_found
+from identknee.cli.command import print_result
 
 Json = Annotated[bool, typer.Option("--json", help="Print the checks as JSON, and nothing else.")]
 
@@ -17,4 +17,4 @@ def doctor(as_json: Json = False) -> None:
     reference knee. The first one after an installation compiles, which takes up to a minute. The
     exit code is 1 if anything is wrong.
     """
-    print_found(ik.verbs.doctor(), as_json=as_json)
+    print_result(ik.verbs.doctor(), as_json=as_json)

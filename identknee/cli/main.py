@@ -5,7 +5,7 @@ import signal
 import sys
 from types import FrameType
 
-from identknee.runs.library_threads import LIBRARY_THREADS
+from identknee.runs.executors import LIBRARY_THREADS
 
 NOT_COMPUTED, INTERRUPTED = 1, 130
 STOPPED = "identknee: stopped while starting"
@@ -29,9 +29,9 @@ def main() -> None:
         sys.exit(INTERRUPTED)
     # What breaks before or around the verbs, which answer for themselves.
     except Exception as error:  # noqa: BLE001
-        from identknee.runs.unforeseen import report_unforeseen
+        from identknee.runs.crash_report import report_unexpected_error
 
-        print(f"identknee: {report_unforeseen(error, {}, None)}", file=sys.stderr)
+        print(f"identknee: {report_unexpected_error(error, {}, None)}", file=sys.stderr)
         sys.exit(NOT_COMPUTED)
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from identknee.cli.command import Json, show
+from identknee.cli.verb_command import PAGE
 
 Folder = Annotated[
     Path,
@@ -22,7 +23,6 @@ Figures = Annotated[
         help="Also write every figure for a paper, to the folder figures beside the page."
     ),
 ]
-PAGE = "report.html"
 
 
 def report(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import identknee as ik
-from identknee.cli.command import Json, print_found
+from identknee.cli.command import Json, print_result
 
 BlindFolder = Annotated[
     Path, typer.Argument(metavar="BLIND_DIR", help="A folder that `identknee blind` wrote.")
@@ -18,4 +18,4 @@ DiagnosisFolder = Annotated[
 
 def reveal(blind_dir: BlindFolder, diagnosis_dir: DiagnosisFolder, as_json: Json = False) -> None:
     """Reveal a hidden effect, and score its diagnosis."""
-    print_found(ik.blind_test.reveal(blind_dir, diagnosis_dir), as_json=as_json)
+    print_result(ik.blind_test.reveal(blind_dir, diagnosis_dir), as_json=as_json)

@@ -1,7 +1,7 @@
 from .fitting import fit_base as fit_base
 from .folds import Fold as Fold
 from .folds import observations_of as observations_of
-from .gain import HeldOut as HeldOut
+from .gain import CrossValidation as CrossValidation
 from .gain import elpd_difference as elpd_difference
 from .gain import held_out as held_out
 from .investigation import Investigation as Investigation

@@ -1,25 +1,24 @@
 """Which trials to add so that explanations that fit alike come apart."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
 
 from identknee.diagnosis.candidates import (
     UNSEEN,
-    Candidates,
+    CandidateCauses,
+    Detectability,
     Variant,
-    Visibility,
-    half_way,
     library_candidates,
+    secant_amplitudes,
 )
 from identknee.diagnosis.fitting import (
-    Fitted,
+    FittedModel,
     base_model,
-    fit_from,
+    best_fit_from,
     fitted_with_nuisances,
-    plain_noise,
+    stated_noise,
 )
 from identknee.diagnosis.isolability import (
     LEAST_DISTANCE,
@@ -28,17 +27,16 @@ from identknee.diagnosis.isolability import (
     Pair,
     advise_trials,
     groups,
+    least_favourable_distances,
+    noncentrality_root,
     pair_distances,
-    visible_root,
-    worst_distances,
 )
 from identknee.diagnosis.refit import Refit, Rival
-from identknee.identify.design import SHARE
 from identknee.identify.nuisances import nuisance_places
-from identknee.laxity.candidates import repeated
+from identknee.laxity.candidates import unique_names
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import Laxity
-from identknee.model.candidate_laxity import CandidateLaxity, offered_trials, typical_errors
+from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE, library
 from identknee.model.effects.stored import values_of
@@ -47,6 +45,7 @@ from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import nuisance_changes
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
+from identknee.runs.marginalise import with_error_measured
 from identknee.subject.knee import Knee
 
 # Rivals beyond these follow from the nearest ones.
@@ -57,7 +56,7 @@ MOST_DIFFERENCE = 10.0
 
 
 @declared
-class Rows:
+class WhitenedRows:
     """Predictions, in units of noise, of the m values made and of n offered trials with r each."""
 
     made: Array = entry("Predictions of the values made, shape ``(m, ...)``")
@@ -67,31 +66,31 @@ class Rows:
 
 
 @declared
-class OfferedTrials:
+class AdviceCandidates:
     """The trials of data, and others to choose from."""
 
     laxity: Laxity = entry("The data with their errors")
     candidates: Protocol = entry("The trials to choose from, each measured as those made were")
 
-    def predict(self, model: LaxityModel, theta: Array) -> tuple[Rows, Rows]:
+    def predict(self, model: LaxityModel, theta: Array) -> tuple[WhitenedRows, WhitenedRows]:
         """Predicted minus measured values, and their derivatives by theta."""
         compared = LaxityResiduals(model=model, laxity=self.laxity)
         values, jacobian = self._choice(model, theta).predict(theta, range(self.candidates.n))
-        noise = plain_noise(self.laxity)
+        noise = stated_noise(self.laxity)
         return (
-            Rows(made=noise.whiten(compared.residuals(theta)), offered=values),
-            Rows(made=noise.whiten(compared.jacobian(theta)), offered=jacobian),
+            WhitenedRows(made=noise.whiten(compared.residuals(theta)), offered=values),
+            WhitenedRows(made=noise.whiten(compared.jacobian(theta)), offered=jacobian),
         )
 
-    def nuisances(self, fitted: Fitted) -> Rows:
+    def nuisances(self, fitted: FittedModel) -> WhitenedRows:
         """What nuisances change, for one prior standard deviation of each in the last dimension."""
         choice = self._choice(fitted.model, fitted.theta)
         # One that is made and offered is there once.
         whole = concatenate([self.laxity.protocol, choice.trials], name="made and offered")
         changes, spreads = nuisance_changes(choice.model.with_protocol(whole), fitted.theta)
         offered = [whole.trials.index(x) for x in choice.trials.trials]
-        return Rows(
-            made=plain_noise(self.laxity).whiten(
+        return WhitenedRows(
+            made=stated_noise(self.laxity).whiten(
                 fitted.compared.rows(changes[: self.laxity.n] * spreads)
             ),
             offered=choice.rows(changes[offered] * spreads),
@@ -99,9 +98,9 @@ class OfferedTrials:
 
     def advise(
         self,
-        rows: Rows,
+        rows: WhitenedRows,
         pairs: Sequence[Pair],
-        fitted: Fitted,
+        fitted: FittedModel,
         *,
         n_base: int,
         measured: Sequence[Array] = (),
@@ -150,7 +149,7 @@ class OfferedTrials:
         chosen, offered = list(found.chosen), self.candidates
         advised = Protocol(
             name="advised",
-            trials=repeated([offered.trials[i] for i in chosen], self.laxity.protocol.trials),
+            trials=unique_names([offered.trials[i] for i in chosen], self.laxity.protocol.trials),
             flexion_deg=offered.flexion_deg[chosen],
             loads=offered.loads[chosen],
         )
@@ -164,37 +163,31 @@ class OfferedTrials:
             sd=typical_errors(self.laxity),
             free=model.parameters.with_fixed((), theta),
         )
-        return choice.begun_at(theta)
+        return choice.with_start_poses(theta)
 
 
 @declared
 class Advice:
-    """Trials to add, and what they would do."""
+    """What the advised trials would do to distances, see `identknee.diagnosis.refit`."""
 
-    trials: Protocol = entry("The protocol to add, the most useful first")
+    sentence: str = entry("What they would do")
     rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
-    before: Array = entry(
-        "Distance of each rival in units of noise without these trials, see "
-        "`identknee.diagnosis.refit.expected_distance`"
-    )
-    after: Array = entry("The same with these trials")
-    with_one_trial: Array = entry("The same with the first of these trials alone")
-    with_error_halved: Mapping[str, tuple[float, ...]] = entry(
-        "The same, without any trial, with one stated error known twice as well, by its name"
+    distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
+    distance_after: tuple[float, ...] = entry("The same with the trials")
+    distance_with_one_trial: tuple[float, ...] = entry("The same with the first trial alone")
+    distance_with_error_halved: Mapping[str, tuple[float, ...]] = entry(
+        "The same with one stated error known twice as well, by its name"
     )
 
-    @property
-    def sentence(self) -> str:
-        """The expected benefit, as a sentence."""
-        n = self.trials.n
-        which = "this trial" if n == 1 else f"these {n} trials"
-        return (
-            f"With {which} the nearest rival would be {float(self.after.min()):.1f} units of noise "
-            f"away instead of {float(self.before.min()):.1f}; 5 are enough to tell it apart."
-        )
+
+@declared
+class AdvisedProtocol(Advice):
+    """What the advised trials would do, and these."""
+
+    trials: Protocol = entry("To add, the most useful first", is_in_json=False)
 
 
-def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | None:
+def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProtocol | None:
     """The trials that separate the best explanation from its open rivals.
 
     None without any, and where the model has no equilibrium in the trials that could be added.
@@ -215,8 +208,8 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | Non
     rivals = [x for x in rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
     if not rivals or _depends_on_order(best):
         return None
-    offer = OfferedTrials(
-        laxity=laxity, candidates=offered_trials(best.fitted.model, laxity.protocol)
+    offer = AdviceCandidates(
+        laxity=laxity, candidates=offered_laxity(best.fitted.model, laxity.protocol)
     )
     rows, pairs = _table(best, rivals, offer)
     measured = measured_errors(best, rivals, pairs, rows.made.shape[1])
@@ -225,13 +218,23 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> Advice | Non
     )
     if not (found.chosen and np.isfinite(found.distances[0]).all()):
         return None
-    return Advice(
+    before, after, single = (
+        tuple(found.distances[i].tolist()) for i in (0, -1, min(1, len(found.chosen)))
+    )
+    which = "this trial" if trials.n == 1 else f"these {trials.n} trials"
+    return AdvisedProtocol(
         trials=trials,
+        sentence=(
+            f"With {which} the nearest rival would be {min(after):.1f} units of noise away instead "
+            f"of {min(before):.1f}; 5 are enough to distinguish it."
+        ),
         rivals=tuple(x.refit.names for x in rivals),
-        before=found.distances[0],
-        after=found.distances[-1],
-        with_one_trial=found.distances[min(1, len(found.chosen))],
-        with_error_halved={k: tuple(x) for k, x in zip(measured, others.tolist(), strict=True)},
+        distance_before=before,
+        distance_after=after,
+        distance_with_one_trial=single,
+        distance_with_error_halved={
+            k: tuple(x) for k, x in zip(measured, others.tolist(), strict=True)
+        },
     )
 
 
@@ -240,7 +243,9 @@ def _depends_on_order(explanation: Refit) -> bool:
     return any(x in NEEDS_ORDER | NEEDS_PHASE for x in explanation.names)
 
 
-def _table(best: Refit, rivals: Sequence[Rival], offer: OfferedTrials) -> tuple[Rows, list[Pair]]:
+def _table(
+    best: Refit, rivals: Sequence[Rival], offer: AdviceCandidates
+) -> tuple[WhitenedRows, list[Pair]]:
     """Columns of the base parameters, of differences and of the rivals' causes, and the pairs.
 
     The difference between the predictions of the best explanation and of a rival is one column,
@@ -269,7 +274,7 @@ def _table(best: Refit, rivals: Sequence[Rival], offer: OfferedTrials) -> tuple[
             )
         )
         place = end
-    return Rows(made=np.hstack(made), offered=np.concatenate(offered, axis=2)), pairs
+    return WhitenedRows(made=np.hstack(made), offered=np.concatenate(offered, axis=2)), pairs
 
 
 def measured_errors(
@@ -297,12 +302,10 @@ def measured_errors(
     parameters = best.fitted.model.parameters
     made = {}
     for name, places in nuisance_places(parameters).items():
-        per_unit = np.sqrt(SHARE**-2 - 1.0) / parameters.prior_sd[places]
-        rows = np.zeros((len(places), n_columns))
-        rows[np.arange(len(places)), places] = per_unit
+        rows = with_error_measured(n_columns, places, parameters.prior_sd[places])
         for rival, pair in zip(rivals, pairs, strict=True):
             apart = best.fitted.theta[places] - rival.refit.fitted.theta[places]
-            rows[:, pair.effect[0]] = per_unit * apart
+            rows[:, pair.effect[0]] = rows[:, places] @ apart
         made[name] = rows
     return made
 
@@ -331,7 +334,7 @@ class ProtocolIsolability:
     """Isolability of the library's effects under a protocol."""
 
     protocol: Protocol = entry("The trials that have a prediction")
-    visibility: tuple[Visibility, ...] = entry(
+    visibility: tuple[Detectability, ...] = entry(
         "Size that would be seen, for every effect of the library"
     )
     distances: Distances = entry(
@@ -368,63 +371,31 @@ def protocol_isolability(
     seed
         Seed of the distributions under no effect.
     """
-    told = _told(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2), seed)
-    if told is None:
-        return None
-    fitted, candidates, variants = told.fitted, told.candidates, told.variants
-    return ProtocolIsolability(
-        protocol=fitted.laxity.protocol,
-        visibility=tuple(candidates.visibility(x.effect) for x in variants),
-        distances=told.apart,
-        advice=tuple(
-            _advise(fitted, candidates, [x for x in variants if x.effect.name in names])
-            for names in told.groups
-            if len(names) > 1
-        ),
-        look_alikes=_look_alikes(told.apart),
-    )
-
-
-def protocol_groups(
-    knee: Knee, protocol: Protocol, *, sd_mm: float, sd_deg: float, seed: int = 0
-) -> tuple[tuple[str, ...], ...]:
-    """The groups of effects that the protocol cannot distinguish, without advice on trials.
-
-    Parameters as in `protocol_isolability`; empty where no trial is predicted.
-    """
-    told = _told(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2), seed)
-    return () if told is None else told.groups
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Told:
-    """What the subject's own values tell: the fit, its candidates and how far they are apart."""
-
-    fitted: Fitted
-    candidates: Candidates
-    variants: tuple[Variant, ...]
-    apart: Distances
-
-    @property
-    def groups(self) -> tuple[tuple[str, ...], ...]:
-        return groups(_among(self.apart, [x for x in self.apart.effects if x != IMITATOR]))
-
-
-def _told(knee: Knee, protocol: Protocol, sd: Array, seed: int) -> _Told | None:
-    fitted = _own_fit(knee, protocol, sd)
+    fitted = _fit_to_own_predictions(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
     if fitted is None:
         return None
     present = {x.name for x in fitted.model.effects}
     tried = [x for x in library(knee) if x.name not in present]
     candidates = library_candidates(fitted, tried, seed=seed)
     typical = [candidates.typical(x.name) for x in tried]
-    variants = tuple(x for x in typical if x is not None)
+    variants = [x for x in typical if x is not None]
     projected = [candidates.projected(x) for x in variants]
-    apart = worst_distances(projected, ROOT, candidates.test.signatures)
-    return _Told(fitted=fitted, candidates=candidates, variants=variants, apart=apart)
+    apart = least_favourable_distances(projected, ROOT, candidates.test.signatures)
+    confused = groups(_mutual_distances(apart, [x for x in apart.effects if x != IMITATOR]))
+    return ProtocolIsolability(
+        protocol=fitted.laxity.protocol,
+        visibility=tuple(candidates.visibility(x.effect) for x in variants),
+        distances=apart,
+        advice=tuple(
+            _advise(fitted, candidates, [x for x in variants if x.effect.name in names])
+            for names in confused
+            if len(names) > 1
+        ),
+        look_alikes=_confusable_pairs(apart),
+    )
 
 
-def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
+def _fit_to_own_predictions(knee: Knee, protocol: Protocol, sd: Array) -> FittedModel | None:
     """The base model at the subject's own values, as if fitted to its own prediction."""
     model = base_model(knee, protocol)
     theta = model.parameters.vector(values_of(knee))
@@ -435,11 +406,11 @@ def _own_fit(knee: Knee, protocol: Protocol, sd: Array) -> Fitted | None:
     coordinates = model.predict_once(theta).coordinates
     sds = np.broadcast_to(sd, coordinates.shape)
     laxity = Laxity(protocol=model.protocol, coordinates=coordinates, sd=sds)
-    plain = fit_from(model, laxity, plain_noise(laxity), [theta])
+    plain = best_fit_from(model, laxity, stated_noise(laxity), [theta])
     return fitted_with_nuisances(plain, sds, laxity.within_trial_correlation)
 
 
-def _among(apart: Distances, names: Sequence[str]) -> Distances:
+def _mutual_distances(apart: Distances, names: Sequence[str]) -> Distances:
     """The mutual distances of these effects."""
     rows = [apart.effects.index(x) for x in names]
     columns = [apart.rivals.index(x) for x in names]
@@ -447,8 +418,8 @@ def _among(apart: Distances, names: Sequence[str]) -> Distances:
     return Distances(effects=tuple(names), rivals=tuple(names), values=values)
 
 
-def _look_alikes(apart: Distances) -> dict[str, tuple[str, ...]]:
-    square = _among(apart, apart.effects)
+def _confusable_pairs(apart: Distances) -> dict[str, tuple[str, ...]]:
+    square = _mutual_distances(apart, apart.effects)
     least = np.minimum(square.values, square.values.T)
     near = {}
     for row, name in enumerate(square.effects):
@@ -457,14 +428,19 @@ def _look_alikes(apart: Distances) -> dict[str, tuple[str, ...]]:
     return near
 
 
-def _advise(fitted: Fitted, candidates: Candidates, members: Sequence[Variant]) -> GroupAdvice:
+def _advise(
+    fitted: FittedModel, candidates: CandidateCauses, members: Sequence[Variant]
+) -> GroupAdvice:
     """The trials that set the members of a group apart, each from the others where most alike."""
     confused = [
-        (one, _most_alike(candidates, one, other.effect)) for one, other in permutations(members, 2)
+        (one, _least_distinguishable(candidates, one, other.effect))
+        for one, other in permutations(members, 2)
     ]
     variants = list({id(x): x for x in [*members, *(rival for _, rival in confused)]}.values())
     laxity = fitted.laxity
-    offer = OfferedTrials(laxity=laxity, candidates=offered_trials(fitted.model, laxity.protocol))
+    offer = AdviceCandidates(
+        laxity=laxity, candidates=offered_laxity(fitted.model, laxity.protocol)
+    )
     trials, found, _ = offer.advise(
         _rows(fitted, variants, offer),
         _pairs(fitted, candidates, variants, confused),
@@ -479,7 +455,9 @@ def _advise(fitted: Fitted, candidates: Candidates, members: Sequence[Variant]) 
     )
 
 
-def _rows(fitted: Fitted, variants: Sequence[Variant], offer: OfferedTrials) -> Rows:
+def _rows(
+    fitted: FittedModel, variants: Sequence[Variant], offer: AdviceCandidates
+) -> WhitenedRows:
     """Derivatives by the base parameters, then by the amplitudes of each effect, side by side."""
     model, theta = fitted.model, fitted.theta
     _, slopes = offer.predict(model, theta)
@@ -490,27 +468,30 @@ def _rows(fitted: Fitted, variants: Sequence[Variant], offer: OfferedTrials) -> 
         _, slopes = offer.predict(extended, np.r_[theta, variant.values])
         size = np.linalg.norm(slopes.made[:, theta.size :], axis=0) * p.prior_sd
         if not (size > UNSEEN).any():
-            values = half_way(variant.effect, variant.values)
+            values = secant_amplitudes(variant.effect, variant.values)
             _, slopes = offer.predict(extended, np.r_[theta, values])
         moved = theta.size + variant.moved
-        blocks.append(Rows(made=slopes.made[:, moved], offered=slopes.offered[:, :, moved]))
-    return Rows(
+        blocks.append(WhitenedRows(made=slopes.made[:, moved], offered=slopes.offered[:, :, moved]))
+    return WhitenedRows(
         made=np.concatenate([x.made for x in blocks], axis=1),
         offered=np.concatenate([x.offered for x in blocks], axis=2),
     )
 
 
-def _most_alike(candidates: Candidates, effect: Variant, rival: Effect) -> Variant:
+def _least_distinguishable(candidates: CandidateCauses, effect: Variant, rival: Effect) -> Variant:
     """The variant of a rival that is hardest to distinguish from an effect."""
     rivals = [x for x in candidates.variants if x.effect is rival]
     seen = [candidates.projected(effect)]
-    values = [worst_distances(seen, ROOT, [candidates.projected(x)]).values[0, 0] for x in rivals]
+    values = [
+        least_favourable_distances(seen, ROOT, [candidates.projected(x)]).values[0, 0]
+        for x in rivals
+    ]
     return rivals[int(np.argmin(values))]
 
 
 def _pairs(
-    fitted: Fitted,
-    candidates: Candidates,
+    fitted: FittedModel,
+    candidates: CandidateCauses,
     variants: Sequence[Variant],
     confused: Sequence[tuple[Variant, Variant]],
 ) -> list[Pair]:
@@ -523,7 +504,7 @@ def _pairs(
     for one, other in confused:
         amplitude = np.zeros(len(one.moved))
         amplitude[0] = 1.0
-        amplitude[0] = ROOT / visible_root(candidates.projected(one), amplitude)
+        amplitude[0] = ROOT / noncentrality_root(candidates.projected(one), amplitude)
         pairs.append(
             Pair(
                 effect=places[id(one)],

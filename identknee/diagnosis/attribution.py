@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.diagnosis.candidates import Candidates, Variant, library_candidates
+from identknee.diagnosis.candidates import CandidateCauses, Variant, library_candidates
 from identknee.diagnosis.refit import (
     Refit,
     Rival,
@@ -13,7 +13,7 @@ from identknee.diagnosis.refit import (
     could_matter,
     is_undecided,
     refit,
-    refit_by_low_loads,
+    refit_via_low_loads,
     rivals_of,
 )
 from identknee.diagnosis.score import LEVEL, CandidateScore, Scores
@@ -50,7 +50,7 @@ MOST_HELPERS = 2
 
 
 @declared
-class Step(Candidates):
+class AttributionStep(CandidateCauses):
     """The scores at one fit, and the refits they suggest."""
 
     at: Refit = entry("The fit")
@@ -69,7 +69,7 @@ class Step(Candidates):
 class Attribution:
     """The best explanation of a misfit, and its alternatives."""
 
-    steps: tuple[Step, ...] = entry(
+    steps: tuple[AttributionStep, ...] = entry(
         "The looks taken, from the base model on; the last at the best explanation"
     )
     best: Refit = entry("The model with all causes found; the base model where there is none")
@@ -83,7 +83,7 @@ class Attribution:
         return self.steps[0].at
 
     @property
-    def is_left_unexplained(self) -> bool:
+    def has_remaining_misfit(self) -> bool:
         """Whether an effect not in the best explanation still scores higher than chance allows."""
         last = self.steps[-1]
         return last.at is self.best and last.is_significant
@@ -125,7 +125,7 @@ def attribute(
         step = steps[-1]
         if not (step.is_significant or (is_forced and not current.causes)):
             break
-        step = replace(step, refits=promising_refits(step, base))
+        step = replace(step, refits=refit_top_candidates(step, base))
         steps[-1] = step
         simple = [x for x in step.refits if not is_flexible(x.causes[-1])]
         if not simple or not _is_better(simple[0], current):
@@ -136,7 +136,7 @@ def attribute(
             break
         steps.append(score_candidates(current, left, seed))
     current, rest = backward_elimination(base, current, rest, steps)
-    current, rest = _with_flexible(current, rest, steps[0])
+    current, rest = _with_flexible_effects(current, rest, steps[0])
     left = [x for x in effects if x.name not in current.names]
     if left and steps[-1].at is not current:
         steps.append(score_candidates(current, left, seed))
@@ -144,7 +144,7 @@ def attribute(
     return Attribution(steps=tuple(steps), best=current, rivals=rivals)
 
 
-def score_candidates(at: Refit, effects: Sequence[Effect], seed: int) -> Step:
+def score_candidates(at: Refit, effects: Sequence[Effect], seed: int) -> AttributionStep:
     """The scores of effects at a fit, before any refit.
 
     Parameters
@@ -159,7 +159,9 @@ def score_candidates(at: Refit, effects: Sequence[Effect], seed: int) -> Step:
     with stage("scoring causes"):
         found = library_candidates(at.fitted, effects, seed=seed)
         scores = found.test.evaluate(at.fitted.residual_rows())
-    return Step(at=at, variants=found.variants, test=found.test, scores=scores, refits=())
+    return AttributionStep(
+        at=at, variants=found.variants, test=found.test, scores=scores, refits=()
+    )
 
 
 def _is_better(new: Refit, old: Refit) -> bool:
@@ -170,7 +172,7 @@ def _is_better(new: Refit, old: Refit) -> bool:
 
 
 def backward_elimination(
-    base: Refit, current: Refit, rest: tuple[Refit, ...], steps: Sequence[Step]
+    base: Refit, current: Refit, rest: tuple[Refit, ...], steps: Sequence[AttributionStep]
 ) -> tuple[Refit, tuple[Refit, ...]]:
     """The explanation after leaving out and swapping single causes, and its alternatives."""
     if len(current.causes) < 2:
@@ -192,8 +194,8 @@ def backward_elimination(
     return best, tuple(x for x in (current, *alternatives) if x is not best)
 
 
-def _with_flexible(
-    current: Refit, rest: tuple[Refit, ...], first: Step
+def _with_flexible_effects(
+    current: Refit, rest: tuple[Refit, ...], first: AttributionStep
 ) -> tuple[Refit, tuple[Refit, ...]]:
     """The explanation beside effects that fit almost anything, which win by evidence alone."""
     flexible = [x for x in first.refits if is_flexible(x.causes[-1])]
@@ -217,7 +219,7 @@ def _swapped(base: Refit, current: Refit, name: str, single: Refit) -> Refit:
     return refit(base, [*kept, *single.causes], [start])
 
 
-def promising_refits(step: Step, base: Refit) -> tuple[Refit, ...]:
+def refit_top_candidates(step: AttributionStep, base: Refit) -> tuple[Refit, ...]:
     """The effects that score high, refitted: all a little, the better ones to the end.
 
     One that has no prediction, or is stuck where a trial leaves its branch, begins again with less
@@ -249,7 +251,7 @@ def is_flexible(effect: Effect) -> bool:
     return effect.parameters.n > MOST_AMPLITUDES
 
 
-def _promising(step: Step) -> list[CandidateScore]:
+def _promising(step: AttributionStep) -> list[CandidateScore]:
     found_high = [x for x in step.scores.candidates if x.score > LEAST_SCORE]
     if step.at.causes:
         by_name = {x.effect.name: x.effect for x in step.variants}
@@ -269,7 +271,7 @@ class _Task:
     is_possible: bool = entry("Whether its score leaves it possible that it is the explanation")
 
     @classmethod
-    def of(cls, step: Step, candidate: CandidateScore, base: Refit) -> "_Task":
+    def of(cls, step: AttributionStep, candidate: CandidateScore, base: Refit) -> "_Task":
         variant = next(
             x
             for x in step.variants
@@ -313,7 +315,9 @@ class _Task:
                 found = refit(base, self.causes, [found.fitted.theta])
         if found.fitted.outcome is Outcome.MINIMUM:
             return found
-        return max(found, refit_by_low_loads(base, found, starts[-1]), key=lambda x: x.log_evidence)
+        return max(
+            found, refit_via_low_loads(base, found, starts[-1]), key=lambda x: x.log_evidence
+        )
 
     def rescued(self, base: Refit, found: Refit, all_found: Sequence[Refit]) -> Refit:
         """A refit that failed, is stuck or was left, begun again also where others succeeded."""

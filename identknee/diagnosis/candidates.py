@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 
 from identknee.checks.fit_warnings import BEYOND_PRIOR
-from identknee.diagnosis.fitting import Fitted
+from identknee.diagnosis.fitting import FittedModel
 from identknee.diagnosis.refit import FAR_EVIDENCE, Refit, refit
 from identknee.diagnosis.score import (
     LEVEL,
@@ -17,18 +17,18 @@ from identknee.diagnosis.score import (
     Scores,
     ScoreTest,
     Signature,
+    classify_effect,
     detectable_amplitude,
     detection_power,
-    judge,
     project_signature,
     score_test,
 )
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.grood_suntay import coordinate_jacobian
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.effects.effect import PLAIN, Effect, unit_of
 from identknee.model.effects.facts import FACTS
-from identknee.model.effects.insertion import BONES, MovedInsertion, moved_insertion
+from identknee.model.effects.insertion import BONES, InsertionShift, moved_insertion
 from identknee.model.effects.remounting import Remounting, remounting
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.model.mechanics_inputs import PER_KN
@@ -73,7 +73,7 @@ class Variant:
         return np.asarray(np.clip(values, parameters.lower, parameters.upper))
 
 
-def library_variants(fitted: Fitted, effects: Sequence[Effect]) -> tuple[Variant, ...]:
+def library_variants(fitted: FittedModel, effects: Sequence[Effect]) -> tuple[Variant, ...]:
     """Signatures of all effects at a fit, those of structures for a grid of sites and strains.
 
     Derivatives are those of the fitted model's predictions, for an effect without any where it does
@@ -87,26 +87,28 @@ def library_variants(fitted: Fitted, effects: Sequence[Effect]) -> tuple[Variant
     return tuple(found)
 
 
-def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
+def _tangents(fitted: FittedModel, effects: Sequence[Effect]) -> Iterator[Variant]:
     """One variant an effect, or one a strain for structures that stay where they are."""
     tried = [(effect, values) for effect in effects for values in _baselines(effect)]
-    for (effect, values), changes in zip(tried, _idle_columns(fitted, tried), strict=True):
+    for (effect, values), changes in zip(tried, _null_columns(fitted, tried), strict=True):
         p = effect.parameters
         size = np.linalg.norm(changes, axis=0) * p.prior_sd
         seen = size > UNSEEN
         is_secant = not seen.any()
         if is_secant:
-            (changes,) = _columns(fitted, [(effect, half_way(effect, values))])
+            (changes,) = _columns(fitted, [(effect, secant_amplitudes(effect, values))])
             seen = np.linalg.norm(changes, axis=0) * p.prior_sd > UNSEEN
         if not seen.any():
             continue
         moved = np.flatnonzero(seen)
         strain = values[effect.first_shift - 1] if isinstance(effect, Structure) else None
+        # What tells effects of one name apart.
+        place = effect.variant if isinstance(effect, InsertionShift) else ""
         yield Variant(
             effect=effect,
             signature=Signature(
                 name=effect.name,
-                variant=_place(effect) if strain is None else f"strain {strain:g} %",
+                variant=place if strain is None else f"strain {strain:g} %",
                 columns=changes[:, moved],
                 prior_sd=p.prior_sd[moved],
                 sign=_signs(p)[moved],
@@ -115,11 +117,6 @@ def _tangents(fitted: Fitted, effects: Sequence[Effect]) -> Iterator[Variant]:
             moved=moved,
             is_secant=is_secant,
         )
-
-
-def _place(effect: Effect) -> str:
-    """The label that distinguishes effects of one name."""
-    return effect.variant if isinstance(effect, MovedInsertion) else ""
 
 
 def _baselines(effect: Effect) -> list[Array]:
@@ -131,7 +128,7 @@ def _baselines(effect: Effect) -> list[Array]:
     return [np.where(is_strain, strain, values) for strain in STRAINS]
 
 
-def _idle_columns(fitted: Fitted, tried: Sequence[Sized]) -> list[Array]:
+def _null_columns(fitted: FittedModel, tried: Sequence[Sized]) -> list[Array]:
     """The columns of effects at amplitudes at which none does anything.
 
     There they do not change each other's either: effects of different names share a prediction.
@@ -147,7 +144,7 @@ def _idle_columns(fitted: Fitted, tried: Sequence[Sized]) -> list[Array]:
     return [found[i] for i in range(len(tried))]
 
 
-def _columns(fitted: Fitted, added: Sequence[Sized]) -> list[Array]:
+def _columns(fitted: FittedModel, added: Sequence[Sized]) -> list[Array]:
     """Whitened derivatives by the amplitudes of effects that act together, ``(m, a)`` each."""
     base, sizes = fitted.model, [len(values) for _, values in added]
     model = base.with_effects([*base.effects, *(effect for effect, _ in added)])
@@ -159,7 +156,7 @@ def _columns(fitted: Fitted, added: Sequence[Sized]) -> list[Array]:
     return np.split(columns, np.cumsum(sizes)[:-1], axis=1)
 
 
-def half_way(effect: Effect, values: Array) -> Array:
+def secant_amplitudes(effect: Effect, values: Array) -> Array:
     """Amplitudes where an effect of second order slopes as much as the line to its end.
 
     Half a prior standard deviation of those of one sign from `values`; those of either sign act by
@@ -169,14 +166,16 @@ def half_way(effect: Effect, values: Array) -> Array:
     return np.where(p.lower >= values, np.minimum(values + 0.5 * p.prior_sd, p.upper), values)
 
 
-def _at_sites(fitted: Fitted, structure: MissingStructure) -> list[Variant]:
+def _at_sites(fitted: FittedModel, structure: MissingStructure) -> list[Variant]:
     """Variants of a missing structure on a grid of sites and reference strains."""
     moves = _site_moves(structure.parameters.n)
     strains = np.array(STRAINS)
     m = len(structure.femoral)
     femoral = np.concatenate([structure.femoral + x[2:5] for x in moves])
     tibial = np.concatenate([structure.tibial + x[5:8] for x in moves])
-    unmeasured = Lines(femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral)))
+    unmeasured = LineLigaments(
+        femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral))
+    )
     model, prediction = fitted.model, fitted.model.predict_once(fitted.theta)
     setting = model.setting(fitted.theta)
     lengths = setting.lengths_at_start(unmeasured)
@@ -202,7 +201,7 @@ def _at_sites(fitted: Fitted, structure: MissingStructure) -> list[Variant]:
     return found
 
 
-def pose_changes(fitted: Fitted, gradients: Array) -> Array:
+def pose_changes(fitted: FittedModel, gradients: Array) -> Array:
     """Changes of the coordinates (n, 5, k) by additions (n, 5, k) to the gradient of the energy."""
     prediction = fitted.model.predict_once(fitted.theta)
     if prediction.hessians is None:  # pragma: no cover - only mesh contact has none
@@ -257,7 +256,7 @@ def _signs(parameters: Parameters) -> IntArray:
 
 
 @declared
-class Visibility:
+class Detectability:
     """Detectable size of an effect in the data or under a protocol."""
 
     name: str = entry("Name of the effect")
@@ -274,7 +273,7 @@ class Visibility:
 
 
 @declared
-class Exclusion(Visibility):
+class Exclusion(Detectability):
     """Result for one effect: detected, excluded, or without power."""
 
     cell: Cell = entry("The answer: significant or not, crossed with power")
@@ -283,7 +282,7 @@ class Exclusion(Visibility):
 
 
 @declared
-class Candidates:
+class CandidateCauses:
     """The candidate causes and their score test."""
 
     variants: tuple[Variant, ...] = entry("Signatures of all effects")
@@ -299,9 +298,14 @@ class Candidates:
         A missing structure then lies where anatomy puts it, with an ordinary strain.
         """
         own = [x for x in self.variants if x.effect.name == name]
-        return min(own, key=_distance_from_prior, default=None)
 
-    def visibility(self, effect: Effect) -> Visibility:
+        def distance_from_prior(x: Variant) -> float:
+            p = x.effect.parameters
+            return float(np.sum(((x.values - p.center) / p.prior_sd) ** 2))
+
+        return min(own, key=distance_from_prior, default=None)
+
+    def visibility(self, effect: Effect) -> Detectability:
         """The detectable size of an effect."""
         relevant = FACTS[effect.name].relevant
         variant = self.typical(effect.name)
@@ -309,8 +313,8 @@ class Candidates:
             name = effect.parameters.names[0]
             detectable, power = float("inf"), LEVEL
         else:
-            name, detectable, power = self._hardest(variant, relevant)
-        return Visibility(
+            name, detectable, power = self._least_detectable(variant, relevant)
+        return Detectability(
             name=effect.name,
             parameter=name.partition(".")[2],
             unit=unit_of(name),
@@ -325,13 +329,13 @@ class Candidates:
         scored = next((x for x in scores.candidates if x.name == effect.name), None)
         score, p_value = (0.0, 1.0) if scored is None else (scored.score, scored.p_value)
         return Exclusion(
-            **{name: getattr(seen, name) for name in entries(Visibility)},
-            cell=judge(is_significant=p_value <= LEVEL, power=seen.power),
+            **{name: getattr(seen, name) for name in entries(Detectability)},
+            cell=classify_effect(is_significant=p_value <= LEVEL, power=seen.power),
             score=score,
             p_value=p_value,
         )
 
-    def _hardest(self, variant: Variant, relevant: float) -> tuple[str, float, float]:
+    def _least_detectable(self, variant: Variant, relevant: float) -> tuple[str, float, float]:
         """The amplitude hardest to see, its detectable size, and the power at `relevant`."""
         signature = self.projected(variant)
         names = [variant.effect.parameters.names[i] for i in variant.moved]
@@ -348,7 +352,9 @@ class Candidates:
         )
 
 
-def library_candidates(fitted: Fitted, effects: Sequence[Effect], *, seed: int) -> Candidates:
+def library_candidates(
+    fitted: FittedModel, effects: Sequence[Effect], *, seed: int
+) -> CandidateCauses:
     """Signatures of all effects at a fit, and the test of them for noise of unknown size.
 
     Parameters
@@ -363,12 +369,7 @@ def library_candidates(fitted: Fitted, effects: Sequence[Effect], *, seed: int) 
     variants = library_variants(fitted, effects)
     signatures = [x.signature for x in variants]
     test = score_test(fitted.projector, signatures, seed=seed, scale="unknown")
-    return Candidates(variants=variants, test=test)
-
-
-def _distance_from_prior(variant: Variant) -> float:
-    p = variant.effect.parameters
-    return float(np.sum(((variant.values - p.center) / p.prior_sd) ** 2))
+    return CandidateCauses(variants=variants, test=test)
 
 
 # Score of errors of zero from which on a fit with them is worth its time: data without a cause have
@@ -382,13 +383,13 @@ LEAST_TRIALS = 5
 class BeyondPrior:
     """What of the insertions lies beyond its prior."""
 
-    causes: tuple[MovedInsertion, ...] = entry("The insertions beyond it, each as a cause")
+    causes: tuple[InsertionShift, ...] = entry("The insertions beyond it, each as a cause")
     p_value: float = entry(
         "Probability that the farthest of all nuisances lies so far out by chance; 1 without any"
     )
 
 
-def insertions_beyond(fitted: Fitted) -> BeyondPrior:
+def insertions_beyond_prior(fitted: FittedModel) -> BeyondPrior:
     """The insertions that a fit moves farther than 3 standard deviations of what is stated."""
     knee = fitted.model.knee
     places = {f"insertion.{x.name}_{y}": (x.name, y) for x in knee.ligaments for y in BONES}
@@ -401,7 +402,7 @@ def insertions_beyond(fitted: Fitted) -> BeyondPrior:
     )
 
 
-def remounted(base: Refit, best: Refit) -> Remounting | None:
+def remounting_errors(base: Refit, best: Refit) -> Remounting | None:
     """Errors of zero at each angle where they explain a misfit far better than `best`; else None.
 
     Other causes leave much the same in all trials of an angle, so these errors are no candidate

@@ -141,10 +141,10 @@ class NoiseSource(StrEnum):
     def sentence(self) -> str:
         """The source as the start of a sentence."""
         return {
-            NoiseSource.REPLICATES: "Repeated trials imply a noise of",
-            NoiseSource.CURVES: "The scatter along the load curves implies a noise of",
-            NoiseSource.STATED: "The noise is taken as stated: the load curves are too short to "
-            "show it.",
+            NoiseSource.REPLICATES: "Repeated trials give an estimated noise of",
+            NoiseSource.CURVES: "The scatter along the load curves gives an estimated noise of",
+            NoiseSource.STATED: "The noise is used as stated: the load curves are too short to "
+            "estimate it.",
         }[self]
 
 
@@ -181,11 +181,11 @@ class DataNoise:
         if self.factors is None:
             return f"{found}; the data state none."
         times = " and ".join(f"{x:.2f}" for x in self.factors if np.isfinite(x))
-        return f"{found}, {times} times what the data state."
+        return f"{found}, {times} times the stated noise."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Seen:
+class _EmpiricalNoise:
     """Empirical noise relative to the stated noise, by unit."""
 
     scales: Mapping[str, EstimatedScale]
@@ -223,7 +223,7 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     sd, factors = stated, dict.fromkeys(UNITS, np.nan)
     for unit in units:
         scale = seen.scales[unit]
-        factors[unit] = scale.sd if laxity.sd is None else _weighed(scale)
+        factors[unit] = scale.sd if laxity.sd is None else _pooled_noise(scale)
         sd[:, UNITS[unit]] *= factors[unit]
     shared = _correlation(laxity, residuals / sd, seen.source)
     return DataNoise(
@@ -235,13 +235,13 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     )
 
 
-def _in_replicates(laxity: Laxity, relative: Array) -> _Seen:
+def _in_replicates(laxity: Laxity, relative: Array) -> _EmpiricalNoise:
     replicates = replicates_of(laxity)
     found = {unit: scale_of_replicates(replicates, relative, x) for unit, x in UNITS.items()}
     return _seen(found, NoiseSource.REPLICATES)
 
 
-def _in_curves(laxity: Laxity, relative: Array) -> _Seen:
+def _in_curves(laxity: Laxity, relative: Array) -> _EmpiricalNoise:
     measured, curves = laxity.is_measured, load_curves(laxity.protocol)
     found = {
         unit: estimate_scale(relative[:, x], measured[:, x], curves) for unit, x in UNITS.items()
@@ -249,8 +249,8 @@ def _in_curves(laxity: Laxity, relative: Array) -> _Seen:
     return _seen(found, NoiseSource.CURVES)
 
 
-def _seen(found: Mapping[str, EstimatedScale | None], source: NoiseSource) -> _Seen:
-    return _Seen(scales={k: x for k, x in found.items() if x is not None}, source=source)
+def _seen(found: Mapping[str, EstimatedScale | None], source: NoiseSource) -> _EmpiricalNoise:
+    return _EmpiricalNoise(scales={k: x for k, x in found.items() if x is not None}, source=source)
 
 
 def _correlation(laxity: Laxity, relative: Array, source: NoiseSource) -> float | None:
@@ -260,7 +260,7 @@ def _correlation(laxity: Laxity, relative: Array, source: NoiseSource) -> float 
     return estimate_correlation(relative, laxity.is_measured, load_curves(laxity.protocol))
 
 
-def _weighed(scale: EstimatedScale) -> float:
+def _pooled_noise(scale: EstimatedScale) -> float:
     """Noise over stated noise from both, by what they are worth; the data's own in doubt."""
     spread = 0.5 / scale.degrees_of_freedom
     seen = np.log(scale.sd)

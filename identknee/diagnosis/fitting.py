@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.calibrate.bounded_least_squares import Constrained, minimise
+from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.evaluation import Evaluation, Evaluator
-from identknee.calibrate.problem import WithPriors
+from identknee.calibrate.problem import ProblemWithPriors
 from identknee.checks.fit_warnings import nuisance_findings
 from identknee.diagnosis.data_noise import DataNoise, noise_of
 from identknee.diagnosis.misfit import Projector, base_projector
@@ -47,7 +47,7 @@ LOW_LOADS = 0.5
 
 
 @declared
-class Weighed:
+class WhitenedProblem:
     """Residuals of a model whitened by a noise model, which may correlate trials."""
 
     compared: LaxityResiduals = entry("Model and data, compared in mm and deg")
@@ -68,20 +68,20 @@ class Weighed:
         return self.noise.whiten(self.compared.jacobian(theta))
 
 
-def weighed(model: LaxityModel, laxity: Laxity, noise: NoiseModel) -> WithPriors:
+def whitened_problem(model: LaxityModel, laxity: Laxity, noise: NoiseModel) -> ProblemWithPriors:
     """The problem of fitting the model to the data, the priors of all parameters included."""
     compared = LaxityResiduals(model=model, laxity=laxity)
-    return WithPriors(problem=Weighed(compared=compared, noise=noise))
+    return ProblemWithPriors(problem=WhitenedProblem(compared=compared, noise=noise))
 
 
 @declared
-class Fitted:
+class FittedModel:
     """A model fitted to data, with its residuals."""
 
     model: LaxityModel = entry("Model that was fitted")
     laxity: Laxity = entry("Data that it was fitted to")
     noise: NoiseModel = entry("Covariance of the measured values, nuisances included")
-    constrained: Constrained = entry("The fit")
+    constrained: ConstrainedFit = entry("The fit")
 
     @property
     def theta(self) -> Array:
@@ -117,7 +117,7 @@ class Fitted:
     @property
     def nuisance_findings(self) -> tuple[Finding, ...]:
         """Nuisances whose estimate is improbable under their prior."""
-        problem = weighed(self.model, self.laxity, self.noise)
+        problem = whitened_problem(self.model, self.laxity, self.noise)
         return nuisance_findings(problem, self.theta, hint="")
 
     @property
@@ -137,14 +137,14 @@ class Fitted:
     @property
     def nuisances(self) -> tuple[NuisanceEstimate, ...]:
         """The nuisance parameters of the knee at the fit."""
-        return nuisance_estimates(weighed(self.model, self.laxity, self.noise), self.theta)
+        return nuisance_estimates(whitened_problem(self.model, self.laxity, self.noise), self.theta)
 
     @property
     def nuisance_groups(self) -> tuple[NuisanceGroup, ...]:
         """How improbable those of each kind and place are under their prior; empty without any."""
         if self.model.parameters.is_of_interest.all():
             return ()
-        return nuisance_groups(weighed(self.model, self.laxity, self.noise), self.theta)
+        return nuisance_groups(whitened_problem(self.model, self.laxity, self.noise), self.theta)
 
     @property
     def projector(self) -> Projector:
@@ -156,7 +156,7 @@ class Fitted:
         return self.noise.whiten(self.compared.rows(changes))
 
 
-def fit_from(
+def best_fit_from(
     model: LaxityModel,
     laxity: Laxity,
     noise: NoiseModel,
@@ -164,7 +164,7 @@ def fit_from(
     *,
     most_steps: int = MOST_STEPS,
     ends: Sequence[Evaluation] = (),
-) -> Fitted:
+) -> FittedModel:
     """The lowest of several fits.
 
     Parameters
@@ -179,18 +179,18 @@ def fit_from(
         Where fits ended before: one that joins them, or a minimum of those from the starts before,
         is not continued.
     """
-    problem, known, found = weighed(model, laxity, noise), [*ends], list[Constrained]()
+    problem, known, found = whitened_problem(model, laxity, noise), [*ends], list[ConstrainedFit]()
     for start in starts:
         found.append(_descended(problem, start, known, most_steps))
         if found[-1].outcome is Outcome.MINIMUM:
             known.append(found[-1].evaluation)
     best = min(found, key=lambda x: x.evaluation.deviance)
-    return Fitted(model=model, laxity=laxity, noise=noise, constrained=best)
+    return FittedModel(model=model, laxity=laxity, noise=noise, constrained=best)
 
 
 def _descended(
-    problem: WithPriors, start: Array, ends: Sequence[Evaluation], most_steps: int
-) -> Constrained:
+    problem: ProblemWithPriors, start: Array, ends: Sequence[Evaluation], most_steps: int
+) -> ConstrainedFit:
     """The fit from one start: in straight steps, then in some that know how the valley bends."""
     evaluator = Evaluator(problem, ends=ends)
     first = minimise(
@@ -229,8 +229,8 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     if stated is None:
         return None
     plain = build_noise_model(stated.sd, laxity.is_measured, correlation=stated.correlation)
-    begin.append(fitted_to_low_loads(model, laxity, plain, begin[0]))
-    fitted = fit_from(model, laxity, plain, begin)
+    begin.append(fit_low_loads(model, laxity, plain, begin[0]))
+    fitted = best_fit_from(model, laxity, plain, begin)
     if not fitted.evaluation.is_finite:
         return BaseFit(fitted=fitted, noise=stated)
     noise = noise_of(laxity, fitted.compared.differences(fitted.theta))
@@ -239,7 +239,7 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     return BaseFit(fitted=fitted_with_nuisances(fitted, noise.sd, noise.correlation), noise=noise)
 
 
-def fitted_with_nuisances(fitted: Fitted, sd: Array, correlation: float) -> Fitted:
+def fitted_with_nuisances(fitted: FittedModel, sd: Array, correlation: float) -> FittedModel:
     """A fit repeated from where it ended, with what nobody wants named among the errors.
 
     Parameters
@@ -259,10 +259,10 @@ def fitted_with_nuisances(fitted: Fitted, sd: Array, correlation: float) -> Fitt
         nuisance=fitted.compared.rows(changes),
         nuisance_sd=spreads,
     )
-    return fit_from(fitted.model, fitted.laxity, noise, [fitted.theta])
+    return best_fit_from(fitted.model, fitted.laxity, noise, [fitted.theta])
 
 
-def plain_noise(laxity: Laxity) -> NoiseModel:
+def stated_noise(laxity: Laxity) -> NoiseModel:
     """The stated noise, without nuisances.
 
     Raises
@@ -286,13 +286,11 @@ def base_model(knee: Knee, protocol: Protocol) -> LaxityModel:
 class BaseFit:
     """The fit of the base model, and the noise found."""
 
-    fitted: Fitted = entry("The fit, nuisances among its errors")
+    fitted: FittedModel = entry("The fit, nuisances among its errors")
     noise: DataNoise = entry("Errors of the data without nuisances")
 
 
-def fitted_to_low_loads(
-    model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array
-) -> Array:
+def fit_low_loads(model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array) -> Array:
     """The fit to trials of low loads, shape ``(p,)``: a way past parameters where the knee jumps.
 
     `start` itself where no trial has low loads.
@@ -306,7 +304,7 @@ def fitted_to_low_loads(
     rows = np.broadcast_to(low[:, None], laxity.is_measured.shape)[laxity.is_measured]
     if not part.is_measured.any():
         return start
-    return np.array(fit_from(model.with_tests(part), part, noise.of(rows), [start]).theta)
+    return np.array(best_fit_from(model.with_tests(part), part, noise.of(rows), [start]).theta)
 
 
 def _around(model: LaxityModel, start: Array, seed: int) -> list[Array]:

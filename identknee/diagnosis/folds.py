@@ -3,10 +3,10 @@
 import numpy as np
 
 from identknee.diagnosis.noise_model import NoiseModel
-from identknee.laxity.dominant import DIRECTIONS, nominal_flexion, told_loads
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.dominant_load import nominal_flexion, nominal_loads
+from identknee.laxity.protocol import DIRECTIONS, Protocol
 from identknee.laxity.table import ROTATIONS, Laxity
-from identknee.laxity.zeros import SAME_ANGLE_DEG
+from identknee.laxity.zero_conventions import SAME_ANGLE_DEG
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
 
@@ -83,7 +83,7 @@ def extreme_trials(protocol: Protocol) -> BoolArray:
 def _acting(protocol: Protocol) -> Array:
     """The loads, shape ``(n, 5)``; of a robot's trials, which read all of them, those told."""
     is_nominal = np.array_equal(nominal_flexion(protocol), protocol.flexion_deg)
-    return protocol.loads if is_nominal else told_loads(protocol)
+    return protocol.loads if is_nominal else nominal_loads(protocol)
 
 
 def _flexions(flexion_deg: Array) -> list[tuple[str, BoolArray]]:

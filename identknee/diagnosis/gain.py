@@ -8,10 +8,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
-from identknee.calibrate.bounded_least_squares import Constrained, minimise
+from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.evaluation import Evaluation, Evaluator, evaluate
-from identknee.calibrate.problem import Problem, WithPriors
-from identknee.diagnosis.fitting import Fitted, weighed
+from identknee.calibrate.problem import Problem, ProblemWithPriors
+from identknee.diagnosis.fitting import FittedModel, whitened_problem
 from identknee.diagnosis.folds import (
     Fold,
     Observations,
@@ -20,7 +20,7 @@ from identknee.diagnosis.folds import (
     held_out_folds,
     observations_of,
 )
-from identknee.diagnosis.misfit import Check, Projector, base_projector, omnibus_check
+from identknee.diagnosis.misfit import Projector, ResidualTest, base_projector, omnibus_check
 from identknee.identify.laplace import Interval, Laplace, laplace
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
@@ -38,22 +38,26 @@ MOST_ITERATIONS = 30
 
 
 @declared
-class Discrepancy:
-    """A Gaussian process in each coordinate that has taken up what the model leaves."""
+class Process:
+    """A Gaussian process in each coordinate that has taken up what the model leaves, unnamed."""
 
-    spread: Array = array(
-        "Its standard deviation in each measured coordinate, in units of the noise",
-        "measured_coordinate",
+    absorbed: float = entry("Share of the misfit that it takes up", unit="1")
+    degrees_of_freedom: float = entry("Degrees of freedom that it uses", unit="1")
+    flexion_length: float = entry("Correlation length over the range of flexion", unit="1")
+    load_length: float = entry("Correlation length over the largest load", unit="1")
+
+
+@declared
+class Discrepancy:
+    """A process with what it leaves."""
+
+    process: Process = entry("The process")
+    spread: Array = entry(
+        "Its standard deviation in each measured coordinate, in units of the noise"
     )
-    flexion_length: float = entry("Correlation length over the range of flexion")
-    load_length: float = entry("Correlation length over the largest load of each kind")
-    errors: Array = array(
-        "What it leaves in the data it was fitted to, measured less predicted",
-        "value",
-        unit="mm or deg",
+    errors: Array = entry(
+        "What it leaves in the data it was fitted to, measured less predicted [mm or deg]"
     )
-    absorbed: float = entry("Share of the misfit that it takes up, 0 to 1")
-    degrees_of_freedom: float = entry("How many free parameters it is worth")
     observations: Observations = entry(
         "The measured values with it among their errors, for a prediction of held trials"
     )
@@ -105,16 +109,17 @@ def fit_discrepancy(
     # What the process absorbs of each value, by kriging.
     absorbing = cho_solve(cho_factor(np.eye(len(own)) + own), own)
     left = target - absorbing.T @ target
-    return Discrepancy(
-        spread=values[:-2],
-        flexion_length=float(values[-2]),
-        load_length=float(values[-1]),
-        errors=-at.residuals - noise.factor @ (absorbing.T @ target),
+    process = Process(
         absorbed=float(1.0 - left @ left / (target @ target)) if target.any() else 0.0,
         degrees_of_freedom=float(np.trace(absorbing)),
-        observations=replace(
-            observations, noise=noise.widened(noise.factor @ own @ noise.factor.T)
-        ),
+        flexion_length=float(values[-2]),
+        load_length=float(values[-1]),
+    )
+    return Discrepancy(
+        process=process,
+        spread=values[:-2],
+        errors=-at.residuals - noise.factor @ (absorbing.T @ target),
+        observations=replace(observations, noise=noise.with_added_covariance(noise.factor, own)),
     )
 
 
@@ -189,9 +194,9 @@ class FoldStatus(Enum):
 
 
 _SENTENCES = {
-    FoldStatus.SCORED: "The held trials were predicted from the others.",
-    FoldStatus.NOT_MEASURED: "Nothing was measured in the held trials, or in no others.",
-    FoldStatus.NOT_IDENTIFIED: "The held trials depend on something that only they show.",
+    FoldStatus.SCORED: "The held-out trials were predicted from the others.",
+    FoldStatus.NOT_MEASURED: "No values were measured in the held-out trials or outside them.",
+    FoldStatus.NOT_IDENTIFIED: "Only the held-out trials determine a parameter they depend on.",
     FoldStatus.FAILED: "The model has no prediction where the fit to the other trials began.",
 }
 
@@ -220,7 +225,7 @@ class FoldScore:
 
 
 @declared
-class HeldOut:
+class CrossValidation:
     """Cross-validation of a model over all folds."""
 
     observations: Observations = entry("The measured values")
@@ -262,7 +267,7 @@ class HeldOut:
 
 def held_out(
     problem: Problem, observations: Observations, theta: Array, folds: Sequence[Fold]
-) -> HeldOut:
+) -> CrossValidation:
     """The prediction of each fold by the model fitted to the other trials, and how it fares.
 
     Every fold is refitted from `theta`, priors included. The prediction of a held trial is Gaussian
@@ -283,7 +288,7 @@ def held_out(
         What to hold out.
     """
     whole = evaluate(problem, theta)
-    memory = _Memory(problem, whole)
+    memory = _MemoisedProblem(problem, whole)
     scores = []
     for fold in folds:
         rows = fold.held[observations.trial]
@@ -292,16 +297,16 @@ def held_out(
             scores.append(_unscored(fold, observations, theta.size, FoldStatus.NOT_MEASURED))
         elif not whole.is_finite:
             scores.append(_unscored(fold, observations, theta.size, FoldStatus.FAILED))
-        elif _hangs_on_the_prior(whole, (held, kept), observations, problem.parameters):
+        elif _depends_on_prior(whole, (held, kept), observations, problem.parameters):
             scores.append(_unscored(fold, observations, theta.size, FoldStatus.NOT_IDENTIFIED))
         else:
             scores.append(_score(memory, observations, fold, theta, (held, kept)))
-    return HeldOut(
+    return CrossValidation(
         observations=observations, scores=tuple(scores), n_simulations=memory.n_simulations
     )
 
 
-class _Memory:
+class _MemoisedProblem:
     """A problem that caches its first and last evaluation."""
 
     def __init__(self, problem: Problem, first: Evaluation) -> None:
@@ -327,7 +332,7 @@ class _Memory:
 class _Kept:
     """The residuals of the trials kept, in units in which their errors are independent."""
 
-    memory: _Memory
+    memory: _MemoisedProblem
     rows: IntArray
     factor: Array
 
@@ -350,7 +355,7 @@ class _Kept:
 
 
 def _score(
-    memory: _Memory,
+    memory: _MemoisedProblem,
     observations: Observations,
     fold: Fold,
     theta: Array,
@@ -359,7 +364,7 @@ def _score(
     held, kept = rows
     covariance = observations.noise.covariance
     factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(kept, kept)]))
-    problem = WithPriors(problem=_Kept(memory=memory, rows=kept, factor=factor))
+    problem = ProblemWithPriors(problem=_Kept(memory=memory, rows=kept, factor=factor))
     found = minimise(Evaluator(problem), theta, tolerance=TOLERANCE, most_steps=MOST_STEPS)
     if not found.evaluation.is_finite:
         return _unscored(fold, observations, theta.size, FoldStatus.FAILED)
@@ -383,7 +388,7 @@ def _score(
     )
 
 
-def _posterior_covariance(found: Constrained) -> Array:
+def _posterior_covariance(found: ConstrainedFit) -> Array:
     """Covariance of the parameters of a fit with priors, shape ``(p, p)``.
 
     Parameters
@@ -411,7 +416,7 @@ def _by_trial(left: Array, spread: Array, trial: IntArray, n_trials: int) -> Arr
     return densities
 
 
-def _hangs_on_the_prior(
+def _depends_on_prior(
     whole: Evaluation, rows: tuple[IntArray, IntArray], observations: Observations, p: Parameters
 ) -> bool:
     """Whether held values vary by more than noise with what the trials kept say nothing of.
@@ -480,7 +485,7 @@ class ElpdDifference:
         return tuple(fold for x in self.families for fold in x.folds)
 
 
-def elpd_difference(before: HeldOut, after: HeldOut) -> ElpdDifference:
+def elpd_difference(before: CrossValidation, after: CrossValidation) -> ElpdDifference:
     """How much better `after` predicts held trials than `before`.
 
     Standard errors take trials as independent, not the values of a trial. A fold counts where both
@@ -558,12 +563,12 @@ def _summed(pairs: list[tuple[FoldScore, FoldScore]], n_trials: int) -> tuple[fl
 class Assessment:
     """How well one model does."""
 
-    check: Check = entry(
+    check: ResidualTest = entry(
         "Chi-square of data and priors together, its degrees of freedom and its probability"
     )
     errors: Array = array("Measured less predicted values", "value", unit="mm or deg")
     in_sample: Rmse = entry("Their root mean squares")
-    held_out: HeldOut = entry("Prediction of trials it was not fitted to")
+    held_out: CrossValidation = entry("Prediction of trials it was not fitted to")
     posterior: Laplace = entry("Intervals of its parameters and its evidence")
 
 
@@ -641,12 +646,12 @@ class Gain:
         return of.held_out.rmse(family, folds=self.shared_folds)
 
     def expected_rmse(self, of: Assessment, family: str | None = None) -> Rmse:
-        """The error that `of` itself expects there, see `HeldOut.expected_rmse`."""
+        """The error that `of` itself expects there, see `CrossValidation.expected_rmse`."""
         return of.held_out.expected_rmse(family, folds=self.shared_folds)
 
 
 def measure_gain(
-    before: Fitted, after: Fitted, sd: Array, *, noise_degrees: float = np.inf
+    before: FittedModel, after: FittedModel, sd: Array, *, noise_degrees: float = np.inf
 ) -> Gain:
     """What the model `after` gains over `before`, fitted to the same data.
 
@@ -685,9 +690,13 @@ def measure_gain(
 
 
 def _assess(
-    fitted: Fitted, observations: Observations, folds: Sequence[Fold], noise_degrees: float
+    fitted: FittedModel, observations: Observations, folds: Sequence[Fold], noise_degrees: float
 ) -> Assessment:
-    at = _evaluation(fitted, observations)
+    at = fitted.evaluation
+    if observations.noise is not fitted.noise:
+        at = evaluate(
+            whitened_problem(fitted.model, fitted.laxity, observations.noise), fitted.theta
+        )
     errors = -fitted.compared.residuals(fitted.theta)
     return Assessment(
         check=omnibus_check(
@@ -700,13 +709,6 @@ def _assess(
     )
 
 
-def _evaluation(fitted: Fitted, observations: Observations) -> Evaluation:
-    """Whitened by the noise of `observations`, which need not be that of the fit."""
-    if observations.noise is fitted.noise:
-        return fitted.evaluation
-    return evaluate(weighed(fitted.model, fitted.laxity, observations.noise), fitted.theta)
-
-
 def _explained(observations: Observations, before: Array, after: Array) -> dict[str, float]:
     shares = {}
     for i in np.unique(observations.coordinate):
@@ -717,7 +719,7 @@ def _explained(observations: Observations, before: Array, after: Array) -> dict[
 
 
 def _parameter_changes(
-    before: Fitted, after: Fitted, old: Laplace, new: Laplace
+    before: FittedModel, after: FittedModel, old: Laplace, new: Laplace
 ) -> tuple[ParameterChange, ...]:
     changes = []
     for i, name in enumerate(before.model.parameters.names):
@@ -741,7 +743,7 @@ def _parameter_changes(
     return tuple(changes)
 
 
-def _force_change(before: Fitted, after: Fitted) -> ForceChange:
+def _force_change(before: FittedModel, after: FittedModel) -> ForceChange:
     extreme = np.flatnonzero(extreme_trials(before.laxity.protocol))
     forces = []
     for fitted in (before, after):

@@ -6,32 +6,33 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from identknee.calibrate.starts import load_start
-from identknee.checks.fit_warnings import at_zero, bound_findings
+from identknee.checks.fit_warnings import bound_findings, parameters_at_zero
 from identknee.checks.subject_checks import stability_findings
-from identknee.diagnosis.advice import Advice, advise
+from identknee.diagnosis.advice import AdvisedProtocol, advise
 from identknee.diagnosis.attribution import (
     FAR_FROM_DONE,
     SIMPLE,
     Attribution,
     attribute,
 )
-from identknee.diagnosis.candidates import Exclusion, insertions_beyond, remounted
+from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
 from identknee.diagnosis.data_noise import DataNoise
-from identknee.diagnosis.fitting import BaseFit, fit_base, fit_from
+from identknee.diagnosis.fitting import BaseFit, best_fit_from, fit_base
 from identknee.diagnosis.gain import Gain, measure_gain
 from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
 from identknee.diagnosis.missing_line import (
     LineFinding,
-    MissingPull,
     MissingWrench,
+    Pull,
     find_line,
     missing_pulls,
     missing_wrench,
 )
 from identknee.diagnosis.refit import Refit, without_causes
 from identknee.diagnosis.verdict import LEVEL, Cause, Conclusion, Verdict, causes_of, conclude
-from identknee.laxity.dominant import nominal_flexion, told_loads
+from identknee.laxity.dominant_load import nominal_flexion, nominal_loads
 from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.trial_words import SHORT_DIRECTIONS
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
@@ -43,13 +44,6 @@ from identknee.runs.progress import stage
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 
-DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction", "compression"),
-    ("lateral force", "medial force"),
-)
 # Fall of the deviance from which on it is another minimum of the base model, and not the end of
 # the same one.
 LOWER = 1.0
@@ -93,7 +87,7 @@ class Investigation:
     localisation: Localisation
     attribution: Attribution
     conclusion: Conclusion
-    advice: Advice | None
+    advice: AdvisedProtocol | None
     line: LineFinding | None
     seed: int
 
@@ -156,9 +150,9 @@ class Investigation:
         return missing_wrench(base.compared, theta, self.noise.sd, self.noise.correlation)
 
     @cached_property
-    def missing_pulls(self) -> tuple[MissingPull, ...]:
+    def missing_pulls(self) -> tuple[Pull, ...]:
         """Its mean along the plateau by flexion and direction of load."""
-        return missing_pulls(self.missing_wrench, layout_of(self.laxity))
+        return missing_pulls(self.missing_wrench, trial_layout(self.laxity))
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
@@ -171,7 +165,7 @@ class Investigation:
         parameters = fitted.model.parameters
         # No bound stopped a part of the cause that is absent.
         amplitudes = parameters.names[fitted.model.n_ligament_parameters :]
-        absent = (x for x in at_zero(fitted.theta, parameters) if x in amplitudes)
+        absent = (x for x in parameters_at_zero(fitted.theta, parameters) if x in amplitudes)
         held = (*parameters.nuisance_names, *absent)
         findings += bound_findings(fitted.theta, parameters, held)
         findings += fitted.nuisance_findings
@@ -231,11 +225,15 @@ def investigate(
     if base_fit is None or not base_fit.fitted.evaluation.is_finite:
         return None
     attribution, p_value = _explained(base_fit, effects, seed)
-    if (start := lower_start(attribution)) is not None:
+    if (start := better_start(attribution)) is not None:
         base_fit = fit_base(knee, laxity, starts=[*begin, start], seed=seed) or base_fit
         attribution, p_value = _explained(base_fit, effects, seed)
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)
+    fitted = base.fitted
+    localised = localise(
+        fitted.residual_rows(), fitted.projector, fitted.noise, trial_layout(laxity), seed=seed
+    )
     advice = line = None
     if conclusion.verdict is Verdict.AMBIGUOUS:
         known = replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
@@ -247,7 +245,7 @@ def investigate(
         laxity=laxity,
         noise=noise,
         base=base,
-        localisation=_localisation(base, seed),
+        localisation=localised,
         attribution=attribution,
         conclusion=conclusion,
         advice=advice,
@@ -284,7 +282,7 @@ def _explained(
 ) -> tuple[Attribution, float]:
     """The explanation of what a fit leaves, and how probable so clear a misfit is."""
     base = without_causes(base_fit)
-    beyond = insertions_beyond(base.fitted)
+    beyond = insertions_beyond_prior(base.fitted)
     effects = [*effects, *beyond.causes]
     attribution = attribute(base, effects, seed=seed)
     p_value = base.alarm_p_value(attribution.steps[0].scores.p_value)
@@ -294,13 +292,13 @@ def _explained(
         # An insertion beyond its prior is an alarm of its own where a cause explains it.
         if is_alarm or forced.best.causes:
             attribution, p_value = forced, p_value if is_alarm else beyond.p_value
-    mounted = remounted(base, attribution.best) if p_value <= LEVEL else None
+    mounted = remounting_errors(base, attribution.best) if p_value <= LEVEL else None
     if mounted is None:
         return attribution, p_value
     return attribute(base, [*effects, mounted], seed=seed, is_forced=True), p_value
 
 
-def lower_start(attribution: Attribution) -> Array | None:
+def better_start(attribution: Attribution) -> Array | None:
     """Ligament parameters from which the base model fits better than it did; None without any.
 
     A cause that has no size may have led the fit to a better minimum of the base model.
@@ -310,26 +308,21 @@ def lower_start(attribution: Attribution) -> Array | None:
         return None
     n_base = attribution.base.n_base
     start, ends = best.theta[:n_base], [base.evaluation]
-    again = fit_from(base.model, base.laxity, base.noise, [start], ends=ends)
+    again = best_fit_from(base.model, base.laxity, base.noise, [start], ends=ends)
     if again.evaluation.deviance > base.evaluation.deviance - LOWER:
         return None
     return again.theta[: base.model.n_ligament_parameters]
 
 
-def layout_of(laxity: Laxity) -> TrialLayout:
+def trial_layout(laxity: Laxity) -> TrialLayout:
     """The layout of the trials on the map of misfit."""
     return TrialLayout(
         flexion_deg=nominal_flexion(laxity.protocol),
-        loads=told_loads(laxity.protocol),
-        directions=DIRECTIONS,
+        loads=nominal_loads(laxity.protocol),
+        directions=SHORT_DIRECTIONS,
         coordinates=COORDINATES,
         is_measured=laxity.is_measured,
     )
-
-
-def _localisation(base: Refit, seed: int) -> Localisation:
-    fitted, layout = base.fitted, layout_of(base.fitted.laxity)
-    return localise(fitted.residual_rows(), fitted.projector, fitted.noise, layout, seed=seed)
 
 
 def _unfinished(refit: Refit, which: str) -> list[Finding]:

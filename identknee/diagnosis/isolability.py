@@ -1,14 +1,17 @@
 """Isolability of causes under a protocol, and trials that would separate confounded ones."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse.csgraph import connected_components
 
 from identknee.diagnosis.score import ProjectedSignature, effect_names
+from identknee.identify.trial_choice import choose
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
+from identknee.runs.marginalise import NuisancePosterior, schur_complement
 
 # Effects closer than this cannot be told apart: the winner's amplitude errs to the large side.
 LEAST_DISTANCE = 5.0
@@ -35,7 +38,7 @@ class Distances:
     )
 
 
-def visible_root(signature: ProjectedSignature, amplitude: Array) -> float:
+def noncentrality_root(signature: ProjectedSignature, amplitude: Array) -> float:
     """Square root of the noncentrality of an effect after the fit."""
     return float(np.sqrt(max(float(amplitude @ signature.gram @ amplitude), 0.0)))
 
@@ -63,11 +66,11 @@ def distances(
         for rival in rivals:
             left = expected @ expected - rival.gain((expected @ rival.projected)[None])[0]
             _lower(values, row, names.index(rival.signature.name), left)
-        _same_is_zero(values[row], names, effect)
+        _zero_for_same_effect(values[row], names, effect)
     return Distances(effects=effect_names(effects), rivals=names, values=values)
 
 
-def worst_distances(
+def least_favourable_distances(
     effects: Sequence[ProjectedSignature],
     root: float,
     rivals: Sequence[ProjectedSignature],
@@ -84,7 +87,7 @@ def worst_distances(
     effects
         One variant of each, supposed true.
     root
-        How far each stands out of the noise, see `visible_root`.
+        How far each stands out of the noise, see `noncentrality_root`.
     rivals
         All variants of all rivals; they keep to their priors.
     """
@@ -97,7 +100,7 @@ def worst_distances(
             left = effect.gram - shared.T @ rival.covariance @ shared
             least = eigh(mixes.T @ left @ mixes, eigvals_only=True)[0]
             _lower(values, row, names.index(rival.signature.name), root**2 * least)
-        _same_is_zero(values[row], names, effect)
+        _zero_for_same_effect(values[row], names, effect)
     return Distances(effects=effect_names(effects), rivals=names, values=values)
 
 
@@ -201,24 +204,32 @@ def advise_trials(
     if not usable.any():
         raise ValueError("no candidate trial has a prediction; offer others")
     known = np.where(usable[:, None, None], candidates, 0.0)
-    rows = _Marginal(made, n_nuisances)
-    added = rows.added(known)
-    now = _pair_distances(rows.information[None], pairs, n_base)
-    single = _pair_distances(rows.information + added, pairs, n_base)
-    chosen: list[int] = []
-    followed, after = [now[0]], single
-    while len(chosen) < n_trials and followed[-1].min() < enough:
+    n = known.shape[2] - n_nuisances
+
+    @cache
+    def after(chosen: tuple[int, ...]) -> Array:
+        """Distances of the pairs with each candidate beside those chosen, ``(n, n_pairs)``."""
+        information, nuisances = _marginalised(np.vstack([made, *known[list(chosen)]]), n_nuisances)
+        added = nuisances.information(known[:, :, :n], known[:, :, n:])
+        return _pair_distances(information + added, pairs, n_base)
+
+    def reached(chosen: Sequence[int]) -> Array:
+        if not chosen:
+            return pair_distances(made, pairs, n_base=n_base, n_nuisances=n_nuisances)
+        return np.asarray(after(tuple(chosen[:-1]))[chosen[-1]])
+
+    def losses(chosen: tuple[int, ...]) -> Array:
         # The sum of the pairs decides between candidates that leave the least one alike.
-        worth = after.min(axis=1) + 1e-6 * after.sum(axis=1)
-        best = int(np.argmax(np.where(usable, worth, -np.inf)))
-        chosen.append(best)
-        followed.append(after[best])
-        rows = _Marginal(np.vstack([made, *known[chosen]]), n_nuisances)
-        after = _pair_distances(rows.information + rows.added(known), pairs, n_base)
+        return np.asarray(-after(chosen).min(axis=1) - 1e-6 * after(chosen).sum(axis=1))
+
+    chosen = choose(
+        losses, usable, n_trials, is_enough=lambda x: bool(reached(x).min() >= enough), exchanges=0
+    )
+    followed = [reached(chosen[:i]) for i in range(len(chosen) + 1)]
     return AdvisedTrials(
-        chosen=tuple(chosen),
+        chosen=chosen,
         distances=frozen(followed, None, None, name="distances"),
-        single=frozen(np.where(usable[:, None], single, np.nan), None, None, name="single"),
+        single=frozen(np.where(usable[:, None], after(()), np.nan), None, None, name="single"),
     )
 
 
@@ -226,34 +237,23 @@ def pair_distances(
     made: Array, pairs: Sequence[Pair], *, n_base: int, n_nuisances: int = 0
 ) -> Array:
     """Distance of each pair by rows that are made, shape ``(n_pairs,)``; as in `advise_trials`."""
-    information = _Marginal(made, n_nuisances).information
+    information, _ = _marginalised(made, n_nuisances)
     return np.asarray(_pair_distances(information[None], pairs, n_base)[0])
 
 
-class _Marginal:
-    """Information of rows on parameters, nuisances marginalised, and the gain by more rows."""
-
-    def __init__(self, rows: Array, n_nuisances: int) -> None:
-        self._n = rows.shape[1] - n_nuisances
-        wanted, nuisances = rows[:, : self._n], rows[:, self._n :]
-        # Their variance after the rows, and what the rows say of them for each parameter.
-        self._variance = np.linalg.inv(np.eye(n_nuisances) + nuisances.T @ nuisances)
-        self._known = self._variance @ (nuisances.T @ wanted)
-        self.information = wanted.T @ wanted - (wanted.T @ nuisances) @ self._known
-
-    def added(self, candidates: Array) -> Array:
-        """What each of n candidates (n, r, q) adds, shape ``(n, p, p)`` for p parameters."""
-        nuisances = candidates[:, :, self._n :]
-        left = candidates[:, :, : self._n] - nuisances @ self._known
-        covariance = np.eye(candidates.shape[1]) + nuisances @ self._variance @ nuisances.mT
-        return np.asarray(left.mT @ np.linalg.solve(covariance, left))
+def _marginalised(rows: Array, n_nuisances: int) -> tuple[Array, NuisancePosterior]:
+    """Information of rows about the parameters, nuisances integrated out, and those as they are."""
+    n = rows.shape[1] - n_nuisances
+    is_kept = np.arange(rows.shape[1]) < n
+    information = schur_complement(rows.T @ rows + np.diag(np.where(is_kept, 0.0, 1.0)), is_kept)
+    return information, NuisancePosterior.after(np.zeros((1, len(rows))), rows[:, :n], rows[:, n:])
 
 
 def _lower(values: Array, row: int, column: int, square: float) -> None:
     values[row, column] = min(values[row, column], np.sqrt(max(float(square), 0.0)))
 
 
-def _same_is_zero(row: Array, names: tuple[str, ...], effect: ProjectedSignature) -> None:
+def _zero_for_same_effect(row: Array, names: tuple[str, ...], effect: ProjectedSignature) -> None:
     if effect.signature.name in names:
         row[names.index(effect.signature.name)] = 0.0
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 from scipy.special import gammaincc, gammaln, log_ndtr, ndtri_exp
 
 from identknee.diagnosis.noise_model import NoiseModel
@@ -104,7 +104,7 @@ def _orthonormal(columns: Array, sizes: Array) -> Array:
 
 
 @declared
-class Check:
+class ResidualTest:
     """One test of residuals."""
 
     statistic: float = entry("A chi-square, or an F ratio", unit="1")
@@ -114,7 +114,7 @@ class Check:
 
 def omnibus_check(
     residuals: Array, projector: Projector, *, noise_degrees: float = np.inf
-) -> Check:
+) -> ResidualTest:
     """Whether the residuals are larger than noise.
 
     Parameters
@@ -128,7 +128,7 @@ def omnibus_check(
     """
     projected = projector.project(residuals)
     degrees = projector.degrees_of_freedom
-    return size_check(float(projected @ projected), degrees, noise_degrees)
+    return chi2_or_f_test(float(projected @ projected), degrees, noise_degrees)
 
 
 def nested_check(
@@ -137,7 +137,7 @@ def nested_check(
     wider: Projector,
     *,
     noise_degrees: float = np.inf,
-) -> Check:
+) -> ResidualTest:
     """Whether the residuals hold more of certain patterns than noise does.
 
     Parameters
@@ -168,7 +168,7 @@ def nested_check(
     whole, left = projector.project(residuals), wider.project(residuals)
     squares_left = float(left @ left)
     square = float(whole @ whole) - squares_left
-    return size_check(square, rank, noise_degrees)
+    return chi2_or_f_test(square, rank, noise_degrees)
 
 
 def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Array:
@@ -216,14 +216,14 @@ def cauchy_combination(p_values: Sequence[float]) -> float:
     return float(np.arctan2(1.0, mean) / np.pi)
 
 
-def size_check(square: float, degrees: int, noise_degrees: float) -> Check:
+def chi2_or_f_test(square: float, degrees: int, noise_degrees: float) -> ResidualTest:
     """Whether a sum of squares is larger than noise: chi-square, or F for an estimated noise."""
     if np.isinf(noise_degrees):
-        p_value = float(stats.chi2.sf(square, degrees))
-        return Check(statistic=square, degrees_of_freedom=degrees, p_value=p_value)
+        p_value = float(scipy.stats.chi2.sf(square, degrees))
+        return ResidualTest(statistic=square, degrees_of_freedom=degrees, p_value=p_value)
     ratio = square / degrees
-    p_value = float(stats.f.sf(ratio, degrees, noise_degrees))
-    return Check(statistic=ratio, degrees_of_freedom=degrees, p_value=p_value)
+    p_value = float(scipy.stats.f.sf(ratio, degrees, noise_degrees))
+    return ResidualTest(statistic=ratio, degrees_of_freedom=degrees, p_value=p_value)
 
 
 def _for_each_coordinate(trials: Array, is_measured: BoolArray) -> Array:
@@ -411,7 +411,7 @@ def localise(
     rows = np.zeros(len(noise.factor), dtype=bool)
     for index in region:
         rows |= cells[index].rows
-    share = _share_of_excess(residuals, projector, noise, rows) if region else 0.0
+    share = _fraction_of_excess(residuals, projector, noise, rows) if region else 0.0
     return Localisation(cells=found, region=tuple(found[i] for i in region), share=share)
 
 
@@ -487,7 +487,7 @@ def _region(cells: Sequence[CellScore], layout: TrialLayout) -> list[int]:
     return sorted(region)
 
 
-def _share_of_excess(
+def _fraction_of_excess(
     residuals: Array, projector: Projector, noise: NoiseModel, rows: BoolArray
 ) -> float:
     """How much of the excess goes when the data of `rows` are left out and the rest refitted."""

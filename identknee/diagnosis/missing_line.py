@@ -1,22 +1,22 @@
 """The line along which a cause that is not in the library acts, if it acts along one."""
 
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
-from scipy import stats
-from scipy.stats import chi2
+import scipy
 
-from identknee.diagnosis.fitting import Fitted, weighed
+from identknee.diagnosis.fitting import FittedModel, whitened_problem
 from identknee.diagnosis.misfit import TrialLayout, base_projector
 from identknee.diagnosis.refit import Refit, refit
-from identknee.mechanics.contact_places import ContactPlaces
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.contact_points import ContactPlaces
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel, trial_contacts
-from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray, IntArray
@@ -105,7 +105,7 @@ def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLin
         raise ValueError('lines of action need a prediction with contact="field"')
     setting = model.setting(prediction.theta)
     flexion = setting.flexion[model.paths.trial_node]
-    unmeasured = Lines(
+    unmeasured = LineLigaments(
         femoral=model.knee.femur_frame.to_local(lines.femur),
         tibial=model.knee.tibia_frame.to_local(lines.tibia),
         reference_length=np.ones(lines.n),
@@ -186,7 +186,7 @@ class LineScan:
         return float((1 + np.count_nonzero(highest >= self.scores.max())) / (1 + N_DRAWS))
 
 
-def scan_lines(fitted: Fitted, theta: Array, lines: CandidateLines) -> LineScan | None:
+def scan_lines(fitted: FittedModel, theta: Array, lines: CandidateLines) -> LineScan | None:
     """Scores of lines of action where a model is linearised at `theta`.
 
     Theta need not be the best fit: what a change of it could explain is taken out. If the model
@@ -202,7 +202,7 @@ def scan_lines(fitted: Fitted, theta: Array, lines: CandidateLines) -> LineScan 
     lines
         The lines to score.
     """
-    problem = weighed(fitted.model, fitted.laxity, fitted.noise)
+    problem = whitened_problem(fitted.model, fitted.laxity, fitted.noise)
     residuals = -problem.residuals(theta)
     if not np.isfinite(residuals).all():
         return None
@@ -226,7 +226,7 @@ def scan_lines(fitted: Fitted, theta: Array, lines: CandidateLines) -> LineScan 
 
 
 def _without_line(
-    fitted: Fitted, theta: Array, residuals: Array, jacobian: Array
+    fitted: FittedModel, theta: Array, residuals: Array, jacobian: Array
 ) -> tuple[Array, Array]:
     """Rows of the residuals and of their Jacobian without those of a line the model has already."""
     names = fitted.model.parameters.names
@@ -238,6 +238,27 @@ def _without_line(
     rows = np.r_[np.arange(fitted.n_data), fitted.n_data + np.array(kept)]
     removed = residuals + jacobian[:, stiffness] * theta[stiffness]
     return removed[rows], jacobian[np.ix_(rows, kept)]
+
+
+Point = tuple[float, float, float]
+
+
+@declared
+class LineEnds:
+    """Ends of a line of action in the scanned pose, in the axes of the scan."""
+
+    femur: Point = entry("Femoral end", unit="mm")
+    tibia: Point = entry("Tibial end", unit="mm")
+
+    @classmethod
+    def of(cls, ends: Array, knee: Knee) -> Self:
+        """From both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
+        femur, tibia = map(tuple, knee.in_scan_frame(ends).tolist())
+        return cls(femur=femur, tibia=tibia)
+
+    def in_common_frame(self, knee: Knee) -> Array:
+        """Both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
+        return knee.in_scan_frame(np.array([self.femur, self.tibia]))
 
 
 SITE_SD = 10.0  # mm, around the bone
@@ -318,7 +339,7 @@ class LineFinding:
         across = np.eye(3) - np.outer(along, along)
         mix = np.hstack([of_femur * across, of_tibia * across])
         largest = float(np.linalg.eigvalsh(mix @ self.covariance @ mix.T)[-1])
-        return float(np.sqrt(chi2.ppf(LEVEL, 2) * largest))
+        return float(np.sqrt(scipy.stats.chi2.ppf(LEVEL, 2) * largest))
 
 
 def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
@@ -352,14 +373,14 @@ def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
     refits += _refits(base, center, scan_lines(fitted, center, lines))
     if not any(x.fitted.evaluation.is_finite for x in refits):
         return None
-    refits += _rescanned(base, refits, lines)
+    refits += _refits_of_rescan(base, refits, lines)
     best = _lowest(refits)
     last = refit(base, best.causes, [best.fitted.theta], most_steps=FINE_STEPS)
     n_simulations = sum(x.fitted.constrained.n_simulations for x in [*refits, last])
     return _finding(base, first, last, n_simulations, seed)
 
 
-def _rescanned(base: Refit, refits: list[Refit], lines: CandidateLines) -> list[Refit]:
+def _refits_of_rescan(base: Refit, refits: list[Refit], lines: CandidateLines) -> list[Refit]:
     """Refits of the lines that score best at the best refit so far."""
     added: list[Refit] = []
     best = _lowest(refits)
@@ -454,7 +475,9 @@ def _largest_force(model: LaxityModel, prediction: Prediction) -> tuple[int, flo
     return trial, float(pulled.tensions[trial, -1]), slope
 
 
-def _tensions(model: LaxityModel, setting: Setting, prediction: Prediction) -> LigamentTensions:
+def _tensions(
+    model: LaxityModel, setting: MechanicsInputs, prediction: Prediction
+) -> LigamentTensions:
     """Tensions of all lines at the poses of a prediction, the missing one last."""
     flexion = setting.flexion[model.paths.trial_node]
     return ligament_tensions(
@@ -535,7 +558,7 @@ def missing_wrench(
     covariance = stiffness @ errors @ stiffness.transpose(0, 2, 1)
     kept = np.stack(
         [
-            _outside_contact(x, model.joint.contact.compartment)
+            _without_contact_forces(x, model.joint.contact.compartment)
             for x in trial_contacts(model, prediction)
         ]
     )
@@ -548,7 +571,7 @@ def missing_wrench(
     )
 
 
-def _outside_contact(contact: ContactPlaces, compartment: IntArray) -> Array:
+def _without_contact_forces(contact: ContactPlaces, compartment: IntArray) -> Array:
     """What is left (5, 5) of a wrench without its parts along the forces of either contact."""
     touched = compartment[contact.index]
     pressed = [
@@ -562,36 +585,34 @@ def _outside_contact(contact: ContactPlaces, compartment: IntArray) -> Array:
     return kept
 
 
+# From N mm to N·m, for the components of a pull.
+PULL_UNITS = np.array([1.0, 1.0, 0.001])
+
+
 @declared
-class MissingPull:
+class Pull:
     """What else would have to act on the tibia, on average over the trials of one kind.
 
-    The part along the plateau: contact hides what presses on it.
+    The part along the plateau, at the tibial origin and about the tibial axis: contact hides what
+    presses on it.
     """
 
-    flexion_deg: float = entry("Flexion of the trials, as on the map of misfit")
-    direction: str = entry("Direction of their load, as on the map of misfit")
-    n_trials: int = entry("How many of them have every coordinate")
-    mean: Array = array(
-        "Anterior and lateral force at the tibial origin [N] and moment of internal rotation about "
-        "the tibial axis [N mm]",
-        "3",
+    flexion_deg: float = entry("Flexion of the trials", unit="deg")
+    direction: str = entry("Direction of their load")
+    n_trials: int = entry("Trials averaged", unit="1")
+    p_value: float = entry("Probability that nothing is missing", unit="1")
+    anterior_force_N: float = entry("Mean anterior force", unit="N")  # noqa: N815 - key in files
+    lateral_force_N: float = entry("Mean lateral force", unit="N")  # noqa: N815
+    internal_moment_Nm: float = entry("Mean internal moment", unit="N m")  # noqa: N815
+    sd_anterior_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
+    sd_lateral_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
+    sd_internal_moment_Nm: float = entry("Its standard error", unit="N m")  # noqa: N815
+    force_covariance: tuple[tuple[float, float], tuple[float, float]] = entry(
+        "Covariance of both forces", unit="N2"
     )
-    covariance: Array = array("Covariance of its errors", "3", "3")
-
-    @property
-    def sd(self) -> Array:
-        """Standard deviation of the errors of `mean`, shape ``(3,)``."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def p_value(self) -> float:
-        """Probability that noise alone asks for as much."""
-        square = float(self.mean @ np.linalg.solve(self.covariance, self.mean))
-        return float(stats.chi2.sf(square, 3))
 
 
-def missing_pulls(missing: MissingWrench, layout: TrialLayout) -> tuple[MissingPull, ...]:
+def missing_pulls(missing: MissingWrench, layout: TrialLayout) -> tuple[Pull, ...]:
     """The mean of what is missing outside contact, for every flexion and direction with data."""
     turn = np.stack([_along_plateau(x) for x in missing.poses])
     values = np.einsum("nij,nj->ni", turn, missing.outside)
@@ -603,13 +624,24 @@ def missing_pulls(missing: MissingWrench, layout: TrialLayout) -> tuple[MissingP
             own = side & (layout.flexion_deg == flexion) & is_whole
             n = int(own.sum())
             if n:
+                mean, covariance = values[own].mean(axis=0), covariances[own].sum(axis=0) / n**2
+                anterior, lateral, internal = (PULL_UNITS * mean).tolist()
+                sd = (PULL_UNITS * np.sqrt(np.diag(covariance))).tolist()
+                (xx, xy), (yx, yy) = covariance[:2, :2].tolist()
+                square = float(mean @ np.linalg.solve(covariance, mean))
                 pulls.append(
-                    MissingPull(
+                    Pull(
                         flexion_deg=float(flexion),
                         direction=direction,
                         n_trials=n,
-                        mean=values[own].mean(axis=0),
-                        covariance=covariances[own].sum(axis=0) / n**2,
+                        p_value=float(scipy.stats.chi2.sf(square, 3)),
+                        anterior_force_N=anterior,
+                        lateral_force_N=lateral,
+                        internal_moment_Nm=internal,
+                        sd_anterior_force_N=sd[0],
+                        sd_lateral_force_N=sd[1],
+                        sd_internal_moment_Nm=sd[2],
+                        force_covariance=((xx, xy), (yx, yy)),
                     )
                 )
     return tuple(pulls)

@@ -9,6 +9,7 @@ from scipy.linalg import solve_triangular
 
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared
+from identknee.runs.marginalise import marginal_covariance
 
 # Removed along a load curve before what is left counts as noise: a curve of laxity needs it.
 CURVE_DEGREE = 4
@@ -70,9 +71,17 @@ class NoiseModel:
         """The errors of some of the values alone, `rows` of shape ``(m,)``."""
         return _noise_model(self.covariance[np.ix_(rows, rows)])
 
-    def widened(self, covariance: Array) -> "NoiseModel":
-        """These errors and independent ones of another covariance (m, m) on top."""
-        return _noise_model(self.covariance + covariance)
+    def with_added_covariance(self, slopes: Array, prior: Array | None = None) -> "NoiseModel":
+        """These errors and those of nuisances on top, see `identknee.runs.marginalise`.
+
+        Parameters
+        ----------
+        slopes
+            Change of each value with each nuisance, shape ``(m, e)``.
+        prior
+            Covariance of the nuisances, shape ``(e, e)``; the identity if None.
+        """
+        return _noise_model(marginal_covariance(slopes, prior, noise=self.covariance))
 
 
 def build_noise_model(
@@ -124,8 +133,7 @@ def build_noise_model(
     np.fill_diagonal(shared, 1.0)
     covariance = measured_sd[:, None] * shared * measured_sd
     if nuisance is not None and nuisance_sd is not None:
-        spread = nuisance * nuisance_sd
-        covariance += spread @ spread.T
+        covariance = marginal_covariance(nuisance * nuisance_sd, noise=covariance)
     try:
         return _noise_model(covariance)
     except np.linalg.LinAlgError:
@@ -161,7 +169,7 @@ def estimate_correlation(
     found = []
     for first, second in combinations(range(residuals.shape[1]), 2):
         used = is_measured[:, first] & is_measured[:, second]
-        left = _left_by_polynomials(used, curves)
+        left = _detrending_projection(used, curves)
         if _degrees_of_freedom(left) < LEAST_DEGREES:
             continue
         pair = np.where(used[:, None], residuals[:, [first, second]], 0.0)
@@ -233,7 +241,7 @@ def _degrees_of_freedom(left: Array) -> float:
     return float(np.trace(left)) ** 2 / squares if squares > 0 else 0.0
 
 
-def _left_by_polynomials(used: BoolArray, curves: Sequence[Curve]) -> Array:
+def _detrending_projection(used: BoolArray, curves: Sequence[Curve]) -> Array:
     """The sum over curves of the projections that remove a polynomial, shape ``(n, n)``."""
     left = np.zeros((len(used), len(used)))
     for curve in curves:

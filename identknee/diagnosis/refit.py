@@ -1,6 +1,7 @@
 """Fits of the model extended by effects, and which of them the data leave open."""
 
 from collections.abc import Sequence
+from dataclasses import field
 from enum import StrEnum
 
 import numpy as np
@@ -8,19 +9,20 @@ import numpy as np
 from identknee.diagnosis.fitting import (
     MOST_STEPS,
     BaseFit,
-    Fitted,
-    fit_from,
-    fitted_to_low_loads,
+    FittedModel,
+    best_fit_from,
+    fit_low_loads,
 )
 from identknee.diagnosis.misfit import (
     cauchy_combination,
+    chi2_or_f_test,
     nested_check,
-    size_check,
     smooth_patterns,
 )
 from identknee.diagnosis.score import CandidateScore, Scores
+from identknee.identify.laplace import log_evidence
 from identknee.model.effects.effect import Effect
-from identknee.model.effects.extended import knee_with, values_by_owner
+from identknee.model.effects.extended import knee_with_effects, values_by_owner
 from identknee.model.effects.facts import cause_label
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
@@ -46,9 +48,18 @@ class Refit:
     causes: tuple[Effect, ...] = entry(
         "Effects beyond the base model, in the order in which they joined"
     )
-    fitted: Fitted = entry("The fit")
+    fitted: FittedModel = entry("The fit")
     smooth: Array = entry("Whitened patterns of smooth misfit, shape ``(m, k)``")
     noise_degrees: float = entry("Degrees of freedom of the noise")
+    log_evidence: float = field(init=False)
+    """Logarithm of the evidence up to a constant of the data; -inf without a prediction."""
+
+    def __post_init__(self) -> None:
+        found, evaluation = self.fitted.constrained, self.fitted.evaluation
+        value = -np.inf
+        if evaluation.is_finite:
+            value = log_evidence(evaluation, self.fitted.model.parameters, found.is_held)
+        object.__setattr__(self, "log_evidence", value)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,7 +88,7 @@ class Refit:
             return 0.0
         rows, projector = self.fitted.residual_rows() / factor, self.fitted.projector
         # Not projected: a fit that ended before its minimum must not seem better than it is.
-        whole = size_check(float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees)
+        whole = chi2_or_f_test(float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees)
         wider = projector.with_columns(projector.padded(self.smooth))
         smooth = nested_check(rows, projector, wider, noise_degrees=self.noise_degrees)
         return cauchy_combination([whole.p_value, smooth.p_value])
@@ -96,26 +107,6 @@ class Refit:
             Noise over the noise that the fit was made with.
         """
         return cauchy_combination([*3 * [library_p_value], self.misfit_p_value_at(noise_factor)])
-
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the evidence by Laplace's method, up to a constant of the data.
-
-        Lognormal parameters count in their logarithm; amplitudes of one sign have half-normal
-        priors.
-        """
-        evaluation, p = self.fitted.evaluation, self.fitted.model.parameters
-        if not evaluation.is_finite:
-            return -np.inf
-        jacobian = evaluation.jacobian * np.where(p.is_log, evaluation.theta, 1.0)
-        _, log_determinant = np.linalg.slogdet(jacobian.T @ jacobian)
-        halves = int(np.sum(p.lower[~np.array(p.is_log)] == 0.0))
-        return float(
-            -0.5 * evaluation.deviance
-            - 0.5 * log_determinant
-            - np.log(p.prior_sd).sum()
-            + halves * np.log(2.0)
-        )
 
     @property
     def promised_fall(self) -> float:
@@ -141,7 +132,7 @@ class Refit:
         twice. A search starts at the fit with `fitted_values`.
         """
         model = self.fitted.model
-        return knee_with(model.knee, [(x, self._values(x)) for x in model.effects])
+        return knee_with_effects(model.knee, [(x, self._values(x)) for x in model.effects])
 
     @property
     def fitted_values(self) -> dict[str, dict[str, float]]:
@@ -163,7 +154,7 @@ class Refit:
         p = self.fitted.model.parameters
         return np.asarray(self.fitted.theta[[p.index(x) for x in effect.parameters.names]])
 
-    def is_at_end(self, name: str) -> bool:
+    def is_at_range_end(self, name: str) -> bool:
         """Whether an amplitude lies at a non-zero end of its plausible range."""
         p, places = self.fitted.model.parameters, self.places(name)
         value, low, high = self.fitted.theta[places], p.lower[places], p.upper[places]
@@ -208,7 +199,7 @@ def refit(
     """
     model = base.fitted.model
     extended = model.with_effects([*model.effects, *causes])
-    fitted = fit_from(
+    fitted = best_fit_from(
         extended,
         base.fitted.laxity,
         base.fitted.noise,
@@ -224,7 +215,7 @@ def refit(
     )
 
 
-def refit_by_low_loads(base: Refit, stuck: Refit, start: Array) -> Refit:
+def refit_via_low_loads(base: Refit, stuck: Refit, start: Array) -> Refit:
     """A refit restarted from a fit to the trials of low loads.
 
     Parameters
@@ -237,7 +228,7 @@ def refit_by_low_loads(base: Refit, stuck: Refit, start: Array) -> Refit:
         Where the fit to low loads begins, shape ``(p,)``.
     """
     fitted = stuck.fitted
-    low = fitted_to_low_loads(fitted.model, fitted.laxity, fitted.noise, start)
+    low = fit_low_loads(fitted.model, fitted.laxity, fitted.noise, start)
     return refit(base, stuck.causes, [low])
 
 
@@ -310,7 +301,7 @@ class Rival:
             return ""
         names = " and ".join(map(cause_label, self.refit.names))
         if not self.refit.fitted.evaluation.is_finite:
-            why = "from no start had the model a prediction in every measured trial"
+            why = "at no start did the model have an equilibrium in every measured trial"
         elif self.refit.fitted.outcome is Outcome.CLIFF:
             why = "the way to the best fit is cut where a trial leaves its branch"
         else:
@@ -358,18 +349,19 @@ def rivals_of(
     for x in sorted(others, key=lambda x: -x.log_evidence):
         if set(x.names) != set(best.names):
             found.setdefault(frozenset(x.names), x)
-    return tuple(_rival(best, x, looks) for x in found.values())
-
-
-def _rival(best: Refit, other: Refit, looks: Sequence[tuple[Refit, Scores]]) -> Rival:
-    score, highest = _score(best, other, looks)
-    return Rival(
-        refit=other,
-        log_evidence_deficit=best.log_evidence - other.log_evidence,
-        distance=expected_distance(best, other),
-        score=score,
-        highest=highest,
-    )
+    rivals = []
+    for x in found.values():
+        score, highest = _score(best, x, looks)
+        rivals.append(
+            Rival(
+                refit=x,
+                log_evidence_deficit=best.log_evidence - x.log_evidence,
+                distance=expected_distance(best, x),
+                score=score,
+                highest=highest,
+            )
+        )
+    return tuple(rivals)
 
 
 def _score(

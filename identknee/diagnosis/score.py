@@ -487,14 +487,14 @@ class Cell(Enum):
 
 
 _SENTENCES = {
-    Cell.MISSPECIFIED: "The effect is seen although the test would often miss one that matters.",
-    Cell.INSPECT: "The effect is seen, and the test sees small ones too: its amplitude decides.",
-    Cell.EXCLUDED: "The effect is not seen, and one that matters would have been.",
-    Cell.INCONCLUSIVE: "The effect is not seen, but one that matters could have been missed.",
+    Cell.MISSPECIFIED: "The effect is detected although the power for a relevant size is low.",
+    Cell.INSPECT: "The effect is detected, as small ones would be: its amplitude decides.",
+    Cell.EXCLUDED: "The effect is not detected, and a relevant size would have been.",
+    Cell.INCONCLUSIVE: "The effect is not detected, but a relevant size could have been missed.",
 }
 
 
-def judge(*, is_significant: bool, power: float) -> Cell:
+def classify_effect(*, is_significant: bool, power: float) -> Cell:
     """Classification of an effect by its score and the power for a relevant size."""
     is_powerful = power >= HIGH_POWER
     if is_significant:
@@ -515,7 +515,9 @@ def detection_power(test: ScoreTest, signature: ProjectedSignature, amplitude: A
         Its amplitudes, shape ``(k,)``.
     """
     draws = _noise(signature)
-    return _share_found(signature, draws + signature.gram @ amplitude, _threshold(test, signature))
+    return _detected_fraction(
+        signature, draws + signature.gram @ amplitude, _threshold(test, signature)
+    )
 
 
 def detectable_amplitude(
@@ -542,7 +544,7 @@ def detectable_amplitude(
     draws, threshold = _noise(signature), _threshold(test, signature)
 
     def found(multiple: float) -> float:
-        return _share_found(signature, draws + multiple * direction, threshold)
+        return _detected_fraction(signature, draws + multiple * direction, threshold)
 
     if found(LARGEST) < power:
         return float("inf")
@@ -567,5 +569,7 @@ def _noise(signature: ProjectedSignature) -> Array:
     return np.asarray(draws @ (vectors * np.sqrt(np.maximum(size, 0.0))).T)
 
 
-def _share_found(signature: ProjectedSignature, correlations: Array, threshold: float) -> float:
+def _detected_fraction(
+    signature: ProjectedSignature, correlations: Array, threshold: float
+) -> float:
     return float(np.mean(signature.z_score(signature.gain(correlations)) >= threshold))

@@ -1,6 +1,6 @@
 """The verdict of a diagnosis, with its reasons."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import reduce
@@ -10,13 +10,14 @@ from scipy.special import ndtri
 
 from identknee.diagnosis.attribution import Attribution
 from identknee.diagnosis.misfit import log_weighted_tail
+from identknee.diagnosis.missing_line import LineEnds
 from identknee.diagnosis.refit import Refit
 from identknee.identify.laplace import Interval, Laplace, laplace
 from identknee.model.effects.effect import PLAIN, unit_of
-from identknee.model.effects.facts import cause_label
+from identknee.model.effects.facts import FACTS, cause_label
+from identknee.model.effects.insertion import direction_words
 from identknee.model.effects.structures import MissingStructure, Structure
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import declared, derived, entry
 
 LEVEL = 0.05
 # A model whose misfit is less probable is not the explanation, or not all of it.
@@ -29,14 +30,14 @@ LEAST_MOVED = 1e-6
 MULTIPLES = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 # A verdict that holds for only some of these multiples of a stated noise is none.
 NOISE_FACTORS = (0.75, 1.33)
-HANGS_ON_NOISE = (
-    "The verdict depends on the noise, which the data state but do not show: with 0.75 or 1.33 "
+NOISE_DEPENDENT = (
+    "The verdict depends on the stated noise, which the data do not confirm: with 0.75 or 1.33 "
     "times that noise it would be different. Measure longer load curves or replicates."
 )
 
 
-SEVERAL = "The model gets something wrong, and more than one known cause fits."
-UNTESTED = "The model gets something wrong that no known cause explains that could be tested."
+SEVERAL = "A misfit is detected, and more than one known cause fits."
+UNTESTED = "A misfit is detected that no testable known cause explains."
 
 
 class Verdict(StrEnum):
@@ -55,11 +56,11 @@ class Verdict(StrEnum):
 
 
 _SENTENCES = {
-    Verdict.ADEQUATE: "The data show nothing that the model gets wrong.",
-    Verdict.NAMED: "The data show what the model gets wrong, and only one known cause fits.",
-    Verdict.AMBIGUOUS: "The model gets something wrong, and the data leave its cause open.",
-    Verdict.UNEXPLAINED: "The model gets something wrong that no known cause explains.",
-    Verdict.NOT_TESTABLE: "The data cannot say whether the model gets anything wrong.",
+    Verdict.ADEQUATE: "No misfit of the model is detected.",
+    Verdict.NAMED: "A misfit is detected, and only one known cause fits.",
+    Verdict.AMBIGUOUS: "A misfit is detected, but the data do not determine its cause.",
+    Verdict.UNEXPLAINED: "A misfit is detected that no known cause explains.",
+    Verdict.NOT_TESTABLE: "The data cannot decide whether the model misfits.",
 }
 
 
@@ -82,8 +83,8 @@ class Conclusion:
 def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     """The verdict on an attribution whose base model's misfit has this probability."""
     best, base = attribution.best, attribution.base
-    if _hangs_on_noise(attribution, p_value):
-        return _conclusion(Verdict.NOT_TESTABLE, p_value, base, (), [HANGS_ON_NOISE])
+    if _depends_on_noise(attribution, p_value):
+        return _conclusion(Verdict.NOT_TESTABLE, p_value, base, (), [NOISE_DEPENDENT])
     if p_value > LEVEL:
         reasons = [f"Noise alone explains the misfit ({_p_words(p_value)})."]
         return _conclusion(Verdict.ADEQUATE, p_value, base, (), reasons)
@@ -92,19 +93,22 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     fits = best.misfit_p_value
     faults = ["No effect of the library fits better than the model without it."]
     if best.causes:
-        faults = _faults(best, fits)
+        faults = _rejection_reasons(best, fits)
     if faults:
-        reasons = [f"{reasons[0]}{_noise_that_would(attribution)}", *faults, *untested]
+        reasons = [f"{reasons[0]}{_noise_explaining_misfit(attribution)}", *faults, *untested]
         sentence = UNTESTED if untested else Verdict.UNEXPLAINED.sentence
         return _conclusion(Verdict.UNEXPLAINED, p_value, best, (), reasons, sentence)
-    doubts = _doubts(attribution, fits)
+    doubts = _reservations(attribution, fits)
     group = _group(attribution)
     is_alone = len(group) == len(best.causes)
     if is_alone and not doubts and not untested:
         return _conclusion(Verdict.NAMED, p_value, best, group, reasons)
     reasons += [*(x.reason for x in doubts), *untested]
     short = [x.short for x in doubts] + ["another cause could not be tested"] * bool(untested)
-    sentence = _ambiguous(len(best.causes), short) if is_alone else SEVERAL
+    n = len(best.causes)
+    fits_words = "one known cause fits" if n == 1 else f"{n} known causes together fit"
+    alone = f"The model gets something wrong, and {fits_words}, with a doubt: {'; '.join(short)}."
+    sentence = alone if is_alone else SEVERAL
     return _conclusion(Verdict.AMBIGUOUS, p_value, best, group, reasons, sentence)
 
 
@@ -113,13 +117,7 @@ def _p_words(p_value: float) -> str:
     return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
 
 
-def _ambiguous(n_causes: int, doubts: Sequence[str]) -> str:
-    """The sentence for AMBIGUOUS if only one explanation fits."""
-    fits = "one known cause fits" if n_causes == 1 else f"{n_causes} known causes together fit"
-    return f"The model gets something wrong, and {fits}, with a doubt: {'; '.join(doubts)}."
-
-
-def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
+def _depends_on_noise(attribution: Attribution, p_value: float) -> bool:
     """Whether noise that is only stated, if wrong by a quarter or a third, turns the verdict."""
     base = attribution.base
     if np.isfinite(base.noise_degrees):
@@ -129,7 +127,7 @@ def _hangs_on_noise(attribution: Attribution, p_value: float) -> bool:
     return any(x != (p_value <= LEVEL) for x in others)
 
 
-def _noise_that_would(attribution: Attribution) -> str:
+def _noise_explaining_misfit(attribution: Attribution) -> str:
     """About how much larger than stated the noise would have to be, as one more sentence."""
     base, score = attribution.base, attribution.steps[0].scores.p_value
     if np.isfinite(base.noise_degrees):
@@ -159,48 +157,48 @@ def _conclusion(
     )
 
 
-def _faults(best: Refit, fits: float) -> list[str]:
+def _rejection_reasons(best: Refit, fits: float) -> list[str]:
     """Reasons to reject the best explanation."""
     names = " and ".join(map(cause_label, best.names))
     faults = []
     if fits <= HARDLY_FITS:
         faults.append(f"With {names} the misfit is still improbable ({_p_words(fits)}).")
     faults += [
-        f"The {cause_label(name)} would need an amplitude at the end of its plausible range."
+        f"The {cause_label(name)} would need an amplitude at the limit of its plausible range."
         for name in best.names
-        if best.is_at_end(name)
+        if best.is_at_range_end(name)
     ]
     return faults
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Doubt:
+class _Reservation:
     """Why the best explanation may not be the right one or not all: in a few words, and whole."""
 
     short: str
     reason: str
 
 
-def _doubts(attribution: Attribution, fits: float) -> list[_Doubt]:
+def _reservations(attribution: Attribution, fits: float) -> list[_Reservation]:
     """Reservations about the best explanation, none of them sufficient to reject it."""
     best = attribution.best
     doubts = [
-        _Doubt(
-            short=f"the {cause_label(x.name)} would lie far from where anatomy has it",
+        _Reservation(
+            short=f"the {cause_label(x.name)} would lie far from its anatomical site",
             reason=f"The insertions of the {cause_label(x.name)} would lie "
-            f"{shift_mm(best, x):.0f} mm from where anatomy has them, which is rare "
+            f"{shift_mm(best, x):.0f} mm from their anatomical sites, which is rare "
             f"({_p_words(p_value)}): a structure that no library lists may lie there.",
         )
         for x in best.causes
         if isinstance(x, Structure) and (p_value := site_p_value(best, x)) <= FAR_OFF
     ]
     if fits <= FITS:
-        reason = f"The misfit that is left is rather improbable ({_p_words(fits)})."
-        doubts.append(_Doubt(short="it leaves more than noise would", reason=reason))
-    if attribution.is_left_unexplained:
+        reason = f"The remaining misfit is rather improbable ({_p_words(fits)})."
+        doubts.append(_Reservation(short="its residuals exceed the noise", reason=reason))
+    if attribution.has_remaining_misfit:
         further = cause_label(attribution.steps[-1].scores.candidates[0].name)
-        reason = f"Something else is left: the {further} scores high but does not fit."
-        doubts.append(_Doubt(short="something else is left", reason=reason))
+        reason = f"Significant misfit remains: the {further} scores high but does not fit."
+        doubts.append(_Reservation(short="significant misfit remains", reason=reason))
     return doubts
 
 
@@ -213,7 +211,7 @@ def _group(attribution: Attribution) -> tuple[str, ...]:
 
 
 def site_p_value(refit: Refit, structure: Structure) -> float:
-    """Probability that the insertions of a structure are found so far from where anatomy has them.
+    """Probability that the insertions of a structure are found so far from their anatomical sites.
 
     The shifts found are compared with what their prior, and how much of it the data can move, lead
     one to expect: of a shift with prior variance 1 and posterior variance c, the value found has
@@ -267,17 +265,37 @@ class Estimate:
     )
 
 
+OF_THE_CALLER = "The library does not know it: it was given by the caller."
+OF_AMPLITUDE = "unit of the amplitude"
+
+
 @declared
 class Cause:
-    """A cause and its amplitudes."""
+    """A cause with its amplitudes."""
 
-    name: str = entry("As in the library")
-    amplitude: Estimate = entry("The one number that says how large it is")
-    parameters: tuple[Estimate, ...] = entry("All of its amplitudes")
-    line: Array | None = entry(
-        "Femoral and tibial end in the common frame of the scanned pose [mm], shape ``(2, 3)``; "
-        "None for what is not one line"
+    name: str = entry("Name of the cause in the library")
+    amplitude: float = entry("The one number that says how large it is", unit=OF_AMPLITUDE)
+    unit: str = entry("Unit of the amplitude")
+    ci95: Interval = entry(
+        "95 % interval; an end at a bound, or of a fit that was stopped, is open and null",
+        unit=OF_AMPLITUDE,
     )
+    parameter: str = entry("What the amplitude is called")
+    parameters: Mapping[str, Estimate] = entry("Every amplitude by its name")
+    line: LineEnds | None = entry("Its line of action", only="a structure of one line")
+
+    @property
+    @derived("What the cause is, as a sentence")
+    def meaning(self) -> str:
+        """What the cause is, as a sentence."""
+        moved = direction_words({name: x.value for name, x in self.parameters.items()})
+        return moved or (FACTS[self.name].sentence if self.name in FACTS else OF_THE_CALLER)
+
+    @property
+    @derived("Where its plausible size comes from")
+    def source(self) -> str:
+        """Where its plausible size comes from."""
+        return FACTS[self.name].source if self.name in FACTS else OF_THE_CALLER
 
 
 def posterior_of(refit: Refit) -> Laplace:
@@ -318,17 +336,26 @@ def _cause(refit: Refit, name: str, posterior: Laplace, covariance: np.ndarray) 
         amplitude = _total(found, covariance[np.ix_(places, places)], parameters.prior_sd[places])
     else:
         amplitude = reduce(lambda x, y: y if y.value > x.value else x, [found[k] for k in same])
-    return Cause(name=name, amplitude=amplitude, parameters=found, line=_line(refit, name))
+    return Cause(
+        name=name,
+        amplitude=amplitude.value,
+        unit=amplitude.unit,
+        ci95=amplitude.ci95,
+        parameter=amplitude.name,
+        parameters={x.name: x for x in found},
+        line=_line(refit, name),
+    )
 
 
-def _line(refit: Refit, name: str) -> Array | None:
+def _line(refit: Refit, name: str) -> LineEnds | None:
     """Where the line of a structure runs with the shifts found."""
     knee = refit.fitted.model.knee
     effect = next(x for x in refit.causes if x.name == name)
     if not isinstance(effect, MissingStructure) or len(effect.femoral) > 1:
         return None
     femoral, tibial = effect.insertions(refit.amplitudes(name))
-    return np.vstack([knee.femur_frame.to_common(femoral), knee.tibia_frame.to_common(tibial)])
+    ends = np.vstack([knee.femur_frame.to_common(femoral), knee.tibia_frame.to_common(tibial)])
+    return LineEnds.of(ends, knee)
 
 
 def _total(

@@ -4,6 +4,7 @@ from .basins import is_recovered as is_recovered
 from .basins import radius as radius
 from .basins import recovery as recovery
 from .basins import survey as survey
+from .binomial_interval import share as share
 from .cliffs import CliffMap as CliffMap
 from .cliffs import map_cliffs as map_cliffs
 from .cliffs import plane as plane
@@ -41,14 +42,13 @@ from .region import power_of_best_test as power_of_best_test
 from .sensitivity import Box as Box
 from .sensitivity import Sensitivity as Sensitivity
 from .sensitivity import box_around as box_around
-from .shares import share as share
 from .structure import Structure as Structure
 from .structure import StructureCheck as StructureCheck
 from .structure import check_structure as check_structure
 from .sweep import OUTCOMES as OUTCOMES
-from .sweep import Searches as Searches
+from .sweep import SweepSearches as SweepSearches
+from .sweep import classify_end as classify_end
 from .sweep import distance as distance
-from .sweep import kind_of_end as kind_of_end
 from .sweep import search_seed as search_seed
 from .sweep import shell_starts as shell_starts
 from .sweep import sobol_starts as sobol_starts

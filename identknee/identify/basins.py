@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from identknee.calibrate.evaluation import sum_of_squares
 from identknee.calibrate.problem import Problem, typical_steps
-from identknee.identify.shares import Share, share
-from identknee.identify.sweep import DISTANCE, Searches, distance
+from identknee.identify.binomial_interval import Proportion, share
+from identknee.identify.sweep import DISTANCE, SweepSearches, distance
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 
@@ -33,7 +34,7 @@ class Basin:
 
     theta: Array = array("The minimum", "parameter", unit=OF_PARAMETER)
     objective: float = entry("Half the sum of squares there", unit="1")
-    share: Share = entry(
+    share: Proportion = entry(
         "Share of all starts, failed ones included, whose polished end it is: the volume of the "
         "basin as a part of the volume that the starts fill evenly"
     )
@@ -78,8 +79,8 @@ class Basins:
             for x in self.basins[:MOST_LISTED]
         ]
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """One line a basin."""
         lines = [
             f"basin {i}: objective {x.objective:.6g}, {x.share}" for i, x in enumerate(self.basins)
@@ -87,7 +88,7 @@ class Basins:
         return "\n".join(lines or ["no basin was found"])
 
 
-def find_basins(problem: Problem, searches: Searches) -> Basins:
+def find_basins(problem: Problem, searches: SweepSearches) -> Basins:
     """The basins among the polished ends of searches.
 
     Ends that polishing calls minima are gathered from the lowest up: those within 0.01 typical
@@ -144,7 +145,7 @@ def has_barrier(problem: Problem, first: Array, second: Array) -> bool:
     return False
 
 
-def _joined(problem: Problem, searches: Searches, end: int, leaders: list[int]) -> int | None:
+def _joined(problem: Problem, searches: SweepSearches, end: int, leaders: list[int]) -> int | None:
     """Index of the basin that `end` belongs to; None if it is a new one."""
     scales = typical_steps(searches.parameters)
     away = np.max(np.abs(searches.polished[leaders] - searches.polished[end]) / scales, axis=1)
@@ -155,7 +156,7 @@ def _joined(problem: Problem, searches: Searches, end: int, leaders: list[int]) 
 
 
 @declared
-class Unseen:
+class UnseenMass:
     """Good-Turing estimate of the mass of unseen basins, among starts that end in any."""
 
     n: int = entry("Starts that ended in a basin", unit="1", key="n_starts")
@@ -169,7 +170,7 @@ class Unseen:
     upper: float = entry("Upper limit of that share at 95 % confidence", unit="1")
 
 
-def unseen_mass(labels: IntArray) -> Unseen:
+def unseen_mass(labels: IntArray) -> UnseenMass:
     """The unseen mass from the basin of each start, in the order in which the starts were drawn.
 
     The limit is that of the mass not seen by the first half of the starts: given those, each start
@@ -199,7 +200,7 @@ def unseen_mass(labels: IntArray) -> Unseen:
     # One-sided: the upper limit at 97.5 % of the two-sided one, so on the safe side.
     limit = share(int(is_new.sum()), len(is_new)).upper if half else 1.0
     once = int(np.sum(counts == 1))
-    return Unseen(
+    return UnseenMass(
         n=len(seen),
         n_basins=len(counts),
         n_once=once,
@@ -238,7 +239,7 @@ class Recovery:
         unit=DISTANCE,
         is_in_json=True,
     )
-    shares: tuple[Share, ...] = entry(
+    shares: tuple[Proportion, ...] = entry(
         "Share of the starts in each group that recovered it", rows="distance"
     )
 
@@ -250,7 +251,7 @@ class Recovery:
 
 
 def is_recovered(
-    searches: Searches, target: Array, *, within: float, polished: bool = False
+    searches: SweepSearches, target: Array, *, within: float, polished: bool = False
 ) -> BoolArray:
     """Which searches ended near the target, shape ``(N,)``.
 
@@ -346,7 +347,7 @@ WITHIN = 0.5
 class Survey:
     """Searches and their basins, recovery and cliffs."""
 
-    searches: Searches = entry("The searches", group="optimization", is_inline=True)
+    searches: SweepSearches = entry("The searches", group="optimization", is_inline=True)
     basins: Basins = entry(
         "What their polished ends gather to", group="optimization", is_inline=True
     )
@@ -369,14 +370,14 @@ class Survey:
 
     @property
     @derived("Part of the start volume that leads to basins not seen yet", key="unseen_mass")
-    def unseen(self) -> Unseen:
+    def unseen(self) -> UnseenMass:
         """The unseen mass."""
         return unseen_mass(self.basins.labels)
 
 
 def survey(
     problem: Problem,
-    searches: Searches,
+    searches: SweepSearches,
     *,
     target: ArrayLike | None = None,
     within: float = WITHIN,
@@ -411,7 +412,7 @@ def survey(
     )
 
 
-def _target(searches: Searches, target: ArrayLike | None) -> Array | None:
+def _target(searches: SweepSearches, target: ArrayLike | None) -> Array | None:
     if target is not None:
         return frozen(target, searches.parameters.n, name="the target")
     best = searches.best

@@ -1,16 +1,17 @@
-"""Experimental design: trials that narrow the intervals most, chosen, predicted and verified.
+"""Which trials to add, so that the data bound what they leave open: chosen, predicted, verified.
 
-Where equilibria are sought from measured poses, a small change of parameters may lead from one to
-another. A profile then depends on these jumps; the Jacobian at the best fit does not.
+Where equilibria begin at measured poses, a small change of parameters may lead from one to another.
+A profile then depends on these jumps; the slopes at the best fit do not (`linearised`).
 
-All trials carry information on shared nuisance parameters, so that the information of one trial
-depends on the others. Conditional on these, the nuisances only add to the trial's own noise.
+Nuisance parameters are marginalised about the best fit (`identknee.runs.marginalise`). Trials share
+them, so that a trial is worth what it adds given the others: the posterior of the nuisances after
+those widens its noise.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.design_criteria import (
     CRITERIA,
     CandidatePredictions,
-    Candidates,
+    CandidateTrials,
     Criterion,
     Excluded,
     LocalLoss,
@@ -33,83 +34,16 @@ from identknee.identify.design_criteria import (
 from identknee.identify.nuisances import nuisance_places
 from identknee.identify.profile.profile import ProfileSettings, profile_quantities
 from identknee.identify.profile.result import Profile
+from identknee.identify.trial_choice import choose
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
-
-MOST_ROUNDS = 20
-# Share of the loss: an exchange that gains less is rounding.
-TOLERANCE = 1e-10
-
-
-def choose(
-    loss: Callable[[Array], Array],
-    beside: Callable[[Sequence[int]], tuple[Array, Array]],
-    allowed: BoolArray,
-    n_chosen: int,
-) -> tuple[int, ...]:
-    """The trials to add, the most helpful first; a trial may be repeated.
-
-    Trials are added one by one, each time the one that lowers the loss most. Then each in turn is
-    exchanged for the one that is best in its place, until no exchange helps.
-
-    Parameters
-    ----------
-    loss
-        Loss of rows of summed features, shape ``(k,)`` from ``(k, f)``.
-    beside
-        Features of the trials made with those added, shape ``(f,)``, and of each of the trials that
-        may come next, ``(k, f)``.
-    allowed
-        Which of them may be chosen, shape ``(k,)``.
-    n_chosen
-        How many to choose.
-
-    References
-    ----------
-    V. V. Fedorov, Theory of Optimal Experiments (1972), ISBN 978-0-12-250750-2.
-    """
-    possible = np.flatnonzero(allowed)
-
-    def best_beside(others: list[int]) -> tuple[int, float]:
-        made, trials = beside(others)
-        losses = loss(made + trials[possible])
-        best = int(np.argmin(losses))
-        return int(possible[best]), float(losses[best])
-
-    chosen: list[int] = []
-    value = np.inf
-    for _ in range(n_chosen):
-        best, value = best_beside(chosen)
-        chosen.append(best)
-    for _ in range(MOST_ROUNDS):
-        before = value
-        for place in range(n_chosen):
-            best, new = best_beside(chosen[:place] + chosen[place + 1 :])
-            if new < value - TOLERANCE * abs(value):
-                chosen[place], value = best, new
-        if value >= before:
-            break
-    return _in_order(loss, beside, chosen)
-
-
-def _in_order(
-    loss: Callable[[Array], Array],
-    beside: Callable[[Sequence[int]], tuple[Array, Array]],
-    chosen: list[int],
-) -> tuple[int, ...]:
-    """The chosen trials in greedy order."""
-    left, ordered = list(chosen), list[int]()
-    while left:
-        made, trials = beside(ordered)
-        best = int(np.argmin(loss(made + trials[left])))
-        ordered.append(left.pop(best))
-    return tuple(ordered)
+from identknee.runs.marginalise import NuisancePosterior, whitening, with_error_measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StraightProblem:
+class LinearisedProblem:
     """A problem linearised at theta: residuals ``(m,)`` and Jacobian ``(m, n)``."""
 
     parameters: Parameters
@@ -127,7 +61,7 @@ class StraightProblem:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StraightCandidates:
+class LinearisedCandidates:
     """Candidates linearised at theta: values ``(k, m)`` and Jacobians ``(k, m, n)``."""
 
     names: tuple[str, ...]
@@ -141,26 +75,22 @@ class StraightCandidates:
         return self.at_theta[list(chosen)] + slopes @ (theta - self.theta), slopes
 
 
-def straight(
-    problem: Problem, theta: Array, candidates: Candidates
-) -> tuple[Problem, StraightCandidates]:
+def linearised(
+    problem: Problem, theta: Array, candidates: CandidateTrials
+) -> tuple[Problem, LinearisedCandidates]:
     """Problem and candidates linearised at theta, priors of nuisances kept."""
     data = without_priors(problem)
-    lines = StraightProblem(
+    lines = LinearisedProblem(
         parameters=problem.parameters,
         theta=theta,
         at_theta=data.residuals(theta),
         slopes=data.jacobian(theta),
     )
     values, slopes = candidates.predict(theta, range(len(candidates.names)))
-    offered = StraightCandidates(
+    offered = LinearisedCandidates(
         names=tuple(candidates.names), theta=theta, at_theta=values, slopes=slopes
     )
     return with_nuisance_priors(lines), offered
-
-
-# Of a stated standard deviation: what is left of it where an error is known better.
-SHARE = 0.5
 
 
 @declared
@@ -237,20 +167,23 @@ def narrowing(
     )
 
 
-def errors_halved(
+def halved_error_features(
     width: WidthLoss, points: CandidatePredictions, parameters: Parameters
 ) -> dict[str, Array]:
     """Features of nuisance parameters with their standard deviations halved, ``(1, f)`` each."""
     groups = nuisance_places(parameters)
-    return {name: width.of_trials(*_as_trial(points, parameters, x)) for name, x in groups.items()}
+    return {
+        name: width.features_of_trials(*_as_trial(points, parameters, x))
+        for name, x in groups.items()
+    }
 
 
-def mean_share(shares: Array) -> float:
+def mean_narrowing(shares: Array) -> float:
     """Narrowing by the geometric mean of the relative widths.
 
     Examples
     --------
-    >>> round(mean_share(np.array([0.5, 0.0])), 3)
+    >>> round(mean_narrowing(np.array([0.5, 0.0])), 3)
     0.293
     """
     return float(1.0 - np.exp(np.mean(np.log1p(-shares))))
@@ -264,21 +197,20 @@ def _widths(width: WidthLoss, features: Array) -> Array:
 def _as_trial(
     points: CandidatePredictions, parameters: Parameters, places: list[int]
 ) -> tuple[Array, Array]:
-    """A measurement of the parameters at `places` that narrows their priors to `SHARE`.
+    """The parameters at `places` known better, as a trial that measures them directly.
 
     Values ``(q, 1, m)`` in units of that measurement's noise, derivatives ``(q, 1, m, n)`` by the
     scaled parameters.
     """
-    per_unit = np.sqrt(SHARE**-2 - 1.0) / parameters.prior_sd[places]
-    slopes = np.zeros((len(places), parameters.n))
-    slopes[np.arange(len(places)), places] = per_unit * points.scales[places]
-    values = points.thetas[:, None, places] * per_unit
+    rows = with_error_measured(parameters.n, places, parameters.prior_sd[places])
+    values = points.thetas[:, None] @ rows.T
+    slopes = rows * points.scales
     return values, np.broadcast_to(slopes, (len(values), 1, *slopes.shape))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Marginal:
-    """A linear-Gaussian problem with its nuisance parameters marginalised.
+class MarginalProblem:
+    """A problem whose nuisances, linear in the residuals, are marginalised.
 
     Attributes
     ----------
@@ -296,9 +228,7 @@ class Marginal:
     _whitening: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        covariance = np.eye(len(self.slopes)) + self.slopes @ self.slopes.T
-        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-        object.__setattr__(self, "_whitening", whitening)
+        object.__setattr__(self, "_whitening", whitening(self.slopes))
 
     @property
     def parameters(self) -> Parameters:
@@ -306,7 +236,7 @@ class Marginal:
         return self.problem.parameters
 
     def residuals(self, theta: Array) -> Array:
-        """Residuals at the nuisances' prior means, whitened by the total covariance, ``(m,)``."""
+        """Residuals at the prior means of the nuisances, whitened, shape ``(m,)``."""
         residuals = self.problem.residuals(theta)
         if not np.isfinite(residuals).all():
             return residuals
@@ -317,8 +247,8 @@ class Marginal:
         return np.asarray(self._whitening @ self.problem.jacobian(theta))
 
 
-def marginal(problem: Problem, theta: Array) -> Marginal:
-    """The problem of the parameters of interest, nuisances marginalised at theta.
+def marginal_problem(problem: Problem, theta: Array) -> MarginalProblem:
+    """The problem of the parameters of interest alone.
 
     Parameters
     ----------
@@ -331,7 +261,7 @@ def marginal(problem: Problem, theta: Array) -> Marginal:
     is_error, data = ~parameters.is_of_interest, without_priors(problem)
     held = np.array(parameters.names)[is_error].tolist()
     sd = parameters.prior_sd[is_error]
-    return Marginal(
+    return MarginalProblem(
         problem=restricted(data, held, theta),
         slopes=data.jacobian(theta)[:, is_error] * sd,
         offset=(parameters.center - theta)[is_error] / sd,
@@ -339,7 +269,7 @@ def marginal(problem: Problem, theta: Array) -> Marginal:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AtBestErrors:
+class CandidatesAtBestNuisances:
     """Candidates with the nuisance parameters at their best fit.
 
     Attributes
@@ -352,7 +282,7 @@ class AtBestErrors:
         Which of them vary, shape ``(n,)``.
     """
 
-    candidates: Candidates
+    candidates: CandidateTrials
     theta: Array
     is_of_interest: BoolArray
 
@@ -369,14 +299,6 @@ class AtBestErrors:
         return values, jacobians[:, :, self.is_of_interest]
 
 
-class Known(NamedTuple):
-    """Gaussian posterior of the nuisances at q points: mean, its derivatives, covariance."""
-
-    mean: Array
-    slope: Array
-    covariance: Array
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedErrors:
     """A problem that shares its nuisance parameters with the candidates.
@@ -384,7 +306,7 @@ class SharedErrors:
     Attributes
     ----------
     problem
-        The parameters of interest alone, see `Marginal`.
+        The parameters of interest alone, see `MarginalProblem`.
     candidates
         The trials that may be added.
     slopes
@@ -394,13 +316,13 @@ class SharedErrors:
         Which errors belong together, by name.
     """
 
-    problem: Marginal
-    candidates: AtBestErrors
+    problem: MarginalProblem
+    candidates: CandidatesAtBestNuisances
     slopes: Array
     groups: dict[str, list[int]]
 
-    def with_trials(self, chosen: tuple[int, ...], theta: Array) -> Marginal:
-        """The problem with the chosen trials as predicted at theta, without errors."""
+    def with_trials(self, chosen: tuple[int, ...], theta: Array) -> MarginalProblem:
+        """The problem with the chosen trials as they would come out at theta, without errors."""
         measured, _ = self.candidates.predict(theta, chosen)
         whole = WithTrials(
             problem=self.problem.problem,
@@ -411,57 +333,15 @@ class SharedErrors:
         added = self.slopes[list(chosen)].reshape(measured.size, -1)
         return replace(self.problem, problem=whole, slopes=np.vstack([self.problem.slopes, added]))
 
-    def known(self, points: CandidatePredictions) -> Known:
-        """Posterior of the nuisances given the data, relative to their best fit, at the points."""
-        slopes, inner = self.problem.slopes, self.problem.problem
-        covariance = np.asarray(np.linalg.inv(np.eye(slopes.shape[1]) + slopes.T @ slopes), float)
-        gain = -covariance @ slopes.T
+    def known(self, points: CandidatePredictions) -> NuisancePosterior:
+        """Posterior of the nuisances after the trials made, less their best fit, at the points."""
+        inner = self.problem.problem
         residuals = np.array([inner.residuals(x) for x in points.thetas])
         jacobians = np.array([inner.jacobian(x) for x in points.thetas]) * points.scales
-        return Known(
-            mean=(residuals - residuals[0]) @ gain.T,
-            slope=gain @ jacobians,
-            covariance=covariance,
-        )
+        return NuisancePosterior.after(residuals, jacobians, self.problem.slopes)
 
 
-def told(known: Known, values: Array, jacobians: Array, slopes: Array) -> tuple[Array, Array]:
-    """Conditional information of k trials, given those that determine the nuisances.
-
-    Parameters
-    ----------
-    known
-        The errors.
-    values, jacobians
-        Of the trials, shapes ``(q, k, m)`` and ``(q, k, m, n)``.
-    slopes
-        Their change with the errors, shape ``(k, m, e)``.
-    """
-    spread = np.eye(slopes.shape[1]) + slopes @ known.covariance @ slopes.mT
-    whitening = np.linalg.inv(np.linalg.cholesky(spread))
-    values = values + np.einsum("kme,qe->qkm", slopes, known.mean)
-    jacobians = jacobians + np.einsum("kme,qen->qkmn", slopes, known.slope, optimize=True)
-    return (
-        np.einsum("kab,qkb->qka", whitening, values),
-        np.einsum("kab,qkbn->qkan", whitening, jacobians, optimize=True),
-    )
-
-
-def better_known(known: Known, value: Array, jacobian: Array, slopes: Array) -> Known:
-    """Posterior of the nuisances after one more trial, given its values and Jacobian."""
-    spread = np.eye(len(slopes)) + slopes @ known.covariance @ slopes.T
-    gain = np.linalg.solve(spread, slopes @ known.covariance).T
-    # Beyond what the data allow a trial may have no prediction: it then says nothing.
-    value = np.nan_to_num(value + known.mean @ slopes.T)
-    jacobian = np.nan_to_num(jacobian + slopes @ known.slope)
-    return Known(
-        mean=known.mean - value @ gain.T,
-        slope=known.slope - gain @ jacobian,
-        covariance=known.covariance - gain @ slopes @ known.covariance,
-    )
-
-
-def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> SharedErrors:
+def shared_errors(problem: Problem, theta: Array, candidates: CandidateTrials) -> SharedErrors:
     """The nuisances of a problem as errors shared with its candidates, about the best fit."""
     parameters = problem.parameters
     is_asked = parameters.is_of_interest
@@ -469,16 +349,18 @@ def shared_errors(problem: Problem, theta: Array, candidates: Candidates) -> Sha
     errors = np.flatnonzero(~is_asked)
     place = {int(x): i for i, x in enumerate(errors)}
     return SharedErrors(
-        problem=marginal(problem, theta),
-        candidates=AtBestErrors(candidates=candidates, theta=theta, is_of_interest=is_asked),
+        problem=marginal_problem(problem, theta),
+        candidates=CandidatesAtBestNuisances(
+            candidates=candidates, theta=theta, is_of_interest=is_asked
+        ),
         slopes=jacobians[:, :, errors] * parameters.prior_sd[errors],
         groups={name: [place[i] for i in x] for name, x in nuisance_places(parameters).items()},
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Telling:
-    """Features of the data with some trials added, and of each further candidate.
+class TrialFeatures:
+    """Features of the trials made with some added, and of each trial that may follow.
 
     Attributes
     ----------
@@ -489,14 +371,14 @@ class Telling:
     allowed
         Which candidates are offered, shape ``(k,)``.
     shared, known
-        The errors that trials share, and as the trials made leave them; None where there are none.
+        The nuisances that trials share and their posterior after the trials made; None without.
     """
 
     loss: Loss
     points: CandidatePredictions
     allowed: BoolArray
     shared: SharedErrors | None = None
-    known: Known | None = None
+    known: NuisancePosterior | None = None
 
     def beside(self, others: Sequence[int]) -> tuple[Array, Array]:
         """Features of the trials made and `others`, shape ``(f,)``, and of each next, ``(k, f)``.
@@ -509,10 +391,10 @@ class Telling:
             return made + trials[list(others)].sum(axis=0), trials
         for trial in others:
             own = self._of([trial])
-            made = made + self.loss.of_trials(*told(known, *own))[0]
-            known = better_known(known, own[0][:, 0], own[1][:, 0], own[2][0])
+            made = made + self.loss.features_of_trials(*known.whitened(*own))[0]
+            known = known.updated(own[0][:, 0], own[1][:, 0], own[2][0])
         offered = np.flatnonzero(self.allowed)
-        trials[offered] = self.loss.of_trials(*told(known, *self._of(offered.tolist())))
+        trials[offered] = self.loss.features_of_trials(*known.whitened(*self._of(offered.tolist())))
         return made, trials
 
     def halved(self) -> dict[str, Array]:
@@ -524,9 +406,12 @@ class Telling:
         found = {}
         for name, places in self.shared.groups.items():
             m = len(places)
-            slopes = np.sqrt(SHARE**-2 - 1.0) * np.eye(n)[None, places]
-            rows = told(self.known, np.zeros((q, 1, m)), np.zeros((q, 1, m, p)), slopes)
-            found[name] = self.loss.of_trials(*rows)
+            measured = (
+                np.zeros((q, 1, m)),
+                np.zeros((q, 1, m, p)),
+                with_error_measured(n, places)[None],
+            )
+            found[name] = self.loss.features_of_trials(*self.known.whitened(*measured))
         return found
 
     def _of(self, trials: list[int]) -> tuple[Array, Array, Array]:
@@ -619,7 +504,7 @@ class ChosenTrials:
             ("error", self.narrowing.errors, self.narrowing.by_error),
         )
         rows: list[dict[str, Any]] = [
-            {"kind": kind, "name": name, "narrowing": mean_share(shares)}
+            {"kind": kind, "name": name, "narrowing": mean_narrowing(shares)}
             for kind, names, table in parts
             for name, shares in zip(names, table, strict=True)
             if np.isfinite(shares).all()
@@ -641,7 +526,7 @@ class ChosenTrials:
 def design(
     problem: Problem,
     optimum_theta: ArrayLike,
-    candidates: Candidates,
+    candidates: CandidateTrials,
     *,
     n_trials: int,
     targets: Sequence[Quantity] = (),
@@ -688,10 +573,14 @@ def design(
     theta = np.asarray(optimum_theta, dtype=np.float64)
     shared = _shared(problem, theta, candidates, targets)
     if shared is not None:
-        targets = [_of_interest(x, shared.problem.parameters) for x in targets]
+        asked = shared.problem.parameters
+        targets = [ParameterQuantity(parameters=asked, name=x.name) for x in targets]
         theta = theta[problem.parameters.is_of_interest]
         problem, candidates = shared.problem, shared.candidates
-    quantities, before = _profiled(problem, theta, profiles_of, targets)
+    if targets:
+        quantities, before = tuple(targets), profiles_of(problem, theta, targets)
+    else:
+        quantities, before = _default_targets(problem, theta, profiles_of)
     points = predict_candidates(problem, before, candidates, executor)
     excluded = points.excluded(candidates.names)
     allowed = ~np.isin(candidates.names, [x.name for x in excluded])
@@ -706,23 +595,34 @@ def design(
     )
     loss: Loss = width if criterion == "width" else local
     known = None if shared is None else shared.known(points)
-    telling = Telling(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
-    chosen = choose(loss, telling.beside, allowed, n_trials)
-    along = replace(telling, loss=width)
-    halved = errors_halved(width, points, problem.parameters) if shared is None else along.halved()
-    adding = partial(_with_trials, problem, candidates) if shared is None else shared.with_trials
-    whole = adding(chosen, points.thetas[0])
-    after = profiles_of(whole, points.thetas[0], quantities)
+    features = TrialFeatures(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
+    chosen = choose(lambda x: loss(np.add(*features.beside(x))), allowed, n_trials)
+    along = replace(features, loss=width)
+    halved = (
+        halved_error_features(width, points, problem.parameters)
+        if shared is None
+        else along.halved()
+    )
+    best = points.thetas[0]
+    whole: Problem
+    if shared is None:
+        measured, _ = candidates.predict(best, chosen)
+        whole = WithTrials(problem=problem, candidates=candidates, chosen=chosen, measured=measured)
+    else:
+        whole = shared.with_trials(chosen, best)
+    after = profiles_of(whole, best, quantities)
+    intervals = width.intervals(_stages(along, chosen))
+    predicted = [np.where(is_open, np.nan, ends) for ends, is_open in intervals]
     return ChosenTrials(
         criterion=criterion,
         names=tuple(candidates.names),
         targets=tuple(x.name for x in before),
         chosen=chosen,
         excluded=excluded,
-        losses=loss(_stages(telling, chosen)),
-        alone=np.where(allowed, loss(np.add(*telling.beside(()))), np.nan),
-        predicted=_intervals(width, _stages(along, chosen)),
-        sds=np.sqrt(local.variances(_stages(replace(telling, loss=local), chosen))),
+        losses=loss(_stages(features, chosen)),
+        alone=np.where(allowed, loss(np.add(*features.beside(()))), np.nan),
+        predicted=np.stack(predicted, axis=1),
+        sds=np.sqrt(local.variances(_stages(replace(features, loss=local), chosen))),
         narrowing=narrowing(width, along.beside(()), allowed, halved),
         before={x.name: x for x in before},
         after={x.name: x for x in after},
@@ -740,29 +640,16 @@ def _check(problem: Problem, n_trials: int, criterion: Criterion) -> None:
 
 
 def _shared(
-    problem: Problem, theta: Array, candidates: Candidates, targets: Sequence[Quantity]
+    problem: Problem, theta: Array, candidates: CandidateTrials, targets: Sequence[Quantity]
 ) -> SharedErrors | None:
-    """The marginalised nuisances; None without any, or if a target is no parameter."""
+    """The nuisances marginalised; None without any, or where a target is no parameter."""
     is_error = ~problem.parameters.is_of_interest
     if not (is_error.any() and all(isinstance(x, ParameterQuantity) for x in targets)):
         return None
     return shared_errors(problem, theta, candidates)
 
 
-def _of_interest(target: Quantity, parameters: Parameters) -> Quantity:
-    return ParameterQuantity(parameters=parameters, name=target.name)
-
-
-def _profiled(
-    problem: Problem, theta: Array, profiles_of: ProfilesOf, targets: Sequence[Quantity]
-) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
-    """The targets and their profiles; unbounded ones by default."""
-    if not targets:
-        return _needy(problem, theta, profiles_of)
-    return tuple(targets), profiles_of(problem, theta, targets)
-
-
-def _needy(
+def _default_targets(
     problem: Problem, theta: ArrayLike, profiles_of: ProfilesOf
 ) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
     """Default targets: parameters with an unbounded interval, or else all, with profiles."""
@@ -774,20 +661,6 @@ def _needy(
     return tuple(every[i] for i in chosen), tuple(profiles[i] for i in chosen)
 
 
-def _stages(telling: Telling, chosen: tuple[int, ...]) -> Array:
+def _stages(features: TrialFeatures, chosen: tuple[int, ...]) -> Array:
     """Features before and after each of the chosen trials, shape ``(n_trials + 1, f)``."""
-    return np.array([telling.beside(chosen[:i])[0] for i in range(len(chosen) + 1)])
-
-
-def _intervals(width: WidthLoss, features: Array) -> Array:
-    """Predicted intervals, shape ``(n_trials + 1, t, 2)``; NaN for open ends."""
-    found = [np.where(is_open, np.nan, ends) for ends, is_open in width.intervals(features)]
-    return np.stack(found, axis=1)
-
-
-def _with_trials(
-    problem: Problem, candidates: Candidates, chosen: tuple[int, ...], theta: Array
-) -> WithTrials:
-    """The problem with the chosen trials as predicted at theta, without errors."""
-    measured, _ = candidates.predict(theta, chosen)
-    return WithTrials(problem=problem, candidates=candidates, chosen=chosen, measured=measured)
+    return np.array([features.beside(chosen[:i])[0] for i in range(len(chosen) + 1)])

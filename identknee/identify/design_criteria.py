@@ -20,6 +20,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import Executor
+from identknee.runs.marginalise import schur_complement
 
 Criterion = Literal["D", "A", "E", "c", "width"]
 CRITERIA: tuple[Criterion, ...] = ("D", "A", "E", "c", "width")
@@ -34,14 +35,14 @@ END_TOLERANCE = 1e-3
 class Loss(Protocol):
     """A design criterion to be minimised."""
 
-    def of_made(self, information: Array) -> Array:
+    def features_of_data(self, information: Array) -> Array:
         """Features of the trials made, shape ``(f,)``, from their scaled information at the points.
 
         The information has shape ``(q, n, n)``.
         """
         ...
 
-    def of_trials(self, values: Array, jacobians: Array) -> Array:
+    def features_of_trials(self, values: Array, jacobians: Array) -> Array:
         """Features of k trials, shape ``(k, f)``.
 
         From their predictions at q points in units of the noise, shape ``(q, k, m)``, and the
@@ -80,11 +81,11 @@ class LocalLoss:
     gradients: Array
     is_of_interest: BoolArray
 
-    def of_made(self, information: Array) -> Array:
+    def features_of_data(self, information: Array) -> Array:
         """The scaled information at the best fit, shape ``(n n,)``."""
         return np.asarray(information[0].ravel())
 
-    def of_trials(self, values: Array, jacobians: Array) -> Array:
+    def features_of_trials(self, values: Array, jacobians: Array) -> Array:
         """Scaled information of each trial at the best fit, shape ``(k, n n)``."""
         at_fit = jacobians[0]
         return np.asarray(np.einsum("kmi,kmj->kij", at_fit, at_fit).reshape(values.shape[1], -1))
@@ -93,7 +94,9 @@ class LocalLoss:
         """The loss of each information, shape ``(k,)``."""
         if self.criterion == "c":
             return np.asarray(np.log(self.variances(features)).sum(axis=1))
-        eigenvalues = np.linalg.eigvalsh(self._of_interest(self._matrices(features)))
+        # Inverses of the covariances of the parameters of interest.
+        matrices = schur_complement(self._matrices(features), self.is_of_interest)
+        eigenvalues = np.linalg.eigvalsh(matrices)
         if self.criterion == "D":
             return np.asarray(-np.log(eigenvalues).sum(axis=1))
         if self.criterion == "A":
@@ -108,15 +111,6 @@ class LocalLoss:
     def _matrices(self, features: Array) -> Array:
         n = self.gradients.shape[1]
         return np.asarray(features.reshape(-1, n, n) + LEAST_INFORMATION * np.eye(n))
-
-    def _of_interest(self, matrices: Array) -> Array:
-        """Inverses of the covariances of the parameters of interest: Schur complements."""
-        asked = np.flatnonzero(self.is_of_interest)
-        rest = np.flatnonzero(~self.is_of_interest)
-        own, shared = (matrices[:, asked[:, None], x] for x in (asked, rest))
-        within = matrices[:, rest[:, None], rest]
-        taken = shared @ np.linalg.solve(within, np.swapaxes(shared, 1, 2))
-        return np.asarray(own - taken)
 
 
 @declared
@@ -179,7 +173,7 @@ class WidthLoss:
 
     paths: Sequence[Path]
 
-    def of_made(self, information: Array) -> Array:
+    def features_of_data(self, information: Array) -> Array:
         """Each point's curvature across the target, no slope, and the rise of the deviance."""
         parts = []
         for path in self.paths:
@@ -188,7 +182,7 @@ class WidthLoss:
             parts += [curved.ravel(), np.zeros(path.across[:, 0].size), path.deltas]
         return np.concatenate(parts)
 
-    def of_trials(self, values: Array, jacobians: Array) -> Array:
+    def features_of_trials(self, values: Array, jacobians: Array) -> Array:
         """Each point's curvature and slope across the target and the rise, for each trial."""
         k, parts = values.shape[1], []
         for path in self.paths:
@@ -245,7 +239,7 @@ def _first_crossing(away: Array, roots: Array, level: float) -> tuple[Array, Boo
     return np.where(goes_on, beyond, between), goes_on
 
 
-class Candidates(Protocol):
+class CandidateTrials(Protocol):
     """Trials that might be added, as a model predicts them."""
 
     @property
@@ -279,7 +273,7 @@ class WithTrials:
     """
 
     problem: Problem
-    candidates: Candidates
+    candidates: CandidateTrials
     chosen: tuple[int, ...]
     measured: Array
     _last: dict[bytes, Array] = field(init=False, repr=False, default_factory=dict)
@@ -384,14 +378,14 @@ class CandidatePredictions:
 
         Zero for those excluded.
         """
-        offered = loss.of_trials(self.values[:, allowed], self.jacobians[:, allowed])
+        offered = loss.features_of_trials(self.values[:, allowed], self.jacobians[:, allowed])
         trials = np.zeros((len(allowed), offered.shape[1]))
         trials[allowed] = offered
-        return loss.of_made(self.information), trials
+        return loss.features_of_data(self.information), trials
 
 
 def predict_candidates(
-    problem: Problem, before: Sequence[Profile], candidates: Candidates, executor: Executor
+    problem: Problem, before: Sequence[Profile], candidates: CandidateTrials, executor: Executor
 ) -> CandidatePredictions:
     """The candidates predicted at the best fit and along the profiles."""
     scales = scaled_units(problem.parameters, "typical")
@@ -413,7 +407,7 @@ class _PointPrediction:
     """Information of the trials made and predictions of all candidates at one theta."""
 
     problem: Problem
-    candidates: Candidates
+    candidates: CandidateTrials
 
     def __call__(self, theta: Array) -> tuple[Array, Array, Array]:
         everything = range(len(self.candidates.names))

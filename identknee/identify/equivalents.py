@@ -11,8 +11,8 @@ from scipy.spatial.distance import cdist, pdist
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.extremum import (
     INSIDE_TOLERANCE,
-    End,
     Extreme,
+    ExtremumEnd,
     at_bounds,
     extremise,
     farthest_pair,
@@ -158,7 +158,7 @@ class Extremum:
     """The smallest or the largest value of a quantity over a region."""
 
     value: float = entry("Value there", unit=OF_QUANTITY)
-    end: End = entry("What keeps the quantity from going farther")
+    end: ExtremumEnd = entry("What keeps the quantity from going farther")
     at_bounds: tuple[str, ...] = entry(
         "Parameters on their bounds there: the value holds for this box"
     )
@@ -176,7 +176,7 @@ class Extremum:
     theta: Array = array("Parameters there", "parameter", unit=OF_PARAMETER)
 
 
-class Searches:
+class RegionSearches:
     """Searches in one region, their ends and every other simulated point inside kept in a pool.
 
     Parameters
@@ -335,7 +335,7 @@ class Searches:
             value=best["value"],
             theta=theta,
             distance=best["largest"] * self._region.limit,
-            end=End(best["end"]),
+            end=ExtremumEnd(best["end"]),
             at_bounds=tuple(names[at_bounds(theta, self._view)].tolist()),
             n_searches=len(ends),
             n_agreeing=sum(abs(x["value"] - best["value"]) <= AGREEMENT * scale for x in ends),
@@ -435,8 +435,8 @@ class Completeness(Enum):
 
 
 _SENTENCES = {
-    Completeness.COMPLETE: "All the sets asked for were found.",
-    Completeness.FEWER: "The region holds fewer sets that differ enough than were asked for.",
+    Completeness.COMPLETE: "All requested sets were found.",
+    Completeness.FEWER: "The region contains fewer sufficiently different sets than requested.",
 }
 
 
@@ -597,7 +597,7 @@ def equivalents(
         raise ValueError(f"the number of sets must be at least 2, got {n_sets}")
     parameters = region.problem.parameters
     own = [ParameterQuantity(parameters=parameters, name=name) for name in parameters.names]
-    searches = Searches(region, [*own, *quantities], executor, store)
+    searches = RegionSearches(region, [*own, *quantities], executor, store)
     everything = range(len(own) + len(quantities))
     fit = searches.pool
     at_fit = searches.measured(fit, "fit")[1]
@@ -639,7 +639,7 @@ def equivalents(
     )
 
 
-def _spread(searches: Searches, n: int) -> Array:
+def _spread(searches: RegionSearches, n: int) -> Array:
     """Points of the pool far from one another, the farthest pair first, shape ``(<= n, p)``."""
     diameter, pair = searches.farthest_pair
     points = np.vstack([pair, searches.pool])
@@ -649,7 +649,7 @@ def _spread(searches: Searches, n: int) -> Array:
 
 
 def _extrema(
-    searches: Searches, quantities: Sequence[Quantity], at_fit: Array, first: int = 0
+    searches: RegionSearches, quantities: Sequence[Quantity], at_fit: Array, first: int = 0
 ) -> dict[str, Extrema]:
     """Ranges by name of quantities that stand together among those searched."""
     return {

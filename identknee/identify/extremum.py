@@ -8,7 +8,7 @@ from scipy import sparse
 
 from identknee.calibrate.problem import RANK_TOLERANCE
 from identknee.calibrate.quantity import Quantity
-from identknee.identify.region import Blocks, Inside, PairView, RegionView
+from identknee.identify.region import Blocks, PairView, RegionConstraints, RegionView
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, entry
 
@@ -17,7 +17,7 @@ GAP, LARGEST_GAP = 1e-10, 1e-7
 
 
 @declared
-class Step:
+class ModelStep:
     """The best step of a model.
 
     Attributes
@@ -37,7 +37,7 @@ class Step:
 
 
 @declared
-class Model:
+class LocalModel:
     """The local model around a point, in the units of its steps.
 
     Attributes
@@ -57,7 +57,7 @@ class Model:
     high: Array
 
 
-def best_step(model: Model, *, penalty: float) -> Step:
+def best_step(model: LocalModel, *, penalty: float) -> ModelStep:
     """The step of largest gain, less `penalty` times the excess, in a model.
 
     It keeps to ``|offsets[b] + slopes[b] @ step|^2 <= 1 + excess`` for every block, to the model's
@@ -98,7 +98,7 @@ def best_step(model: Model, *, penalty: float) -> Step:
     ).solve()
     point = np.array(solution.x)
     forces = np.array(solution.z)[n_linear:].reshape(n_blocks, k + 2)
-    return Step(
+    return ModelStep(
         step=np.clip(point[:n], model.low, model.high),
         excess=max(float(point[n]), 0.0),
         multipliers=forces[:, 0] + forces[:, 1],
@@ -132,7 +132,7 @@ TINY = float(np.finfo(float).tiny)
 
 
 @unique
-class End(Enum):
+class ExtremumEnd(Enum):
     """What limits a quantity; the value is the word written to files."""
 
     LIMIT = "limit"
@@ -148,11 +148,11 @@ class End(Enum):
 
 
 _SENTENCES = {
-    End.LIMIT: "Farther out the predictions differ by more than the limit.",
-    End.BOUND: "Only the bounds of the parameters end it: the data would allow more.",
-    End.INTERIOR: "Nothing near it is farther out, and neither limit nor bounds are reached.",
-    End.CLIFF: "The model has no prediction farther out; there may be more beyond.",
-    End.BUDGET: "The search used up its steps; there may be more.",
+    ExtremumEnd.LIMIT: "Beyond this point the predictions differ by more than the limit.",
+    ExtremumEnd.BOUND: "Only the parameter bounds limit it; the data do not.",
+    ExtremumEnd.INTERIOR: "A local extremum inside the region, away from its limit and bounds.",
+    ExtremumEnd.CLIFF: "The model has no equilibrium beyond; the range may be wider.",
+    ExtremumEnd.BUDGET: "The search reached its step limit; the range may be wider.",
 }
 
 
@@ -163,7 +163,7 @@ class Extreme:
     theta: Array = array("The end of the search", "parameter", unit=OF_PARAMETER)
     value: float = entry("The quantity there", unit=OF_QUANTITY)
     largest: float = entry("The largest block over the limit, simulated there; at most 1 + 1e-6")
-    end: End = entry("What stopped it")
+    end: ExtremumEnd = entry("What stopped it")
     path: Array = array("The points inside that it came by", "point", "parameter")
 
 
@@ -179,7 +179,9 @@ class _Point:
         return max(self.blocks.largest - 1.0, 0.0)
 
 
-def extremise(inside: Inside, quantity: Quantity, start: Array, *, sign: float) -> Extreme:
+def extremise(
+    inside: RegionConstraints, quantity: Quantity, start: Array, *, sign: float
+) -> Extreme:
     """The largest (`sign` = 1) or smallest (-1) value that a search from `start` finds inside.
 
     Every step is the best one by a model: the quantity linear, each block the square of its
@@ -207,16 +209,20 @@ def extremise(inside: Inside, quantity: Quantity, start: Array, *, sign: float) 
     if here is None:
         raise ValueError("the search for an extremum must start where there is a prediction")
     best, end = search.climb(here)
+    if end not in {ExtremumEnd.CLIFF, ExtremumEnd.BUDGET}:
+        end = ExtremumEnd.BOUND if at_bounds(best.theta, inside).any() else ExtremumEnd.INTERIOR
+        if best.blocks.largest >= 1.0 - LIMIT_TOLERANCE:
+            end = ExtremumEnd.LIMIT
     return Extreme(
         theta=best.theta,
         value=best.value,
         largest=best.blocks.largest,
-        end=end if end in {End.CLIFF, End.BUDGET} else _what_holds(inside, best),
+        end=end,
         path=np.array(search.path).reshape(-1, best.theta.size),
     )
 
 
-def at_bounds(theta: Array, inside: Inside) -> Array:
+def at_bounds(theta: Array, inside: RegionConstraints) -> Array:
     """Which parameters lie on one of their bounds, shape ``(n,)``."""
     tolerance = BOUND_TOLERANCE * inside.steps
     return np.asarray((theta <= inside.lower + tolerance) | (theta >= inside.upper - tolerance))
@@ -265,7 +271,7 @@ def farthest_pair(view: RegionView, first: Array, second: Array) -> Extreme:
 class _Search:
     """A trust-region search that maximises sign * quantity less a penalty outside the region."""
 
-    def __init__(self, inside: Inside, quantity: Quantity, sign: float) -> None:
+    def __init__(self, inside: RegionConstraints, quantity: Quantity, sign: float) -> None:
         self._inside = inside
         self._quantity = quantity
         self._sign = sign
@@ -283,16 +289,16 @@ class _Search:
             return None
         return _Point(theta=theta, value=value, gradient=gradient, blocks=blocks)
 
-    def climb(self, here: _Point) -> tuple[_Point, End]:
+    def climb(self, here: _Point) -> tuple[_Point, ExtremumEnd]:
         """The best point inside that the steps lead to, and what ended them."""
         best, radius, met_cliff = here, FIRST_RADIUS, False
         self._unit = self._range(here)
         for _ in range(MAX_STEPS):
             if self._unit == 0.0:
-                return best, End.INTERIOR
+                return best, ExtremumEnd.INTERIOR
             step, gain = self._model_step(here, radius)
             if gain < GAIN_TOLERANCE * min(1.0, radius):
-                return best, End.LIMIT
+                return best, ExtremumEnd.LIMIT
             there = self.point(self._moved(here.theta, step.step))
             ratio = -np.inf if there is None else (self._merit(there) - self._merit(here)) / gain
             radius = _next_radius(radius, ratio, float(np.max(np.abs(step.step))))
@@ -304,13 +310,13 @@ class _Search:
                 continue
             met_cliff |= there is None
             if radius < SMALLEST_RADIUS:
-                return best, End.CLIFF if met_cliff else End.LIMIT
-        return best, End.BUDGET
+                return best, ExtremumEnd.CLIFF if met_cliff else ExtremumEnd.LIMIT
+        return best, ExtremumEnd.BUDGET
 
-    def _model_step(self, here: _Point, radius: float) -> tuple[Step, float]:
+    def _model_step(self, here: _Point, radius: float) -> tuple[ModelStep, float]:
         """The model's best step in typical steps, and its predicted gain."""
         inside, steps = self._inside, self._inside.steps
-        model = Model(
+        model = LocalModel(
             gain=self._sign * here.gradient * steps / self._unit,
             blocks=Blocks(offsets=here.blocks.offsets, slopes=here.blocks.slopes * steps),
             low=np.maximum((inside.lower - here.theta) / steps, -radius),
@@ -345,12 +351,6 @@ class _Search:
         reach = np.sqrt(n_blocks) * np.abs(right @ gain) / known
         box = np.abs(gain) @ ((self._inside.upper - self._inside.lower) / (2.0 * steps))
         return min(float(np.linalg.norm(reach)), float(box))
-
-
-def _what_holds(inside: Inside, best: _Point) -> End:
-    if best.blocks.largest >= 1.0 - LIMIT_TOLERANCE:
-        return End.LIMIT
-    return End.BOUND if at_bounds(best.theta, inside).any() else End.INTERIOR
 
 
 def _next_radius(radius: float, ratio: float, length: float) -> float:

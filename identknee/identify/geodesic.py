@@ -4,7 +4,7 @@ from enum import Enum
 
 import numpy as np
 
-from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
+from identknee.calibrate.evaluation import Evaluation, Evaluator, SearchEnded
 from identknee.calibrate.problem import Problem, floors
 from identknee.identify.information import Scaling, combination, scaled_units, spectrum
 from identknee.runs.arrays import Array, BoolArray
@@ -41,13 +41,13 @@ class Boundary(Enum):
 
 
 _SENTENCES = {
-    Boundary.NO_INFLUENCE: "These no longer change any prediction, as where a ligament is slack.",
+    Boundary.NO_INFLUENCE: "These no longer affect any prediction, as where a ligament is slack.",
     Boundary.ZERO: "Here zero is reached, the least value.",
     Boundary.BOUND: "Here a bound of the range is reached.",
     Boundary.STANDSTILL: "The predictions stop changing along a combination of these.",
-    Boundary.INFINITY: "These go on without end, and the predictions go on changing.",
+    Boundary.INFINITY: "These diverge, and the predictions keep changing.",
     Boundary.CLIFF: "Beyond this point the model has no prediction.",
-    Boundary.BUDGET: "The budget of simulations was used up on the way.",
+    Boundary.BUDGET: "The budget of simulations was exhausted on the way.",
 }
 
 
@@ -183,7 +183,7 @@ class _Walk:
                 at, along = moved
                 self._keep(at, along)
                 ended = self._end(at, along)
-        except Ended:
+        except SearchEnded:
             ended = (Boundary.BUDGET, self._most(along))
         thetas, directions, speeds, deviances = map(np.array, zip(*self._points, strict=True))
         return Geodesic(
@@ -207,7 +207,7 @@ class _Walk:
     def _step(self, at: Evaluation, along: Array) -> tuple[Evaluation, Array] | None:
         """The next point and direction by the midpoint rule; None before a cliff."""
         length = LONGEST_STEP
-        bending = self._bending(at, along)
+        bending = self._geodesic_acceleration(at, along)
         length = min(length, MOST_TURN / max(float(np.linalg.norm(bending)), 1e-12))
         length = max(length, SHORTEST_STEP)
         while length >= SHORTEST_STEP:
@@ -216,7 +216,7 @@ class _Walk:
                 aside = _unit(along + 0.5 * length * bending)
                 end = self._moved(at, aside, length)
                 if end.is_finite:
-                    turned = along + length * self._bending(half, aside)
+                    turned = along + length * self._geodesic_acceleration(half, aside)
                     return end, _unit(turned)
             length *= 0.5
         return None
@@ -237,7 +237,7 @@ class _Walk:
         theta[arrived] = bound[arrived]
         return self._evaluator(np.clip(theta, self._parameters.lower, self._parameters.upper))
 
-    def _bending(self, at: Evaluation, along: Array) -> Array:
+    def _geodesic_acceleration(self, at: Evaluation, along: Array) -> Array:
         """Geodesic acceleration: derivative of the unit direction by arc length, ``(n,)``.
 
         The second derivative of the residuals along the way, taken off by the parameters as far

@@ -398,6 +398,8 @@ def information(
     noise = jacobian_noise(evaluator, evaluation, scales, seed=seed)
     jacobian = evaluation.jacobian * scales
     eigenvalues, eigenvectors = spectrum(jacobian)
+    # What rounding alone does to the singular values.
+    rounding = max(jacobian.shape) * np.finfo(np.float64).eps * np.linalg.norm(jacobian, 2)
     return Information(
         parameter_names=parameters.names,
         theta=evaluation.theta,
@@ -406,7 +408,7 @@ def information(
         jacobian=jacobian,
         eigenvalues=eigenvalues,
         eigenvectors=eigenvectors,
-        floors=np.maximum(noise.floors(eigenvectors), _jacobian_rounding(jacobian) ** 2),
+        floors=np.maximum(noise.floors(eigenvectors), rounding**2),
         noise=noise,
         n_simulations=evaluator.n_simulations,
     )
@@ -454,11 +456,6 @@ def combination(names: Sequence[str], direction: Array) -> str:
     return " ".join(
         f"{direction[i]:+.2f} {names[i]}" for i in order if abs(direction[i]) >= NEGLIGIBLE_SHARE
     )
-
-
-def _jacobian_rounding(jacobian: Array) -> float:
-    """The effect of rounding on the singular values."""
-    return float(max(jacobian.shape) * np.finfo(np.float64).eps * np.linalg.norm(jacobian, 2))
 
 
 def _collinearity(columns: Array) -> float:

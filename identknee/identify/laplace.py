@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp
-from scipy.stats import qmc
 
 from identknee.calibrate.evaluation import Evaluation
 from identknee.model.parameters import Parameters
@@ -133,7 +133,7 @@ def _draws(mean: Array, covariance: Array, lower: Array, upper: Array, cut: IntA
     n = N_POINTS if cut.size else 1
     factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(cut, cut)]), dtype=np.float64)
     drawn, weights = np.zeros((n, cut.size)), np.zeros(n)
-    points = qmc.Sobol(max(cut.size, 1), seed=POINTS_SEED).random(N_POINTS)
+    points = scipy.stats.qmc.Sobol(max(cut.size, 1), seed=POINTS_SEED).random(N_POINTS)
     for i in range(cut.size):
         known = mean[cut[i]] + drawn[:, :i] @ factor[i, :i]
         low, high = ((x[cut[i]] - known) / factor[i, i] for x in (lower, upper))
@@ -248,10 +248,81 @@ class Laplace:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Gaussian:
+    """Likelihood times prior near a point: a Gaussian within bounds, in units of the priors' sd."""
+
+    middle: Array
+    covariance: Array
+    lower: Array
+    upper: Array
+    log_evidence: float
+
+
+def _gaussian(at: Evaluation, parameters: Parameters, is_active: BoolArray | None) -> _Gaussian:
+    """The Gaussian whose logarithm has the slope and curvature of the deviance at a point."""
+    is_log, sd = np.array(parameters.is_log), parameters.prior_sd
+    point, center, lower, upper = (
+        _log_where_lognormal(x, is_log) / sd
+        for x in (at.theta, parameters.center, parameters.lower, parameters.upper)
+    )
+    jacobian = at.jacobian * np.where(is_log, at.theta, 1.0) * sd
+    information = cho_factor(jacobian.T @ jacobian, lower=True)
+    covariance = cho_solve(information, np.eye(point.size))
+    gradient = jacobian.T @ at.residuals
+    if is_active is not None:
+        gradient = np.where(is_active, gradient, 0.0)
+    middle = point - covariance @ gradient
+    log_evidence = (
+        -0.5 * (at.deviance - gradient @ covariance @ gradient)
+        - log_interval_mass(lower - center, upper - center).sum()
+        - np.log(np.diag(information[0])).sum()
+        + log_box_probability(middle, covariance, lower, upper)
+    )
+    return _Gaussian(
+        middle=middle,
+        covariance=covariance,
+        lower=lower,
+        upper=upper,
+        log_evidence=float(log_evidence),
+    )
+
+
+def log_evidence(at: Evaluation, parameters: Parameters, is_active: BoolArray) -> float:
+    """Log evidence of a fit, up to a constant of the data: what models of the same data compare.
+
+    With slope ``g`` and curvature ``H = J'J`` of half the deviance ``D`` in units of the priors'
+    standard deviations, and the middle ``m = x - H^-1 g`` of the Gaussian that they make,
+
+        ``log Z = -(D - g' H^-1 g) / 2 - log|H| / 2 + log P(lower < N(m, H^-1) < upper)
+        - log P(lower < N(center, 1) < upper)``.
+
+    The last term norms priors that are cut off at bounds, such as half-normal ones. Exact for a
+    model that is linear in these coordinates, also where a bound is active.
+
+    Parameters
+    ----------
+    at
+        Whitened residuals of the data, those of the priors after them, and their derivatives.
+    parameters
+        With bounds and priors.
+    is_active
+        Which bounds are active, shape ``(p,)``. The other parameters are taken to be where their
+        slope is zero: what a fit that was stopped might still gain does not count.
+
+    References
+    ----------
+    R. E. Kass and A. E. Raftery, Bayes factors, J. Am. Stat. Assoc. 90 (1995) 773-795,
+    doi:10.1080/01621459.1995.10476572, equation 5.
+    """
+    return _gaussian(at, parameters, is_active).log_evidence
+
+
 def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Laplace:
     """The Laplace approximation around a fit, priors truncated at the bounds.
 
-    Exact for a model that is linear in these coordinates, also where a bound holds the fit.
+    The evidence is that of `log_evidence` with the constant of the data, slopes of all parameters
+    counted. Exact for a model that is linear in these coordinates, also where a bound is active.
 
     Parameters
     ----------
@@ -261,55 +332,34 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
         With bounds and priors.
     noise_factor
         Cholesky factor of the covariance of the data, shape ``(m, m)``.
-
-    References
-    ----------
-    R. E. Kass and A. E. Raftery, Bayes factors, J. Am. Stat. Assoc. 90 (1995) 773-795,
-    doi:10.1080/01621459.1995.10476572, equation 5.
     """
-    is_log = np.array(parameters.is_log)
-    scale = np.where(is_log, at.theta, 1.0)
-    point, center, lower, upper = (
-        _logs(x, is_log) for x in (at.theta, parameters.center, parameters.lower, parameters.upper)
+    is_log, prior_sd = np.array(parameters.is_log), parameters.prior_sd
+    near = _gaussian(at, parameters, None)
+    constant = -0.5 * len(noise_factor) * np.log(2.0 * np.pi) - np.log(np.diag(noise_factor)).sum()
+    sd = np.sqrt(np.diag(near.covariance)) * prior_sd
+    found = box_intervals(near.middle, near.covariance, near.lower, near.upper)
+    point, lower, upper = (
+        _log_where_lognormal(at.theta, is_log),
+        found.lower * prior_sd,
+        found.upper * prior_sd,
     )
-    jacobian = at.jacobian * scale
-    information = cho_factor(jacobian.T @ jacobian, lower=True)
-    covariance = cho_solve(information, np.eye(point.size))
-    gradient = jacobian.T @ at.residuals
-    middle = point - covariance @ gradient
-    prior_mass = log_interval_mass(
-        (lower - center) / parameters.prior_sd, (upper - center) / parameters.prior_sd
-    )
-    m = len(noise_factor)
-    log_evidence = (
-        -0.5 * (at.deviance - gradient @ covariance @ gradient + m * np.log(2.0 * np.pi))
-        - np.log(np.diag(noise_factor)).sum()
-        - np.log(parameters.prior_sd).sum()
-        - prior_mass.sum()
-        - np.log(np.diag(information[0])).sum()
-        + log_box_probability(middle, covariance, lower, upper)
-    )
-    sd = np.sqrt(np.diag(covariance))
-    found = box_intervals(middle, covariance, lower, upper)
     # A fit stopped before its minimum is not where the straight model puts the parameters, and
     # neither end of such an interval is known.
     slack = ROUNDING * sd
-    is_beside = (found.lower > point + slack) | (found.upper < point - slack)
-    low, high = (
-        np.where(is_log, np.exp(np.where(is_log, x, 0.0)), x) for x in (found.lower, found.upper)
-    )
+    is_beside = (lower > point + slack) | (upper < point - slack)
+    low, high = (np.where(is_log, np.exp(np.where(is_log, x, 0.0)), x) for x in (lower, upper))
     return Laplace(
         theta=at.theta,
-        sd=scale * sd,
+        sd=np.where(is_log, at.theta, 1.0) * sd,
         lower=np.minimum(low, at.theta),
         upper=np.maximum(high, at.theta),
         is_lower_open=found.is_lower_bound | is_beside,
         is_upper_open=found.is_upper_bound | is_beside,
-        log_evidence=float(log_evidence),
+        log_evidence=near.log_evidence + float(constant),
     )
 
 
-def _logs(values: Array, is_log: BoolArray) -> Array:
+def _log_where_lognormal(values: Array, is_log: BoolArray) -> Array:
     """The logarithms where the prior is lognormal."""
     with np.errstate(divide="ignore"):
         return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)

@@ -3,7 +3,12 @@
 import numpy as np
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import RANK_TOLERANCE, Problem, Scaled, with_nuisance_priors
+from identknee.calibrate.problem import (
+    RANK_TOLERANCE,
+    Problem,
+    WhitenedResiduals,
+    with_nuisance_priors,
+)
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 
@@ -56,7 +61,7 @@ def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> Es
     sds = np.ones(len(sizes))
     theta = np.asarray(start, dtype=np.float64)
     for _ in range(MAX_ROUNDS):
-        scaled = with_nuisance_priors(Scaled(problem=problem, sd=sds[groups]))
+        scaled = with_nuisance_priors(WhitenedResiduals(problem=problem, sd=sds[groups]))
         best = fit(scaled, theta)
         if not np.isfinite(best.objective):
             raise ValueError(
@@ -71,7 +76,7 @@ def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> Es
         if settled:
             break
     return EstimatedNoise(
-        problem=with_nuisance_priors(Scaled(problem=problem, sd=sds[groups])),
+        problem=with_nuisance_priors(WhitenedResiduals(problem=problem, sd=sds[groups])),
         sds=sds,
         degrees_of_freedom=round(float(sizes.sum() - shares.sum())),
         theta=theta,

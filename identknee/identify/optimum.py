@@ -1,7 +1,7 @@
 """The best fit from which identifiability is analysed."""
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from identknee.calibrate.fit import Fit, fit, fit_many
 from identknee.calibrate.problem import Problem
@@ -54,7 +54,7 @@ def best_fits(
     """
     parameters = problem.parameters
     first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
-    check_inside(first, parameters)
+    check_within_bounds(first, parameters)
     points = sobol_around(parameters, first, N_STARTS, reach=REACH, seed=seed)
     around = fit_many(problem, points, seed=seed, executor=executor, budget=budget)
     begun = [fit(problem, first, seed=seed, budget=budget), *around]
@@ -69,7 +69,7 @@ def best_fits(
     return tuple(fits)
 
 
-def check_inside(theta: Array, parameters: Parameters) -> None:
+def check_within_bounds(theta: Array, parameters: Parameters) -> None:
     """Raise for a theta outside the bounds.
 
     Raises
@@ -106,7 +106,9 @@ def sobol_around(
         Seed of the scrambling.
     """
     # Sobol points are balanced in powers of two only; the rest of such a set is left out.
-    drawn = qmc.Sobol(parameters.n, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]
+    drawn = scipy.stats.qmc.Sobol(parameters.n, seed=seed).random_base2(int(np.ceil(np.log2(n))))[
+        :n
+    ]
     steps = reach * parameters.prior_sd * (2.0 * drawn - 1.0) * parameters.is_of_interest
     points = np.where(parameters.is_log, center * np.exp(steps), center + steps)
     return np.asarray(np.clip(points, parameters.lower, parameters.upper))

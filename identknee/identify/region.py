@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.problem import Problem, typical_steps
@@ -79,7 +79,7 @@ def power_of_best_test(squared_distance: float) -> float:
     >>> round(power_of_best_test(1.0), 2)
     0.26
     """
-    return float(norm.sf(norm.isf(LEVEL) - np.sqrt(squared_distance)))
+    return float(scipy.stats.norm.sf(scipy.stats.norm.isf(LEVEL) - np.sqrt(squared_distance)))
 
 
 @declared
@@ -111,7 +111,7 @@ class Blocks:
         return float(self.values.max())
 
 
-class Inside(Protocol):
+class RegionConstraints(Protocol):
     """Constraints of a search for an extremum."""
 
     @property

@@ -7,7 +7,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from identknee.calibrate.problem import by_unit
+from identknee.calibrate.problem import values_by_unit
 from identknee.identify.sensitivity_estimators import (
     FEWEST_DRAWS,
     METHODS,
@@ -15,8 +15,8 @@ from identknee.identify.sensitivity_estimators import (
     Index,
     converging_indices,
     leading_component,
-    levels_of,
     morris_indices,
+    sample_sizes,
     sobol_indices,
 )
 from identknee.model.parameters import Parameters
@@ -73,7 +73,7 @@ def box_around(parameters: Parameters, center: Array) -> Box:
         Its middle, shape ``(n,)``.
     """
     sd = np.where(parameters.is_log, parameters.prior_sd * np.abs(center), parameters.prior_sd)
-    reach = by_unit(parameters, STIFFNESS_SHARE * np.abs(center), STRAIN_PCT, PRIOR_SDS * sd)
+    reach = values_by_unit(parameters, STIFFNESS_SHARE * np.abs(center), STRAIN_PCT, PRIOR_SDS * sd)
     return Box(
         lower=np.maximum(center - reach, parameters.lower),
         upper=np.minimum(center + reach, parameters.upper),
@@ -368,7 +368,7 @@ def sensitivity(
     """
     points = _points(outputs, over, method, n_samples, seed)
     values = _simulated(outputs, points, method, executor, store)
-    names, groups = _numbered(outputs.groups)
+    names, groups = _group_numbers(outputs.groups)
     found: dict[str, Index]
     shares = np.ones(len(names))
     if method == "sobol":
@@ -377,7 +377,11 @@ def sensitivity(
         unit = (points - over.lower) / (over.upper - over.lower)
         found = morris_indices(unit, values, groups, seed)
     else:
-        scores, shares = _scores(values[:, 0], groups)
+        # The leading component of each group of outputs, and its share of the variance.
+        n_groups, outputs_of = int(groups.max()) + 1, values[:, 0]
+        found_of = [leading_component(outputs_of[:, groups == g]) for g in range(n_groups)]
+        scores = np.column_stack([x for x, _ in found_of])
+        shares = np.array([share for _, share in found_of])
         found = _given_indices(
             partial(converging_indices, method, points[:, 0], seed=seed),
             scores,
@@ -460,7 +464,7 @@ def _packed_outputs(outputs: Outputs, thetas: Array) -> str:
     return base64.b64encode(values.tobytes()).decode("ascii")
 
 
-def _numbered(groups: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
+def _group_numbers(groups: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
     """Names of the groups in order of appearance, and the group of every output and of failure."""
     names = (*dict.fromkeys(groups), FAILURE)
     place = {name: i for i, name in enumerate(names)}
@@ -474,12 +478,6 @@ def _lost(values: Array, groups: IntArray) -> Array:
     return np.stack([*by_group, values[:, :, -1] > 0], axis=2)
 
 
-def _scores(values: Array, groups: IntArray) -> tuple[Array, Array]:
-    """Leading component of each group, shape ``(n, g)``, and its share of the variance."""
-    found = [leading_component(values[:, groups == g]) for g in range(int(groups.max()) + 1)]
-    return np.column_stack([x for x, _ in found]), np.array([share for _, share in found])
-
-
 def _given_indices(
     indices: Callable[..., Mapping[str, Any]],
     scores: Array,
@@ -489,7 +487,7 @@ def _given_indices(
     name: str,
 ) -> dict[str, Index]:
     """Indices of each column of scores (n, g), a column a task."""
-    levels = levels_of(len(scores), FEWEST_DRAWS)
+    levels = sample_sizes(len(scores), FEWEST_DRAWS)
     rows = resumable_map(
         partial(indices, levels=levels),
         list(scores.T),

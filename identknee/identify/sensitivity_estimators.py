@@ -21,14 +21,14 @@ from itertools import combinations
 from math import factorial
 
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared
 
 RESAMPLES = 200
 CONFIDENCE = 0.95
-Z = float(norm.ppf(0.5 + CONFIDENCE / 2.0))
+Z = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2.0))
 # Parts of all samples at which indices are shown converging.
 PARTS = (8, 4, 2, 1)
 FEWEST = 4
@@ -160,12 +160,12 @@ def morris_indices(points: Array, outputs: Array, groups: IntArray, seed: int) -
     return _converging(estimator(pairs.astype(float)), estimator(whole), len(outputs), seed)
 
 
-def levels_of(n: int, fewest: int = FEWEST) -> IntArray:
+def sample_sizes(n: int, fewest: int = FEWEST) -> IntArray:
     """Numbers of samples at which indices are estimated: an eighth, a quarter, half and all of n.
 
     Examples
     --------
-    >>> levels_of(64)
+    >>> sample_sizes(64)
     array([ 8, 16, 32, 64])
     """
     return np.array([n // part for part in PARTS if part == 1 or n // part >= fewest])
@@ -181,7 +181,7 @@ def _converging(
 ) -> dict[str, Index]:
     """Indices at every level, and from samples without failure at the last one."""
     generator = np.random.default_rng(seed)
-    levels = levels_of(n)
+    levels = sample_sizes(n)
     by_level = []
     for level in levels:
         counts = np.ones((1 + RESAMPLES, level))
@@ -380,7 +380,7 @@ def delta_index(draws: Array, scores: Array, _seed: int) -> dict[str, Array]:
     power = 2.0 / (7.0 + np.tanh((1500.0 - n) / 500.0))
     edges = np.linspace(0, n, min(int(np.ceil(n**power)), 48) + 1)
     if len(np.unique(scores)) == 2:
-        return {"delta": np.array([_two_valued_delta(x, scores, edges) for x in draws.T])}
+        return {"delta": np.array([_delta_of_binary_output(x, scores, edges) for x in draws.T])}
     grid = np.linspace(scores.min(), scores.max(), DENSITY_POINTS)
     values = [delta.calc_delta(scores, grid, column, edges) for column in draws.T]
     return {"delta": np.array(values)}
@@ -492,10 +492,10 @@ def _with_half_widths(
         # An output that never changes depends on nothing; the names come from any output.
         dummy = np.random.default_rng(0).random((FEWEST_DRAWS, 1 + draws.shape[1]))
         nothing = np.full(draws.shape[1], 0.0 if n >= FEWEST_DRAWS else np.nan)
-        with _quiet():
+        with _silenced_salib():
             names = tuple(index(dummy[:, 1:], dummy[:, 0], 0))
         return dict.fromkeys(names, (nothing, nothing))
-    with _quiet():
+    with _silenced_salib():
         found = index(draws, scores, int(seeds[0]))
         again = [
             index(draws[chosen], scores[chosen], int(seed))
@@ -510,7 +510,7 @@ def _with_half_widths(
     return pairs
 
 
-def _two_valued_delta(column: Array, scores: Array, edges: Array) -> float:
+def _delta_of_binary_output(column: Array, scores: Array, edges: Array) -> float:
     """Delta of an output that is one of two values, whose densities are shares."""
     is_high = scores == scores.max()
     rank = np.argsort(np.argsort(column, kind="stable"), kind="stable") + 1
@@ -554,7 +554,7 @@ def _description(draws: Array) -> dict[str, object]:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _silenced_salib() -> Iterator[None]:
     """SALib's warnings and its seeding of numpy's global generator kept from the caller."""
     state = np.random.get_state()  # noqa: NPY002 - to put it back
     formatting = warnings.formatwarning

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.problem import RANK_TOLERANCE, Problem
@@ -195,5 +195,7 @@ def _points(parameters: Parameters, n_points: int, seed: int) -> Array:
             "with_bounds"
         )
     # Sobol points are balanced in powers of two only; the rest of such a set is left out.
-    drawn = qmc.Sobol(parameters.n, seed=seed).random_base2(int(np.ceil(np.log2(n_points))))
+    drawn = scipy.stats.qmc.Sobol(parameters.n, seed=seed).random_base2(
+        int(np.ceil(np.log2(n_points)))
+    )
     return np.asarray(bounds[0] + (bounds[1] - bounds[0]) * drawn[:n_points])

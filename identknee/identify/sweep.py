@@ -6,8 +6,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
+from typing_extensions import override
 
 from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import BUDGET, METHODS, Fit, fit
@@ -43,7 +44,7 @@ N_NUMBERS = 8
 
 
 @declared
-class Searches:
+class SweepSearches:
     """The ends of N searches in p parameters, failed ones included.
 
     An *end* is what the optimizer gave back, whatever it is. Its *kind* says what is there:
@@ -141,7 +142,7 @@ class Searches:
     def seconds_per_start(self) -> dict[str, list[float]]:
         """Whether a start costs the same when there are more."""
         return {
-            "by_tenth_of_starts": [float(x.mean()) for x in tenths(self.seconds)],
+            "by_tenth_of_starts": [float(x.mean()) for x in split_into_tenths(self.seconds)],
             "deciles": np.quantile(self.seconds, np.linspace(0.0, 1.0, 11)).tolist(),
         }
 
@@ -164,20 +165,20 @@ class Searches:
         number = np.bincount(codes, minlength=len(OUTCOMES))
         return {x.value: int(k) for x, k in zip(OUTCOMES, number, strict=True) if k}
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """What is at the ends, and where they go on to."""
         kinds = ", ".join(f"{k} {x}" for x, k in self.kinds.items())
         polished = ", ".join(f"{k} {x}" for x, k in self.polished_outcomes.items())
         return f"{self.n} searches by {self.method}: {kinds}; polished: {polished}"
 
 
-def tenths(values: Array) -> list[Array]:
+def split_into_tenths(values: Array) -> list[Array]:
     """`values` split into up to ten consecutive parts.
 
     Examples
     --------
-    >>> [x.tolist() for x in tenths(np.arange(3.0))]
+    >>> [x.tolist() for x in split_into_tenths(np.arange(3.0))]
     [[0.0], [1.0], [2.0]]
     """
     return [part for part in np.array_split(values, 10) if part.size]
@@ -192,7 +193,7 @@ def sweep(
     seed: int = 0,
     executor: Executor = serial,
     store: Store | None = None,
-) -> Searches:
+) -> SweepSearches:
     """The end of a search from each start, what it is, and the end polished by least squares.
 
     Parameters
@@ -245,7 +246,7 @@ def search_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
 
 
-def kind_of_end(problem: Problem, end: Fit) -> Outcome:
+def classify_end(problem: Problem, end: Fit) -> Outcome:
     """The kind of end of a search: a minimum, a valley, a cliff or a failure."""
     if end.outcome is Outcome.START_FAILED:
         return Outcome.START_FAILED
@@ -280,7 +281,7 @@ def _end(
     began = time.perf_counter()
     own = search_seed(seed, number)
     end = fit(problem, start, method=method, seed=own, budget=budget)
-    kind = kind_of_end(problem, end)
+    kind = classify_end(problem, end)
     polished, last, n_polishing = end, end.outcome, 0
     if end.outcome not in {Outcome.MINIMUM, Outcome.START_FAILED}:
         # Another seed, or a second look for a way around a cliff would be the first one again.
@@ -303,10 +304,10 @@ def _end(
 
 def _searches(
     parameters: Parameters, starts: Array, rows: Array, *, method: str, budget: int, seed: int
-) -> Searches:
+) -> SweepSearches:
     p = parameters.n
     numbers = rows[:, 2 * p :]
-    return Searches(
+    return SweepSearches(
         method=method,
         budget=budget,
         seed=seed,
@@ -365,7 +366,7 @@ def sobol_starts(parameters: Parameters, n: int, *, seed: int = 0) -> Array:
                 f"the bounds of {name} are {low:g} and {high:g}; "
                 "give finite ones to spread starts between them"
             )
-    sequence = qmc.Sobol(parameters.n, seed=seed)
+    sequence = scipy.stats.qmc.Sobol(parameters.n, seed=seed)
     unit = sequence.random_base2(int(n - 1).bit_length())[:n]
     return np.asarray(parameters.lower + (parameters.upper - parameters.lower) * unit)
 

@@ -50,7 +50,8 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     >>> candidates.n, candidates.trials[63]
     (104, 'flexion0_internal-5Nm')
     """
-    rows = {_key(a, x): (t, float(a), x) for t, a, x in _trials_of(made)}
+    trials = zip(made.trials, made.flexion_deg, made.loads, strict=True)
+    rows = {_key(a, x): (t, float(a), x) for t, a, x in trials}
     taken = set(made.trials)
     for angle in flexion_deg:
         for loads in (*SINGLE, *COMBINED):
@@ -70,12 +71,12 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     )
 
 
-def repeated(names: Sequence[str], taken: Sequence[str]) -> tuple[str, ...]:
+def unique_names(names: Sequence[str], taken: Sequence[str]) -> tuple[str, ...]:
     """The names, with a number added to those that are taken or come again.
 
     Examples
     --------
-    >>> repeated(["a", "b", "a"], taken=["b"])
+    >>> unique_names(["a", "b", "a"], taken=["b"])
     ('a', 'b_repeat2', 'a_repeat2')
     """
     used = set(taken)
@@ -88,11 +89,6 @@ def repeated(names: Sequence[str], taken: Sequence[str]) -> tuple[str, ...]:
         used.add(new)
         given.append(new)
     return tuple(given)
-
-
-def _trials_of(protocol: Protocol) -> list[tuple[str, float, np.ndarray]]:
-    rows = zip(protocol.trials, protocol.flexion_deg, protocol.loads, strict=True)
-    return [(name, float(angle), loads) for name, angle, loads in rows]
 
 
 def _key(angle: float, loads: np.ndarray) -> tuple[float, ...]:

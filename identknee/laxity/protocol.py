@@ -18,8 +18,8 @@ from identknee.runs.schema import (
     Fault,
     Part,
     Place,
+    custom_message,
     number,
-    otherwise,
     read_toml,
     refusal,
     remedy_of,
@@ -38,7 +38,7 @@ Number = Annotated[
 Numbers = Annotated[
     list[Number],
     Field(min_length=1),
-    otherwise("the list is empty", "Write at least one number."),
+    custom_message("the list is empty", "Write at least one number."),
     BeforeValidator(lambda x: x if isinstance(x, list) else [x]),
 ]
 
@@ -67,7 +67,7 @@ class Ramp(Part):
     flexion_deg: Numbers
     values: Numbers
     held: Annotated[
-        HeldLoads, otherwise("this is no table", "Write held = { anterior_force_N = 30 }.")
+        HeldLoads, custom_message("this is no table", "Write held = { anterior_force_N = 30 }.")
     ] = HeldLoads()
 
 
@@ -75,11 +75,13 @@ class Trial(HeldLoads):
     """A ``[[trials]]``."""
 
     flexion_deg: Numbers
-    name: Annotated[str, otherwise("the name {} is no text", "Put it in quotes.")] | None = None
+    name: Annotated[str, custom_message("the name {} is no text", "Put it in quotes.")] | None = (
+        None
+    )
 
 
 _RAMPS, _TRIALS = (
-    otherwise("these are no blocks", f"Start each with a line [[{x}]].") for x in BLOCKS
+    custom_message("these are no blocks", f"Start each with a line [[{x}]].") for x in BLOCKS
 )
 
 
@@ -88,10 +90,12 @@ class ProtocolTables(Part):
 
     format: Annotated[
         Literal[1],
-        otherwise("the format is {}", f"Write format = {FORMAT}, the only one there is."),
+        custom_message("the format is {}", f"Write format = {FORMAT}, the only one there is."),
     ]
-    name: Annotated[str, otherwise("the name {} is no text", "Put it in quotes.")] | None = None
-    description: Annotated[str, otherwise("{} is no text", "Put it in quotes.")] = ""
+    name: Annotated[str, custom_message("the name {} is no text", "Put it in quotes.")] | None = (
+        None
+    )
+    description: Annotated[str, custom_message("{} is no text", "Put it in quotes.")] = ""
     ramps: Annotated[list[Annotated[Ramp, _RAMPS]], _RAMPS] = Field(default_factory=list)
     trials: Annotated[list[Annotated[Trial, _TRIALS]], _TRIALS] = Field(default_factory=list)
 
@@ -150,6 +154,14 @@ LOADS = (
     "distraction_force_N",
     "lateral_force_N",
 )
+DIRECTIONS = (
+    ("internal moment", "external moment"),
+    ("varus moment", "valgus moment"),
+    ("anterior force", "posterior force"),
+    ("distraction force", "compression force"),
+    ("lateral force", "medial force"),
+)
+"""Name of each load where it is positive and where it is negative."""
 name_axis("load", LOADS)
 FLEXION = "flexion_deg"
 BUILT_IN = ("seed63", "table2", "drawer")
@@ -211,7 +223,7 @@ class Protocol:
         ValueError
             If an index is out of range or given twice.
         """
-        chosen = chosen_rows(indices, self.n)
+        chosen = selected_rows(indices, self.n)
         return Protocol(
             name=self.name,
             trials=tuple(self.trials[i] for i in chosen),
@@ -353,7 +365,7 @@ def name_fault(name: str) -> tuple[str, str] | None:
     return None
 
 
-def chosen_rows(indices: ArrayLike, n: int) -> list[int]:
+def selected_rows(indices: ArrayLike, n: int) -> list[int]:
     """Row numbers from whole numbers or from a mask of `n` truth values.
 
     Raises

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.laxity.zeros import ABSOLUTE, UNLOADED, from_zero, unloaded_trials
+from identknee.laxity.zero_conventions import ABSOLUTE, UNLOADED, from_zero, unloaded_trials
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry
 

@@ -8,19 +8,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.laxity.named_tables import laxity_file
-from identknee.laxity.protocol import FLEXION, LOADS, Protocol, chosen_rows, name_fault, range_fault
+from identknee.laxity.protocol import (
+    FLEXION,
+    LOADS,
+    Protocol,
+    name_fault,
+    range_fault,
+    selected_rows,
+)
 from identknee.laxity.table_file import (
     STATEMENT,
     TIME,
     CellFile,
-    Row,
+    TableRow,
     correlation_fault,
     levels,
     mean_curves,
     statements,
     written,
 )
-from identknee.laxity.zeros import zero_fault
+from identknee.laxity.zero_conventions import zero_fault
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
 from identknee.runs.errors import InputError
@@ -144,7 +151,7 @@ class Laxity:
         ValueError
             If an index is out of range or given twice.
         """
-        chosen = chosen_rows(indices, self.n)
+        chosen = selected_rows(indices, self.n)
         return Laxity(
             protocol=self.protocol.select(chosen),
             coordinates=self.coordinates[chosen],
@@ -178,8 +185,8 @@ def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
         column and what to do.
     """
     with CellFile.open(laxity_file(path)) as file:
-        file.take_named()
-        file.take_opposites(OPPOSITES)
+        file.read_renamed_columns()
+        file.read_opposite_columns(OPPOSITES)
         is_series = TIME in file.columns
         names, table, extra = _curves(file) if is_series else _trials(file, is_measured=is_measured)
     loads, coordinates = 1 + len(LOADS), 1 + len(LOADS) + len(COORDINATES)
@@ -317,7 +324,7 @@ def _check_coordinates(file: CellFile) -> None:
             )
 
 
-def _add_name(row: Row, names: dict[str, int]) -> None:
+def _add_name(row: TableRow, names: dict[str, int]) -> None:
     name = row.text("trial")
     if fault := name_fault(name):
         row.refuse("trial", *fault)
@@ -330,7 +337,7 @@ def _add_name(row: Row, names: dict[str, int]) -> None:
     names[name] = row.line
 
 
-def _setting(row: Row) -> list[float]:
+def _setting(row: TableRow) -> list[float]:
     """Flexion and loads."""
     values = []
     for column in (FLEXION, *LOADS):
@@ -341,7 +348,7 @@ def _setting(row: Row) -> list[float]:
     return values
 
 
-def _measured(row: Row) -> list[float]:
+def _measured(row: TableRow) -> list[float]:
     """Coordinates, then standard deviations."""
     coordinates, spreads = [], []
     for column, sd in zip(COORDINATES, _SD, strict=True):
@@ -379,14 +386,14 @@ def _coordinate_fault(column: str, value: float) -> tuple[str, str] | None:
     return why, "Give lengths in mm, from the femoral to the tibial origin."
 
 
-def _order(row: Row) -> int:
+def _order(row: TableRow) -> int:
     value = row.required("order")
     if value != int(value) or abs(value) > LARGEST_ORDER:
         row.refuse("order", f"{value:g} is no whole number", "Count the trials 1, 2, 3 and so on.")
     return int(value)
 
 
-def _phase(row: Row) -> str:
+def _phase(row: TableRow) -> str:
     phase = row.text("phase").lower()
     if phase not in {*PHASES, ""}:
         row.refuse(

@@ -13,9 +13,9 @@ from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
-from identknee.laxity.dominant import DIRECTIONS, SAME_FLEXION_DEG, STRAY, TYPICAL
-from identknee.laxity.protocol import Protocol
-from identknee.laxity.zeros import ZEROS, zero_fault
+from identknee.laxity.dominant_load import SAME_FLEXION_DEG, STRAY, TYPICAL
+from identknee.laxity.protocol import DIRECTIONS, Protocol
+from identknee.laxity.zero_conventions import ZEROS, zero_fault
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.files import PathLike, check_readable
@@ -101,7 +101,7 @@ class CellFile:
                     self.header_line, name, "this column is missing", "Add it; every row needs it."
                 )
 
-    def take_opposites(self, opposites: Mapping[str, str]) -> None:
+    def read_opposite_columns(self, opposites: Mapping[str, str]) -> None:
         """Read columns whose values count the other way round, such as a valgus moment or valgus.
 
         Parameters
@@ -122,7 +122,7 @@ class CellFile:
                 self.refuse(self.header_line, name, why, "Remove one of the two.")
             self._read_as(other, name, -1.0)
 
-    def take_named(self) -> None:
+    def read_renamed_columns(self) -> None:
         """Read columns under the names that comment lines above the header give them.
 
         ``# column: internal_deg = -57.3 * rotation`` reads the column ``rotation`` times -57.3.
@@ -163,7 +163,7 @@ class CellFile:
         self.columns[name] = self.columns.pop(source)
         self.sources[name] = before, known * factor
 
-    def rows(self) -> Iterator["Row"]:
+    def rows(self) -> Iterator["TableRow"]:
         """The rows below the header, in their order."""
         for line, text in self._lines:
             cells = self._split(line, text)
@@ -177,7 +177,7 @@ class CellFile:
                         "Give each column one cell, blank where there is nothing to say, and "
                         "put cells that hold a comma in quotes.",
                     )
-                yield Row(self, line, cells)
+                yield TableRow(self, line, cells)
 
     def refuse(self, line: int, column: str, why: str, remedy: str) -> NoReturn:
         """Raise the error about a place in this file."""
@@ -223,7 +223,7 @@ class CellFile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Row:
+class TableRow:
     """One row of a `CellFile`."""
 
     file: CellFile
@@ -373,7 +373,7 @@ def mean_curves(
     spreads: list[Array] = []
     for ramp in dict.fromkeys(ramps):
         own = samples[[i for i, x in enumerate(ramps) if x == ramp]]
-        axis = _ramped(path, ramp, own)
+        axis = _ramp_load(path, ramp, own)
         crossed = _crossings(own[:, 1:], axis, levels)
         deviations = [x - x.mean(axis=0) for _, x in crossed]
         n_free = sum(len(x) - 1 for x in deviations)
@@ -390,7 +390,7 @@ def mean_curves(
     return tuple(names), np.hstack([rows, np.maximum(sd, LEAST_SD)])
 
 
-def _ramped(path: Path, ramp: str, samples: Array) -> int:
+def _ramp_load(path: Path, ramp: str, samples: Array) -> int:
     """Index of the load that varies in a ramp."""
     where = f"ramp {ramp}"
     if (np.diff(samples[:, 0]) < 0.0).any():
@@ -416,7 +416,7 @@ def _ramped(path: Path, ramp: str, samples: Array) -> int:
 def _crossings(values: Array, axis: int, levels: Sequence[float]) -> list[tuple[float, Array]]:
     """Each level of the load, and the values where it is crossed, one row a crossing."""
     load = values[:, 1 + axis]
-    ends = _turns(load)
+    ends = _turning_points(load)
     found = []
     for sign in (-1.0, 1.0):
         farthest = sign * load[ends]
@@ -436,7 +436,7 @@ def _crossings(values: Array, axis: int, levels: Sequence[float]) -> list[tuple[
     return found
 
 
-def _turns(load: Array) -> list[int]:
+def _turning_points(load: Array) -> list[int]:
     """Samples at which the load turns, the first and the last among them."""
     least = TURN * np.ptp(load)
     ends, low, high = [0], 0, 0

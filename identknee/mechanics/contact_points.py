@@ -4,8 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from identknee.mechanics.contact_law import ContactLaw
+from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints
-from identknee.runs.arrays import Array, IntArray
+from identknee.mechanics.pose import place, rotation_matrix
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import array, declared, entry
 
 DEFAULT_NUMBER = 1500
 MOST_PIECES = 20  # a sheet is cut into about this many pieces a patch, or more
@@ -103,3 +107,211 @@ def _quartered(corner: Array) -> Array:
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
     return np.concatenate([np.stack(part, axis=1) for part in parts])
+
+
+@declared
+class ContactPlaces:
+    """The k points of the tibia that touch the femur in one pose."""
+
+    index: IntArray = entry("Which contact points they are, shape ``(k,)``")
+    femoral: Array = entry("Where they are, in the axes of the field [mm], shape ``(k, 3)``")
+    jacobian: Array = entry("Derivatives of those places by the pose, shape ``(k, 5, 3)``")
+    deepening: Array = entry("Derivatives of the depths by the pose [mm/rad, -], shape ``(k, 5)``")
+    force: Array = entry("Force of each [N], shape ``(k,)``")
+    stiffness: Array = entry("Derivative of the force by the depth [N/mm], shape ``(k,)``")
+
+
+def contact_places(
+    contact: ContactPoints, field: DistanceField, flexion: float, pose: Array
+) -> ContactPlaces:
+    """The contact at `flexion` [rad] and a pose (5,), with the forces of the kernel's law."""
+    placement, law = place(flexion, pose), contact.law or ContactLaw()
+    places = field.to_field(placement.to_femur(contact.points))
+    index = np.flatnonzero(_may_touch(field, places))
+    distance, outward = distances(field, places[index])
+    inside = distance < law.rounding
+    index, depth = index[inside], -distance[inside]
+    jacobian = placement.jacobian(contact.points[index])
+    if field.turn is not None:
+        jacobian = jacobian @ field.turn.T
+    pressure, slope = law.pressure(depth)
+    return ContactPlaces(
+        index=index,
+        femoral=places[index],
+        jacobian=jacobian,
+        deepening=-np.einsum("kai,ki->ka", jacobian, outward[inside]),
+        force=contact.areas[index] * pressure,
+        stiffness=contact.areas[index] * slope,
+    )
+
+
+def distances(field: DistanceField, places: Array) -> tuple[Array, Array]:
+    """Signed distance [mm] of places (n, 3) inside the grid, ``(n,)``, and its gradient (n, 3)."""
+    at = (places - field.origin) / field.spacing
+    cell = np.floor(at).astype(np.int64)
+    weights, slopes = _spline_weights(at - cell)
+    x, y, z = (cell[:, axis, None] + np.arange(-1, 3) for axis in range(3))
+    nodes = field.coefficients[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+
+    def summed(x: Array, y: Array, z: Array) -> Array:
+        along_y = np.einsum("nijk,nk,nj->ni", nodes, z, y)
+        total: Array = (along_y * x).sum(axis=1)
+        return total
+
+    gradient = [
+        summed(*(slopes[:, i] if i == axis else weights[:, i] for i in range(3)))
+        for axis in range(3)
+    ]
+    value = summed(weights[:, 0], weights[:, 1], weights[:, 2])
+    return value, np.stack(gradient, axis=1) / field.spacing
+
+
+def _may_touch(field: DistanceField, places: Array) -> BoolArray:
+    """Which places lie in cells that may hold contact; those at the grid's faces do not."""
+    last = np.array(field.reach.shape) - 1
+    cell = np.clip(np.floor((places - field.origin) / field.spacing), 0, last).astype(np.int64)
+    may: BoolArray = field.reach[cell[:, 0], cell[:, 1], cell[:, 2]] > 0
+    return may
+
+
+def _spline_weights(u: Array) -> tuple[Array, Array]:
+    """Cubic B-spline weights at places ``u`` within cells and their slopes, ``(..., 4)``."""
+    a = 1.0 - u
+    weights = [
+        a**3 / 6.0,
+        (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0,
+        (4.0 - 6.0 * a**2 + 3.0 * a**3) / 6.0,
+        u**3 / 6.0,
+    ]
+    slopes = [-(a**2) / 2.0, (3.0 * u**2 - 4.0 * u) / 2.0, (4.0 * a - 3.0 * a**2) / 2.0, u**2 / 2.0]
+    return np.stack(weights, axis=-1), np.stack(slopes, axis=-1)
+
+
+def contact_motion_columns(sums: Array, flexion: Array, poses: Array) -> Array:
+    """Derivatives of the energy's gradient by small motions of the surfaces, ``(n, 5, 12)``.
+
+    Parameters
+    ----------
+    sums
+        Those over the contact elements at each pose, as
+        `identknee.mechanics.elements.write_sums` writes them, shape ``(n, 39)``.
+    flexion
+        [rad], shape ``(n,)``.
+    poses
+        Shape ``(n, 5)``.
+
+    Returns
+    -------
+    columns
+        By a rotation [rad] about and a shift [mm] along the axes of the femoral frame, of places
+        within the femur's surface; then about and along those of the tibial frame, of the tibia's
+        surface.
+    """
+    moment, stiffness, turning, swinging = (
+        sums[:, k : k + 9].reshape(-1, 3, 3) for k in (3, 12, 21, 30)
+    )
+    pushing = _crossing(sums[:, :3])
+    trace = np.trace(moment, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    rotation = np.moveaxis(rotation_matrix(flexion, poses[:, 0], poses[:, 1]), 2, 0)
+    flexed = np.moveaxis(rotation_matrix(flexion, 0.0 * flexion, 0.0 * flexion), 2, 0)
+    # Axes of the two rotations and of the three shifts of the pose, one a row.
+    about = np.stack([flexed[:, :, 0], rotation[:, :, 1]], axis=1)
+    along = np.swapaxes(flexed, 1, 2)
+    # A turn of the femur is one about the tibial origin and a shift of that.
+    lever = _crossing((flexed @ poses[:, 2:, None])[:, :, 0])
+    swapped = np.swapaxes(turning, 1, 2)
+    carried = np.stack([swapped, stiffness], axis=1) @ lever[:, None]
+    # The outer of two turns turns the axis of the other, and pushes that the other turns.
+    moments_by_turn = swinging + moment - trace - carried[:, 0]
+    forces_by_turn = turning + pushing - carried[:, 1]
+    inner = np.stack(
+        [swinging + np.swapaxes(moment, 1, 2) - trace, swapped - pushing, turning, stiffness],
+        axis=1,
+    )
+    own = inner @ rotation[:, None]
+    moments = np.concatenate([moments_by_turn, swapped, own[:, 0], own[:, 1]], axis=2)
+    forces = np.concatenate([forces_by_turn, stiffness, own[:, 2], own[:, 3]], axis=2)
+    return np.concatenate([about @ moments, along @ forces], axis=1)
+
+
+def _crossing(vectors: Array) -> Array:
+    """Matrices (n, 3, 3) that take the cross product of each of `vectors` (n, 3) with another."""
+    x, y, z = vectors.T
+    none = np.zeros(len(vectors))
+    rows = np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
+    return np.asarray(np.moveaxis(rows, 2, 0))
+
+
+RIM_MARGIN = 3.0  # mm
+FEW = 100  # places that are looked up faster by themselves than scipy is loaded
+
+
+@declared
+class RimDistance:
+    """Distance of the vertices of a sheet from its rim."""
+
+    vertices: Array = array("Vertices of the sheet", "vertex", "axis", unit="mm")
+    rim: Array = array(
+        "Those on the rim; none where the surface is closed", "rim vertex", "axis", unit="mm"
+    )
+
+    @property
+    def distances(self) -> Array:
+        """Straight distance of each vertex to the nearest of the rim [mm]; infinite without one."""
+        return self._from_rim(self.vertices)
+
+    def at(self, places: Array) -> Array:
+        """Distance from the rim [mm] of the vertex nearest each of `places` (n, 3) [mm]."""
+        return self._from_rim(self.vertices[_nearest(self.vertices, places)])
+
+    def _from_rim(self, places: Array) -> Array:
+        if not len(self.rim):
+            return np.full(len(places), np.inf)
+        return np.asarray(np.linalg.norm(places - self.rim[_nearest(self.rim, places)], axis=1))
+
+
+def _nearest(vertices: Array, places: Array) -> IntArray:
+    """Which of the vertices is nearest each place, shape ``(n,)``."""
+    if len(places) > FEW:
+        # It loads most of scipy.
+        from scipy.spatial import cKDTree
+
+        return np.asarray(cKDTree(vertices).query(places)[1])
+    middle = vertices.mean(axis=0)
+    around = vertices - middle
+    halves = 0.5 * np.sum(around**2, axis=1)
+    return np.asarray(np.argmin(halves - (places - middle) @ around.T, axis=1))
+
+
+def rim_distance(vertices: Array, faces: IntArray) -> RimDistance:
+    """Distance from the rim of a triangle mesh: vertices ``(n, 3)`` [mm], faces ``(m, 3)``."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    # Whole numbers sort ten times as fast as pairs of them.
+    named, count = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
+    once = named[count == 1]
+    is_on_rim = np.zeros(len(vertices), bool)
+    is_on_rim[once // len(vertices)] = is_on_rim[once % len(vertices)] = True
+    return RimDistance(vertices=vertices, rim=vertices[is_on_rim])
+
+
+def rim_force_fraction(
+    centres: Array, femoral: RimDistance, tibial: tuple[RimDistance, ...]
+) -> Array:
+    """Share of each trial's contact force that acts within 3 mm of a rim, shape ``(n,)``.
+
+    Parameters
+    ----------
+    centres
+        For each trial and compartment: force [N], its centre in tibial and in femoral axes [mm],
+        shape ``(n, compartments, 7)``.
+    femoral, tibial
+        The rims, one a tibial surface.
+    """
+    forces = centres[:, :, 0]
+    near = np.zeros(len(centres))
+    for c, rim in enumerate(tibial):
+        margin = np.minimum(rim.at(centres[:, c, 1:4]), femoral.at(centres[:, c, 4:7]))
+        near += forces[:, c] * (margin < RIM_MARGIN)
+    total = forces.sum(axis=1)
+    share: Array = np.divide(near, total, out=np.zeros(len(centres)), where=total > 0.0)
+    return share

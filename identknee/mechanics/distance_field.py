@@ -66,7 +66,7 @@ class DistanceField:
         )
         return read_only(arrays)
 
-    def seen_from(self, turn: Array, shift: Array) -> "DistanceField":
+    def in_femoral_frame(self, turn: Array, shift: Array) -> "DistanceField":
         """The same field under poses of another femoral frame, given by its axes and origin."""
         return replace(self, turn=turn, shift=shift)
 

@@ -8,7 +8,26 @@ position of its point alone, so one set of sums gives gradient and Hessian of th
 import math
 
 from identknee.mechanics.compiled import compiled, compiled_into_callers
-from identknee.mechanics.ligament_law import tension
+
+
+@compiled
+def tension(strain, stiffness, transition):
+    """Force of a line ligament, its slope with strain and its integral over strain.
+
+    Equation 3 of the paper: quadratic up to twice the transition strain, linear beyond.
+    """
+    if strain <= 0.0:
+        return 0.0, 0.0, 0.0
+    if strain <= 2.0 * transition:
+        slope = stiffness * strain / (2.0 * transition)
+        return 0.5 * slope * strain, slope, slope * strain * strain / 6.0
+    over = strain - transition
+    return (
+        stiffness * over,
+        stiffness,
+        stiffness * (0.5 * over * over + transition * transition / 6.0),
+    )
+
 
 NOTHING = (0.0,) * 33  # sums over no element
 

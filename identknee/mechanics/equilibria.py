@@ -1,5 +1,6 @@
 """Equilibria of a set of trials: the kernel's door for the rest of the package."""
 
+import threading
 from functools import lru_cache
 from typing import Any
 
@@ -10,17 +11,73 @@ from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.load_paths import LoadPaths
 from identknee.mechanics.memory import (
     LINE,
+    N_LISTED,
     NO_EQUILIBRIUM,
+    PATH,
+    PLACED,
     ROTATION_SCALE,
+    SOLVER,
     ContactArrays,
     Equilibria,
+    EvaluationMemory,
     FieldArrays,
     NodeArrays,
+    Workspace,
     read_only,
+    record,
 )
-from identknee.mechanics.workspace import kept_workspace
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
+
+
+class _Kept(threading.local):
+    """The workspace that a thread used last."""
+
+    size = (-1, -1)
+    last: Workspace
+
+
+_kept = _Kept()
+
+
+def kept_workspace(n_points: int, n_columns: int) -> Workspace:
+    """The calling thread's workspace, which has forgotten what the last simulation evaluated."""
+    if _kept.size != (n_points, n_columns):
+        _kept.last, _kept.size = workspace(n_points, n_columns), (n_points, n_columns)
+    _forget(_kept.last.evaluation)
+    return _kept.last
+
+
+def workspace(n_points: int, n_columns: int = 0) -> Workspace:
+    """Memory for the work with so many contact points, and columns of sensitivities."""
+    n = n_points + 1
+    evaluation = EvaluationMemory(
+        placed=record(PLACED),
+        expansion=np.zeros((17, n)),
+        listed=np.zeros((4, n)),
+        cells=np.zeros(n, np.uint32),
+        eighths=np.zeros(n, np.uint32),
+        touching=np.zeros(n, np.uint32),
+        pushes=np.zeros((7, n)),
+        which=np.zeros(n, np.uint32),
+        moved=np.zeros((3, n)),
+    )
+    _forget(evaluation)
+    return Workspace(
+        evaluation=evaluation,
+        solver=record(SOLVER),
+        path=record(PATH),
+        columns=np.zeros((5, n_columns)),
+    )
+
+
+def _forget(evaluation: EvaluationMemory) -> None:
+    placed = evaluation.placed
+    placed.counts[:] = 0
+    placed.counts[N_LISTED] = -1
+    placed.pose[:] = np.inf
+    placed.expanded[:] = np.inf
+
 
 TRANSITION_STRAIN = 0.03
 _COURSE = ("reference_length", "transition", "wrap_offset", "wrap_place")
@@ -57,7 +114,7 @@ class ContactPoints:
 
 
 @declared
-class Lines:
+class LineLigaments:
     """Line ligaments: insertions in femoral and tibial axes, and what does not change in a fit."""
 
     femoral: Array = entry("Femoral insertions [mm], shape ``(m, 3)``")
@@ -116,7 +173,7 @@ def solve(
         Varus, internal [rad], x, y, z [mm], shape ``(5,)``, or one for each node, ``(n_nodes, 5)``.
         Those of nodes reached from others are not looked at.
     ligaments
-        As `Lines.arrays` gives them.
+        As `LineLigaments.arrays` gives them.
     guesses
         Poses to try first, shape ``(n_nodes, 5)``. A guess is kept only if the equilibrium found
         from it agrees with its neighbour's tangents, as one found without must.

@@ -2,10 +2,85 @@
 
 import numpy as np
 
-from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_wrench import line_tensions
+from identknee.mechanics.equilibria import TRANSITION_STRAIN, LineLigaments
+from identknee.mechanics.pose import Placement
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared
+
+
+@declared
+class LigamentWrench:
+    """What the ligaments do to the tibia at one pose."""
+
+    force: Array = array(
+        "Generalised force on varus, internal rotation, x, y and z", "freedom", unit="N mm or N"
+    )
+    stiffness: Array = array(
+        "Minus its derivative by the pose, the Hessian of the ligaments' energy",
+        *("freedom", "freedom"),
+        unit="N mm, N or N/mm",
+    )
+    tensions: Array = array("Tensions", "ligament", unit="N")
+
+
+def line_tensions(
+    strain: Array, stiffness: Array, transition: Array | float = TRANSITION_STRAIN
+) -> tuple[Array, Array]:
+    """Tension [N] at `strain` of lines of `stiffness` [N], and its derivative by strain [N].
+
+    Where `transition` is negative the line is a spring, which pushes as well as it pulls.
+
+    References
+    ----------
+    .. [1] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
+           https://doi.org/10.1115/1.2894883
+
+    Examples
+    --------
+    >>> tension, slope = line_tensions(np.array([-0.1, 0.03, 0.06, 0.1]), np.full(4, 1000.0))
+    >>> tension
+    array([ 0. ,  7.5, 30. , 70. ])
+    """
+    width = np.abs(transition)
+    stretched = np.maximum(strain, 0.0)
+    toe = stretched < 2.0 * width
+    tension = np.where(toe, stretched**2 / (4.0 * width), stretched - width)
+    slope = np.where(toe, stretched / (2.0 * width), 1.0)
+    is_spring = np.asarray(transition) < 0.0
+    tension, slope = np.where(is_spring, strain, tension), np.where(is_spring, 1.0, slope)
+    return stiffness * tension, stiffness * slope
+
+
+def ligament_wrench(
+    placement: Placement, lines: LineLigaments, stiffness: Array, reference_strain: Array
+) -> LigamentWrench:
+    """Tensions, generalised force and stiffness of the ligaments at a placement of the tibia.
+
+    Parameters
+    ----------
+    placement
+        Where the tibia stands.
+    lines
+        Insertions and reference lengths of the m ligaments.
+    stiffness
+        [N per unit strain], shape ``(m,)``.
+    reference_strain
+        Strain at the reference length [-], shape ``(m,)``.
+    """
+    offset = placement.to_femur(lines.tibial) - lines.femoral
+    length = np.linalg.norm(offset, axis=1)
+    direction = offset / length[:, None]
+    slack_length = lines.reference_length / (1.0 + reference_strain)
+    tension, slope = line_tensions(length / slack_length - 1.0, stiffness)
+    jacobian = placement.jacobian(lines.tibial)
+    lengthening = np.einsum("nai,ni->na", jacobian, direction)
+    turning = tension / length
+    hessian = (
+        np.einsum("n,na,nb->ab", slope / slack_length - turning, lengthening, lengthening)
+        + np.einsum("n,nai,nbi->ab", turning, jacobian, jacobian)
+        + placement.bending(lines.tibial, tension[:, None] * direction)
+    )
+    return LigamentWrench(force=-tension @ lengthening, stiffness=hessian, tensions=tension)
 
 
 @declared
@@ -43,7 +118,7 @@ class LigamentTensions:
 
 
 def ligament_tensions(
-    lines: Lines, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
+    lines: LineLigaments, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
 ) -> LigamentTensions:
     """Tensions of the ligaments at poses of the tibia.
 
@@ -76,7 +151,7 @@ def ligament_tensions(
 
 
 def line_gradients(
-    lines: Lines, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
+    lines: LineLigaments, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
 ) -> Array:
     """Gradient of each line's energy by the pose [N mm, N], shape ``(n, m, 5)``.
 
@@ -88,14 +163,14 @@ def line_gradients(
     return np.asarray(tensions[:, :, None] * lengthening)
 
 
-def line_lengths(lines: Lines, flexion: float, pose: Array) -> Array:
+def line_lengths(lines: LineLigaments, flexion: float, pose: Array) -> Array:
     """Lengths of the lines [mm], shape ``(m,)``, at `flexion` [rad] and a `pose` (5,)."""
     offset, _, _ = _offsets(lines, np.array([flexion]), pose[None])
     length, _ = _course(lines, offset)
     return length.reshape(-1)
 
 
-def _lengths(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array]:
+def _lengths(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array, Array]:
     """Lengths [mm], (n, m), and their derivatives by the poses [mm/rad, mm/mm], (n, m, 5)."""
     offset, tibial, turned_z = _offsets(lines, flexion, poses)
     length, (x, y, z) = _course(lines, offset)
@@ -105,7 +180,7 @@ def _lengths(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array]:
     return length, np.stack([by_varus, by_internal, x, y, z], axis=2)
 
 
-def _course(lines: Lines, offset: Array) -> tuple[Array, Array]:
+def _course(lines: LineLigaments, offset: Array) -> tuple[Array, Array]:
     """Length of each line and its gradient by `offset` (3, n, m), pushed aside where it is."""
     place, offset_z = np.asarray(lines.wrap_place), np.asarray(lines.wrap_offset)
     if not offset_z.any():
@@ -121,7 +196,7 @@ def _course(lines: Lines, offset: Array) -> tuple[Array, Array]:
     return length, direction
 
 
-def _offsets(lines: Lines, flexion: Array, poses: Array) -> tuple[Array, Array, Array]:
+def _offsets(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array, Array, Array]:
     """From femoral to tibial insertions [mm], (3, n, m), the latter, and their z before varus.
 
     In femoral axes turned with flexion, where the translation of a pose stands as it is; tibial

@@ -63,7 +63,7 @@ def _load_paths(
         if continuation == "single-step":
             trial_node.append(tree.node(-1, float(angle), load))
         else:
-            unloaded = _flex(tree, start_flexion, float(angle))
+            unloaded = _add_flexion_nodes(tree, start_flexion, float(angle))
             trial_node.append(_load(tree, unloaded, float(angle), load))
     return LoadPaths(
         flexion=frozen(tree.flexion, None, name="flexion"),
@@ -73,7 +73,7 @@ def _load_paths(
     )
 
 
-def loaded_at_once(flexion: Array, loads: Array) -> LoadPaths:
+def paths_of_single_step(flexion: Array, loads: Array) -> LoadPaths:
     """Paths of one node each: trials at `flexion` [rad] (n,) bear their whole `loads` (n, 5).
 
     An equilibrium counts within `NEAR` of where its search begins.
@@ -107,7 +107,7 @@ class _Tree:
         return self._known[key]
 
 
-def _flex(tree: _Tree, start: float, goal: float) -> int:
+def _add_flexion_nodes(tree: _Tree, start: float, goal: float) -> int:
     node = tree.node(-1, start, np.zeros(5))
     for angle in _steps(goal - start, FLEXION_STEP):
         node = tree.node(node, start + angle, np.zeros(5))

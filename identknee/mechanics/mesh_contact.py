@@ -5,14 +5,18 @@ of area ``A``, at depth ``d``. The law has no energy: its force jumps where the 
 changes. One way it gives about half the integral of ``P d`` over the contact, since a sheet has
 half as many vertices as triangles, and more or less where the two meshes differ in density.
 
+The law's force jumps where a vertex changes its closest triangle, so a pose with no residual need
+not exist; the search then ends at the smallest residual it saw and says so.
+
 References
 ----------
 .. [1] Influence of the Initial Guess on the Estimation of Knee Ligament Parameters via Optimization
        Procedures (the paper), equations 1 and 2.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, get_args
 
 import fcl
@@ -20,9 +24,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
-from identknee.mechanics.placement import Placement
+from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.ligament_tensions import ligament_wrench
+from identknee.mechanics.load_paths import LoadPaths
+from identknee.mechanics.memory import ROTATION_SCALE
+from identknee.mechanics.pose import Placement, place
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
+from identknee.runs.outcome import Outcome
 
 Convention = Literal["tibia", "femur", "both"]
 
@@ -257,9 +266,9 @@ def penetrations(points: Array, sheet: Sheet) -> Penetration:
     owner, triangle, height = owner[kept], triangle[kept], height[kept]
     closest = _closest_places(sheet.corners[triangle], points[owner])
     distance = np.linalg.norm(points[owner] - closest, axis=1)
-    first = _first_of_each(owner, distance, np.abs(height))
+    first = _closest_pairs(owner, distance, np.abs(height))
     inside = (height[first] < 0.0) & (distance[first] < DEEPEST)
-    inside[inside] = ~_past_rim(closest[first][inside], triangle[first][inside], sheet)
+    inside[inside] = ~_is_on_rim(closest[first][inside], triangle[first][inside], sheet)
     chosen = first[inside]
     return Penetration(
         point=frozen_integers(owner[chosen]),
@@ -298,7 +307,7 @@ def _closest_places(corners: Array, points: Array) -> Array:
     return places
 
 
-def _first_of_each(owner: IntArray, distance: Array, height: Array) -> IntArray:
+def _closest_pairs(owner: IntArray, distance: Array, height: Array) -> IntArray:
     """Which pair decides for each point: the closest, of equally close ones the most square."""
     if len(owner) == 0:
         return np.empty(0, np.int64)
@@ -309,7 +318,7 @@ def _first_of_each(owner: IntArray, distance: Array, height: Array) -> IntArray:
     return order[starts]
 
 
-def _past_rim(places: Array, triangle: IntArray, sheet: Sheet) -> BoolArray:
+def _is_on_rim(places: Array, triangle: IntArray, sheet: Sheet) -> BoolArray:
     """Whether each of `places`, on its triangle, lies on the sheet's rim."""
     from trimesh import triangles as trimesh_triangles
 
@@ -356,3 +365,138 @@ def _patches_of(vertices: Array) -> tuple[tuple[IntArray, Array, Array], ...]:
         lower, upper = vertices[members].min(axis=0), vertices[members].max(axis=0)
         patches.append((members, (lower + upper) / 2.0, upper - lower))
     return tuple(patches)
+
+
+RESIDUAL_TOLERANCE = 1e-3  # N, the paper's; moments divided by the rotation scale
+MOST_ITERATIONS = 40
+MOST_HALVINGS = 6
+LONGEST_STEP = 3.0  # mm, rotations multiplied by the rotation scale
+LEAST_STIFFNESS = 0.5  # N/mm; below it the step would be decided by noise
+_SCALE = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
+
+# Residual (5,) and stiffness (5, 5) at a pose (5,).
+_Balance = Callable[[Array], tuple[Array, Array]]
+
+
+@declared
+class MeshEquilibria:
+    """What the search found for each trial."""
+
+    poses: Array = array(
+        "The pose of the smallest residual: varus, internal [rad], x, y, z [mm]", "trial", "5"
+    )
+    residuals: Array = array("Residuals, moments divided by 40 mm", "trial", unit="N")
+    outcomes: tuple[Outcome, ...] = entry(
+        "``CONVERGED`` where the residual is at most 0.001 N, else ``NO_EQUILIBRIUM``: usually the "
+        "law jumps across zero there"
+    )
+    evaluations: IntArray = array(
+        "Contact evaluations on the last step of the way to each trial", "trial", dtype=int
+    )
+
+
+def mesh_equilibria(
+    paths: LoadPaths,
+    start: Array,
+    contact: MeshContact,
+    lines: LineLigaments,
+    stiffness: Array,
+    reference_strain: Array,
+) -> MeshEquilibria:
+    """The equilibria of the trials of `paths`, each reached from its parent on the path.
+
+    Parameters
+    ----------
+    paths
+        Flexion and generalised loads of (varus, internal [N mm], x, y, z [N]) in small steps, as
+        `identknee.mechanics.load_paths.load_paths` makes them.
+    start
+        Pose where the paths begin: varus, internal [rad], x, y, z [mm], shape ``(5,)``, or one for
+        each node, ``(n_nodes, 5)``.
+    contact
+        The meshes and whose vertices count.
+    lines
+        Insertions and reference lengths of the m ligaments.
+    stiffness
+        [N per unit strain], shape ``(m,)``.
+    reference_strain
+        Strain at the reference length [-], shape ``(m,)``.
+    """
+    n_nodes = len(paths.flexion)
+    poses, residuals = np.empty((n_nodes, 5)), np.empty(n_nodes)
+    evaluations = np.empty(n_nodes, np.int64)
+    starts = np.broadcast_to(start, (n_nodes, 5))
+    for node in range(n_nodes):
+        parent = int(paths.parent[node])
+        balance = partial(
+            _balance,
+            flexion=float(paths.flexion[node]),
+            load=paths.loads[node],
+            contact=contact,
+            ligaments=(lines, stiffness, reference_strain),
+        )
+        first = starts[node] if parent < 0 else poses[parent]
+        poses[node], residuals[node], evaluations[node] = _search(balance, first)
+    chosen = paths.trial_node
+    return MeshEquilibria(
+        poses=poses[chosen],
+        residuals=residuals[chosen],
+        outcomes=tuple(
+            Outcome.CONVERGED if residuals[node] <= RESIDUAL_TOLERANCE else Outcome.NO_EQUILIBRIUM
+            for node in chosen
+        ),
+        evaluations=evaluations[chosen],
+    )
+
+
+def _balance(
+    pose: Array,
+    *,
+    flexion: float,
+    load: Array,
+    contact: MeshContact,
+    ligaments: tuple[LineLigaments, Array, Array],
+) -> tuple[Array, Array]:
+    placement = place(flexion, pose)
+    pressed = contact.wrench(placement)
+    pulled = ligament_wrench(placement, *ligaments)
+    return pressed.force + pulled.force + load, pressed.stiffness + pulled.stiffness
+
+
+def _search(balance: _Balance, start: Array) -> tuple[Array, float, int]:
+    """The pose of the smallest residual met, that residual [N], and the evaluations made."""
+    pose = np.array(start, float)
+    residual, stiffness = balance(pose)
+    size = _size(residual)
+    evaluations = 1
+    for _ in range(MOST_ITERATIONS):
+        if size <= RESIDUAL_TOLERANCE:
+            break
+        step = _newton_step(residual, stiffness)
+        for halving in range(MOST_HALVINGS + 1):
+            trial = pose + step * 0.5**halving
+            trial_residual, trial_stiffness = balance(trial)
+            evaluations += 1
+            if _size(trial_residual) < size:
+                break
+        else:
+            # No shorter step helps: the force jumps here.
+            break
+        pose, residual, stiffness = trial, trial_residual, trial_stiffness
+        size = _size(residual)
+    return pose, size, evaluations
+
+
+def _newton_step(residual: Array, stiffness: Array) -> Array:
+    """The step that balances `residual` were the law linear, stiffened and shortened for safety."""
+    scaled = stiffness / _SCALE / _SCALE[:, None]
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(np.abs(values), LEAST_STIFFNESS)
+    step = vectors @ ((vectors.T @ (residual / _SCALE)) / values)
+    step *= min(1.0, LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
+    shortened: Array = step / _SCALE
+    return shortened
+
+
+def _size(residual: Array) -> float:
+    return float(np.linalg.norm(residual / _SCALE))

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared
 
 
 def rotation_matrix(flexion: ArrayLike, varus: ArrayLike, internal: ArrayLike) -> Array:
@@ -44,3 +45,78 @@ def start_pose(rotation: Array, translation: Array) -> tuple[float, Array]:
     flexion, varus, internal = angles_of(rotation)
     turned = rotation_matrix(flexion, 0.0, 0.0).T @ translation
     return float(flexion), np.array([varus, internal, *turned])
+
+
+_ABOUT_X = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+_ABOUT_Y = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+
+
+@declared
+class Placement:
+    """A rigid displacement ``x_femur = rotation x_tibia + translation`` and how it varies."""
+
+    rotation: Array = array("``Rz(-flexion) Rx(varus) Ry(internal)``", "3", "3")
+    translation: Array = array("Tibial origin in femoral axes", "3", unit="mm")
+    first: Array = array(
+        "Derivatives of the rotation by varus and by internal rotation", "2", "3", "3"
+    )
+    second: Array = array(
+        "Its second derivatives by varus, varus; varus, internal; internal, internal", "3", "3", "3"
+    )
+    axes: Array = array("Derivatives of the translation by x, y and z, one a row", "3", "3")
+
+    def to_femur(self, points: Array) -> Array:
+        """Tibial `points` (n, 3) [mm] in femoral axes."""
+        moved: Array = points @ self.rotation.T + self.translation
+        return moved
+
+    def to_tibia(self, points: Array) -> Array:
+        """Femoral `points` (n, 3) [mm] in tibial axes."""
+        moved: Array = (points - self.translation) @ self.rotation
+        return moved
+
+    def jacobian(self, points: Array) -> Array:
+        """Derivatives of the femoral position of tibial `points` (n, 3), shape ``(n, 5, 3)``."""
+        jacobian = np.empty((len(points), 5, 3))
+        for k in range(2):
+            jacobian[:, k] = points @ self.first[k].T
+        jacobian[:, 2:] = self.axes
+        return jacobian
+
+    def bending(self, points: Array, forces: Array) -> Array:
+        """Second derivative of ``sum forces . position`` of tibial `points`, shape ``(5, 5)``."""
+        work = np.einsum("kij,nj,ni->k", self.second, points, forces)
+        bending = np.zeros((5, 5))
+        bending[0, 0], bending[1, 1] = work[0], work[2]
+        bending[0, 1] = bending[1, 0] = work[1]
+        return bending
+
+
+def place(flexion: float, pose: Array) -> Placement:
+    """The placement at `flexion` [rad] and `pose`: varus, internal [rad], x, y, z [mm].
+
+    Examples
+    --------
+    >>> placement = place(0.5, np.array([0.0, 0.0, 1.0, 2.0, 3.0]))
+    >>> placement.to_tibia(placement.to_femur(np.array([[4.0, 5.0, 6.0]]))).round(12)
+    array([[4., 5., 6.]])
+    """
+    varus, internal = float(pose[0]), float(pose[1])
+    flexed = rotation_matrix(flexion, 0.0, 0.0)
+    about_x, about_y = rotation_matrix(0.0, varus, 0.0), rotation_matrix(0.0, 0.0, internal)
+    # A turn about a fixed axis differentiates to the axis' cross product times the turn.
+    by_varus = flexed @ _ABOUT_X @ about_x @ about_y
+    by_internal = flexed @ about_x @ _ABOUT_Y @ about_y
+    return Placement(
+        rotation=flexed @ about_x @ about_y,
+        translation=flexed @ pose[2:],
+        first=np.stack([by_varus, by_internal]),
+        second=np.stack(
+            [
+                flexed @ _ABOUT_X @ _ABOUT_X @ about_x @ about_y,
+                flexed @ _ABOUT_X @ about_x @ _ABOUT_Y @ about_y,
+                flexed @ about_x @ _ABOUT_Y @ _ABOUT_Y @ about_y,
+            ]
+        ),
+        axes=flexed.T,
+    )

@@ -8,7 +8,12 @@ import numpy as np
 from identknee.laxity.candidates import FLEXION_DEG, candidate_trials
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zeros import SAME_ANGLE_DEG, UNLOADED, from_zero, zero_of_more
+from identknee.laxity.zero_conventions import (
+    SAME_ANGLE_DEG,
+    UNLOADED,
+    from_zero,
+    zero_of_added_trials,
+)
 from identknee.mechanics.grood_suntay import pose_from_coordinates
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import POSE_EVERY_DEG
@@ -19,7 +24,7 @@ from identknee.runs.arrays import Array, frozen
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
 
 
-def at_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
+def continued_from_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
     """The model started from its own equilibria at theta, continued under increasing loads.
 
     Equilibria are followed from the poses of the model under a growing share of the loads. A trial
@@ -122,10 +127,10 @@ class CandidateLaxity:
     @property
     def trials(self) -> Protocol:
         """The candidates, followed by the trials that define their zero."""
-        is_counted = zero_of_more(self.laxity.zero) == UNLOADED
+        is_counted = zero_of_added_trials(self.laxity.zero) == UNLOADED
         return with_unloaded(self.protocol) if is_counted else self.protocol
 
-    def begun_at(self, theta: Array) -> "CandidateLaxity":
+    def with_start_poses(self, theta: Array) -> "CandidateLaxity":
         """The same candidates; unmeasured ones start at the poses predicted at `theta`.
 
         These are followed under growing loads from between the poses of the data. `theta` is that
@@ -134,7 +139,7 @@ class CandidateLaxity:
         model = self.model.with_protocol(self.trials)
         if model.poses is None:
             return self
-        own = at_own_poses(model, self.free.expand(theta))
+        own = continued_from_own_poses(model, self.free.expand(theta))
         if own.poses is None:  # pragma: no cover - only its numbers are others
             raise AssertionError
         is_made = np.isin(self.trials.trials, self.laxity.protocol.trials)[:, None]
@@ -143,12 +148,12 @@ class CandidateLaxity:
 
     def rows(self, changes: Array) -> Array:
         """Changes of the coordinates of `trials` (n, 5, q) in units of the errors, (k, m, q)."""
-        changes = from_zero(changes, self.trials, zero_of_more(self.laxity.zero))
+        changes = from_zero(changes, self.trials, zero_of_added_trials(self.laxity.zero))
         measured = changes[: self.protocol.n, ~np.isnan(self.sd)]
         return np.asarray(self._whitening @ measured)
 
 
-def offered_trials(model: LaxityModel, made: Protocol) -> Protocol:
+def offered_laxity(model: LaxityModel, made: Protocol) -> Protocol:
     """Candidate trials: `candidate_trials` at the flexion angles of the model.
 
     Where it begins at poses, these are the angles among or close to those of the trials made.

@@ -12,21 +12,27 @@ from itertools import pairwise
 
 import numpy as np
 
-from identknee.mechanics.contact_motion import contact_motion_columns
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.contact_points import contact_motion_columns
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import line_gradients
 from identknee.mechanics.memory import CONVERGED, Equilibria
 from identknee.model.effects.effect import (
     Effect,
     MechanicalEffect,
     ObservationEffect,
-    Tests,
-    is_changed_in_copies,
-    is_read_in_copies,
+    TrialRecord,
+    changes_replicas,
     is_self_contained,
     moves_frames,
+    reads_replicas,
 )
-from identknee.model.mechanics_inputs import Setting, motions, repeated, to_measured, with_copies
+from identknee.model.mechanics_inputs import (
+    MechanicsInputs,
+    motions,
+    repeated,
+    to_measured,
+    with_replicas,
+)
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray
 
@@ -37,7 +43,7 @@ SMALLEST_DIFFERENCE = 1e-11
 
 def gradient_columns(
     effects: Sequence[Placed],
-    settings: Sequence[Setting],
+    settings: Sequence[MechanicsInputs],
     values: Array,
     steps: Array,
     found: Equilibria,
@@ -60,7 +66,7 @@ def gradient_columns(
     """
     flexion, poses = settings[-1].flexion[nodes], found.poses[nodes]
     columns = np.zeros((len(nodes), 5, len(values)))
-    copies = _Copies(len(values))
+    copies = _Replicas(len(values))
     table = _table(settings[-1])
     moves = np.zeros((len(values), *table.shape))
     for (effect, part), before, after in zip(effects, settings, settings[1:], strict=False):
@@ -69,27 +75,27 @@ def gradient_columns(
             columns[:, :, part] = effect.gradient_columns(framed, values[part], flexion, poses)
             continue
         copies.change(effect, values[part], after)
-        each = low_and_high(values[part], steps[part])
+        each = central_difference_values(values[part], steps[part])
         if moves_frames(effect):
             turns, shifts = effect.placements(each)
-            moves[part] = _moves_of_frames(turns, shifts, settings[-1])
+            moves[part] = _frame_differences(turns, shifts, settings[-1])
             surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
             columns[:, :, part] = surfaces @ motions(turns, shifts).T / (2.0 * steps[part])
         else:
             copies.add(effect, before, after, each, first=part.start)
     moves += copies.moves(len(table))
-    changes = _by_lines(table, moves, flexion, poses) + copies.by_nodes(found, nodes)
+    changes = _gradient_differences(table, moves, flexion, poses) + copies.by_nodes(found, nodes)
     return np.asarray(columns + changes / (2.0 * steps))
 
 
-def low_and_high(values: Array, steps: Array) -> Array:
+def central_difference_values(values: Array, steps: Array) -> Array:
     """Values (a,) for central differences: each a step smaller, then larger, ``(2 a, a)``."""
     moves = np.repeat(np.diag(steps), 2, axis=0)
     moves[::2] *= -1.0
     return np.asarray(values + moves)
 
 
-class _Copies:
+class _Replicas:
     """Replicas 2 k and 2 k + 1 of the inputs, with amplitude k perturbed down and up.
 
     All in one setting: first the one in which none is moved, as copy -1, then the lines and the
@@ -99,11 +105,11 @@ class _Copies:
 
     def __init__(self, n_values: int) -> None:
         self._n_values = n_values
-        self._all: Setting | None = None
+        self._all: MechanicsInputs | None = None
         self._of_nodes: list[int] = []
         self._laws = np.zeros((2, n_values))
 
-    def change(self, effect: MechanicalEffect, values: Array, after: Setting) -> None:
+    def change(self, effect: MechanicalEffect, values: Array, after: MechanicsInputs) -> None:
         """Apply to all replicas an effect that turned the inputs into `after`."""
         if self._all is None:
             return
@@ -113,7 +119,13 @@ class _Copies:
             self._all = effect.change(self._all, values)
 
     def add(
-        self, effect: MechanicalEffect, before: Setting, after: Setting, each: Array, *, first: int
+        self,
+        effect: MechanicalEffect,
+        before: MechanicsInputs,
+        after: MechanicsInputs,
+        each: Array,
+        *,
+        first: int,
     ) -> None:
         """Add those with amplitudes of `each` row (k, a) of `effect`, `first` and those after it.
 
@@ -131,7 +143,7 @@ class _Copies:
         if not len(each):
             return
         copies = range(2 * first, 2 * first + len(each))
-        if is_changed_in_copies(effect):
+        if changes_replicas(effect):
             before = repeated(before, len(each))
             own = effect.change_copies(before, each)
             made = [replace(own, copy=2 * first + own.copy)]
@@ -150,10 +162,10 @@ class _Copies:
             return
         if has_nodes:
             self._of_nodes += copies
-        if has_lines and not is_changed_in_copies(effect):
-            made = [x.as_copy(i) for x, i in zip(made, copies, strict=True)]
-        whole = after.as_copy(-1) if self._all is None else self._all
-        self._all = with_copies(whole, made, lines=has_lines, nodes=has_nodes)
+        if has_lines and not changes_replicas(effect):
+            made = [x.as_replica(i) for x, i in zip(made, copies, strict=True)]
+        whole = after.as_replica(-1) if self._all is None else self._all
+        self._all = with_replicas(whole, made, lines=has_lines, nodes=has_nodes)
 
     def by_nodes(self, found: Equilibria, nodes: IntArray) -> Array:
         """What loads, flexion and contact law change in the gradient, shape ``(n, 5, a)``."""
@@ -185,7 +197,7 @@ class _Copies:
         return moves
 
 
-def _moves_of_frames(turns: Array, shifts: Array, setting: Setting) -> Array:
+def _frame_differences(turns: Array, shifts: Array, setting: MechanicsInputs) -> Array:
     """Differences of the table of lines between frames in turn, as `placements` gives them."""
     unmoved = _table(replace(setting, frames=None))
     moves = np.zeros((len(turns) // 2, *unmoved.shape))
@@ -196,7 +208,7 @@ def _moves_of_frames(turns: Array, shifts: Array, setting: Setting) -> Array:
     return moves
 
 
-def _by_lines(table: Array, moves: Array, flexion: Array, poses: Array) -> Array:
+def _gradient_differences(table: Array, moves: Array, flexion: Array, poses: Array) -> Array:
     """Change of the gradient by small `moves` (a, m, 12) of a table of lines, ``(n, 5, a)``."""
     steps = np.abs(moves).max(axis=0, initial=0.0)
     line, entry = np.nonzero(steps > SMALLEST_DIFFERENCE * (1.0 + np.abs(table)))
@@ -205,7 +217,7 @@ def _by_lines(table: Array, moves: Array, flexion: Array, poses: Array) -> Array
     low[place] -= step
     high[place] += step
     both = np.concatenate([low, high])
-    lines = Lines(
+    lines = LineLigaments(
         femoral=both[:, :3],
         tibial=both[:, 3:6],
         reference_length=both[:, 6],
@@ -220,7 +232,7 @@ def _by_lines(table: Array, moves: Array, flexion: Array, poses: Array) -> Array
     return np.asarray(np.swapaxes(share @ (more - less), 1, 2))
 
 
-def _table(setting: Setting) -> Array:
+def _table(setting: MechanicsInputs) -> Array:
     """All quantities that the gradient of each line depends on, shape ``(m, 12)``."""
     x = setting.measured_lines
     courses = (x.reference_length, x.transition, x.wrap_offset, x.wrap_place)
@@ -235,7 +247,7 @@ COORDINATE_STEP = 1e-4  # mm, deg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Extension:
+class EffectStack:
     """The effects of a model, and the indices of their amplitudes in one vector.
 
     Attributes
@@ -265,25 +277,25 @@ class Extension:
         """Amplitudes of all effects; None where there is none."""
         return joined([x.parameters for x in self.effects]) if self.effects else None
 
-    def changes(self, setting: Setting, values: Array) -> list[Setting]:
+    def changes(self, setting: MechanicsInputs, values: Array) -> list[MechanicsInputs]:
         """The inputs, then with one more effect each time, all at amplitudes `values`."""
         settings = [setting]
         for effect, part in self._mechanical:
             settings.append(effect.change(settings[-1], values[part]))
         return settings
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with all effects at amplitudes `values`."""
         return self.changes(setting, values)[-1]
 
-    def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
+    def observe(self, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
         """What is measured of coordinates, shape ``(n, 5)``."""
         for effect, part in self._observed:
             coordinates = effect.observe(coordinates, values[part], tests)
         return coordinates
 
     def pose_columns(
-        self, settings: Sequence[Setting], values: Array, found: Equilibria, nodes: IntArray
+        self, settings: Sequence[MechanicsInputs], values: Array, found: Equilibria, nodes: IntArray
     ) -> Array:
         """Derivatives of the poses by the amplitudes, shape ``(n, 5, a)``; NaN without a pose.
 
@@ -307,7 +319,7 @@ class Extension:
         return columns
 
     def observed_slopes(
-        self, coordinates: Array, values: Array, tests: Tests
+        self, coordinates: Array, values: Array, tests: TrialRecord
     ) -> tuple[Array, Array]:
         """Derivatives of what is measured, by coordinates (n, 5, 5) and amplitudes (n, 5, a)."""
         if not self._observed:
@@ -317,10 +329,12 @@ class Extension:
         # through the effects that act later together.
         n, moved = len(coordinates), [*range(5)]
         steps = np.r_[np.full(5, COORDINATE_STEP), self._steps]
-        stack = (coordinates + low_and_high(np.zeros(5), steps[:5])[:, None]).reshape(-1, 5)
+        stack = (coordinates + central_difference_values(np.zeros(5), steps[:5])[:, None]).reshape(
+            -1, 5
+        )
         for effect, part in self._observed:
             stack = effect.observe(stack, values[part], tests.repeated(len(stack) // n))
-            each = low_and_high(values[part], self._steps[part])
+            each = central_difference_values(values[part], self._steps[part])
             stack = np.concatenate([stack, _readings(effect, coordinates, each, tests)])
             coordinates = effect.observe(coordinates, values[part], tests)
             moved += range(5 + part.start, 5 + part.stop)
@@ -334,10 +348,12 @@ class Extension:
         return np.diag(self._steps)
 
 
-def _readings(effect: ObservationEffect, coordinates: Array, each: Array, tests: Tests) -> Array:
+def _readings(
+    effect: ObservationEffect, coordinates: Array, each: Array, tests: TrialRecord
+) -> Array:
     """What is measured at amplitudes of `each` row (k, a), below each other, ``(k n, 5)``."""
     k = len(each)
-    if k and is_read_in_copies(effect):
+    if k and reads_replicas(effect):
         return effect.observe_copies(np.tile(coordinates, (k, 1)), each, tests.repeated(k))
     return np.concatenate([coordinates[:0], *(effect.observe(coordinates, x, tests) for x in each)])
 

@@ -45,7 +45,7 @@ def with_priors(parameters: Parameters, priors: Mapping[str, StatedPrior]) -> Pa
 
 
 @declared
-class Tied:
+class ParameterGroups:
     """Parameter groups with one stiffness scale and strain offset: several ligaments or one."""
 
     names: tuple[str, ...] = entry("Names of the u units, in the order of their first ligaments")
@@ -77,13 +77,13 @@ class Tied:
         """Reference strain of each ligament [%] from those of the units, shape ``(m,)``."""
         return np.asarray(self.member @ values + self.offset)
 
-    def least_strain(self, strains: Array) -> Array:
+    def strain_upper_limits(self, strains: Array) -> Array:
         """The largest strain of each unit [%] at which no member exceeds its own, ``(u,)``."""
         allowed = np.where(self.member > 0.0, (strains - self.offset)[:, None], np.inf)
         return np.asarray(allowed.min(axis=0))
 
 
-def tied(knee: Knee) -> Tied:
+def tied(knee: Knee) -> ParameterGroups:
     """The parameter groups of a knee: its ligament groups, and its other ligaments alone.
 
     Examples
@@ -104,7 +104,7 @@ def tied(knee: Knee) -> Tied:
     # A ligament alone may have no stiffness, and has it whole all the same.
     weights = np.where(member @ alone > 0.0, 1.0, stiffness / np.maximum(member @ total, 1e-300))
     mean = (weights * strain) @ member
-    return Tied(
+    return ParameterGroups(
         names=names,
         member=frozen(member, None, None, name="members"),
         share=frozen(weights, None, name="shares"),
@@ -114,7 +114,9 @@ def tied(knee: Knee) -> Tied:
     )
 
 
-def knee_parameters(knee: Knee, units: Tied, amplitudes: Parameters | None) -> Parameters:
+def knee_parameters(
+    knee: Knee, units: ParameterGroups, amplitudes: Parameters | None
+) -> Parameters:
     """Parameters of the ligaments, then the amplitudes, with priors, bounds and own values.
 
     Parameters

@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -11,22 +10,20 @@ import numpy as np
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.contact_places import ContactPlaces, contact_places
-from identknee.mechanics.contact_points import DEFAULT_NUMBER
+from identknee.mechanics.contact_points import DEFAULT_NUMBER, ContactPlaces, contact_places
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, solve
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
-from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, loaded_at_once
+from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, paths_of_single_step
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
-from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
-from identknee.mechanics.mesh_equilibrium import mesh_equilibria
+from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
 from identknee.model import measured_start
-from identknee.model.effect_stack import Extension
-from identknee.model.effects.effect import Effect, Tests
-from identknee.model.joint import Joint, joint_of, sheets_of
-from identknee.model.knee_parameters import Tied, knee_parameters, tied
-from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting
-from identknee.model.nuisances import StoredWithKnee, own_effects
+from identknee.model.contact_geometry import ContactGeometry, contact_geometry, contact_sheets
+from identknee.model.effect_stack import EffectStack
+from identknee.model.effects.effect import Effect, TrialRecord
+from identknee.model.knee_parameters import ParameterGroups, knee_parameters, tied
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
+from identknee.model.nuisances import StoredWithKnee, stored_effects
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array, IntArray, short_repr
@@ -34,7 +31,7 @@ from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 
 
-def solve_past_folds(
+def solve_beyond_folds(
     paths: LoadPaths,
     start: Array,
     knee: tuple[ContactPoints, DistanceField, Any],
@@ -61,7 +58,7 @@ def solve_past_folds(
     if not is_lost.any():
         return found
     lost = nodes[is_lost]
-    at_once = loaded_at_once(paths.flexion[lost], paths.loads[lost])
+    at_once = paths_of_single_step(paths.flexion[lost], paths.loads[lost])
     again = solve(at_once, fallback_poses[is_lost], *knee, **{**how, "guesses": None})
     is_found = again.codes == CONVERGED
     for values, others in zip(found, again, strict=True):
@@ -83,13 +80,13 @@ _GENERALISED = np.array(
 )
 
 
-class _Last(threading.local):
+class _LastPrediction(threading.local):
     """Cache of the last prediction of each thread."""
 
     made: "tuple[LaxityModel, Prediction] | None" = None
 
 
-_LAST = _Last()
+_LAST = _LastPrediction()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -139,16 +136,16 @@ class LaxityModel:
     phase: tuple[str, ...] | None = None
     poses: Array | None = None
     fallback_poses: Array | None = None
-    joint: Joint = field(init=False, repr=False)
+    joint: ContactGeometry = field(init=False, repr=False)
     paths: LoadPaths = field(init=False, repr=False)
     parameters: Parameters = field(init=False, repr=False)
-    tied: Tied = field(init=False, repr=False)
-    extension: Extension = field(init=False, repr=False)
+    tied: ParameterGroups = field(init=False, repr=False)
+    extension: EffectStack = field(init=False, repr=False)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        joint = joint_of(self.knee, self.n_points)
+        joint = contact_geometry(self.knee, self.n_points)
         flexion = np.radians(self.protocol.flexion_deg)
         loads = self.protocol.loads @ _GENERALISED
         if self.poses is None and self.continuation == "continuation":
@@ -157,11 +154,11 @@ class LaxityModel:
         if self.poses is None:
             paths = load_paths(flexion, loads, joint.start_flexion, self.continuation)
         else:
-            paths = loaded_at_once(flexion, loads)
+            paths = paths_of_single_step(flexion, loads)
         is_stored = isinstance(self.effects, StoredWithKnee)
-        effects = own_effects(self.knee) if is_stored else tuple(self.effects)
+        effects = stored_effects(self.knee) if is_stored else tuple(self.effects)
         object.__setattr__(self, "effects", effects)
-        extension = Extension(effects=effects)
+        extension = EffectStack(effects=effects)
         if effects and self.contact == "mesh":
             raise ValueError('effects need contact="field": mesh contact has no derivatives')
         units = tied(self.knee)
@@ -188,7 +185,9 @@ class LaxityModel:
             order=None,
             phase=None,
             poses=measured_start.poses_between(made, self.poses, protocol),
-            fallback_poses=measured_start.poses_of_made(made, self.fallback_poses, protocol),
+            fallback_poses=measured_start.poses_of_measured_trials(
+                made, self.fallback_poses, protocol
+            ),
         )
 
     def with_tests(self, laxity: Laxity) -> "LaxityModel":
@@ -198,7 +197,7 @@ class LaxityModel:
         if self.continuation == "continuation":
             poses, fallback = measured_start.poses_of_tests(self.knee, laxity)
         is_known = model.order is laxity.order and model.phase is laxity.phase
-        if (is_known or not self.effects) and measured_start.are_same(
+        if (is_known or not self.effects) and measured_start.same_poses(
             (model.poses, model.fallback_poses), (poses, fallback)
         ):
             return model
@@ -248,9 +247,9 @@ class LaxityModel:
         paths = self.paths
         if setting.flexion is not paths.flexion or setting.loads is not paths.loads:
             paths = replace(paths, flexion=setting.flexion, loads=setting.loads)
-        found = solve_past_folds(
+        found = solve_beyond_folds(
             paths,
-            setting.first_pose,
+            setting.start_pose_of_search,
             (*self.surfaces(setting), lines),
             self.fallback_poses,
             derivatives=derivatives,
@@ -258,7 +257,7 @@ class LaxityModel:
         )
         return self._prediction(np.array(theta, float), settings, found, derivatives=derivatives)
 
-    def setting(self, theta: Array, *, is_changed: bool = True) -> Setting:
+    def setting(self, theta: Array, *, is_changed: bool = True) -> MechanicsInputs:
         """Mechanics inputs at theta, with the effects (`is_changed`) or without.
 
         Raises
@@ -268,7 +267,7 @@ class LaxityModel:
         """
         stiffness, strain = self._unpacked(theta)
         m = len(stiffness)
-        setting = Setting(
+        setting = MechanicsInputs(
             flexion=self.paths.flexion,
             loads=self.paths.loads,
             lines=self.joint.lines,
@@ -284,7 +283,7 @@ class LaxityModel:
         )
         return self.extension.change(setting, self.amplitudes(theta)) if is_changed else setting
 
-    def surfaces(self, setting: Setting) -> tuple[ContactPoints, DistanceField]:
+    def surfaces(self, setting: MechanicsInputs) -> tuple[ContactPoints, DistanceField]:
         """The surfaces of tibia and femur, for poses between the measured frames of the inputs."""
         contact, field = self.joint.contact, self.joint.field
         if self.effects:
@@ -295,10 +294,10 @@ class LaxityModel:
         )
 
     @property
-    def tests(self) -> Tests:
+    def tests(self) -> TrialRecord:
         """The trials as they were made, with order and phase."""
         x = self.protocol
-        return Tests(
+        return TrialRecord(
             flexion_deg=x.flexion_deg,
             loads=x.loads,
             order=self.order,
@@ -330,13 +329,13 @@ class LaxityModel:
             )
         u = self.tied.n
         if not (np.isfinite(theta).all() and (theta[:u] >= 0.0).all()):
-            raise self._unsound(theta)
+            raise self._implausible_parameter(theta)
         strain = self.tied.strain(theta[u : 2 * u]) * PER_PCT
         if not (strain > -1.0).all():
-            raise self._unsound(theta)
+            raise self._implausible_parameter(theta)
         return self.tied.stiffness(theta[:u]) * PER_KN, strain
 
-    def _unsound(self, theta: Array) -> ValueError:
+    def _implausible_parameter(self, theta: Array) -> ValueError:
         """The error for the first inadmissible parameter value."""
         u = self.tied.n
         is_finite = np.isfinite(theta)
@@ -351,7 +350,12 @@ class LaxityModel:
         )
 
     def _prediction(
-        self, theta: Array, settings: Sequence[Setting], found: Equilibria, *, derivatives: bool
+        self,
+        theta: Array,
+        settings: Sequence[MechanicsInputs],
+        found: Equilibria,
+        *,
+        derivatives: bool,
     ) -> Prediction:
         nodes, setting = self.paths.trial_node, settings[-1]
         codes = np.array(found.codes[nodes])
@@ -382,13 +386,17 @@ class LaxityModel:
             node_poses=found.poses,
         )
 
-    def _pose_jacobian(self, theta: Array, settings: Sequence[Setting], found: Equilibria) -> Array:
+    def _pose_jacobian(
+        self, theta: Array, settings: Sequence[MechanicsInputs], found: Equilibria
+    ) -> Array:
         """D pose [rad, mm] / d theta in its units, shape ``(n, 5, p)``."""
         nodes, setting = self.paths.trial_node, settings[-1]
         n_lines = setting.stiffness.size
         by_line = found.sensitivities[nodes][:, :, : 2 * n_lines]
         if not self.effects:
-            return np.asarray(by_line @ _units_alone(self.tied))
+            # Each ligament is one line.
+            m = len(self.tied.member)
+            return np.asarray(by_line @ _units(np.eye(m), np.ones(m), self.tied))
         # A ligament moves every line that takes a share of it.
         owned = setting.owned(len(self.knee.ligaments))
         by_ligament = by_line @ _units(owned, setting.share, self.tied)
@@ -412,20 +420,13 @@ class LaxityModel:
         return np.asarray(theta, float)[self.n_ligament_parameters :]
 
 
-def _units(owned: Array, share: Array, tied: Tied) -> Array:
+def _units(owned: Array, share: Array, tied: ParameterGroups) -> Array:
     """Parameters of the lines by those of the units in their units, shape ``(2m, 2u)``."""
     m, u = len(owned), tied.n
     units = np.zeros((2 * m, 2 * u))
     units[:m, :u] = PER_KN * ((owned * share[:, None]) @ tied.by_stiffness)
     units[m:, u:] = PER_PCT * (owned @ tied.member)
     return units
-
-
-@lru_cache(maxsize=8)
-def _units_alone(tied: Tied) -> Array:
-    """The same where each ligament is one line."""
-    m = len(tied.member)
-    return _units(np.eye(m), np.ones(m), tied)
 
 
 def predict_on_meshes(
@@ -442,9 +443,11 @@ def predict_on_meshes(
     theta
         The parameters that they come from.
     """
-    joint = joint_of(knee)
+    joint = contact_geometry(knee)
     start = joint.start if poses is None else poses
-    found = mesh_equilibria(paths, start, _mesh_contact(knee), joint.lines, *ligaments)
+    found = mesh_equilibria(
+        paths, start, mesh_contact(*contact_sheets(knee)), joint.lines, *ligaments
+    )
     n = len(paths.trial_node)
     converged = np.array([x is Outcome.CONVERGED for x in found.outcomes])
     return Prediction(
@@ -460,12 +463,6 @@ def predict_on_meshes(
         rims=None,
         node_poses=found.poses,
     )
-
-
-@lru_cache(maxsize=4)
-def _mesh_contact(knee: Knee) -> MeshContact:
-    femur, tibia = sheets_of(knee)
-    return mesh_contact(femur, tibia)
 
 
 def trial_contacts(model: LaxityModel, prediction: Prediction) -> list[ContactPlaces]:

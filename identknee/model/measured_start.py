@@ -8,7 +8,7 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
 from identknee.mechanics.ligament_tensions import line_lengths
-from identknee.model.mechanics_inputs import PER_PCT, Setting
+from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee, KnownPose, pose_at
 
@@ -67,7 +67,7 @@ def poses_of_tests(knee: Knee, laxity: Laxity) -> tuple[Array | None, Array | No
     return poses, fallback_poses(knee, laxity) if poses is None else None
 
 
-def are_same(some: Sequence[Array | None], others: Sequence[Array | None]) -> bool:
+def same_poses(some: Sequence[Array | None], others: Sequence[Array | None]) -> bool:
     """Whether poses are equal one by one; NaN equals NaN."""
     return all(
         x is y if x is None or y is None else np.array_equal(x, y, equal_nan=True)
@@ -109,7 +109,7 @@ def poses_between(made: Protocol, poses: Array | None, asked: Protocol) -> Array
     return np.array([known.get(x, y) for x, y in zip(_keys(asked), between, strict=True)])
 
 
-def poses_of_made(made: Protocol, poses: Array | None, asked: Protocol) -> Array | None:
+def poses_of_measured_trials(made: Protocol, poses: Array | None, asked: Protocol) -> Array | None:
     """Measured poses of the trials that were made, NaN for others, ``(k, 5)``."""
     if poses is None:
         return None
@@ -123,7 +123,7 @@ def _keys(protocol: Protocol) -> list[tuple[str, float, bytes]]:
     return [(name, angle, loads.tobytes()) for name, angle, loads in rows]
 
 
-def strains_as_measured(setting: Setting, stretch: float) -> Array:
+def strains_as_measured(setting: MechanicsInputs, stretch: float) -> Array:
     """Reference strain [%] of each line that the measured poses stretch by `stretch` at most.
 
     Parameters

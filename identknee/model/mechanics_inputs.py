@@ -8,10 +8,9 @@ import numpy as np
 
 from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactPoints, Lines
+from identknee.mechanics.equilibria import ContactPoints, LineLigaments
 from identknee.mechanics.ligament_tensions import line_lengths
-from identknee.mechanics.placement import place
-from identknee.mechanics.pose import start_pose
+from identknee.mechanics.pose import place, start_pose
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 
@@ -27,7 +26,7 @@ class MeasuredFrames:
     turns: Array = array("Their axes in those of the geometry, one a column", "bone", "3", "3")
     shifts: Array = array("Their origins there", "bone", "axis", unit="mm")
 
-    def lines(self, lines: Lines) -> Lines:
+    def lines(self, lines: LineLigaments) -> LineLigaments:
         """Lines between insertions in the frames of the geometry, in these."""
         femoral, tibial = self.to_measured(lines.femoral, 0), self.to_measured(lines.tibial, 1)
         return replace(lines, femoral=femoral, tibial=tibial)
@@ -38,7 +37,7 @@ class MeasuredFrames:
 
     def field(self, field: DistanceField) -> DistanceField:
         """The femur's distance, for poses of its measured frame."""
-        return field.seen_from(self.turns[0], self.shifts[0])
+        return field.in_femoral_frame(self.turns[0], self.shifts[0])
 
     def pose(self, flexion: float, pose: Array) -> Array:
         """The pose (5,) between these frames where that between those of the geometry is given."""
@@ -129,7 +128,7 @@ PER_KN, PER_PCT = 1000.0, 0.01
 
 
 @declared
-class Setting:
+class MechanicsInputs:
     """Loads, angles, lines and contact at the nodes of the load paths."""
 
     flexion: Array = entry("Flexion of each node [rad], shape ``(n,)``")
@@ -137,7 +136,7 @@ class Setting:
         "Generalised loads of (varus, internal [N mm], x, y, z [N]), shape ``(n, 5)``: x anterior, "
         "y superior and z lateral, in the axes of the femur turned with flexion"
     )
-    lines: Lines = entry("All lines: the subject's ligaments first, in their order")
+    lines: LineLigaments = entry("All lines: the subject's ligaments first, in their order")
     stiffness: Array = entry("Stiffness of each line [N per unit strain], shape ``(m,)``")
     reference_strain: Array = entry("Reference strain of each line [-], shape ``(m,)``")
     owner: IntArray = entry(
@@ -163,11 +162,11 @@ class Setting:
     )
 
     @property
-    def measured_lines(self) -> Lines:
+    def measured_lines(self) -> LineLigaments:
         """The lines in the frames between which poses are measured."""
         return self.as_measured(self.lines)
 
-    def as_measured(self, lines: Lines) -> Lines:
+    def as_measured(self, lines: LineLigaments) -> LineLigaments:
         """Any lines in the frames of the geometry, in those between which poses are measured."""
         return lines if self.frames is None else self.frames.lines(lines)
 
@@ -176,7 +175,7 @@ class Setting:
         return points if self.frames is None else self.frames.to_measured(points, bone)
 
     @property
-    def first_pose(self) -> Array:
+    def start_pose_of_search(self) -> Array:
         """Start pose of each node: the measured pose, ``(n, 5)``, or the scanned one."""
         if self.measured is not None or self.frames is None:
             return self.start if self.measured is None else self.measured
@@ -187,18 +186,18 @@ class Setting:
         owned: Array = (self.owner[:, None] == np.arange(n_ligaments)).astype(float)
         return owned
 
-    def as_copy(self, number: int) -> "Setting":
+    def as_replica(self, number: int) -> "MechanicsInputs":
         """The same inputs as one replica of a batch."""
         return replace(self, copy=np.full(self.stiffness.size, number))
 
-    def lengths_at_start(self, lines: Lines) -> Array:
+    def lengths_at_start(self, lines: LineLigaments) -> Array:
         """Lengths of lines in the scanned pose [mm], shape ``(m,)``."""
         return line_lengths(lines, self.start_flexion, self.start)
 
 
 def with_lines(
-    setting: Setting, added: Lines, stiffness: Array, reference_strain: Array
-) -> Setting:
+    setting: MechanicsInputs, added: LineLigaments, stiffness: Array, reference_strain: Array
+) -> MechanicsInputs:
     """The inputs with added lines that belong to none of the subject's ligaments."""
     none = np.full(len(added.femoral), -1)
     others = replace(
@@ -210,12 +209,12 @@ def with_lines(
         share=np.zeros(len(none)),
         copy=none,
     )
-    return with_copies(setting, [others], lines=True, nodes=False)
+    return with_replicas(setting, [others], lines=True, nodes=False)
 
 
-def with_copies(
-    setting: Setting, others: Sequence[Setting], *, lines: bool, nodes: bool
-) -> Setting:
+def with_replicas(
+    setting: MechanicsInputs, others: Sequence[MechanicsInputs], *, lines: bool, nodes: bool
+) -> MechanicsInputs:
     """The inputs with the lines, nodes or both of others appended."""
     parts = [setting, *others]
     changes: dict[str, Any] = {}
@@ -225,10 +224,10 @@ def with_copies(
         if setting.measured is not None:
             changes["measured"] = np.concatenate([x.measured for x in parts])
     if lines:
-        changes["lines"] = Lines(
+        changes["lines"] = LineLigaments(
             **{
                 field.name: np.concatenate([getattr(x.lines, field.name) for x in parts])
-                for field in fields(Lines)
+                for field in fields(LineLigaments)
             }
         )
         for name in ("stiffness", "reference_strain", "owner", "share", "copy"):
@@ -236,19 +235,21 @@ def with_copies(
     return replace(setting, **changes)
 
 
-def repeated(setting: Setting, n: int) -> Setting:
+def repeated(setting: MechanicsInputs, n: int) -> MechanicsInputs:
     """A batch of `n` replicas of the inputs."""
 
     def again(values: Array | IntArray) -> Any:
         return np.concatenate(n * [values])
 
-    lines = {field.name: again(getattr(setting.lines, field.name)) for field in fields(Lines)}
+    lines = {
+        field.name: again(getattr(setting.lines, field.name)) for field in fields(LineLigaments)
+    }
     return replace(
         setting,
         flexion=again(setting.flexion),
         loads=again(setting.loads),
         measured=None if setting.measured is None else again(setting.measured),
-        lines=Lines(**lines),
+        lines=LineLigaments(**lines),
         stiffness=again(setting.stiffness),
         reference_strain=again(setting.reference_strain),
         owner=again(setting.owner),

@@ -9,12 +9,18 @@ import numpy as np
 
 from identknee.mechanics.contact_law import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths
-from identknee.model.effects.effect import CopiesEffect, Effect, SettingChange, amplitudes, held
+from identknee.model.effects.effect import (
+    Effect,
+    InputsChange,
+    ReplicaEffect,
+    amplitudes,
+    with_fixed_amplitudes,
+)
 from identknee.model.effects.frames import flexion_offset
 from identknee.model.effects.insertion import AXES, insertion
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
 from identknee.model.effects.stored import effects_of
-from identknee.model.mechanics_inputs import Setting, frames_at, placements
+from identknee.model.mechanics_inputs import MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
@@ -40,7 +46,7 @@ def load_gain(sd: float) -> LoadError:
     return LoadError(name="load_gain", parameters=made.as_nuisances(), acted=_scaled)
 
 
-def flexion(sd_deg: float) -> SettingChange:
+def flexion(sd_deg: float) -> InputsChange:
     """How much more the knee was flexed than stated, in all trials alike [deg]."""
     made = amplitudes("flexion", ["offset_deg"], [sd_deg], upper=[REACH * sd_deg])
     return replace(flexion_offset(), name="flexion", parameters=made.as_nuisances())
@@ -64,10 +70,10 @@ def _scaled(loads: Array, _flexion: Array, values: Array) -> Array:
 
 
 @declared
-class Recombined:
+class LinearlyCombinedEffect:
     """An effect on the setting at amplitudes ``matrix @ values``."""
 
-    effect: CopiesEffect = entry("The effect, of n amplitudes")
+    effect: ReplicaEffect = entry("The effect, of n amplitudes")
     matrix: Array = entry("Shape ``(n, k)``")
     parameters: Parameters = entry("The k amplitudes that are combined")
 
@@ -76,11 +82,11 @@ class Recombined:
         """Name of the cause."""
         return self.effect.name
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect."""
         return self.effect.change(setting, self.matrix @ values)
 
-    def change_copies(self, setting: Setting, values: Array) -> Setting:
+    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
         return self.effect.change_copies(setting, values @ self.matrix.T)
 
@@ -90,7 +96,7 @@ FARTHEST = 25.0
 PRINCIPAL_AXES = ("1st", "2nd", "3rd")
 
 
-def insertions(knee: Knee) -> Recombined:
+def insertions(knee: Knee) -> LinearlyCombinedEffect:
     """Shifts of the uncertain insertions [mm].
 
     Along the axes of the bone, or along the principal axes of a covariance that is not the same
@@ -117,30 +123,34 @@ def insertions(knee: Knee) -> Recombined:
                 sds.append(float(np.sqrt(square)))
     limits = [min(REACH * x, FARTHEST) for x in sds]
     made = amplitudes(shifts.name, names, sds, upper=limits)
-    return Recombined(
+    return LinearlyCombinedEffect(
         effect=shifts, matrix=np.column_stack(columns), parameters=made.as_nuisances()
     )
 
 
-def contact_modulus(sd: float) -> SettingChange:
+def contact_modulus(sd: float) -> InputsChange:
     """Logarithm of the modulus of the cartilage over the knee's own."""
     made = amplitudes("contact_modulus", ["ln_modulus"], [sd], upper=[REACH * sd])
-    return SettingChange(name="contact_modulus", parameters=made.as_nuisances(), changed=_stiffened)
+    return InputsChange(
+        name="contact_modulus", parameters=made.as_nuisances(), changed=_with_modulus
+    )
 
 
-def contact_exponent(sd: float) -> SettingChange:
+def contact_exponent(sd: float) -> InputsChange:
     """Logarithm of the exponent by which contact pressure grows with depth, over the knee's own."""
     made = amplitudes("contact_exponent", ["ln_exponent"], [sd], upper=[REACH * sd])
-    return SettingChange(name="contact_exponent", parameters=made.as_nuisances(), changed=_curved)
+    return InputsChange(
+        name="contact_exponent", parameters=made.as_nuisances(), changed=_with_exponent
+    )
 
 
-def toe_region(sd: float) -> SettingChange:
+def toe_region(sd: float) -> InputsChange:
     """Logarithm of the strain at which all ligaments' toe region ends, over the knee's own."""
     made = amplitudes("toe_region", ["ln_strain"], [sd], upper=[REACH * sd])
-    return SettingChange(name="toe_region", parameters=made.as_nuisances(), changed=_uncrimped)
+    return InputsChange(name="toe_region", parameters=made.as_nuisances(), changed=_with_toe_region)
 
 
-def reference_pose(sd_deg: float, sd_mm: float) -> SettingChange:
+def reference_pose(sd_deg: float, sd_mm: float) -> InputsChange:
     """Turn [deg] and shift [mm] of the tibia in the pose in which lengths were measured."""
     names = ["flexion_deg", "varus_deg", "internal_deg", "x_mm", "y_mm", "z_mm"]
     sds = np.array(3 * [sd_deg] + 3 * [sd_mm])
@@ -151,27 +161,29 @@ def reference_pose(sd_deg: float, sd_mm: float) -> SettingChange:
         sds[used].tolist(),
         upper=(REACH * sds[used]).tolist(),
     )
-    changed = partial(_measured_elsewhere, tuple(used.tolist()))
-    return SettingChange(name="reference_pose", parameters=made.as_nuisances(), changed=changed)
+    changed = partial(_with_reference_pose, tuple(used.tolist()))
+    return InputsChange(name="reference_pose", parameters=made.as_nuisances(), changed=changed)
 
 
-def _stiffened(setting: Setting, values: Array) -> Setting:
+def _with_modulus(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     law = replace(setting.law, modulus=setting.law.modulus * float(np.exp(values[0])))
     return replace(setting, law=law)
 
 
-def _curved(setting: Setting, values: Array) -> Setting:
+def _with_exponent(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     law = replace(setting.law, exponent=setting.law.exponent * float(np.exp(values[0])))
     return replace(setting, law=law)
 
 
-def _uncrimped(setting: Setting, values: Array) -> Setting:
+def _with_toe_region(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     longer = np.where(setting.owner >= 0, float(np.exp(values[0])), 1.0)
     lines = replace(setting.lines, transition=longer * setting.lines.transition)
     return replace(setting, lines=lines)
 
 
-def _measured_elsewhere(used: tuple[int, ...], setting: Setting, values: Array) -> Setting:
+def _with_reference_pose(
+    used: tuple[int, ...], setting: MechanicsInputs, values: Array
+) -> MechanicsInputs:
     """The reference lengths that the other pose gives, of the subject's own ligaments."""
     whole = np.zeros(6)
     whole[list(used)] = values
@@ -210,7 +222,7 @@ class Registration:
         )
         object.__setattr__(self, "parameters", made.as_nuisances())
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with poses measured between the frames at amplitudes `values`."""
         return replace(setting, frames=frames_at(self._whole(values[None])[0]))
 
@@ -295,7 +307,7 @@ def contact_rounding(knee: Knee) -> float:
     return MOST_ROUNDING if nuisances_of(knee) else knee.contact_rounding_mm
 
 
-def held_errors(knee: Knee) -> tuple[Effect, ...]:
+def fixed_errors(knee: Knee) -> tuple[Effect, ...]:
     """Stored errors of the knee that are not stated as uncertain, fixed at their sizes.
 
     Raises
@@ -313,7 +325,7 @@ def held_errors(knee: Knee) -> tuple[Effect, ...]:
         for name, value in choice.values.items():
             effect.parameters.index(f"{choice.name}.{name}")
             sizes[f"{choice.name}.{name}"] = value
-        made.append(held(effect, sizes))
+        made.append(with_fixed_amplitudes(effect, sizes))
     return tuple(made)
 
 
@@ -323,13 +335,13 @@ class StoredWithKnee(tuple[Effect, ...]):
     __slots__ = ()
 
 
-def own_effects(knee: Knee) -> tuple[Effect, ...]:
+def stored_effects(knee: Knee) -> tuple[Effect, ...]:
     """The effects stored with a knee, then its nuisances.
 
     An effect that is both is one mechanism: it has the prior of the nuisance, or is held where the
     knee states none.
     """
-    errors = (*held_errors(knee), *nuisances_of(knee))
+    errors = (*fixed_errors(knee), *nuisances_of(knee))
     names = {x.name for x in errors}
     if any(x.name in names for x in knee.effects):
         knee = knee.with_effects([x for x in knee.effects if x.name not in names])

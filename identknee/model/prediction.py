@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from identknee.mechanics.contact_points import RimDistance, rim_force_fraction
 from identknee.mechanics.equilibria import stability_margins
 from identknee.mechanics.memory import CONVERGED
-from identknee.mechanics.rims import RimDistance, share_near_rims
 from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
@@ -125,6 +125,6 @@ class Prediction:
 def _rim_share(found: Prediction) -> Array:
     if found.rims is None:
         return np.full(len(found.codes), np.nan)
-    share = share_near_rims(found.centres, *found.rims)
+    share = rim_force_fraction(found.centres, *found.rims)
     share.flags.writeable = False
     return share

@@ -7,10 +7,10 @@ import numpy as np
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.zeros import ABSOLUTE, from_zero, zero_trials
+from identknee.laxity.zero_conventions import ABSOLUTE, from_zero, zero_trials
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
@@ -62,7 +62,9 @@ def tension_jacobian(model: LaxityModel, prediction: Prediction) -> Array:
     return jacobian
 
 
-def _lines(model: LaxityModel, setting: Setting, prediction: Prediction) -> LigamentTensions:
+def _lines(
+    model: LaxityModel, setting: MechanicsInputs, prediction: Prediction
+) -> LigamentTensions:
     """Tensions of all lines at the poses of a prediction."""
     return ligament_tensions(
         setting.measured_lines,

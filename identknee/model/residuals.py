@@ -6,10 +6,11 @@ from typing import Literal
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, Laxity, noise_fault
-from identknee.laxity.zeros import from_zero
+from identknee.laxity.zero_conventions import from_zero
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, short_repr
+from identknee.runs.marginalise import whitening
 
 Weighting = Literal["unit", "noise"]
 
@@ -55,14 +56,12 @@ class LaxityResiduals:
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self.model.with_tests(self.laxity))
         self._relative(self.laxity.coordinates)
-        object.__setattr__(self, "_whitening", _whitening(self.laxity, self.weighting))
+        object.__setattr__(self, "_whitening", _by_trial(self.laxity, self.weighting))
         object.__setattr__(self, "_left", None)
         if self.shared is not None:
             if self.weighting == "unit":
                 raise ValueError("shared errors need residuals in units of their noise")
-            columns = self.weighted(self._relative(self.shared))
-            covariance = np.eye(len(columns)) + columns @ columns.T
-            object.__setattr__(self, "_left", np.linalg.inv(np.linalg.cholesky(covariance)))
+            object.__setattr__(self, "_left", whitening(self.rows(self.shared)))
 
     @property
     def parameters(self) -> Parameters:
@@ -162,7 +161,7 @@ class LaxityResiduals:
         return rows if self._left is None else self._left @ rows
 
 
-def _whitening(laxity: Laxity, weighting: Weighting) -> Array:
+def _by_trial(laxity: Laxity, weighting: Weighting) -> Array:
     """The matrix (5, 5) of each trial that turns its errors into independent ones of variance 1."""
     n = len(COORDINATES)
     matrices = np.zeros((laxity.n, n, n))

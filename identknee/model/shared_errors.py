@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.laxity.table import COORDINATES
-from identknee.mechanics.contact_places import ContactPlaces
+from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.model.effects.toe_strain import toe_strain
 from identknee.model.laxity_model import LaxityModel, trial_contacts
@@ -162,7 +162,7 @@ def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
         Prior standard deviation of each, shape ``(k,)``.
     """
     rough = surface_changes(model, model.predict_once(theta), ROUGHNESS_LENGTH)
-    heights = np.full(rough.shape[2], roughness_of(model.knee))
+    heights = np.full(rough.shape[2], surface_roughness(model.knee))
     changes, spreads = [rough], [heights]
     toe = toe_strain()
     if toe.name not in {x.name for x in model.effects}:
@@ -178,7 +178,7 @@ def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
     return np.concatenate(changes, axis=2), np.concatenate(spreads)
 
 
-def roughness_of(knee: Knee) -> float:
+def surface_roughness(knee: Knee) -> float:
     """How far the surfaces of a model are from those of the knee [mm], bump by bump."""
     return MESH_ROUGHNESS if knee.femur_distance is None else FORMULA_ROUGHNESS
 

@@ -1,4 +1,3 @@
-from .comparison import spread as spread
 from .design_figures import candidates_figure as candidates_figure
 from .diagnosis_figures import added_variable_figure as added_variable_figure
 from .diagnosis_figures import misfit_figure as misfit_figure
@@ -13,8 +12,8 @@ from .figures import GREY as GREY
 from .figures import MARKERS as MARKERS
 from .figures import SMALL as SMALL
 from .figures import STYLES as STYLES
+from .figures import png as png
 from .information_figures import spectrum_figure as spectrum_figure
-from .picture import png as png
 from .profile_figures import intervals_figure as intervals_figure
 from .profile_figures import profiles_figure as profiles_figure
 from .profile_figures import smooth_edge as smooth_edge
@@ -31,3 +30,4 @@ from .tables import Column as Column
 from .tables import Table as Table
 from .tables import filled as filled
 from .tables import median_range as median_range
+from .tables import spread as spread

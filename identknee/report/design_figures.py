@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from identknee.laxity.protocol import LOADS, Protocol
-from identknee.laxity.scenarios import UNLOADED, load_scenarios
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.trial_words import UNLOADED, loads_words
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
 from identknee.runs.arrays import Array
 
@@ -148,13 +148,8 @@ def _bar(axes: Axes, ends: Array, around: tuple[float, float], row: int) -> None
 
 def _load_labels(protocol: Protocol) -> list[str]:
     """What loads each trial and how much, for example ``"internal moment 5 N·m"``."""
-    units = np.array(["N·m" if name.endswith("_Nm") else "N" for name in LOADS])
-    labels = []
-    for scenario, loads in zip(load_scenarios(protocol), protocol.loads, strict=True):
-        used = loads != 0.0
-        parts = zip(scenario.split(" + "), np.abs(loads[used]), units[used], strict=False)
-        labels.append(" + ".join(f"{what} {size:g} {unit}" for what, size, unit in parts))
-    return [label or UNLOADED for label in labels]
+    pattern = "{what} {size:g} {unit}"
+    return [" + ".join(loads_words(x, pattern)) or UNLOADED for x in protocol.loads]
 
 
 def _rows(labels: Sequence[str], n_angles: int, chosen: set[str]) -> list[str]:

@@ -11,8 +11,9 @@ from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
 from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
 from identknee.diagnosis.noise_model import Curve
 from identknee.diagnosis.verdict import Estimate
-from identknee.laxity.protocol import LOADS, Protocol
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
+from identknee.laxity.trial_words import load_label
 from identknee.model.effects.effect import unit_of
 from identknee.model.effects.facts import cause_label
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare
@@ -151,7 +152,7 @@ def residuals_figure(
                 values = change[curve.trials, i]
                 axes.plot(curve.load, values, STYLES[k], color=COLOURS[k], linewidth=1.3)
         grid[0, column].set_title(_curve_title(protocol, curve), fontsize=SMALL)
-        grid[-1, column].set_xlabel(_load_name(protocol, curve), fontsize=SMALL)
+        grid[-1, column].set_xlabel(load_label(_axis(protocol, curve)), fontsize=SMALL)
     for axes, i in zip(grid[:, 0], rows, strict=True):
         axes.set_ylabel(_words(COORDINATES[i]), fontsize=SMALL)
     handles = [
@@ -364,20 +365,11 @@ def _curve_title(protocol: Protocol, curve: Curve) -> str:
     """Flexion, and the other loads where there are any."""
     trial, axis = curve.trials[0], _axis(protocol, curve)
     others = [
-        f"{_load_words(i)} {x:g}"
+        f"{load_label(i)} {x:g}"
         for i, x in enumerate(protocol.loads[trial])
         if i != axis and x != 0.0
     ]
     return "\n".join([f"{protocol.flexion_deg[trial]:g} deg", *others])
-
-
-def _load_name(protocol: Protocol, curve: Curve) -> str:
-    return _load_words(_axis(protocol, curve))
-
-
-def _load_words(axis: int) -> str:
-    words, _, unit = LOADS[axis].rpartition("_")
-    return f"{words.replace('_', ' ')} [{unit.replace('Nm', 'N·m')}]"
 
 
 def _axis(protocol: Protocol, curve: Curve) -> int:

@@ -63,7 +63,7 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
     Dots are measured, their bars two standard deviations; None where no angle has three loads of
     one kind.
     """
-    cells = _purest(curves.protocol)
+    cells = _least_combined(curves.protocol)
     if not cells:
         return None
     rows = sorted({axis for axis, _ in cells})
@@ -88,7 +88,7 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
 
 def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
     """Every coordinate along every load curve, a column a curve; None where there is none."""
-    cells = _purest(curves.protocol)
+    cells = _least_combined(curves.protocol)
     if not cells:
         return None
     figure = Figure(figsize=(1.2 + 1.9 * len(cells), 1.0 + 8.0), layout="constrained")
@@ -134,7 +134,7 @@ def by_flexion_figure(curves: LaxityCurves) -> Figure:
     return figure
 
 
-def _purest(protocol: Protocol) -> dict[tuple[int, float], Curve]:
+def _least_combined(protocol: Protocol) -> dict[tuple[int, float], Curve]:
     """By load and angle its curve; of several the one with the least of the other loads."""
     cells: dict[tuple[int, float], tuple[float, Curve]] = {}
     for curve in load_curves(protocol):

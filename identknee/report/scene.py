@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from identknee.mechanics.placement import Placement, place
-from identknee.mechanics.pose import start_pose
-from identknee.report.picture import show_figures
+from identknee.mechanics.pose import Placement, place, start_pose
+from identknee.report.figures import show_figures
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.subject.knee import Knee
 

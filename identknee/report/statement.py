@@ -1,10 +1,25 @@
-"""What an answer says, to a terminal, a notebook or the page: sentences, and the numbers behind."""
+"""Statements of an answer, the questions of the page they answer, and what the answer assumes."""
 
 from enum import Enum, unique
 
 from identknee.report.tables import Table
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
+from identknee.runs.words import listed
+from identknee.verbs.answer import Answer
+
+# So many trials are listed by name.
+MOST_NAMED = 8
+
+
+def assumption_sentences(answer: Answer) -> tuple[str, ...]:
+    """The assumptions of an answer, as sentences."""
+    trials = answer.trials_used
+    if not trials:
+        return answer.assumptions
+    names = f": {listed(trials)}" if len(trials) <= MOST_NAMED else ""
+    many = "1 measured trial" if len(trials) == 1 else f"{len(trials)} measured trials"
+    return (f"The result rests on {many}{names}.", *answer.assumptions)
 
 
 @unique
@@ -41,6 +56,6 @@ class Statement:
     tables: tuple[Table, ...] = entry("The numbers behind it", default=())
     is_answer: bool = entry("Whether it leads its part of the page", default=False)
     warning: Finding | None = entry(
-        "What speaks against the result, where the sentence does; it leads the page",
+        "Findings: warnings about the result, where the sentence does; it leads the page",
         default=None,
     )

@@ -5,9 +5,62 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from identknee.report.comparison import Spread
+import numpy as np
+from numpy.typing import ArrayLike
+from typing_extensions import override
+
+BOOTSTRAP_DRAWS = 9999
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """Median and spread of some values.
+
+    Attributes
+    ----------
+    median, low, high
+        Median, smallest and largest.
+    ci_low, ci_high
+        95 % bootstrap interval of the median.
+    n
+        How many values; those not finite are left out and not counted.
+    """
+
+    median: float
+    low: float
+    high: float
+    ci_low: float
+    ci_high: float
+    n: int
+
+
+def spread(values: ArrayLike, *, seed: int = 0) -> Spread:
+    """Median, range and 95 % percentile-bootstrap interval of the median; NaN without values.
+
+    Examples
+    --------
+    >>> spread([1.0, 2.0, 9.0]).median
+    2.0
+    """
+    known = np.asarray(values, float)
+    known = known[np.isfinite(known)]
+    if not known.size:
+        return Spread(median=np.nan, low=np.nan, high=np.nan, ci_low=np.nan, ci_high=np.nan, n=0)
+    rows = np.random.default_rng(seed).integers(known.size, size=(BOOTSTRAP_DRAWS, known.size))
+    low, high = np.quantile(np.median(known[rows], axis=1), [0.025, 0.975])
+    return Spread(
+        median=float(np.median(known)),
+        low=float(known.min()),
+        high=float(known.max()),
+        ci_low=float(low),
+        ci_high=float(high),
+        n=int(known.size),
+    )
+
 
 Cell = str | float | int | None
+# That a notebook shows.
+MOST_ROWS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +120,14 @@ class Table:
                     f"every row of {self.title!r} needs {len(self.columns)} cells, got {len(row)}"
                 )
 
+    def first_rows(self, most: int = MOST_ROWS) -> "Table":
+        """The first rows, with how many there are."""
+        n = len(self.rows)
+        if n <= most:
+            return self
+        title = f"{self.title} (the first {most} of {n} rows)"
+        return Table(title=title, columns=self.columns, rows=self.rows[:most])
+
     def texts(self) -> list[list[str]]:
         """The cells as text, row by row."""
         return [
@@ -94,8 +155,8 @@ class Table:
         lines = ["| " + " | ".join(row) + " |" for row in (heads, rule, *self.texts())]
         return "\n".join([f"**{self.title}**", "", *lines])
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """The table in columns of even width, for a terminal."""
         if self.told is not self:
             return str(self.told)
@@ -145,7 +206,7 @@ def median_range(values: Spread, decimals: int = 2) -> str:
 
     Examples
     --------
-    >>> from identknee.report.comparison import spread
+    >>> from identknee.report.tables import spread
     >>> median_range(spread([1.0, 2.0, 9.0]), 1)
     '2.0 [1.0, 9.0]'
     """

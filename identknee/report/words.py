@@ -1,36 +1,16 @@
-"""Trials in words that need no manual."""
+"""Lists and intervals in words."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from identknee.laxity.protocol import FLEXION, LOADS
-from identknee.runs.words import UNITS, interval, listed
-
-OPPOSITES = {
-    "internal_moment_Nm": "external moment",
-    "varus_moment_Nm": "valgus moment",
-    "anterior_force_N": "posterior force",
-    "distraction_force_N": "compression",
-    "lateral_force_N": "medial force",
-}
+from identknee.laxity.trial_words import trial_description
+from identknee.runs.words import capitalised, interval, listed
 
 
-def trial_words(trial: Mapping[str, Any]) -> str:
-    """A trial to do, from its angle and loads.
-
-    Examples
-    --------
-    >>> trial_words({"flexion_deg": 30.0, "anterior_force_N": -134.0})
-    'posterior force of 134 N at 30 deg of flexion'
-    """
-    loads = [
-        f"{_load_name(name, float(trial[name]))} of {abs(float(trial[name])):g} "
-        f"{UNITS.get(name.rpartition('_')[2], name.rpartition('_')[2])}"
-        for name in LOADS
-        if float(trial.get(name) or 0.0) != 0.0
-    ]
-    return f"{listed(loads) or 'no load'} at {float(trial[FLEXION]):g} deg of flexion"
+def trial_list(trials: Iterable[Mapping[str, Any]]) -> str:
+    """Trials to do, the beginning of a sentence."""
+    return capitalised(counted(map(trial_description, trials)))
 
 
 def counted(told: Iterable[str]) -> str:
@@ -67,7 +47,3 @@ def interval_words(lower: float | None, upper: float | None, unit: str) -> str:
     if lower is None and upper is None:
         return "open on both sides"
     return interval((lower, upper), unit)
-
-
-def _load_name(name: str, value: float) -> str:
-    return OPPOSITES[name] if value < 0 else name.rpartition("_")[0].replace("_", " ")

@@ -10,12 +10,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
+from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.model.effects.facts import cause_label
 from identknee.report.figures import COLOURS, GREY
 from identknee.report.scene import View
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnosis import Diagnosis, LineEnds, Pull
+from identknee.verbs.diagnosis import Diagnosis
 
 # Right is lateral, up is anterior: a right knee's plateau as the femur sees it.
 ABOVE = View(right=np.array([0.0, 0.0, 1.0]), up=np.eye(3)[0], toward=np.eye(3)[1])
@@ -50,7 +51,7 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     directions = list(dict.fromkeys(x.direction for x in pulls))
     size = (0.8 + 2.1 * max(len(directions), 1), 1.2 + 1.45 * max(len(angles), 1))
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle("what else would have to act on the tibia, seen from above", fontsize=10)
+    figure.suptitle("missing force and moment on the tibia, seen from above", fontsize=10)
     if not pulls:
         return figure
     grid = figure.subplots(len(angles), len(directions), squeeze=False)

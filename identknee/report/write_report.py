@@ -6,17 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from identknee.report.figures import vector
 from identknee.report.notebook import result_of
 from identknee.report.page.page import report_drawings, report_html
 from identknee.report.page.results import Findings, Result, by_subject, found_results, in_order
-from identknee.report.page.scenes import scene_of
-from identknee.report.picture import vector
+from identknee.report.page.viewer import scene_of
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.progress import progress
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.fitted_knee import as_stated
+from identknee.verbs.fitted_knee import with_stated_uncertainty_of
 
 FIGURES = "figures"
 
@@ -90,7 +90,7 @@ def _knee(findings: Findings, remarks: list[str], knee: Knee | None) -> Knee | N
         remarks.append(f"The knee itself is not shown: {error}")
         return None
     try:
-        return as_stated(knee, findings.results[0].answer)
+        return with_stated_uncertainty_of(knee, findings.results[0].answer)
     except ValueError:
         remarks.append(f"The knee itself is not shown: {name} has changed since.")
         return None

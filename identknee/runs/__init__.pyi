@@ -1,6 +1,7 @@
 from .arrays import Array as Array
-from .dask_executor import dask_cluster as dask_cluster
 from .executors import Executor as Executor
+from .executors import dask_cluster as dask_cluster
+from .executors import executor_of as executor_of
 from .executors import process_pool as process_pool
 from .executors import serial as serial
 from .executors import threads as threads
@@ -12,4 +13,3 @@ from .findings import Severity as Severity
 from .store import Store as Store
 from .store import open_work as open_work
 from .store import resumable_map as resumable_map
-from .workers import executor_of as executor_of

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import xarray
 
-from identknee.runs.declare import AXIS_NAMES, Entry, entries, names_within
-from identknee.runs.plain_records import hints_of, record_within
+from identknee.runs.declare import AXIS_NAMES, Entry, axis_names_within, entries
+from identknee.runs.plain_records import record_within, type_hints_of
 
 Groups = Mapping[str, xarray.Dataset]
 MAIN = "result"
@@ -28,7 +28,9 @@ def groups_of(result: Any) -> dict[str, xarray.Dataset]:
     """
     variables: dict[str, dict[str, Any]] = {}
     kinds = entries(type(result)).items()
-    labels = dict(x for name, about in kinds for x in names_within(about, getattr(result, name)))
+    labels = dict(
+        x for name, about in kinds for x in axis_names_within(about, getattr(result, name))
+    )
     for group, name, variable in _variables(result, MAIN, ""):
         own = variables.setdefault(group, {})
         if name in own and not np.array_equal(own[name][1], variable[1]):
@@ -65,7 +67,7 @@ def axis_fault(cls: type, groups: Groups) -> tuple[str, str] | None:
 def _named_axes(cls: type) -> Iterator[str]:
     """Axes whose names a result holds."""
     for name, about in entries(cls).items():
-        kind, _ = record_within(hints_of(cls)[name])
+        kind, _ = record_within(type_hints_of(cls)[name])
         if about.dims and not about.is_in_arrays:
             yield about.dims[0]
         elif kind is not None:
@@ -73,11 +75,12 @@ def _named_axes(cls: type) -> Iterator[str]:
 
 
 def _variables(record: Any, group: str, prefix: str) -> Iterator[tuple[str, str, Any]]:
-    hints = hints_of(type(record))
+    hints = type_hints_of(type(record))
     for name, about in entries(type(record)).items():
         value, own_group, key = getattr(record, name), about.group or group, about.key or name
         kind, how = record_within(hints[name])
-        if value is None or (about.dims and not about.is_in_arrays):
+        is_missing = value is None or not (about.is_in_files or about.is_in_arrays)
+        if is_missing or (about.dims and not about.is_in_arrays):
             continue
         if about.rows and kind is not None:
             rows = tuple(value.values()) if how == "dict" else value
@@ -100,7 +103,7 @@ def _prefix_within(about: Entry, prefix: str, key: str) -> str:
 
 def _columns(kind: type, records: Sequence[Any], rows: str, prefix: str) -> dict[str, Any]:
     """What a group holds of stacked records: a variable for each array, number and word."""
-    hints = hints_of(kind)
+    hints = type_hints_of(kind)
     found: dict[str, Any] = {}
     for name, about in entries(kind).items():
         values = [getattr(x, name) for x in records]
@@ -201,7 +204,7 @@ def _filled(
     filled = dict(plain)
     for name, about in entries(cls).items():
         own_group, key = about.group or group, about.key or name
-        kind, how = record_within(hints_of(cls)[name])
+        kind, how = record_within(type_hints_of(cls)[name])
         value, dataset = plain.get(key), groups.get(own_group)
         if how == "one" and (about.is_inline or not about.is_in_json):
             value = plain if about.is_inline else {}
@@ -245,7 +248,7 @@ def _row_alone(kind: type, row: Mapping[str, Any], prefix: str) -> dict[str, Any
     plain: dict[str, Any] = {}
     for name, about in entries(kind).items():
         column = f"{prefix}{about.key or name}"
-        inner, how = record_within(hints_of(kind)[name])
+        inner, how = record_within(type_hints_of(kind)[name])
         if how == "one" and inner is not None:
             plain[about.key or name] = _row_alone(inner, row, f"{column}_")
         elif not about.dims and column in row:
@@ -270,7 +273,7 @@ def _filled_row(
     for name, about in entries(kind).items():
         key = about.key or name
         column = f"{prefix}{key}"
-        inner, how = record_within(hints_of(kind)[name])
+        inner, how = record_within(type_hints_of(kind)[name])
         if how == "one" and inner is not None and isinstance(plain.get(key), dict):
             filled[key] = _filled_row(inner, plain[key], arrays, f"{column}_")
         elif about.rows and inner is not None:

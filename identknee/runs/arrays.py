@@ -65,12 +65,12 @@ def frozen_integers(values: ArrayLike) -> IntArray:
 CHECK_UNITS = "check the units and the export"
 
 
-def too_far(points: ArrayLike) -> str:
+def implausible_coordinates(points: ArrayLike) -> str:
     """How far points [mm] lie beyond any measurement, in words; empty where none does.
 
     Examples
     --------
-    >>> too_far([0.0, 1e9, 0.0])
+    >>> implausible_coordinates([0.0, 1e9, 0.0])
     '1e+09 mm away, which no measurement is'
     """
     largest = float(np.abs(points).max(initial=0.0))

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from filelock import FileLock, Timeout
 
-from identknee.runs.cache_folder import cache_folder
+from identknee.runs.files import cache_folder
 
 Function = Callable[..., Any]
 # Nothing takes longer to compile: who waits longer compiles it too.

@@ -229,7 +229,7 @@ def _freeze(record: Any) -> None:
             object.__setattr__(record, name, made)
         elif type(value) is dict:
             object.__setattr__(record, name, MappingProxyType(value.copy()))
-        lengths |= {dim: len(x) for dim, x in names_within(about, value)}
+        lengths |= {dim: len(x) for dim, x in axis_names_within(about, value)}
 
 
 @cache
@@ -250,7 +250,7 @@ def _has_axes(cls: Any) -> bool:
     return any(about is not None and about.dims for _, about, _ in _given(cls))
 
 
-def names_within(about: Entry | None, value: Any) -> list[tuple[str, tuple[str, ...]]]:
+def axis_names_within(about: Entry | None, value: Any) -> list[tuple[str, tuple[str, ...]]]:
     """Names along axes that a field's value holds: the value itself, or those of a record."""
     if about is not None and about.dims and not about.is_in_arrays:
         return [(about.dims[0], value)]
@@ -260,7 +260,7 @@ def names_within(about: Entry | None, value: Any) -> list[tuple[str, tuple[str, 
     return [
         found
         for name, inner in _without_arrays(kind)
-        for found in names_within(inner, getattr(value, name))
+        for found in axis_names_within(inner, getattr(value, name))
     ]
 
 

@@ -4,6 +4,8 @@ import difflib
 import os
 from collections.abc import Iterable
 
+from typing_extensions import override
+
 
 class InputError(ValueError):
     """A file or folder that cannot be used, as one sentence and its remedy.
@@ -35,8 +37,8 @@ class InputError(ValueError):
         self.why = why
         self.remedy = remedy
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """The whole message."""
         place = f"{self.path}, {self.where}" if self.where else self.path
         sentence = f"{place}: {self.why.rstrip('.')}."
@@ -77,5 +79,5 @@ def closest(word: str, known: Iterable[str]) -> str:
     return names[close[0]] if close else ""
 
 
-class NotComputed(Exception):  # noqa: N818 - said to a person as a sentence
+class NotComputable(Exception):  # noqa: N818 - said to a person as a sentence
     """Raised where the input is fine and the answer still cannot be had; says why."""

@@ -6,6 +6,7 @@ seed and shares nothing.
 """
 
 import hashlib
+import logging
 import multiprocessing
 import os
 import pickle
@@ -14,19 +15,55 @@ import signal
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
-from functools import lru_cache, partial
+from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import cache, lru_cache, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
+from identknee.runs.crash_report import are_warnings_redirected, log_warnings
 from identknee.runs.files import write_atomically
-from identknee.runs.library_threads import use_one_library_thread
-from identknee.runs.unforeseen import are_warnings_logged, log_warnings
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# Libraries read these when they are loaded.
+LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def use_one_library_thread() -> Any:
+    """Keep linear algebra to the calling thread from now on; gives back how to undo it.
+
+    Threads inside linear algebra on matrices of ten to fifty columns cost more than they bring:
+    beside other processes they wait for each other, and a fit takes up to a hundred times as long.
+    Libraries that are loaded later, and processes that are started, keep to one thread as well.
+    """
+    # Not loaded by the start of a command.
+    from threadpoolctl import threadpool_limits
+
+    os.environ.update(dict.fromkeys(LIBRARY_THREADS, "1"))
+    return threadpool_limits(limits=1, user_api="blas")
+
+
+@contextmanager
+def one_library_thread() -> Iterator[None]:
+    """Context in which linear algebra keeps to the calling thread."""
+    before = {name: os.environ.get(name) for name in LIBRARY_THREADS}
+    limits = use_one_library_thread()
+    try:
+        yield
+    finally:
+        limits.restore_original_limits()
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -40,7 +77,7 @@ class Executor(Protocol):
         ...
 
 
-class WorkerDied(RuntimeError):  # noqa: N818 - said to a person as a sentence
+class WorkerTerminated(RuntimeError):  # noqa: N818 - said to a person as a sentence
     """Raised where a worker process ended before its task: killed, or out of memory."""
 
 
@@ -89,7 +126,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
             n_workers,
             mp_context=context,
             initializer=_start_worker,
-            initargs=(line, folder, are_warnings_logged()),
+            initargs=(line, folder, are_warnings_redirected()),
         )
         try:
             yield _Processes(pool, Path(folder))
@@ -116,8 +153,8 @@ class _Processes:
         try:
             yield from self._pool.map(partial(_apply, str(path)), items)
         except BrokenProcessPool as error:
-            raise WorkerDied(
-                "a worker process died before its task was done, perhaps for want of memory; "
+            raise WorkerTerminated(
+                "a worker process ended before its task was done, perhaps out of memory; "
                 "try fewer workers"
             ) from error
 
@@ -191,3 +228,120 @@ def _end_with(line: Connection, folder: str) -> None:
         line.recv_bytes()
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
+
+
+@contextmanager
+def dask_cluster(cluster: str | int) -> Iterator[Executor]:
+    """Executor over the workers of a dask cluster; the results are those of any other executor.
+
+    Parameters
+    ----------
+    cluster
+        Address of a running scheduler, as ``"tcp://10.0.0.5:8786"``, whose workers have the same
+        versions of everything; or a number of worker processes to start on this machine for as
+        long as the context lasts. A script that starts some needs
+        ``if __name__ == "__main__":``.
+
+    Raises
+    ------
+    ValueError
+        If the number of workers is less than 1, or nothing answers at the address.
+    ModuleNotFoundError
+        If dask and distributed are not installed.
+    WorkerDied
+        By the map, if a worker ends before its task.
+
+    Examples
+    --------
+    >>> with dask_cluster(0) as executor:
+    ...     executor.map(abs, [-1])
+    Traceback (most recent call last):
+    ValueError: the number of workers must be at least 1, got 0
+    """
+    if isinstance(cluster, int) and cluster < 1:
+        raise ValueError(f"the number of workers must be at least 1, got {cluster}")
+    try:
+        from distributed import Client, LocalCluster
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "running on a dask cluster needs the packages dask and distributed; install them with "
+            "pip install 'identknee[cluster]'"
+        ) from error
+    if isinstance(cluster, int):
+        # One thread each, as in a process pool; any free port; a dead worker is ours to report.
+        local = LocalCluster(
+            n_workers=cluster,
+            threads_per_worker=1,
+            dashboard_address=":0",
+            silence_logs=logging.CRITICAL,
+        )
+        with local, Client(local) as client:
+            yield _Dask(client)
+        return
+    try:
+        client = Client(cluster)
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"no dask scheduler answers at {cluster} ({error}); start one with the command "
+            "dask scheduler and give its address"
+        ) from error
+    with client:
+        yield _Dask(client)
+
+
+class _Dask:
+    """The workers behind a client; the function goes to each of them once."""
+
+    def __init__(self, client: "Client") -> None:
+        self._client = client
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
+        """Results of `function` for each of `items`, in their order."""
+        from distributed.scheduler import KilledWorker
+
+        # To all of them, so that it does not go with the one worker that held it.
+        there = self._client.scatter(function, broadcast=True, hash=False)
+        tasks = [
+            self._client.submit(_apply_on_one_thread, there, item, pure=False) for item in items
+        ]
+        try:
+            for task in tasks:
+                yield task.result()
+        except (KilledWorker, CancelledError) as error:
+            raise WorkerTerminated(
+                "a worker of the dask cluster died before its task was done, perhaps out of "
+                "memory; try fewer workers"
+            ) from error
+        finally:
+            self._client.cancel(tasks)
+
+
+def _apply_on_one_thread(function: Callable[[Any], Any], item: Any) -> Any:
+    _keep_to_one_thread()
+    return function(item)
+
+
+@cache
+def _keep_to_one_thread() -> None:
+    """As processes of this machine are told when they start, so that sums have the same bits."""
+    use_one_library_thread()
+
+
+# How many on this machine, or the address of a dask scheduler.
+Workers = int | str
+
+
+def executor_of(
+    workers: Workers, own: Callable[[int], AbstractContextManager[Executor]] = process_pool
+) -> AbstractContextManager[Executor]:
+    """Executor over these workers; the results do not depend on who they are.
+
+    Parameters
+    ----------
+    workers
+        A number on this machine, or the address of a running dask scheduler, as
+        ``"tcp://10.0.0.5:8786"``.
+    own
+        What makes an executor of a number.
+    """
+    return dask_cluster(workers) if isinstance(workers, str) else own(workers)

@@ -11,10 +11,12 @@ import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from platformdirs import user_cache_path
 
 from identknee.runs.errors import InputError
 
@@ -38,7 +40,7 @@ def write_atomically(path: PathLike, content: str | bytes) -> Path:
     """
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
-    temporary = part_beside(target)
+    temporary = temporary_path_beside(target)
     try:
         try:
             with temporary.open("xb") as file:
@@ -64,7 +66,7 @@ def prepare_folder(path: PathLike) -> Path:
         If it cannot be made or written to, or is a file.
     """
     folder = Path(path)
-    probe = part_beside(folder / "probe")
+    probe = temporary_path_beside(folder / "probe")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -81,7 +83,7 @@ def prepare_folder(path: PathLike) -> Path:
     return folder
 
 
-def part_beside(path: PathLike) -> Path:
+def temporary_path_beside(path: PathLike) -> Path:
     """Path in the same folder for what is to become `path` once it is whole.
 
     What a killed process leaves under such a name goes when the folder is next prepared.
@@ -255,3 +257,9 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 def _reason(error: OSError) -> str:
     return (error.strerror or type(error).__name__).lower()
+
+
+@cache
+def cache_folder() -> Path:
+    """The folder for everything that can be computed again, ``IDENTKNEE_CACHE`` if that is set."""
+    return Path(os.environ.get("IDENTKNEE_CACHE") or user_cache_path("identknee"))

@@ -115,7 +115,7 @@ _ALL = (
         about=About.DATA,
         meaning="One change of the table (a sign, a unit, the side, exchanged columns, the zero) "
         "removes nearly all of the misfit and leaves a plausible one.",
-        remedy="Correct the table and begin again.",
+        remedy="Correct the table and repeat the command.",
         invalidates=True,
         distinct=("what",),
     ),
@@ -136,7 +136,8 @@ _ALL = (
         about=About.DATA,
         meaning="No trial of the table has a load.",
         remedy="Check that the columns of loads are there.",
-        template="No trial of the table has a load, so it says next to nothing about ligaments. "
+        template="No trial of the table has a load, so it contains almost no information about "
+        "ligaments. "
         "Check that the columns of loads are there.",
     ),
     FindingKind(
@@ -173,8 +174,8 @@ _ALL = (
         code="error-large",
         severity=ERROR,
         about=About.FIT,
-        meaning="The data state no noise, and the best fit leaves more than a laxity test should "
-        "err by (2 mm, 5 deg).",
+        meaning="The data state no noise, and the best fit leaves more than the expected error of "
+        "a laxity test (2 mm, 5 deg).",
         remedy="Look at signs, units and side of the data, then run identknee diagnose.",
     ),
     FindingKind(
@@ -183,7 +184,7 @@ _ALL = (
         about=About.FIT,
         meaning="The data state no noise, so the size of the error left cannot be judged.",
         remedy="Add sd_ columns, or give --noise.",
-        template="The data state no noise, so whether the error left is noise alone could not be "
+        template="The data state no noise, so whether the residuals are noise alone could not be "
         "judged. Add sd_ columns to judge it.",
     ),
     FindingKind(
@@ -200,7 +201,7 @@ _ALL = (
         severity=WARNING,
         about=About.FIT,
         meaning="Fewer values were measured than parameters are fitted.",
-        remedy="Measure more trials, or hold parameters with --fix.",
+        remedy="Measure more trials, or fix parameters with --fix.",
     ),
     FindingKind(
         code="nothing-fitted",
@@ -305,8 +306,8 @@ _ALL = (
         "the fit are partly those of the model.",
         remedy="Run identknee subject check.",
         template="Of {n} parameter sets that would fit about as well as the best one, {n_lost} "
-        "have no prediction in some trial: sets that the data allow are missing here because the "
-        "model ends, not because the data exclude them. " + CHECK,
+        "have no prediction in some trial: sets compatible with the data are missing here because "
+        "the model has no equilibrium, not because the data exclude them. " + CHECK,
     ),
     FindingKind(
         code="contact-near-rim",
@@ -344,7 +345,7 @@ _ALL = (
         lead=IMPLAUSIBLE,
         template="in trials without varus moment contact carries {medial_N:.0f} N medially and "
         "{lateral_N:.0f} N laterally under {compression_N:.0f} N of compression, in the middle of "
-        "{n_trials} trials, which is one side alone ({source})",
+        "{n_trials} trials, which is contact on one side only ({source})",
     ),
     FindingKind(
         code="nuisance-beyond-prior",

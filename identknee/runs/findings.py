@@ -10,9 +10,9 @@ __all__ = [
     "Finding",
     "FindingKind",
     "Severity",
+    "by_severity",
     "finding",
     "finding_lines",
-    "gravest_first",
     "invalidating",
     "without_repeats",
 ]
@@ -110,8 +110,8 @@ def finding(
     Examples
     --------
     >>> finding("no-loads", "data").line
-    'Warning: No trial of the table has a load, so it says next to nothing about ligaments. \
-Check that the columns of loads are there.'
+    'Warning: No trial of the table has a load, so it contains almost no information about \
+ligaments. Check that the columns of loads are there.'
     """
     kind = KINDS.get(code)
     if kind is None:
@@ -135,10 +135,10 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
     >>> finding_lines([about, finding("no-set-converges", "trials")])[-1]
     'The start is not the reason.'
     """
-    return [x.line for x in gravest_first(findings)]
+    return [x.line for x in by_severity(findings)]
 
 
-def gravest_first(findings: Iterable[Found]) -> list[Found]:
+def by_severity(findings: Iterable[Found]) -> list[Found]:
     """The findings by severity, then as their kinds are listed, then in their order."""
     order = list(Severity)
     return sorted(findings, key=lambda x: (-order.index(x.severity), RANKS.get(x.code, len(RANKS))))
@@ -147,7 +147,7 @@ def gravest_first(findings: Iterable[Found]) -> list[Found]:
 def without_repeats(findings: Iterable[Found]) -> tuple[Found, ...]:
     """The gravest first, each thing once."""
     kept: dict[tuple[Any, ...], Found] = {}
-    for x in gravest_first(findings):
+    for x in by_severity(findings):
         kept.setdefault(x.identity, x)
     return tuple(kept.values())
 

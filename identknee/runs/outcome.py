@@ -33,12 +33,12 @@ _SENTENCES = {
     Outcome.CONVERGED: "A stable equilibrium was found on the branch that starts unloaded.",
     Outcome.FOLD: "No stable pose at full load: the simulated knee jumps before reaching it.",
     Outcome.NO_EQUILIBRIUM: "No equilibrium was found near the pose where the search began.",
-    Outcome.UNCONSTRAINED: "Nothing resists one direction of motion, so the pose is not unique. Is "
+    Outcome.UNCONSTRAINED: "One direction of motion has no stiffness: the pose is not unique. Is "
     "a ligament missing or slack?",
     Outcome.MINIMUM: "Exact derivatives confirm a local minimum.",
     Outcome.VALLEY: "The optimizer stopped in a valley before a minimum was reached.",
     Outcome.CLIFF: "The search stopped at a cliff, beyond which the simulated knee jumps.",
-    Outcome.BUDGET: "The budget of simulations was used up.",
-    Outcome.SPREAD: "The population shrank below the tolerance.",
+    Outcome.BUDGET: "The budget of simulations was exhausted.",
+    Outcome.SPREAD: "The spread of the population fell below the tolerance.",
     Outcome.START_FAILED: "The model has no prediction at the start.",
 }

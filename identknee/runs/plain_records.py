@@ -89,7 +89,7 @@ def record_within(hint: Any) -> tuple[type | None, str]:
     return None, ""
 
 
-def hints_of(cls: Any) -> dict[str, Any]:
+def type_hints_of(cls: Any) -> dict[str, Any]:
     """The types of a class's fields and declared properties by name."""
     if cls not in _HINTS:
         made = {x: get_type_hints(getattr(cls, x).fget)["return"] for x in derived_entries(cls)}
@@ -124,7 +124,7 @@ def _model(cls: Any) -> type[BaseModel]:
     """The schema of a declared class."""
     if cls in _MODELS:
         return _MODELS[cls]
-    hints = hints_of(cls)
+    hints = type_hints_of(cls)
     own_fields = {x.name: x for x in fields(cls)}
     wanted: dict[str, Any] = {}
     for name, about in entries(cls).items():
@@ -174,7 +174,7 @@ def _built(cls: type[Made], checked: BaseModel) -> Made:
     values = {}
     for name in entries(cls):
         if f"x_{name}" in checked.model_fields_set:
-            values[name] = _value(hints_of(cls)[name], getattr(checked, f"x_{name}"))
+            values[name] = _value(type_hints_of(cls)[name], getattr(checked, f"x_{name}"))
     return cls(**values)
 
 

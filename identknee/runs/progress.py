@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from typing_extensions import override
+
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
 
@@ -61,7 +63,7 @@ def in_words(seconds: float | None) -> str:
 FIRST_LINE_S, MOST_RARELY_S = 30.0, 600.0
 
 
-class Lines:
+class ProgressLines:
     """Says on lines of standard error how far long work is."""
 
     def __init__(self, description: str, total: int | None, before: int) -> None:
@@ -241,7 +243,7 @@ def _bar(
         return
     if not sys.stderr.isatty():
         try:
-            yield Lines(description, total, before)
+            yield ProgressLines(description, total, before)
         finally:
             _one_bar.release()
         return
@@ -283,7 +285,7 @@ class _DelayedBar:
         self._total = total
         self._done = before
         self._share, self._before = 0.0, before / total if total else 0.0
-        self._note, self._left = "", _Left(None)
+        self._note, self._left = "", _TimeLeftColumn(None)
         self._began = time.monotonic()
         self._lock = threading.Lock()
         self._shown: tuple[Progress, TaskID] | None = None
@@ -304,14 +306,16 @@ class _DelayedBar:
         with self._lock:
             self._done += count
             share = self._done / self._total if self._total else 0.0
-            self._left = _Left(time_left(time.monotonic() - self._began, share, self._before))
+            self._left = _TimeLeftColumn(
+                time_left(time.monotonic() - self._began, share, self._before)
+            )
             self._update()
 
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
         with self._lock:
             if left_s is None:
                 left_s = time_left(time.monotonic() - self._began, share, self._before)
-            self._share, self._note, self._left = share, note, _Left(left_s)
+            self._share, self._note, self._left = share, note, _TimeLeftColumn(left_s)
             self._update()
 
     def say(self, sentence: str, /) -> None:
@@ -334,13 +338,14 @@ class _DelayedBar:
             self._shown[0].stop()
 
 
-class _Left:
+class _TimeLeftColumn:
     """The time left as it is when it is printed, also within an item that takes long."""
 
     def __init__(self, seconds: float | None) -> None:
         self._end = None if seconds is None else time.monotonic() + seconds
 
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         return in_words(None if self._end is None else self._end - time.monotonic())
 
 

@@ -67,7 +67,7 @@ def refusal(why: str, remedy: str) -> PydanticCustomError:
     return PydanticCustomError("said", "{why}", context)
 
 
-def otherwise(why: str, remedy: str) -> WrapValidator:
+def custom_message(why: str, remedy: str) -> WrapValidator:
     """Words for a value of the wrong form, in place of the general ones.
 
     Parameters
@@ -176,7 +176,7 @@ def validated(model: type[Model], values: object, refuse: Callable[[Fault], Inpu
         raise refuse(_fault(error)) from None
 
 
-def keys_of(model: type[BaseModel], place: Place) -> tuple[str, ...]:
+def known_keys(model: type[BaseModel], place: Place) -> tuple[str, ...]:
     """The keys that the schema knows at a place; none where any key may stand.
 
     Examples
@@ -185,7 +185,7 @@ def keys_of(model: type[BaseModel], place: Place) -> tuple[str, ...]:
     ...     a: Number
     >>> class Outer(Part):
     ...     inner: list[Inner]
-    >>> keys_of(Outer, ("inner", 0)), keys_of(Outer, ())
+    >>> known_keys(Outer, ("inner", 0)), known_keys(Outer, ())
     (('a',), ('inner',))
     """
     found: type[BaseModel] | None = model
@@ -211,7 +211,7 @@ def remedy_of(model: type[BaseModel], fault: Fault, examples: Mapping[str, str])
     """
     if fault.remedy:
         return fault.remedy
-    known = keys_of(model, fault.place)
+    known = known_keys(model, fault.place)
     if fault.is_unknown:
         return suggestion(fault.key, known)
     name = fault.key or next((x for x in reversed(fault.place) if isinstance(x, str)), "it")

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from identknee.runs.errors import InputError
-from identknee.runs.executors import Executor, WorkerDied, serial
+from identknee.runs.executors import Executor, WorkerTerminated, serial
 from identknee.runs.files import PathLike, digest, plain, prepare_folder
 from identknee.runs.progress import progress_bar
 from identknee.runs.record import versions
@@ -204,7 +204,7 @@ def open_work(path: PathLike, about: Mapping[str, Any]) -> Store:
     header = {
         "format": STORE_FORMAT,
         "identknee": versions().get("identknee", "unknown"),
-        "about": as_stored(about),
+        "about": json_round_trip(about),
     }
     store = Store(path)
     try:
@@ -289,7 +289,7 @@ def resumable_map(
     return [results[key] for key in keys]
 
 
-def as_stored(value: Any) -> Any:
+def json_round_trip(value: Any) -> Any:
     """`value` as it would be read back from a store.
 
     Raises
@@ -299,7 +299,7 @@ def as_stored(value: Any) -> Any:
 
     Examples
     --------
-    >>> as_stored({"theta": (1.5, float("inf"))})
+    >>> json_round_trip({"theta": (1.5, float("inf"))})
     {'theta': [1.5, inf]}
     """
     return json.loads(json.dumps(plain(value, keep_nonfinite=True)))
@@ -339,16 +339,16 @@ def _computed(
 
 
 def _plain_result(function: Callable[[Any], Any], item: Any) -> Any:
-    return as_stored(function(item))
+    return json_round_trip(function(item))
 
 
 def _explained(results: Iterable[Any], store: Store | None) -> Iterator[Any]:
     try:
         yield from results
-    except WorkerDied as error:
+    except WorkerTerminated as error:
         if store is None:
             raise
-        raise WorkerDied(
+        raise WorkerTerminated(
             f"{error}. What was finished is kept in {store.path}: the same command again resumes"
         ) from error
 

@@ -116,12 +116,12 @@ def amount(value: float | None, unit: str, digits: int = 3) -> str:
     return number if unit in ("1", "") else f"{number} {unit}"
 
 
-def either(name: str, value: float, other: float) -> str:
+def two_values_words(name: str, value: float, other: float) -> str:
     """Two values of a parameter that two searches found.
 
     Examples
     --------
-    >>> either("ACL.stiffness_kN", 9.96, 11.36)
+    >>> two_values_words("ACL.stiffness_kN", 9.96, 11.36)
     'ACL stiffness 9.96 or 11.4 kN'
     """
     return f"{label_without_unit(name)} {amount(value, '')} or {amount(other, unit_of(name))}"
@@ -155,7 +155,7 @@ def listed(words: Iterable[str], last: str = "and") -> str:
     return f"{', '.join(most)} {last} {end}" if most else end
 
 
-def capital(sentence: str) -> str:
+def capitalised(sentence: str) -> str:
     """The sentence with a capital letter, the rest as it is."""
     return sentence[:1].upper() + sentence[1:]
 

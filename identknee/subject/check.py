@@ -5,12 +5,13 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.pose import angles_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding, finding, gravest_first
+from identknee.runs.findings import Finding, by_severity, finding
 from identknee.subject import check as sheets
 from identknee.subject.frames import (
     Frame,
@@ -53,9 +54,9 @@ class GeometryFinding(Finding):
     where: str = entry("What it is about, such as a surface or a ligament", key="subject")
     remedy: str = entry("What to do about it; empty where there is nothing to do")
 
-    # typing.override came with Python 3.12.
     @property
-    def line(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def line(self) -> str:
         """As a terminal shows it."""
         return f"{self.severity.prefix}{self.where}: {self.sentence} {self.remedy}".rstrip()
 
@@ -91,24 +92,24 @@ def geometry_finding(
 def check_geometry(knee: Knee) -> tuple[GeometryFinding, ...]:
     """Everything found about surfaces, their contact, ligaments and frames; errors first."""
     findings = [
-        *unusable(knee),
+        *fatal_geometry_findings(knee),
         *(x for name, surface in _surfaces(knee) for x in _surface_findings(name, surface)),
         *_contact_findings(knee),
         *_ligament_findings(knee),
         *_frame_findings(knee),
         *_landmark_findings(knee),
     ]
-    return tuple(gravest_first(findings))
+    return tuple(by_severity(findings))
 
 
-def unusable(knee: Knee) -> tuple[GeometryFinding, ...]:
+def fatal_geometry_findings(knee: Knee) -> tuple[GeometryFinding, ...]:
     """Errors that make the knee unusable; fast enough for every reading."""
     # Metres make the other tests meaningless, and so does a wrong side.
     return (
         tuple(_metres(knee))
         or tuple(_impossible(knee))
         or tuple(_wrong_side(knee))
-        or tuple(_flipped(knee))
+        or tuple(_flipped_surfaces(knee))
     )
 
 
@@ -174,7 +175,7 @@ def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
             remedy=f'Write side = "{other}" if it is a {other} knee; else exchange the two files '
             "or correct the axes of the tibial frame.",
         )
-    elif _curls_up_in_front(knee):
+    elif _is_anterior_upturned(knee):
         yield geometry_finding(
             "wrong-side",
             "side",
@@ -193,14 +194,14 @@ def _exchanged_epicondyles(knee: Knee) -> bool:
     medial, lateral = knee.tibia
     across = known["lateral_epicondyle"] - known["medial_epicondyle"]
     is_against = bool(across @ (lateral.centroid - medial.centroid) < 0.0)
-    return is_against and _curls_up_in_front(knee)
+    return is_against and _is_anterior_upturned(knee)
 
 
-def _curls_up_in_front(knee: Knee) -> bool:
+def _is_anterior_upturned(knee: Knee) -> bool:
     """Whether the part of the femur that faces upward is anterior to the rest."""
     femur, axes = knee.femur, knee.femur_frame.axes
     # The test must hold for normals that all point inward, too: the next test finds these.
-    normals = femur.normals * np.sign(-_facing_up(knee.femur, knee.tibia, axes[1]))
+    normals = femur.normals * np.sign(-_upward_facing(knee.femur, knee.tibia, axes[1]))
     upward = normals @ axes[1] > UPWARD
     area = femur.areas[upward].sum()
     if area < LEAST_UPWARD_SHARE * femur.areas.sum():
@@ -210,17 +211,17 @@ def _curls_up_in_front(knee: Knee) -> bool:
     return bool(offset > FORWARD_SHARE * np.ptp(femur.vertices @ axes[0]))
 
 
-def _facing_up(surface: Surface, others: Iterable[Surface], superior: Array) -> float:
+def _upward_facing(surface: Surface, others: Iterable[Surface], superior: Array) -> float:
     """Mean upward component of a surface's normals where it is closest to the others."""
     return float(np.mean([sheets.facing_normals(surface, x) @ superior for x in others]))
 
 
-def _flipped(knee: Knee) -> Iterator[GeometryFinding]:
+def _flipped_surfaces(knee: Knee) -> Iterator[GeometryFinding]:
     """Surfaces whose normals point the wrong way where the bones face each other."""
     superior = knee.tibia_frame.axes[1]
-    up = {"femur": -_facing_up(knee.femur, knee.tibia, superior)}
+    up = {"femur": -_upward_facing(knee.femur, knee.tibia, superior)}
     for name, surface in _surfaces(knee)[1:]:
-        up[name] = _facing_up(surface, [knee.femur], superior)
+        up[name] = _upward_facing(surface, [knee.femur], superior)
     for name, component in up.items():
         if component < 0.0:
             sentence = "Its normals point into the bone where it faces the joint."
@@ -231,7 +232,7 @@ def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:
     if surface.is_closed:
         sentence = "The surface is closed: it has a bone side as well."
         yield geometry_finding("surface-closed", name, sentence)
-    if n := sheets.count_turned_edges(surface):
+    if n := sheets.count_inconsistent_edges(surface):
         sentence = f"At {n} edges neighbouring triangles face opposite ways."
         yield geometry_finding("winding-inconsistent", name, sentence, {"n": n})
     if n := sheets.count_shared_edges(surface):
@@ -350,7 +351,7 @@ def _long_axis_angles(
 CLOSEST_SHARE = 0.1
 
 
-def count_turned_edges(surface: Surface) -> int:
+def count_inconsistent_edges(surface: Surface) -> int:
     """How many edges two triangles run through in the same direction: one is wound wrongly."""
     _, count = np.unique(surface.edges, axis=0, return_counts=True)
     return int((count > 1).sum())

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
-from identknee.runs.arrays import CHECK_UNITS, too_far
+from identknee.runs.arrays import CHECK_UNITS, implausible_coordinates
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.schema import (
@@ -20,14 +20,14 @@ from identknee.runs.schema import (
     Number,
     Part,
     Place,
-    otherwise,
+    custom_message,
     read_toml,
     refusal,
     remedy_of,
     validated,
 )
-from identknee.runs.words import capital
-from identknee.subject.check import unusable
+from identknee.runs.words import capitalised
+from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.examples import known_names, named_subject
 from identknee.subject.frames import Frame, frames_from_landmarks
@@ -41,8 +41,8 @@ FORMAT = 1
 
 
 def _near(coordinate: float) -> float:
-    if far := too_far(coordinate):
-        raise refusal(f"the point lies {far}", f"{capital(CHECK_UNITS)}.")
+    if far := implausible_coordinates(coordinate):
+        raise refusal(f"the point lies {far}", f"{capitalised(CHECK_UNITS)}.")
     return coordinate
 
 
@@ -50,7 +50,7 @@ Text = Annotated[str, StringConstraints(strip_whitespace=True)]
 Point = Annotated[
     list[Annotated[Number, AfterValidator(_near)]],
     Field(min_length=3, max_length=3),
-    otherwise("three numbers are wanted, got {}", "Write [x, y, z] with points in mm."),
+    custom_message("three numbers are wanted, got {}", "Write [x, y, z] with points in mm."),
 ]
 _EXAMPLES = {
     "format": f"format = {FORMAT}",
@@ -87,15 +87,15 @@ class FrameTable(Part):
     axes: Annotated[
         list[Point],
         Field(min_length=3, max_length=3),
-        otherwise("three rows are wanted", f"Write {_EXAMPLES['axes']}."),
+        custom_message("three rows are wanted", f"Write {_EXAMPLES['axes']}."),
     ]
 
 
 class FrameTables(Part):
     """``[frames]``."""
 
-    femur: Annotated[FrameTable, otherwise(_TABLE, "Write it below a line [frames.femur].")]
-    tibia: Annotated[FrameTable, otherwise(_TABLE, "Write it below a line [frames.tibia].")]
+    femur: Annotated[FrameTable, custom_message(_TABLE, "Write it below a line [frames.femur].")]
+    tibia: Annotated[FrameTable, custom_message(_TABLE, "Write it below a line [frames.tibia].")]
 
 
 class LigamentTable(Part):
@@ -120,15 +120,15 @@ class EffectTable(Part):
 
     name: Text
     values: Annotated[
-        dict[str, Number], otherwise(_TABLE, "Write it below a line [effects.values].")
+        dict[str, Number], custom_message(_TABLE, "Write it below a line [effects.values].")
     ] = Field(default_factory=dict)
     fixed: Annotated[
-        list[str], otherwise("{} is not a list of texts", 'Write fixed = ["...", "..."].')
+        list[str], custom_message("{} is not a list of texts", 'Write fixed = ["...", "..."].')
     ] = Field(default_factory=list)
     lines: Annotated[
         list[LineTable],
         Field(min_length=1),
-        otherwise("a list of tables is wanted", "Write each below a line [[effects.lines]]."),
+        custom_message("a list of tables is wanted", "Write each below a line [[effects.lines]]."),
     ] = Field(default_factory=list)
     stiffness_sd_kN: Number | None = None  # noqa: N815 - the unit
     site_sd_mm: Number | None = None
@@ -136,7 +136,7 @@ class EffectTable(Part):
 
 Spread = Annotated[
     Number | list[Point],
-    otherwise("{} is no spread", "Write a standard deviation in mm or three rows of mm^2."),
+    custom_message("{} is no spread", "Write a standard deviation in mm or three rows of mm^2."),
 ]
 
 
@@ -152,7 +152,7 @@ class GroupTable(Part):
 
     name: Text
     members: Annotated[
-        list[str], otherwise("{} is not a list of texts", 'Write members = ["...", "..."].')
+        list[str], custom_message("{} is not a list of texts", 'Write members = ["...", "..."].')
     ]
 
 
@@ -163,7 +163,7 @@ class PoseTable(Part):
     coordinates: Annotated[
         list[Number],
         Field(min_length=5, max_length=5),
-        otherwise(
+        custom_message(
             "five numbers are wanted, got {}",
             "Write [lateral shift, anterior drawer, distraction, varus, internal] in mm and deg.",
         ),
@@ -175,7 +175,9 @@ class UncertaintyTable(Part):
 
     insertions_mm: Annotated[
         Number | dict[str, BoneSpreads],
-        otherwise("{} is no spread", "Write insertions_mm = 2.0, or a table by ligament and bone."),
+        custom_message(
+            "{} is no spread", "Write insertions_mm = 2.0, or a table by ligament and bone."
+        ),
     ] = 0.0
     registration_deg: Number = 0.0
     registration_mm: Number = 0.0
@@ -204,7 +206,7 @@ class PriorTable(Part):
 Range = Annotated[
     list[Number],
     Field(min_length=2, max_length=2),
-    otherwise("{} is no range", "Write [lower, upper]."),
+    custom_message("{} is no range", "Write [lower, upper]."),
 ]
 
 
@@ -220,7 +222,7 @@ class LandmarkTable(Part):
 
 
 _LIGAMENTS, _EFFECTS, _GROUPS, _POSES = (
-    otherwise("a list of tables is wanted", f"Write each below a line [[{x}]].")
+    custom_message("a list of tables is wanted", f"Write each below a line [[{x}]].")
     for x in ("ligaments", "effects", "groups", "poses")
 )
 
@@ -230,23 +232,23 @@ class SubjectTables(Part):
 
     format: Annotated[
         Literal[1],
-        otherwise(
+        custom_message(
             "format {} is not known",
             f"Write {_EXAMPLES['format']}, or update identknee if the file is newer.",
         ),
     ]
     name: Text
     side: Annotated[
-        Literal["right", "left"], otherwise("{} is no side", 'Write "right" or "left".')
+        Literal["right", "left"], custom_message("{} is no side", 'Write "right" or "left".')
     ]
     description: Text = ""
     contact_rounding_mm: Number = 0.0
-    surfaces: Annotated[SurfaceFiles, otherwise(_TABLE, "Write it below a line [surfaces].")]
+    surfaces: Annotated[SurfaceFiles, custom_message(_TABLE, "Write it below a line [surfaces].")]
     frames: Annotated[
-        FrameTables | None, otherwise(_TABLE, "Write [frames.femur] and [frames.tibia].")
+        FrameTables | None, custom_message(_TABLE, "Write [frames.femur] and [frames.tibia].")
     ] = None
     landmarks: Annotated[
-        LandmarkTable | None, otherwise(_TABLE, "Write it below a line [landmarks].")
+        LandmarkTable | None, custom_message(_TABLE, "Write it below a line [landmarks].")
     ] = None
     ligaments: Annotated[list[Annotated[LigamentTable, _LIGAMENTS]], _LIGAMENTS]
     effects: Annotated[list[Annotated[EffectTable, _EFFECTS]], _EFFECTS] = Field(
@@ -256,15 +258,15 @@ class SubjectTables(Part):
     poses: Annotated[list[Annotated[PoseTable, _POSES]], _POSES] = Field(default_factory=list)
 
     uncertainty: Annotated[
-        UncertaintyTable, otherwise(_TABLE, "Write it below a line [uncertainty].")
+        UncertaintyTable, custom_message(_TABLE, "Write it below a line [uncertainty].")
     ] = Field(default_factory=UncertaintyTable)
     priors: Annotated[
         dict[str, PriorTable],
-        otherwise(_TABLE, 'Write each below a line [priors."ACL.stiffness_kN"].'),
+        custom_message(_TABLE, 'Write each below a line [priors."ACL.stiffness_kN"].'),
     ] = Field(default_factory=dict)
-    bounds: Annotated[dict[str, Range], otherwise(_TABLE, "Write them below a line [bounds].")] = (
-        Field(default_factory=dict)
-    )
+    bounds: Annotated[
+        dict[str, Range], custom_message(_TABLE, "Write them below a line [bounds].")
+    ] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
@@ -476,7 +478,7 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
 
 def _read(file: Path) -> Knee:
     knee = _knee(file, read_tables(file))
-    for finding in unusable(knee):
+    for finding in fatal_geometry_findings(knee):
         raise InputError(file, finding.where, finding.sentence, finding.remedy)
     return knee
 

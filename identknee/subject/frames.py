@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import CHECK_UNITS, Array, frozen, too_far
+from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates
 
 # Axes written with three decimals are off by less; a sheared or scaled frame by more.
 ROUNDING = 2e-3
@@ -38,7 +38,7 @@ class Frame:
         axes = frozen(self.axes, 3, 3, name="the axes of a frame")
         if not (np.isfinite(origin).all() and np.isfinite(axes).all()):
             raise ValueError("the origin and axes of a frame must be finite numbers")
-        if far := too_far(origin):
+        if far := implausible_coordinates(origin):
             raise ValueError(f"the origin of a frame lies {far}; {CHECK_UNITS}")
         # Products of larger numbers may overflow.
         error = (

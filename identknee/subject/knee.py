@@ -208,7 +208,7 @@ class Knee:
         """A copy with another stated uncertainty."""
         return replace(self, uncertainty=uncertainty)
 
-    def as_scanned(self, points: Array) -> Array:
+    def in_scan_frame(self, points: Array) -> Array:
         """Points of the common frame [mm], shape ``(..., 3)``, where the scan has them, or back.
 
         Those of a left knee are mirrored; those of a right one stay where they are.

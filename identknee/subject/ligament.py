@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.runs.arrays import CHECK_UNITS, Array, frozen, too_far
+from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates
 from identknee.runs.errors import suggestion
 
 
@@ -49,7 +49,7 @@ class Ligament:
                     f"the {bone} insertion of {self.name} must be finite numbers in mm, "
                     f"got {place.tolist()}"
                 )
-            if far := too_far(place):
+            if far := implausible_coordinates(place):
                 raise ValueError(f"the {bone} insertion of {self.name} lies {far}; {CHECK_UNITS}")
             object.__setattr__(self, bone, place)
         if self.length == 0.0:

@@ -14,7 +14,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike
-from identknee.subject.check import unusable
+from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.examples import opensim_file
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee, Landmark, Side
@@ -171,7 +171,7 @@ def merged(model: OsimModel, ligaments: Sequence[Ligament]) -> list[Ligament]:
     """
     lines = []
     for name in MERGED:
-        bundle = bundle_of(name, ligaments)
+        bundle = bundle_names(name, ligaments)
         if not bundle:
             raise model.refusal(
                 "forces",
@@ -182,7 +182,7 @@ def merged(model: OsimModel, ligaments: Sequence[Ligament]) -> list[Ligament]:
     return lines
 
 
-def bundle_of(name: str, ligaments: Sequence[Ligament]) -> list[Ligament]:
+def bundle_names(name: str, ligaments: Sequence[Ligament]) -> list[Ligament]:
     """The bundles of one of the four single lines."""
     for beginning in MERGED[name]:
         bundle = [x for x in ligaments if x.name.lower().startswith(beginning.lower())]
@@ -326,7 +326,7 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     )
     if knee.side == "left":
         knee = knee.mirrored()
-    for finding in unusable(knee):
+    for finding in fatal_geometry_findings(knee):
         raise InputError(model.path, finding.where, finding.sentence, finding.remedy)
     return knee
 

@@ -24,7 +24,7 @@ from identknee.subject.opensim import (
     Bones,
     OsimLine,
     bones_of,
-    bundle_of,
+    bundle_names,
     import_opensim,
     line_for,
     lines_of,
@@ -263,7 +263,7 @@ def _changed(knee: Knee, bones: Bones) -> Iterator[tuple[OsimLine, Ligament]]:
         if wanted.name in lines:
             yield lines[wanted.name], wanted
             continue
-        bundle = bundle_of(wanted.name, ligaments) if wanted.name in MERGED else []
+        bundle = bundle_names(wanted.name, ligaments) if wanted.name in MERGED else []
         if not bundle:
             raise bones.model.refusal(
                 "forces",

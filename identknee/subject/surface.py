@@ -16,8 +16,8 @@ from identknee.runs.arrays import (
     IntArray,
     frozen,
     frozen_integers,
+    implausible_coordinates,
     short_repr,
-    too_far,
 )
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
@@ -189,7 +189,7 @@ def _check(vertices: Array, faces: IntArray) -> None:
         raise ValueError(f"faces must have shape (m, 3) with m > 0, got {faces.shape}")
     if not np.isfinite(vertices).all():
         raise ValueError("vertices must be finite numbers in mm")
-    if far := too_far(vertices):
+    if far := implausible_coordinates(vertices):
         raise ValueError(f"a vertex lies {far}; {CHECK_UNITS}")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(

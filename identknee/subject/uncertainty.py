@@ -107,8 +107,8 @@ class Uncertainty:
         meanings = {x.name: str(x.metadata["meaning"]) for x in fields(self)}
         if self.is_exact:
             return (
-                "Geometry, frames, loads and flexion were taken as exact; state how well they are "
-                "known with --uncertain, for example --uncertain insertions=2mm."
+                "Geometry, frames, loads and flexion were treated as exact; state their "
+                "uncertainty with --uncertain, for example --uncertain insertions=2mm."
             )
         told = [f"{meanings[name]} ({x})" for name, x in self.words.items() if x != "exact"]
         rest = [meanings[name] for name, x in self.words.items() if x == "exact"]
@@ -146,7 +146,7 @@ class Uncertainty:
         return [(x.name, getattr(self, x.name)) for x in fields(self)]
 
 
-def with_stated(own: Uncertainty, stated: UncertainLike) -> Uncertainty:
+def with_stated_uncertainty(own: Uncertainty, stated: UncertainLike) -> Uncertainty:
     """The uncertainty of a subject with other parts stated in place of its own.
 
     Parameters
@@ -164,7 +164,7 @@ def with_stated(own: Uncertainty, stated: UncertainLike) -> Uncertainty:
 
     Examples
     --------
-    >>> with_stated(Uncertainty(), "insertions=2mm,load_gain=3%").words["load_gain"]
+    >>> with_stated_uncertainty(Uncertainty(), "insertions=2mm,load_gain=3%").words["load_gain"]
     '3 %'
     """
     if stated is None:

@@ -1,19 +1,18 @@
-"""What every answer carries beside its numbers: what speaks against it, and how it was made."""
+"""The fields common to all answers: findings, assumptions and provenance."""
 
-from collections.abc import Mapping
-from importlib import import_module
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
+
+from typing_extensions import override
 
 from identknee.identify.nuisances import NuisanceEstimate
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, invalidating
 from identknee.runs.record import Record
+from identknee.verbs.printer import Printer, printer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# What draws and prints stands above what computes, and is loaded when something is to be seen.
-SHOWN_BY, PRINTED_BY = "identknee.report.notebook", "identknee.report.terminal"
 
 
 @declared
@@ -24,7 +23,7 @@ class Answer:
     trials_used: tuple[str, ...] = entry(
         "Measured trials that the result rests on", only="measured data", default=()
     )
-    assumptions: tuple[str, ...] = entry("What was taken for granted, as sentences", default=())
+    assumptions: tuple[str, ...] = entry("Assumptions, as sentences", default=())
     uncertainty: Mapping[str, str] = entry(
         "What of knee and tests was taken as uncertain, by how much, and what as exact",
         default_factory=dict,
@@ -32,7 +31,7 @@ class Answer:
     nuisances: tuple[NuisanceEstimate, ...] = entry(
         "What was taken as uncertain, as the best fit leaves it", default=()
     )
-    findings: tuple[Finding, ...] = entry("What speaks against the result", default=())
+    findings: tuple[Finding, ...] = entry("Findings: warnings about the result", default=())
     record: Record | None = entry(
         "The call, its inputs, seed, versions and time; only what a verb gave back has one",
         default=None,
@@ -42,6 +41,21 @@ class Answer:
     def failure(self) -> str:
         """Why nothing could be computed, or why nothing computed holds; empty elsewhere."""
         return invalidating(self.findings)
+
+    @property
+    def refuses_input(self) -> bool:
+        """Whether the answer is that the input cannot be used."""
+        return False
+
+    @property
+    def remark(self) -> str:
+        """What only who runs the command has to know; empty for nothing."""
+        return ""
+
+    @property
+    def parameter_set(self) -> Mapping[str, float] | None:
+        """The parameters found or simulated with, by name; None if the answer holds no one set."""
+        return None
 
     def plot(self, name: str | None = None) -> "Figure":
         """A figure of the result, which a notebook shows as a picture.
@@ -56,18 +70,26 @@ class Answer:
         ValueError
             If the result has no figure, or none of that name; the message lists those it has.
         """
-        figure: Figure = import_module(SHOWN_BY).answer_figure(self, name)
-        return figure
+        if (shown_by := printer()) is None:
+            raise ValueError("nothing here draws; import identknee")
+        return shown_by.figure(self, name)
 
-    # typing.override came with Python 3.12.
-    def __repr__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __repr__(self) -> str:
         """What the result says, on at most 25 lines."""
-        return str(import_module(SHOWN_BY).answer_text(self))
+        return _shown(lambda x: x.short_text(self), type(self).__name__)
 
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """All that the result says, as the command line prints it."""
-        return "\n".join(import_module(PRINTED_BY).terminal_lines(self))
+        return _shown(lambda x: x.full_text(self), type(self).__name__)
 
     def _repr_html_(self) -> str:
         """The result in a notebook: its sentences, its table and one figure."""
-        return str(import_module(SHOWN_BY).answer_html(self))
+        return _shown(lambda x: x.html(self), type(self).__name__)
+
+
+def _shown(show: Callable[[Printer], str], otherwise: str) -> str:
+    """What the printer makes of an answer; without one its class alone."""
+    shown_by = printer()
+    return otherwise if shown_by is None else show(shown_by)

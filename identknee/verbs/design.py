@@ -2,38 +2,47 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 
-from identknee.calibrate.problem import Problem, Scaled
+from identknee.calibrate.problem import Problem, WhitenedResiduals
 from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
-from identknee.checks.usable_trials import about_offered
-from identknee.identify.design import ChosenTrials, straight
+from identknee.checks.usable_trials import candidate_path_findings
+from identknee.identify.design import ChosenTrials, linearised
 from identknee.identify.design import design as choose_trials
-from identknee.identify.design_criteria import Candidates, Criterion
+from identknee.identify.design_criteria import CandidateTrials, Criterion
 from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
-from identknee.laxity.candidates import repeated
+from identknee.laxity.candidates import unique_names
 from identknee.laxity.named_trials import TrialsLike, read_trials
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity, write_laxity
-from identknee.laxity.zeros import zero_of_more
-from identknee.model.candidate_laxity import CandidateLaxity, offered_trials, typical_errors
+from identknee.laxity.zero_conventions import zero_of_added_trials
+from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
-from identknee.runs.files import PathLike
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
-from identknee.verbs.values import BoundsLike, NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+from identknee.verbs.options import (
+    Bounds,
+    Data,
+    Fixed,
+    KneeOptions,
+    Level,
+    Noise,
+    Seed,
+    Start,
+    Subject,
+    option,
+    trials_option,
+)
+from identknee.verbs.verb import Run, verb
 
 ADVICE = "advised_trials.csv"
 GROUP = "design"
 STRAIGHT = (
-    "Intervals and trials were predicted along straight lines about the best fit: equilibria that "
+    "Intervals and trials were predicted by linearisation about the best fit: equilibria that "
     "begin at measured poses jump too often for profiles."
 )
 
@@ -91,7 +100,7 @@ class Design(Answer):
             protocol=protocol,
             coordinates=np.full((n, len(COORDINATES)), np.nan),
             sd=None if self.coordinate_sd is None else np.tile(self.coordinate_sd, (n, 1)),
-            zero=zero_of_more(self.zero),
+            zero=zero_of_added_trials(self.zero),
             comments=("Trials advised by identknee design: measure, fill in, append to the data.",),
         )
 
@@ -116,62 +125,47 @@ class Design(Answer):
 @verb
 def design(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    n_trials: int = 4,
-    targets: Sequence[str] | None = None,
-    criterion: Criterion = "width",
-    candidates: TrialsLike | None = None,
-    level: float = 0.95,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    n_trials: Annotated[int, option("Number of trials to add.", least=1)] = 4,
+    targets: Annotated[
+        Sequence[str] | None,
+        option(
+            "The quantity to pin down: a parameter, ACL.tension_N@TRIAL or varus_deg@TRIAL. If not "
+            "given: the parameters with open intervals, or all if none is open.",
+            "--target",
+            in_python="A list of names.",
+            metavar="NAME",
+        ),
+    ] = None,
+    criterion: Annotated[
+        Criterion,
+        option(
+            "What the new trials should make small. width: the predicted intervals of the targets. "
+            "c: their variances at the best fit. D, A, E: volume, mean axis and largest axis of "
+            "the confidence ellipsoid of all ligament parameters."
+        ),
+    ] = "width",
+    candidates: Annotated[
+        TrialsLike | None,
+        trials_option(
+            "Trials to choose from: {}. If not given: drawer, varus-valgus and rotation tests, "
+            "compression and pairs of loads at 0 to 120 deg, and repeats."
+        ),
+    ] = None,
+    level: Level = 0.95,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Design:
     """Which laxity trials to add to those measured, so that they tell what is left open.
 
-    The advice is verified: the trials are simulated at the best fit, added to the data, and the
-    intervals computed again.
-
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    n_trials
-        How many trials to add.
-    targets
-        Whose intervals are to shrink: parameters, ``ACL.tension_N@TRIAL`` or ``varus_deg@TRIAL``;
-        the parameters with open intervals if None, or all where none is open.
-    criterion
-        What is to shrink. ``"width"``: the predicted intervals of the targets; ``"c"``: their
-        variances at the best fit; ``"D"``, ``"A"``, ``"E"``: volume, mean and largest axis of the
-        confidence ellipsoid of all ligament parameters.
-    candidates
-        Trials to choose from: a protocol, the name of one, its TOML file, or a laxity table. If
-        None: drawer, varus-valgus and rotation tests, compression and pairs of loads at 0 to
-        120 deg, and repeats.
-    level
-        Confidence level of the intervals.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    noise, start, fixed, bounds
-        As for `identknee.verbs.identification.identification`.
-    out
-        Folder for the results and for ``advised_trials.csv``, a table of the trials to fill in;
-        nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    The advice is checked: the trials are simulated at the best fit and added to the data, and the
+    intervals are computed again. Fill in advised_trials.csv and append it to your data.
 
     Raises
     ------
@@ -181,19 +175,17 @@ def design(
         If no parameters near the start have a prediction in every measured trial.
     """
     asked = None if candidates is None else read_trials(candidates)
-    setup = identification(
-        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
-    )
-    offered = _offered(setup, asked)
+    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    offered = _candidate_trials(setup, asked)
     wanted = [_target(setup, name) for name in targets or ()]
     degrees = setup.degrees_of_freedom
     run.start_clock()
     fits = best_fits(setup, seed=seed, executor=run.executor)
     problem: Problem = setup.problem
-    begun: Candidates = offered.begun_at(fits[0].theta)
-    about_errors = _about_errors(setup, wanted)
+    begun: CandidateTrials = offered.with_start_poses(fits[0].theta)
+    about_errors = _marginalisation_sentence(setup, wanted)
     if about_errors and setup.model.poses is not None:
-        problem, begun = straight(problem, fits[0].theta, begun)
+        problem, begun = linearised(problem, fits[0].theta, begun)
         about_errors = (*about_errors, STRAIGHT)
     choice = choose_trials(
         problem,
@@ -210,14 +202,14 @@ def design(
         choice=choice,
         flexion_deg=offered.protocol.flexion_deg,
         loads=offered.protocol.loads,
-        advised=repeated(choice.trials, setup.laxity.protocol.trials),
+        advised=unique_names(choice.trials, setup.laxity.protocol.trials),
         coordinate_sd=None if setup.laxity.sd is None else offered.sd,
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
         assumptions=(
             *setup.assumptions,
             *about_errors,
-            *about_offered(setup.model),
+            *candidate_path_findings(setup.model),
         ),
         **setup.uncertain_at(fits[0].theta),
         findings=setup.findings_at(fits[0].theta, 2.0 * fits[0].objective, fits),
@@ -227,21 +219,23 @@ def design(
     return answer
 
 
-def _about_errors(setup: Identification, targets: Sequence[Quantity]) -> tuple[str, ...]:
+def _marginalisation_sentence(
+    setup: Identification, targets: Sequence[Quantity]
+) -> tuple[str, ...]:
     """How stated errors count."""
     n = len(setup.problem.parameters.nuisance_names)
     if not n or not all(isinstance(x, ParameterQuantity) for x in targets):
         return ()
     sentence = (
-        f"{n} stated errors were averaged over to first order at the best fit, in the data and in "
+        f"{n} stated errors were marginalised to first order at the best fit, in the data and in "
         "the trials that may be added, which share them."
     )
     return (sentence,)
 
 
-def _offered(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
+def _candidate_trials(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
     made = setup.laxity.protocol
-    protocol = offered_trials(setup.model, made) if asked is None else asked
+    protocol = offered_laxity(setup.model, made) if asked is None else asked
     return CandidateLaxity(
         model=setup.model,
         laxity=setup.laxity,
@@ -253,7 +247,7 @@ def _offered(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
 
 def _with_errors(setup: Identification) -> Laxity:
     """The data with the errors that the problem takes them to have."""
-    if not isinstance(setup.problem, Scaled):
+    if not isinstance(setup.problem, WhitenedResiduals):
         return setup.laxity
     sd = np.full(setup.laxity.coordinates.shape, np.nan)
     sd[setup.laxity.is_measured] = setup.problem.sd

@@ -1,116 +1,108 @@
 """What the model of a subject gets wrong in measured laxity, and which physical cause it has."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from identknee.checks.contradicted_trials import end_point_findings
 from identknee.checks.conventions import convention_findings
-from identknee.checks.usable_trials import about_offered, lost_findings, testable
+from identknee.checks.usable_trials import (
+    candidate_path_findings,
+    excluded_trial_findings,
+    knee_with_equilibria,
+)
 from identknee.diagnosis.data_noise import noise_of
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
-from identknee.diagnosis.missing_line import LineFinding, MissingPull
+from identknee.diagnosis.missing_line import LineEnds, LineFinding
 from identknee.diagnosis.refit import Refit, Rival, RivalState
-from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, ligament_estimates
+from identknee.diagnosis.verdict import Estimate, Verdict, causes_of, ligament_estimates
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
-from identknee.laxity.zeros import zero_of_more
-from identknee.model.effects.effect import Effect
+from identknee.laxity.zero_conventions import zero_of_added_trials
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
-from identknee.runs.files import PathLike, write_atomically
+from identknee.runs.files import write_atomically
 from identknee.runs.findings import Finding, without_repeats
 from identknee.runs.progress import planned, stage
-from identknee.runs.workers import Workers
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.diagnosis import (
-    PULL,
     WRENCH,
     AddedEffect,
     AddedVariable,
-    AdviceFound,
-    CauseFound,
+    Comparison,
     Diagnosis,
     Explanation,
-    LineEnds,
     LineFound,
     Misfit,
     NoiseFound,
-    Pull,
     Residuals,
     RivalFound,
     StepScores,
     TrialWrench,
-)
-from identknee.verbs.diagnosis_gain import gain_found
-from identknee.verbs.diagnosis_rows import (
-    Comparison,
     advice_findings,
+    gain_found,
     implausible_explanation,
-    sound,
-    with_unsound,
+    with_contradictory_trials,
+    without_contradictory_trials,
 )
 from identknee.verbs.identification import with_noise
-from identknee.verbs.trials import advised, trials_of
-from identknee.verbs.values import NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, recorded_as, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.options import Candidates, Data, ExtraStart, KneeOptions, Noise, Seed, Subject
+from identknee.verbs.values import advised, trials_of
+from identknee.verbs.verb import Run, recorded_as, verb, warm_up
 
 EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
-# From N mm to N·m, for the components of a wrench and of a pull.
-WRENCH_UNITS, PULL_UNITS = np.array([0.001, 0.001, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, 0.001])
+# From N mm to N·m, for the components of a wrench.
+WRENCH_UNITS = np.array([0.001, 0.001, 1.0, 1.0, 1.0])
 
 
 @verb
 @recorded_as("diagnose")
 def diagnose_data(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    effects: Sequence[Effect] | None = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    noise: Noise = None,
+    start: ExtraStart = "subject",
+    effects: Candidates = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
-    laxity = with_noise(run.laxity, noise)
-    warm_up(run.knee, laxity.protocol)
+    laxity = with_noise(data, noise)
+    warm_up(subject, laxity.protocol)
     run.start_clock()
-    model = LaxityModel(knee=run.knee, protocol=laxity.protocol)
+    model = LaxityModel(knee=subject, protocol=laxity.protocol)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)
-    checked = sound(laxity)
-    knee, used = testable(run.knee, checked, start)
+    checked = without_contradictory_trials(laxity)
+    knee, used = knee_with_equilibria(subject, checked, start)
     kept = used.laxity
-    lost = lost_findings(run.knee, checked, kept)
+    lost = excluded_trial_findings(subject, checked, kept)
     # Stiffness there as well: the knee has its strains already, and trials may hang on both.
     is_own = np.array_equal(used.start, model.parameters.start)
     begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
     with planned("diagnosing", work_of(model.parameters.n)):
         found = investigate(knee, kept, starts=begin, effects=effects, seed=seed)
         if found is None:
-            return untestable(_why_untestable(knee, laxity), (*lost, *end_point_findings(laxity)))
+            return untestable(
+                _reason_untestable(knee, laxity), (*lost, *end_point_findings(laxity))
+            )
         with stage("telling what follows"):
             answer = diagnosis_of(found)
     compared = Comparison(knee=knee, starts=begin, effects=effects, seed=seed)
     answer = replace(
         answer,
         trials_used=used.names,
-        assumptions=(*answer.assumptions, *used.sentences, *_about_advice(found)),
+        assumptions=(*answer.assumptions, *used.sentences, *_advice_remark(found)),
         findings=without_repeats(
             (
                 *lost,
-                *compared.table_findings(found, with_unsound(kept, laxity)),
+                *compared.table_findings(found, with_contradictory_trials(kept, laxity)),
                 *compared.row_findings(found),
                 *implausible_explanation(found),
                 *answer.findings,
@@ -123,8 +115,8 @@ def diagnose_data(
     return answer
 
 
-def _about_advice(found: Investigation) -> tuple[str, ...]:
-    return () if found.advice is None else about_offered(found.explanation.fitted.model)
+def _advice_remark(found: Investigation) -> tuple[str, ...]:
+    return () if found.advice is None else candidate_path_findings(found.explanation.fitted.model)
 
 
 def untestable(reason: str, findings: tuple[Finding, ...] = ()) -> Diagnosis:
@@ -149,15 +141,15 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
         sentence=conclusion.sentence,
         p_value=conclusion.p_value,
         reasons=conclusion.reasons,
-        causes=_causes(best),
+        causes=causes_of(best),
         group=conclusion.group,
         line=None if found.line is None else _line(found.line),
         rivals=tuple(_rival(x) for x in found.attribution.rivals),
         misfit=_misfit(found),
-        missing_wrench=tuple(_pull(x) for x in found.missing_pulls),
+        missing_wrench=found.missing_pulls,
         noise=_noise(found),
         advised_trials=() if found.advice is None else advised(found.advice.trials),
-        advice=_advice(found),
+        advice=found.advice,
         gain=None if found.gain is None else gain_found(found.gain),
         parameters_before=_values(before),
         parameters_after=_values(after),
@@ -184,7 +176,7 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
     )
 
 
-def _why_untestable(knee: Knee, laxity: Laxity) -> str:
+def _reason_untestable(knee: Knee, laxity: Laxity) -> str:
     if noise_of(laxity, laxity.coordinates) is None:
         return (
             "The data state no noise and their load curves are too short to show it: state it with "
@@ -212,36 +204,17 @@ def _blank(laxity: Laxity, trials: Protocol) -> Laxity:
     return Laxity(
         protocol=trials,
         coordinates=np.full((trials.n, laxity.coordinates.shape[1]), np.nan),
-        zero=zero_of_more(laxity.zero),
+        zero=zero_of_added_trials(laxity.zero),
         comments=("Trials advised by identknee diagnose: measure, fill in, append to the data.",),
     )
 
 
-def _causes(refit: Refit) -> tuple[CauseFound, ...]:
-    return tuple(_cause(x, refit.fitted.model.knee) for x in causes_of(refit))
-
-
-def _cause(cause: Cause, knee: Knee) -> CauseFound:
-    size = cause.amplitude
-    return CauseFound(
-        name=cause.name,
-        amplitude=size.value,
-        unit=size.unit,
-        ci95=size.ci95,
-        parameter=size.name,
-        parameters={x.name: x for x in cause.parameters},
-        line=None if cause.line is None else LineEnds(**_ends(cause.line, knee)),
-    )
-
-
-def _ends(line: Array, knee: Knee) -> dict[str, Any]:
-    return dict(zip(("femur", "tibia"), map(tuple, knee.as_scanned(line).tolist()), strict=True))
-
-
 def _line(line: LineFinding) -> LineFound:
     low, high = line.force_interval.tolist()
+    ends = LineEnds.of(np.stack([line.femur, line.tibia]), line.refit.fitted.model.knee)
     return LineFound(
-        **_ends(np.stack([line.femur, line.tibia]), line.refit.fitted.model.knee),
+        femur=ends.femur,
+        tibia=ends.tibia,
         is_line=line.is_line,
         sentence=line.sentence,
         offset_95=line.offset_95,
@@ -265,7 +238,7 @@ def _rival(rival: Rival) -> RivalFound:
         reason=rival.reason or None,
         could_matter=rival.could_matter,
         is_excluded=rival.is_excluded,
-        amplitudes=_causes(rival.refit) if is_open else (),
+        amplitudes=causes_of(rival.refit) if is_open else (),
         parameters=_values(ligament_estimates(rival.refit)) if is_open else None,
     )
 
@@ -286,22 +259,6 @@ def _misfit(found: Investigation) -> Misfit:
     )
 
 
-def _pull(pull: MissingPull) -> Pull:
-    values: dict[str, Any] = {}
-    (xx, xy), (yx, yy) = pull.covariance[:2, :2].tolist()
-    means, errors = (PULL_UNITS * pull.mean).tolist(), (PULL_UNITS * pull.sd).tolist()
-    for name, mean, error in zip(PULL, means, errors, strict=True):
-        values |= {name: mean, f"sd_{name}": error}
-    return Pull(
-        flexion_deg=pull.flexion_deg,
-        direction=pull.direction,
-        n_trials=pull.n_trials,
-        p_value=pull.p_value,
-        force_covariance=((xx, xy), (yx, yy)),
-        **values,
-    )
-
-
 def _noise(found: Investigation) -> NoiseFound:
     noise = found.noise
     columns = {"mm": noise.sd[:, TRANSLATIONS], "deg": noise.sd[:, ROTATIONS]}
@@ -313,19 +270,6 @@ def _noise(found: Investigation) -> NoiseFound:
         correlation=noise.correlation,
         times_stated=noise.factors,
         degrees_of_freedom=noise.degrees_of_freedom,
-    )
-
-
-def _advice(found: Investigation) -> AdviceFound | None:
-    if (advice := found.advice) is None:
-        return None
-    return AdviceFound(
-        sentence=advice.sentence,
-        rivals=advice.rivals,
-        distance_before=tuple(advice.before.tolist()),
-        distance_after=tuple(advice.after.tolist()),
-        distance_with_one_trial=tuple(advice.with_one_trial.tolist()),
-        distance_with_error_halved=advice.with_error_halved,
     )
 
 
@@ -383,7 +327,7 @@ def _added_effect(choice: EffectChoice, knee: Knee) -> AddedEffect:
         name=choice.name,
         values=choice.values,
         fixed=choice.fixed,
-        lines=tuple(LineEnds(**_ends(np.stack(x), knee)) for x in choice.lines),
+        lines=tuple(LineEnds.of(np.stack(x), knee) for x in choice.lines),
         stiffness_sd=choice.stiffness_sd_kN,
         site_sd=choice.site_sd_mm,
     )

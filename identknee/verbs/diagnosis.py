@@ -1,79 +1,160 @@
 """What a diagnosis gives back: the verdict with all that it stands on."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from identknee.checks.contradicted_trials import (
+    SuspiciousRow,
+    leave_one_out,
+    suspicious_end_points,
+    suspicious_rows,
+    trial_findings,
+    without_rows,
+)
+from identknee.checks.plausibility import implausible_findings
+from identknee.checks.subject_checks import rim_findings
+from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.data_noise import NoiseSource
-from identknee.diagnosis.misfit import CellScore
+from identknee.diagnosis.folds import Rmse
+from identknee.diagnosis.gain import (
+    Assessment,
+    ElpdDifference,
+    FamilyDifference,
+    Gain,
+    ParameterChange,
+    Process,
+)
+from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.misfit import CellScore, ResidualTest
+from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.diagnosis.refit import RivalState
-from identknee.diagnosis.verdict import Estimate, Verdict
+from identknee.diagnosis.verdict import Cause, Verdict
 from identknee.identify.laplace import Interval
-from identknee.laxity.table import COORDINATES
-from identknee.model.effects.facts import FACTS
-from identknee.model.effects.insertion import direction_words
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.model.effects.effect import Effect
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
+from identknee.runs.findings import Finding, finding
 from identknee.runs.outcome import Outcome
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.insertion_sites import PlaceSide
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.diagnosis_gain import GainFound
-from identknee.verbs.trials import AdvisedTrial, Trials
+from identknee.verbs.values import AdvisedTrial, Trials
 
-OF_THE_CALLER = "The library does not know it: it was given by the caller."
-OF_AMPLITUDE = "unit of the amplitude"
+OF_MODEL = "of the model without causes (before), with them (after), with a process (absorbed)"
+
+
+@declared
+class FamilyGain:
+    """The gain on trials held out of one family: an angle, a direction, the largest loads."""
+
+    elpd_difference: float = entry("Gain in log predictive density, in nats", unit="1")
+    elpd_se: float = entry("Its standard error", unit="1")
+    elpd_absorbed_difference: float = entry("The same of the process in place", unit="1")
+    elpd_absorbed_se: float = entry("Its standard error", unit="1")
+    folds: tuple[str, ...] = entry("Folds that count")
+    without_signature: tuple[str, ...] = entry("Folds in which both models predict alike")
+    not_scored: Mapping[str, str] = entry("Folds that could not be predicted, and why")
+    rmse_held_out: Mapping[str, Rmse] = entry(f"Error of trials held out, {OF_MODEL}")
+    rmse_held_out_expected: Mapping[str, Rmse] = entry(f"Error that it expects itself, {OF_MODEL}")
+
+
+@declared
+class GainFound:
+    """What the causes gain over the model without them."""
+
+    rmse_held_out_before: float = entry(
+        "Error of trials held out without causes, in units of noise", unit="1"
+    )
+    rmse_held_out_after: float = entry("The same with the causes", unit="1")
+    elpd_difference: float = entry(
+        "Gain in log predictive density of trials held out, in nats", unit="1"
+    )
+    elpd_se: float = entry("Its standard error", unit="1")
+    elpd_absorbed_difference: float = entry(
+        "The same of a Gaussian process that takes up the misfit unnamed", unit="1"
+    )
+    elpd_absorbed_se: float = entry("Its standard error", unit="1")
+    log_evidence_difference: float = entry("Log evidence with less without the causes", unit="1")
+    rmse_in_sample: Mapping[str, Rmse] = entry(f"Error of the trials fitted, {OF_MODEL}")
+    rmse_held_out: Mapping[str, Rmse] = entry(f"Error of trials held out, {OF_MODEL}")
+    rmse_held_out_expected: Mapping[str, Rmse] = entry(f"Error that it expects itself, {OF_MODEL}")
+    misfit: Mapping[str, ResidualTest] = entry(f"Test of the size of the misfit, {OF_MODEL}")
+    families: Mapping[str, FamilyGain] = entry("Gain by what is held out")
+    explained: Mapping[str, float] = entry("Share of each coordinate's misfit that goes")
+    discrepancy: Process = entry("The process")
+    parameters: Mapping[str, ParameterChange] = entry("Parameters of both models by name")
+    forces: Mapping[str, Mapping[str, Mapping[str, float]]] = entry(
+        "Force of each ligament under the largest loads, by trial, before_N and after_N", unit="N"
+    )
+
+
+def gain_found(gain: Gain) -> GainFound:
+    """A gain as its answer keeps it."""
+    models = {"before": gain.before, "after": gain.after, "absorbed": gain.absorbed}
+    forces = gain.forces
+    held_out = _held_out(gain, models)
+    return GainFound(
+        rmse_held_out_before=held_out["rmse_held_out"]["before"].noise,
+        rmse_held_out_after=held_out["rmse_held_out"]["after"].noise,
+        **_density(gain.elpd, gain.elpd_absorbed),
+        log_evidence_difference=gain.log_evidence_difference,
+        rmse_in_sample={name: x.in_sample for name, x in models.items()},
+        **held_out,
+        misfit={name: x.check for name, x in models.items()},
+        families={
+            one.family: FamilyGain(
+                **_density(one, absorbed),
+                folds=tuple(x.name for x in one.folds),
+                without_signature=tuple(x.name for x in one.without_signature),
+                not_scored={x.name: reason for x, reason in one.not_scored},
+                **_held_out(gain, models, one.family),
+            )
+            for one, absorbed in zip(gain.elpd.families, gain.elpd_absorbed.families, strict=True)
+        },
+        explained=gain.explained,
+        discrepancy=gain.discrepancy.process,
+        parameters={x.name: x for x in gain.parameters},
+        forces={
+            trial: {
+                ligament: {"before_N": float(before), "after_N": float(after)}
+                for ligament, before, after in zip(forces.ligaments, *pair, strict=True)
+            }
+            for trial, *pair in zip(forces.trials, forces.before, forces.after, strict=True)
+        },
+    )
+
+
+def _density(
+    found: ElpdDifference | FamilyDifference, absorbed: ElpdDifference | FamilyDifference
+) -> dict[str, Any]:
+    return {
+        "elpd_difference": found.difference,
+        "elpd_se": found.se,
+        "elpd_absorbed_difference": absorbed.difference,
+        "elpd_absorbed_se": absorbed.se,
+    }
+
+
+def _held_out(
+    gain: Gain, models: Mapping[str, Assessment], family: str | None = None
+) -> dict[str, Any]:
+    return {
+        "rmse_held_out": {k: gain.rmse_held_out(x, family) for k, x in models.items()},
+        "rmse_held_out_expected": {k: gain.expected_rmse(x, family) for k, x in models.items()},
+    }
+
+
 OF_WRENCH = "N or N·m, as the component's name says"
 WRENCH = ("varus_Nm", "internal_Nm", "x_N", "y_N", "z_N")
-PULL = ("anterior_force_N", "lateral_force_N", "internal_moment_Nm")
-Point = tuple[float, float, float]
-Pair = tuple[float, float]
 ByLigament = Mapping[str, Mapping[str, float]]
 IntervalsByLigament = Mapping[str, Mapping[str, Interval]]
-
-
-@declared
-class LineEnds:
-    """Ends of a line of action in the scanned pose, in the axes of the scan."""
-
-    femur: Point = entry("Femoral end", unit="mm")
-    tibia: Point = entry("Tibial end", unit="mm")
-
-    def in_common_frame(self, knee: Knee) -> Array:
-        """Both ends in the common frame of the scanned pose [mm], shape ``(2, 3)``."""
-        return knee.as_scanned(np.array([self.femur, self.tibia]))
-
-
-@declared
-class CauseFound:
-    """A cause with its amplitudes."""
-
-    name: str = entry("Name of the cause in the library")
-    amplitude: float = entry("The one number that says how large it is", unit=OF_AMPLITUDE)
-    unit: str = entry("Unit of the amplitude")
-    ci95: Interval = entry(
-        "95 % interval; an end at a bound, or of a fit that was stopped, is open and null",
-        unit=OF_AMPLITUDE,
-    )
-    parameter: str = entry("What the amplitude is called")
-    parameters: Mapping[str, Estimate] = entry("Every amplitude by its name")
-    line: LineEnds | None = entry("Its line of action", only="a structure of one line")
-
-    @property
-    @derived("What the cause is, as a sentence")
-    def meaning(self) -> str:
-        """What the cause is, as a sentence."""
-        moved = direction_words({name: x.value for name, x in self.parameters.items()})
-        return moved or (FACTS[self.name].sentence if self.name in FACTS else OF_THE_CALLER)
-
-    @property
-    @derived("Where its plausible size comes from")
-    def source(self) -> str:
-        """Where its plausible size comes from."""
-        return FACTS[self.name].source if self.name in FACTS else OF_THE_CALLER
 
 
 @declared
@@ -114,7 +195,7 @@ class RivalFound:
         "Whether its score leaves it possible; a rival not tested then blocks NAMED"
     )
     is_excluded: bool = entry("Whether the data exclude it")
-    amplitudes: tuple[CauseFound, ...] = entry("Its causes", only="an open rival")
+    amplitudes: tuple[Cause, ...] = entry("Its causes", only="an open rival")
     parameters: ByLigament | None = entry(
         "Ligaments' parameters with it", unit=OF_PARAMETER, only="an open rival"
     )
@@ -146,23 +227,6 @@ class Misfit:
 
 
 @declared
-class Pull:
-    """What else would have to act on the tibia, on average over the trials of one kind."""
-
-    flexion_deg: float = entry("Flexion of the trials", unit="deg")
-    direction: str = entry("Direction of their load")
-    n_trials: int = entry("Trials averaged", unit="1")
-    p_value: float = entry("Probability that nothing is missing", unit="1")
-    anterior_force_N: float = entry("Mean anterior force", unit="N")  # noqa: N815 - key in files
-    lateral_force_N: float = entry("Mean lateral force", unit="N")  # noqa: N815
-    internal_moment_Nm: float = entry("Mean internal moment", unit="N m")  # noqa: N815
-    sd_anterior_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
-    sd_lateral_force_N: float = entry("Its standard error", unit="N")  # noqa: N815
-    sd_internal_moment_Nm: float = entry("Its standard error", unit="N m")  # noqa: N815
-    force_covariance: tuple[Pair, Pair] = entry("Covariance of both forces", unit="N2")
-
-
-@declared
 class NoiseFound:
     """The noise of the data."""
 
@@ -177,20 +241,6 @@ class NoiseFound:
     )
     degrees_of_freedom: float = entry(
         "Degrees of freedom of its estimate; null where it is taken as stated", unit="1"
-    )
-
-
-@declared
-class AdviceFound:
-    """What the advised trials would do."""
-
-    sentence: str = entry("What they would do")
-    rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
-    distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
-    distance_after: tuple[float, ...] = entry("The same with the trials")
-    distance_with_one_trial: tuple[float, ...] = entry("The same with the first trial alone")
-    distance_with_error_halved: Mapping[str, tuple[float, ...]] = entry(
-        "The same with one stated error known twice as well, by its name"
     )
 
 
@@ -275,7 +325,7 @@ class Diagnosis(Answer):
     p_value: float | None = entry(
         "How often noise alone would leave a misfit as clear", unit="1", default=None
     )
-    causes: tuple[CauseFound, ...] = entry("Causes of the best explanation", default=())
+    causes: tuple[Cause, ...] = entry("Causes of the best explanation", default=())
     group: tuple[str, ...] = entry(
         "Names that the data leave open, those of the causes among them", default=()
     )
@@ -291,7 +341,7 @@ class Diagnosis(Answer):
     advised_trials: tuple[AdvisedTrial, ...] = entry(
         "Trials that would tell the rivals apart", only="AMBIGUOUS", default=()
     )
-    advice: AdviceFound | None = entry("What they would do", only="AMBIGUOUS", default=None)
+    advice: Advice | None = entry("What they would do", only="AMBIGUOUS", default=None)
     gain: GainFound | None = entry("What the causes gain", only="a cause found", default=None)
     parameters_before: ByLigament | None = entry(
         "Ligaments' parameters fitted without causes", unit=OF_PARAMETER, default=None
@@ -382,3 +432,124 @@ def _choice(effect: AddedEffect, knee: Knee) -> EffectChoice:
         stiffness_sd_kN=effect.stiffness_sd,
         site_sd_mm=effect.site_sd,
     )
+
+
+# Trials in which most misfit is left are named up to this number.
+MOST_REPEATED = 3
+
+
+def rows_of(found: Investigation) -> list[SuspiciousRow]:
+    """The trials that the other ones contradict, beside the best explanation of the misfit."""
+    fitted = found.explanation.fitted
+    rows, jacobian = fitted.residual_rows(), fitted.evaluation.jacobian
+    whitened = fitted.noise.whiten(np.eye(fitted.n_data))
+    columns = np.vstack([whitened, np.zeros((len(rows) - fitted.n_data, fitted.n_data))])
+    measured = fitted.laxity.is_measured
+    return suspicious_rows(leave_one_out(rows, jacobian, columns), *np.nonzero(measured))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """The verdict on other trials than those of a diagnosis.
+
+    Attributes
+    ----------
+    knee
+        The subject.
+    starts, effects, seed
+        As in `identknee.diagnosis.investigation.investigate`, which is done again.
+    """
+
+    knee: Knee
+    starts: Sequence[Array]
+    effects: Sequence[Effect] | None
+    seed: int
+
+    def row_findings(self, found: Investigation) -> tuple[Finding, ...]:
+        """The rows that the fit contradicts, with the verdict that the other trials have."""
+        rows = rows_of(found)
+        if not rows:
+            return ()
+        it = "it" if len(rows) == 1 else "these trials"
+        then = self._verdict(without_rows(found.laxity, rows), found, f"Without {it}")
+        return trial_findings(rows, found.laxity, "trial-against-fit", then=then)
+
+    def table_findings(self, found: Investigation, whole: Laxity) -> tuple[Finding, ...]:
+        """The rows that the table contradicts, left out of `found`, with the verdict with them."""
+        rows = suspicious_end_points(whole)
+        if not rows:
+            return ()
+        it = "it" if len(rows) == 1 else "them"
+        then = self._verdict(whole, found, f"The diagnosis leaves {it} out; with {it}")
+        return trial_findings(rows, whole, "trial-against-course", then=then)
+
+    def _verdict(
+        self, laxity: Laxity, found: Investigation, start: str
+    ) -> tuple[str, dict[str, object]]:
+        """The verdict on other trials as a sentence, and as values."""
+        rest = investigate(
+            self.knee, laxity, starts=self.starts, effects=self.effects, seed=self.seed
+        )
+        if rest is None:
+            return f"{start} the data cannot be tested.", {"verdict": Verdict.NOT_TESTABLE.value}
+        verdict, causes = rest.conclusion.verdict.value, [x.name for x in rest.causes]
+        names = f" ({' and '.join(causes)})" if causes else ""
+        still = "still " if rest.conclusion.verdict is found.conclusion.verdict else ""
+        why = " ".join(rest.conclusion.reasons)
+        values: dict[str, object] = {"verdict": verdict, "causes": causes}
+        return f"{start} the verdict is {still}{verdict}{names}. {why}", values
+
+
+def without_contradictory_trials(laxity: Laxity) -> Laxity:
+    """The data without contradictory trials, found without a model."""
+    return without_rows(laxity, suspicious_end_points(laxity))
+
+
+def with_contradictory_trials(part: Laxity, laxity: Laxity) -> Laxity:
+    """Some trials of the data, and those that the table contradicts."""
+    coordinates = np.array(part.coordinates)
+    rows = [x.trial for x in suspicious_end_points(laxity)]
+    coordinates[rows] = laxity.coordinates[rows]
+    return replace(part, coordinates=coordinates)
+
+
+def implausible_explanation(found: Investigation) -> tuple[Finding, ...]:
+    """What the best explanation says of contact, forces and strains that no knee has."""
+    fitted = found.explanation.fitted
+    model = fitted.compared.model
+    prediction = model.predict_once(fitted.theta)
+    return (
+        *rim_findings(model.protocol.trials, prediction),
+        *implausible_findings(model, prediction),
+    )
+
+
+def advice_findings(found: Investigation) -> tuple[Finding, ...]:
+    """That no trial can be advised, where some should be, and what to ask for instead."""
+    verdict = found.conclusion.verdict
+    if found.advice is not None or verdict not in (Verdict.AMBIGUOUS, Verdict.UNEXPLAINED):
+        return ()
+    if verdict is Verdict.AMBIGUOUS:
+        sentence = (
+            "No trial can be recommended: the causes that are left differ in nothing that a "
+            "load could show, or the model has no equilibrium in the trials that could be added."
+        )
+        return (finding("no-trial-advised", "trials", sentence=sentence),)
+    # What would help where nothing explains the misfit: repeats, and errors known better.
+    fitted, trials = found.explanation.fitted, found.laxity.protocol.trials
+    left = np.nansum((fitted.differences / found.noise.sd) ** 2, axis=1)
+    worst = [trials[i] for i in np.argsort(-left, kind="stable")[:MOST_REPEATED]]
+    values: dict[str, object] = {"trials": worst}
+    sentence = (
+        "No trial can be recommended: nothing explains the misfit, so there are no explanations "
+        f"that a trial could tell apart. Most of it is left in {', '.join(worst)}: measure these "
+        "again, to separate errors of a trial from properties of the knee."
+    )
+    if fitted.nuisance_groups:
+        farthest = min(fitted.nuisance_groups, key=lambda x: x.p_value)
+        values["nuisances"] = farthest.name
+        sentence += (
+            f" Of what is stated as uncertain, {farthest.name} has the least probable estimate "
+            "under its prior: measure it."
+        )
+    return (finding("no-trial-advised", "trials", values, sentence=sentence),)

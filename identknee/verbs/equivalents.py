@@ -1,7 +1,7 @@
-"""Other parameter sets that the data could not tell apart, and what follows wrongly from them."""
+"""Equivalent parameter sets, and the ranges of forces over them."""
 
-from collections.abc import Mapping, Sequence
-from typing import Literal, get_args
+from collections.abc import Mapping
+from typing import Annotated, Literal, Unpack, get_args
 
 import numpy as np
 
@@ -18,21 +18,30 @@ from identknee.model.quantities import ligament_forces, tensions_of
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
-from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import planned
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
-from identknee.verbs.averaged import averaged
 from identknee.verbs.identification import (
     Identification,
     check_start,
     identification,
     no_prediction,
 )
-from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, check_word
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+from identknee.verbs.marginalise_nuisances import marginalise_nuisances
+from identknee.verbs.options import (
+    Bounds,
+    Data,
+    Fixed,
+    KneeOptions,
+    Noise,
+    Seed,
+    Start,
+    Subject,
+    option,
+    trials_option,
+)
+from identknee.verbs.values import BoundsLike, bounds_of, check_word
+from identknee.verbs.verb import Run, verb
 
 Criterion = Literal["noise", "paper"]
 Forces = Literal["largest", "all", "none"]
@@ -44,7 +53,7 @@ SHORTER = (
 
 @declared
 class Equivalents(Answer):
-    """Parameter sets that the data cannot tell apart, and the ranges that they leave open."""
+    """Equivalent parameter sets, and the ranges of quantities over them."""
 
     criterion: Criterion = entry(
         "What counts as equivalent: noise for a squared difference in units of the noise, paper "
@@ -78,57 +87,49 @@ class Equivalents(Answer):
 @verb
 def equivalents(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    n_sets: int = 100,
-    criterion: Criterion = "noise",
-    limit: float = 1.0,
-    forces: Forces = "largest",
-    trials: TrialsLike | None = None,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    n_sets: Annotated[int, option("Number of parameter sets to find.", least=2)] = 100,
+    criterion: Annotated[
+        Criterion,
+        option(
+            "When two sets count as equivalent. noise: the sum of squared differences is at most "
+            "--limit, in standard deviations. paper: the RMSE at each angle is at most 1 mm of "
+            "drawer and 1.2 deg of varus and internal rotation."
+        ),
+    ] = "noise",
+    limit: Annotated[
+        float,
+        option(
+            "The largest squared difference, in units of the criterion. With noise, 3.84 also "
+            "allows sets that a 5 % test would tell apart more often."
+        ),
+    ] = 1.0,
+    forces: Annotated[
+        Forces,
+        option(
+            "Ligament forces to find the range of: under the largest load of each kind at each "
+            "angle, in all trials, or none."
+        ),
+    ] = "largest",
+    trials: Annotated[
+        TrialsLike | None,
+        trials_option("Trials of the forces, if not those of the data: {}."),
+    ] = None,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Equivalents:
-    """Other parameter sets that the data could not tell apart, as different as can be.
+    """Parameter sets that the data cannot distinguish, as different as possible.
 
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    n_sets
-        Parameter sets wanted, at least 2.
-    criterion
-        ``"noise"``: predictions differ by no more than `limit` squared standard deviations in
-        all. ``"paper"``: by 1 mm drawer, 1.2 deg varus and internal rotation (RMSE) at each angle.
-    limit
-        The largest squared difference, in units of the criterion.
-    forces
-        Ligament forces to bound: under the ``"largest"`` load of each kind at each angle, in
-        ``"all"`` trials, or ``"none"``.
-    trials
-        Trials in which forces are bounded, if not those of the data: a protocol, the name of one,
-        its TOML file, or a laxity table.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly. These errors are averaged over to first order at the best fit.
-    noise, start, fixed, bounds
-        As for `identknee.verbs.identification.identification`.
-    out
-        Folder for the results, and for the work of a run that was stopped, which the same call
-        resumes; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    They predict the same laxity as the best fit, and are as different from each other as possible.
+    The answer gives the smallest and largest value of every parameter and ligament force among all
+    such sets: what one could wrongly conclude. Every set is simulated. Stated errors of knee and
+    tests are marginalised to first order at the best fit.
 
     Raises
     ------
@@ -140,10 +141,8 @@ def equivalents(
     check_word("--criterion", criterion, get_args(Criterion))
     check_word("--forces", forces, get_args(Forces))
     asked = None if trials is None else read_trials(trials)
-    setup = identification(
-        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
-    )
-    setup, _ = averaged(setup, seed=seed, executor=run.executor)
+    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    setup = marginalise_nuisances(setup, seed=seed, executor=run.executor)[0]
     check_start(setup)
     quantities = _forces(setup, forces, asked)
     run.start_clock()

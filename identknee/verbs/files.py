@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,34 +13,21 @@ import xarray
 
 from identknee.runs.array_groups import axis_fault, groups_of, with_arrays
 from identknee.runs.errors import InputError
-from identknee.runs.files import PathLike, digest, part_beside, plain, write_atomically, write_json
+from identknee.runs.files import (
+    PathLike,
+    digest,
+    plain,
+    temporary_path_beside,
+    write_atomically,
+    write_json,
+)
 from identknee.runs.plain_records import from_plain, summary_of
 from identknee.runs.schema import Fault, read_json, shown
 from identknee.verbs.answer import Answer
+from identknee.verbs.registry import verb_named
 
 SUMMARY, ARRAYS = "result.json", "result.nc"
 AGAIN = "Run the command that made it again."
-# Where the class of each verb's answer is declared.
-ANSWERS = {
-    "profile": "identknee.verbs.profile:Profiles",
-    "sweep": "identknee.verbs.sweep:Sweep",
-    "sensitivity": "identknee.verbs.sensitivity:GlobalSensitivity",
-    "sample": "identknee.verbs.sample:Sample",
-    "information": "identknee.verbs.information:LocalIdentifiability",
-    "equivalents": "identknee.verbs.equivalents:Equivalents",
-    "demo": "identknee.verbs.demo:Demonstration",
-    "simulate": "identknee.verbs.simulate:Simulation",
-    "fit": "identknee.verbs.fit:Calibration",
-    "diagnose": "identknee.verbs.diagnosis:Diagnosis",
-    "isolability": "identknee.verbs.isolability:Isolability",
-    "design": "identknee.verbs.design:Design",
-    "blind": "identknee.blind_test.blind_data:BlindData",
-    "subject check": "identknee.verbs.subject_check:SubjectCheck",
-    "subject settle": "identknee.verbs.subject_settle:SettledSubject",
-    "subject show": "identknee.verbs.subject_facts:SubjectFacts",
-    "subject export": "identknee.verbs.subject_facts:SubjectFacts",
-    "subject import-osim": "identknee.verbs.subject_facts:SubjectFacts",
-}
 Given = TypeVar("Given", bound=Answer)
 # Made of other fields, in the words of the version that reads them.
 PROSE = ("sentence", "meaning", "source", "reason")
@@ -83,14 +69,15 @@ def load(path: PathLike) -> Answer:
     summary = read_json(file, AGAIN)
     record = summary.get("record") if isinstance(summary, dict) else None
     verb = record.get("verb") if isinstance(record, dict) else None
-    if verb not in ANSWERS:
+    known = verb_named(verb)
+    if known is None:
         raise InputError(file, "record/verb", f"{shown(verb)} is no verb with a result", AGAIN)
-    return loaded(file, summary)
+    cls: type[Answer] = known.answer_class
+    return loaded(file, summary, cls)
 
 
-def loaded(file: Path, summary: Mapping[str, Any]) -> Answer:
-    """The answer of a summary that was read from `file`; as `load`."""
-    cls = answer_class(summary["record"]["verb"])
+def loaded(file: Path, summary: Mapping[str, Any], cls: type[Given]) -> Given:
+    """The answer of this class, of a summary that was read from `file`; as `load`."""
     arrays = file.with_name(ARRAYS)
     groups = _groups(arrays, summary["record"].get("arrays"))
     if fault := axis_fault(cls, groups):
@@ -101,7 +88,7 @@ def loaded(file: Path, summary: Mapping[str, Any]) -> Answer:
         return InputError(file, where, fault.why, fault.remedy or AGAIN)
 
     try:
-        answer = from_plain(cls, with_arrays(cls, dict(summary), groups), refuse)
+        answer: Given = from_plain(cls, with_arrays(cls, dict(summary), groups), refuse)
     # What mutated files hold may be of any kind where a table or a list should stand.
     except (AttributeError, IndexError, KeyError, TypeError) as error:
         raise InputError(file, "", f"it does not fit its arrays ({error})", AGAIN) from error
@@ -109,24 +96,12 @@ def loaded(file: Path, summary: Mapping[str, Any]) -> Answer:
     return answer
 
 
-def answer_class(verb: str) -> type[Answer]:
-    """The class of a verb's answer."""
-    found: type[Answer] = class_at(ANSWERS[verb])
-    return found
-
-
-def class_at(place: str) -> Any:
-    """The class at ``module:name``, loaded when it is wanted."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
-
-
 def _check_agreement(file: Path, summary: Mapping[str, Any], answer: Answer) -> None:
     """Refuse a summary that says something else than the answer made of it."""
     again = plain(summary_of(answer))
     for key, value in again.items():
         # A result of an earlier version lacks what was added since.
-        if key not in summary and not value:
+        if key not in summary:
             continue
         if key not in ("record", *PROSE) and not _is_same(summary.get(key), value):
             raise InputError(file, key, "it does not agree with the rest of the result", AGAIN)
@@ -155,7 +130,7 @@ def _write_arrays(path: Path, answer: Answer) -> bytes:
             "versions": ", ".join(f"{name} {x}" for name, x in record.versions.items()),
         }
     # The library writes to paths only; its file becomes bytes that are written whole or not at all.
-    temporary = part_beside(path)
+    temporary = temporary_path_beside(path)
     try:
         tree.to_netcdf(temporary, engine="h5netcdf")
         content = temporary.read_bytes()
@@ -172,7 +147,7 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
     if digest(path) != sha:
         why = "it is not the file that was written with result.json"
         raise InputError(path, "", why, AGAIN)
-    with warnings.catch_warnings(), _files_closed_in_silence():
+    with warnings.catch_warnings(), _silenced_netcdf_close():
         warnings.simplefilter("ignore")
         try:
             with xarray.open_datatree(path, engine="h5netcdf") as tree:
@@ -186,7 +161,7 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
 
 
 @contextmanager
-def _files_closed_in_silence() -> Iterator[None]:
+def _silenced_netcdf_close() -> Iterator[None]:
     """Keep off the terminal what the library prints when it closes a file it could not open."""
     shown_before = sys.unraisablehook
     sys.unraisablehook = lambda _: None

@@ -1,56 +1,277 @@
-"""One parameter set from measured laxity and one start, and what speaks against it."""
+"""One parameter set fitted from one start, with findings."""
 
-from collections.abc import Sequence
+import fnmatch
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal, get_args
+from typing import Annotated, Literal, Unpack, get_args
 
 import numpy as np
+from scipy.special import stdtrit
 
+from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import Fit
 from identknee.calibrate.fit import fit as search
+from identknee.calibrate.problem import Problem
 from identknee.calibrate.starts import load_start
+from identknee.calibrate.student import DEGREES, fit_student, student_scales
 from identknee.checks.all_checks import Fitted, check_fit, check_unfitted
 from identknee.checks.fit_warnings import (
     bound_findings,
+    fit_from_alternative_start,
     misfit_findings,
-    second_search,
     too_few_findings,
     unstated_misfit_findings,
 )
 from identknee.checks.usable_trials import (
     TrialSearch,
-    UsedTrials,
-    about_inputs,
-    lost_findings,
+    TrialSelection,
+    excluded_trial_findings,
+    input_findings,
+    residuals_of,
     table_model,
     unfitted_findings,
 )
 from identknee.identify.nuisances import nuisance_estimates
 from identknee.laxity.rmse import LaxityError, laxity_rmse
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.zero_conventions import ABSOLUTE
 from identknee.mechanics.load_paths import Continuation
+from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.effects.stored import choice_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import poses_of
 from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.declare import OF_PARAMETER, declared, derived, entry
-from identknee.runs.files import PathLike
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, declared, derived, entry
+from identknee.runs.errors import suggestion
 from identknee.runs.findings import Finding
 from identknee.runs.outcome import Outcome
-from identknee.runs.workers import Workers
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import UncertainLike
-from identknee.verbs.heavy_tails import about_tails, robust
-from identknee.verbs.held_out import HeldOut, predicted, split
 from identknee.verbs.identification import with_noise
+from identknee.verbs.options import (
+    LOAD_STEPS,
+    Bounds,
+    Data,
+    KneeOptions,
+    Method,
+    Noise,
+    Seed,
+    Subject,
+    option,
+)
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
-from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, by_ligament, check_word
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.values import bounds_of, by_ligament, check_word
+from identknee.verbs.verb import Run, verb, warm_up
+
+LEVEL = 0.9
+MOST_NAMED = 6
+ROUNDS = 20
+
+
+@declared
+class HeldValue:
+    """A measured value that the fit did not see, and its prediction."""
+
+    trial: str = entry("Name of the trial")
+    coordinate: str = entry("Name of the coordinate")
+    measured: float = entry("Measured value", unit=OF_COORDINATE)
+    predicted: float = entry("Predicted value; null where the model has none", unit=OF_COORDINATE)
+    sd: float = entry(
+        "Standard deviation of the prediction, to first order: of noise as large as the fit left, "
+        "of parameters and of stated errors",
+        unit=OF_COORDINATE,
+    )
+
+
+@declared
+class HeldOut:
+    """What a fit predicts of the trials that were kept from it."""
+
+    values: tuple[HeldValue, ...] = entry("The measured values of these trials")
+    degrees_of_freedom: float = entry("Of the noise that the fit left", unit="1")
+
+    @property
+    @derived("Names of the trials")
+    def trials(self) -> tuple[str, ...]:
+        """Names of the trials."""
+        return tuple(dict.fromkeys(x.trial for x in self.values))
+
+    @property
+    @derived("Trials in which the model has no prediction")
+    def lost(self) -> tuple[str, ...]:
+        """Trials in which the model has no prediction."""
+        return tuple(dict.fromkeys(x.trial for x in self.values if np.isnan(x.predicted)))
+
+    @property
+    @derived("Root-mean-square error by coordinate", unit=OF_COORDINATE)
+    def rmse(self) -> dict[str, float]:
+        """Root-mean-square error of the values predicted, by coordinate."""
+        return {
+            name: float(np.sqrt(np.mean(own**2)))
+            for name in COORDINATES
+            if (own := self._errors([x for x in self.values if x.coordinate == name])).size
+        }
+
+    @property
+    @derived("Share of the values predicted that lie in their 90 % intervals", unit="1")
+    def within_90(self) -> float:
+        """Share of the values predicted that lie in their 90 % intervals; NaN without any."""
+        reach = stdtrit(self.degrees_of_freedom, 0.5 + 0.5 * LEVEL)
+        known = [x for x in self.values if not np.isnan(x.predicted)]
+        if not known:
+            return float("nan")
+        return float(np.mean([abs(x.predicted - x.measured) <= reach * x.sd for x in known]))
+
+    @staticmethod
+    def _errors(values: Sequence[HeldValue]) -> Array:
+        errors = np.array([x.predicted - x.measured for x in values])
+        return np.asarray(errors[~np.isnan(errors)])
+
+
+def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
+    """The data with the cells of the trials held out blank, and which these are, shape ``(n,)``.
+
+    Parameters
+    ----------
+    laxity
+        The data.
+    held_out
+        Names of trials, ``*`` standing for any letters.
+
+    Raises
+    ------
+    ValueError
+        If no trial is called so, none is left, or coordinates are not absolute.
+    """
+    if held_out and laxity.zero != ABSOLUTE:
+        raise ValueError(
+            "--hold-out predicts absolute coordinates, and those of the table count from the zero "
+            f"{laxity.zero}; leave cells blank instead"
+        )
+    trials = laxity.protocol.trials
+    held = np.zeros(laxity.n, bool)
+    for name in held_out:
+        own = np.array([fnmatch.fnmatchcase(x, name) for x in trials])
+        if not own.any():
+            raise ValueError(
+                f"--hold-out {name}: there is no such trial. "
+                f"{suggestion(name, trials, most=MOST_NAMED)}"
+            )
+        held |= own
+    if not (laxity.is_measured.any(axis=1) & ~held).any():
+        raise ValueError("--hold-out leaves no trial to fit to; hold out fewer")
+    blank = np.where(held[:, None], np.nan, laxity.coordinates)
+    return (replace(laxity, coordinates=blank) if held.any() else laxity), held
+
+
+def predicted(
+    knee: Knee, fitted: tuple[Problem, Laxity, Array], measured: Laxity, fixed: Sequence[str]
+) -> HeldOut:
+    """What the fitted knee predicts of trials, none of whose measured poses are looked at.
+
+    Parameters
+    ----------
+    knee
+        The subject with the parameters, errors and poses of the fit.
+    fitted
+        The problem of the fit, in residuals of its data, those data, and where it ended.
+    measured
+        The trials held out.
+    fixed
+        Parameters that were not fitted.
+    """
+    problem, data, theta = fitted
+    covariance, noise, degrees = _uncertainty(problem, data, theta, fixed)
+    model = LaxityModel(
+        knee=knee, protocol=measured.protocol, order=measured.order, phase=measured.phase
+    )
+    found = continued_from_own_poses(model, theta).predict(theta)
+    if found.jacobian is None:  # pragma: no cover - it was asked for
+        raise AssertionError
+    spread = np.einsum("nip,pq,niq->ni", found.jacobian, covariance, found.jacobian)
+    sd = np.sqrt(spread + noise**2)
+    values = tuple(
+        HeldValue(
+            trial=measured.protocol.trials[i],
+            coordinate=COORDINATES[j],
+            measured=float(measured.coordinates[i, j]),
+            predicted=float(found.coordinates[i, j]),
+            sd=float(sd[i, j]),
+        )
+        for i, j in np.argwhere(measured.is_measured).tolist()
+    )
+    return HeldOut(values=values, degrees_of_freedom=degrees)
+
+
+def _uncertainty(
+    problem: Problem, data: Laxity, theta: Array, fixed: Sequence[str]
+) -> tuple[Array, Array, float]:
+    """Covariance of the parameters, noise by coordinate (5,), its degrees of freedom.
+
+    The noise of lengths and that of angles are what the fit leaves over their own degrees of
+    freedom. A parameter without a prior is known to lie within its bounds.
+    """
+    parameters, at = problem.parameters, evaluate(problem, theta)
+    is_angle = np.isin(np.nonzero(data.is_measured)[1], np.arange(5)[ROTATIONS]).astype(int)
+    n, residuals = is_angle.size, at.residuals[: is_angle.size]
+    free = ~np.isin(parameters.names, list(fixed))
+    weak = np.diag(np.sqrt(12.0) / (parameters.upper - parameters.lower))
+    rows = np.vstack([at.jacobian[n:], weak[parameters.is_of_interest]])[:, free]
+    jacobian, size = at.jacobian[:n, free], np.ones(2)
+    known = rows.T @ rows
+    for _ in range(ROUNDS):
+        scaled = jacobian / size[is_angle][:, None]
+        covariance = np.linalg.inv(scaled.T @ scaled + known)
+        left = 1.0 - np.einsum("ip,pq,iq->i", scaled, covariance, scaled)
+        degrees = np.maximum(np.bincount(is_angle, weights=left, minlength=2), 1.0)
+        squares = np.bincount(is_angle, weights=residuals**2, minlength=2)
+        size = np.where(squares > 0.0, np.sqrt(squares / degrees), 1.0)
+    whole = np.zeros((parameters.n, parameters.n))
+    whole[np.ix_(free, free)] = covariance
+    noise = np.empty(len(COORDINATES))
+    noise[TRANSLATIONS], noise[ROTATIONS] = size
+    return whole, noise, float(degrees.sum())
+
+
+# Of values with a weight below this so many are named.
+LIGHT, MOST_FAR = 0.5, 6
+
+
+def fit_student_errors(
+    plain: Callable[..., Fit], problem: Problem, start: Array, fixed: Sequence[str]
+) -> Fit:
+    """A fit whose errors have heavy tails."""
+    return fit_student(problem, residuals_of(problem).units, start, partial(plain, fixed=fixed))
+
+
+def heavy_tail_findings(problem: Problem, laxity: Laxity, found: Fit) -> tuple[str, ...]:
+    """The scales of errors with heavy tails, and the values that count least."""
+    if not np.isfinite(found.objective):
+        return ()
+    data = residuals_of(problem)
+    scales, weights = student_scales(data, data.units, found.theta)
+    units = ("mm", "deg") if data.weighting == "unit" else ("sd of lengths", "sd of angles")
+    shown = " and ".join(
+        f"{scales[k]:.2g} {unit}" for k, unit in enumerate(units) if np.any(data.units == k)
+    )
+    trials, coordinates = np.nonzero(laxity.is_measured)
+    light = [k for k in np.argsort(weights)[:MOST_FAR].tolist() if weights[k] < LIGHT]
+    least = ", ".join(
+        f"{COORDINATES[coordinates[k]].rpartition('_')[0].replace('_', ' ')} of "
+        f"{laxity.protocol.trials[trials[k]]} ({weights[k]:.2f})"
+        for k in light
+    )
+    counted = f" Values with the smallest weights: {least}." if least else ""
+    sentence = (
+        f"Errors were modelled as Student's t with {DEGREES:.0f} degrees of freedom and a scale of "
+        f"{shown}, estimated with the parameters.{counted}"
+    )
+    return (sentence,)
+
 
 # The subject as fitted, in the folder of the results.
 FITTED = "fitted"
@@ -116,77 +337,77 @@ class Calibration(SimulatedLaxity):
     @derived("Measured trials in which the model has no prediction", only="a trial lost")
     def trials_without_equilibrium(self) -> tuple[TrialEnd, ...]:
         """Measured trials in which the model has no prediction."""
-        return _lost(self.trials, self.data)
+        return _trials_without_equilibrium(self.trials, self.data)
 
 
 @verb
 def fit(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    start: str = "subject",
-    method: str = "least-squares",
-    budget: int | None = None,
-    weighting: Weighting = "unit",
-    noise: NoiseLike = None,
-    likelihood: Likelihood = "normal",
-    uncertain: UncertainLike = None,
-    priors: bool = False,
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    hold_out: Sequence[str] | None = None,
-    continuation: Continuation = "continuation",
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    start: Annotated[
+        str,
+        option(
+            "Where the search starts: subject (its own values), IG1 to IG4 of the paper, or a file "
+            "ending in .toml."
+        ),
+    ] = "subject",
+    method: Method = "least-squares",
+    budget: Annotated[
+        int | None, option("Largest number of simulations; 2,500 if not given.")
+    ] = None,
+    weighting: Annotated[
+        Weighting,
+        option(
+            "How errors are weighted. unit: in mm and deg, as in equation 6 of the paper. noise: "
+            "divided by the sd_ columns.",
+            in_python="Always noise with --noise.",
+        ),
+    ] = "unit",
+    noise: Noise = None,
+    likelihood: Annotated[
+        Likelihood,
+        option(
+            "normal: least squares. student: errors with heavy tails and an estimated scale, so "
+            "that values far off count little."
+        ),
+    ] = "normal",
+    priors: Annotated[
+        bool,
+        option(
+            "Use the priors of the parameters. With unit weighting the errors are taken as 1 mm "
+            "and 1 deg."
+        ),
+    ] = False,
+    fixed: Annotated[
+        Sequence[str] | None,
+        option(
+            "Hold this parameter at its start.",
+            "--fix",
+            in_python="A list of names.",
+            metavar="NAME",
+        ),
+    ] = None,
+    bounds: Bounds = None,
+    hold_out: Annotated[
+        Sequence[str] | None,
+        option(
+            "Keep this trial from the fit and predict it, with intervals. * stands for any "
+            "letters, as in 'Internal*'.",
+            in_python="A list of names.",
+            metavar="TRIAL",
+        ),
+    ] = None,
+    continuation: Annotated[Continuation, LOAD_STEPS] = "continuation",
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Calibration:
     """One parameter set fitted to measured laxity from one start.
 
-    In a folder it leaves ``fitted``, the subject with the parameters and errors found, which
-    `simulate` predicts other tests from.
-
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    start
-        Where the search begins: ``"subject"``, ``"IG1"`` to ``"IG4"``, or a TOML file.
-    method
-        ``"least-squares"``, ``"complex"``, ``"genetic"``, ``"particle-swarm"``, ``"cma-es"`` or
-        ``"annealing"``.
-    budget
-        Simulations allowed; 2,500 if None.
-    weighting
-        ``"unit"`` for plain mm and deg, ``"noise"`` for residuals divided by their stated noise.
-    noise
-        Standard deviations of lengths and of angles [mm, deg], in place of those of the data: two
-        numbers or a text such as ``0.5mm,0.5deg``. Residuals are then divided by them.
-    likelihood
-        ``"normal"`` for least squares, ``"student"`` for errors with heavy tails, whose scale is
-        estimated: values that are far off count little.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    priors
-        Whether to add the priors of the parameters.
-    fixed
-        Names of parameters held at the start.
-    bounds
-        Lower and upper bound by parameter name.
-    hold_out
-        Names of trials to keep from the fit and to predict, ``*`` standing for any letters.
-    continuation
-        As for `identknee.model.laxity_model.LaxityModel`.
-    out
-        Folder for the results; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Without effect: one process does the work.
+    Writes the fitted parameters, the error that is left and how the search ended to result.json.
+    The folder fitted holds the subject with the parameters and errors found, for use with other
+    commands.
 
     Raises
     ------
@@ -197,11 +418,11 @@ def fit(
     check_word("continuation", continuation, get_args(Continuation))
     check_word("weighting", weighting, get_args(Weighting))
     check_word("likelihood", likelihood, get_args(Likelihood))
-    measured = run.laxity
+    measured = data
     if noise is not None:
         measured, weighting = with_noise(measured, noise), "noise"
     laxity, is_held = split(measured, hold_out or ())
-    model, pattern = table_model(run.knee, laxity, continuation)
+    model, pattern = table_model(subject, laxity, continuation)
     trials = TrialSearch(
         model=model,
         laxity=laxity,
@@ -210,11 +431,11 @@ def fit(
         fixed=fixed or (),
     )
     theta = load_start(start, trials.problem(laxity).parameters)
-    warm_up(run.knee, laxity.protocol)
+    warm_up(subject, laxity.protocol)
     run.start_clock()
     plain = partial(search, method=method, seed=seed, budget=budget, priors=priors)
     is_robust = likelihood == "student"
-    used, found = trials.fitted(theta, partial(robust, plain) if is_robust else plain)
+    used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
     problem = trials.problem(used.laxity)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
@@ -228,7 +449,7 @@ def fit(
         if is_held.any():
             kept = measured.select(is_held)
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
-    tails = about_tails(problem, used.laxity, found) if is_robust else ()
+    tails = heavy_tail_findings(problem, used.laxity, found) if is_robust else ()
     return Calibration(
         **simulated(model, prediction),
         start=start,
@@ -237,8 +458,8 @@ def fit(
         rmse=error,
         trials_used=() if found.outcome is Outcome.START_FAILED else used.names,
         held_out=held,
-        assumptions=(*about_inputs(run.knee, measured), *pattern, *used.sentences, *tails),
-        uncertainty=run.knee.uncertainty.words,
+        assumptions=(*input_findings(subject, measured), *pattern, *used.sentences, *tails),
+        uncertainty=subject.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=_findings(trials, used, found, prediction, error),
     )
@@ -262,7 +483,7 @@ def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
     )
 
 
-def _lost(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
+def _trials_without_equilibrium(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
     """The measured trials in which a simulation has no equilibrium."""
     measured = np.any(laxity.is_measured, axis=1).tolist()
     return tuple(
@@ -273,11 +494,15 @@ def _lost(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
 
 
 def _findings(
-    trials: TrialSearch, used: UsedTrials, found: Fit, prediction: Prediction, error: LaxityError
+    trials: TrialSearch,
+    used: TrialSelection,
+    found: Fit,
+    prediction: Prediction,
+    error: LaxityError,
 ) -> tuple[Finding, ...]:
-    """What speaks against a fit."""
+    """Findings about a fit."""
     model, table, laxity = trials.model, trials.laxity, used.laxity
-    lost = lost_findings(model.knee, table, laxity)
+    lost = excluded_trial_findings(model.knee, table, laxity)
     if found.outcome is Outcome.START_FAILED:
         return check_unfitted(model, table, (*lost, *unfitted_findings(laxity, prediction)))
     n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
@@ -299,4 +524,6 @@ def _findings(
     )
     few = too_few_findings(int(laxity.is_measured.sum()), n_free)
     problem = trials.problem(laxity)
-    return check_fit(fitted, (*lost, *few), second=lambda: second_search(problem, found))
+    return check_fit(
+        fitted, (*lost, *few), second=lambda: fit_from_alternative_start(problem, found)
+    )

@@ -13,11 +13,9 @@ from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import with_stated
+from identknee.subject.uncertainty import with_stated_uncertainty
 from identknee.verbs.answer import Answer
-from identknee.verbs.knee_digest import knee_digest
-from identknee.verbs.profile import Profiles
-from identknee.verbs.simulate import SimulatedLaxity
+from identknee.verbs.verb import knee_digest
 
 INSERTION = "insertion"
 
@@ -41,7 +39,7 @@ def fitted_knee(knee: Knee, answer: Answer) -> Knee:
         If the result is of another knee, or holds no parameter set.
     """
     values = fitted_values(answer)
-    stated = as_stated(knee, answer)
+    stated = with_stated_uncertainty_of(knee, answer)
     data = getattr(answer, "data", None)
     # The fit may have kept another pattern of the grouped bundles.
     pattern = knee if data is None else table_model(knee, data)[0].knee
@@ -49,7 +47,7 @@ def fitted_knee(knee: Knee, answer: Answer) -> Knee:
     return replace(found, contact_rounding_mm=contact_rounding(stated))
 
 
-def as_fitted(knee: Knee) -> Knee:
+def knee_as_fitted(knee: Knee) -> Knee:
     """The knee of a folder that a fit left, with parameters and insertions found; else as it is."""
     found = _with_values(knee, knee.fitted, knee, knee) if knee.fitted else knee
     moved = next((x for x in found.effects if x.name == INSERTION), None)
@@ -96,10 +94,8 @@ def fitted_values(answer: Answer) -> dict[str, float]:
     ValueError
         If the result holds no parameter set.
     """
-    if isinstance(answer, SimulatedLaxity):
-        return dict(zip(answer.parameter_names, answer.theta.tolist(), strict=True))
-    if isinstance(answer, Profiles):
-        return answer.optimum_by_name
+    if answer.parameter_set is not None:
+        return dict(answer.parameter_set)
     raise ValueError(
         f"a result of type {type(answer).__name__} holds no parameter set; give one of fit, "
         "profile or simulate"
@@ -117,7 +113,7 @@ def _by_ligament(knee: Knee, values: Mapping[str, float]) -> tuple[list[float], 
     return units.stiffness(stiffness).tolist(), units.strain(strain).tolist()
 
 
-def as_stated(knee: Knee, answer: Answer) -> Knee:
+def with_stated_uncertainty_of(knee: Knee, answer: Answer) -> Knee:
     """The knee of a result, with the uncertainty that the call stated in place of its own.
 
     Raises
@@ -129,7 +125,7 @@ def as_stated(knee: Knee, answer: Answer) -> Knee:
         return knee
     stated = answer.record.settings.get("uncertain")
     if stated is not None:
-        knee = knee.with_uncertainty(with_stated(knee.uncertainty, stated))
+        knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))
     if answer.record.inputs.get("subject") != knee_digest(knee):
         raise ValueError(
             f"the result is not of {knee.name} as it is now; give the subject that it was made with"

@@ -9,7 +9,7 @@ import numpy as np
 from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import (
     Problem,
-    Restricted,
+    RestrictedProblem,
     restricted,
     with_bounds,
     with_nuisance_priors,
@@ -26,8 +26,8 @@ from identknee.checks.fit_warnings import (
 )
 from identknee.checks.usable_trials import (
     TrialSearch,
-    about_blanks,
-    lost_findings,
+    blank_cell_findings,
+    excluded_trial_findings,
     prediction_finding,
     table_model,
     trial_names,
@@ -35,20 +35,20 @@ from identknee.checks.usable_trials import (
 from identknee.identify.noise import EstimatedNoise, with_estimated_noise
 from identknee.identify.nuisances import nuisance_estimates
 from identknee.identify.optimum import best_fits as find_best_fits
-from identknee.identify.optimum import check_inside
+from identknee.identify.optimum import check_within_bounds
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import has_shared_errors, shared_errors
 from identknee.runs.arrays import Array
-from identknee.runs.errors import NotComputed
+from identknee.runs.errors import NotComputable
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.outcome import Outcome
 from identknee.subject.knee import Knee
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
-from identknee.verbs.warming import warm_up
+from identknee.verbs.verb import warm_up
 
 # Simulations of a search that is only to tell whether it is the lowest. Of a measured knee with 104
 # parameters 15 of 17 came within 4 of their last deviance in so many.
@@ -77,7 +77,7 @@ class Identification:
         Its standard deviation for lengths and for angles [mm, deg]; None where it is stated or no
         such coordinate was measured.
     assumptions
-        What was taken for granted, as sentences for the user.
+        Assumptions, as sentences for the user.
     lost
         Which measured trials have no equilibrium and blank cells in `laxity`, as findings.
     nuisances_at
@@ -105,7 +105,7 @@ class Identification:
     def findings_at(
         self, theta: Array, deviance: float, fits: Sequence[Fit] = (), *, is_draw: bool = False
     ) -> tuple[Finding, ...]:
-        """What speaks against the best fit: the table, its misfit, bounds, other fits, the model.
+        """Findings about the best fit: table, misfit, bounds, other fits, model.
 
         Parameters
         ----------
@@ -226,8 +226,8 @@ def identification(
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(knee, laxity.protocol)
     used = trials.used(theta)
-    lost = lost_findings(knee, laxity, used.laxity)
-    blanks = about_blanks(laxity)
+    lost = excluded_trial_findings(knee, laxity, used.laxity)
+    blanks = blank_cell_findings(laxity)
     laxity, theta = used.laxity, used.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
     if has_shared_errors(knee.uncertainty):
@@ -238,11 +238,11 @@ def identification(
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
     said = (knee.uncertainty.sentence, *pattern, *used.sentences, *blanks)
-    assumptions = [*said, *_about_the_data(laxity, asked)]
+    assumptions = [*said, *_data_findings(laxity, asked)]
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
         problem, degrees = estimate.problem, estimate.degrees_of_freedom
-        assumptions.append(_about_estimated_noise(sizes, degrees))
+        assumptions.append(_estimated_noise_finding(sizes, degrees))
     return Identification(
         knee=knee,
         laxity=laxity,
@@ -312,12 +312,12 @@ def check_start(setup: Identification) -> None:
     ValueError
         Naming the first parameter that is outside.
     """
-    check_inside(setup.start, setup.problem.parameters)
+    check_within_bounds(setup.start, setup.problem.parameters)
 
 
-def no_prediction(setup: Identification) -> NotComputed:
+def no_prediction(setup: Identification) -> NotComputable:
     """The error that no parameters near the start predict all measured trials; it names them."""
-    return NotComputed(no_prediction_finding(setup).sentence)
+    return NotComputable(no_prediction_finding(setup).sentence)
 
 
 def no_prediction_finding(setup: Identification) -> Finding:
@@ -326,7 +326,7 @@ def no_prediction_finding(setup: Identification) -> Finding:
 
 
 def _with_shared_errors(residuals: LaxityResiduals, theta: Array) -> LaxityResiduals:
-    """The residuals with the errors averaged over that the knee states, linear at a first fit."""
+    """The residuals with the stated errors marginalised, linearised at a first fit."""
     if residuals.weighting == "unit":
         raise ValueError(
             "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
@@ -334,15 +334,15 @@ def _with_shared_errors(residuals: LaxityResiduals, theta: Array) -> LaxityResid
         )
     first = fit(with_nuisance_priors(residuals), theta)
     if first.outcome is Outcome.START_FAILED:
-        raise NotComputed(prediction_finding(residuals.model, residuals.laxity, theta).sentence)
+        raise NotComputable(prediction_finding(residuals.model, residuals.laxity, theta).sentence)
     return replace(residuals, shared=shared_errors(residuals.model, first.theta))
 
 
 def _with_estimated_noise(
-    part: Restricted, residuals: LaxityResiduals, theta: Array
+    part: RestrictedProblem, residuals: LaxityResiduals, theta: Array
 ) -> tuple[EstimatedNoise, Sizes]:
     if not np.isfinite(residuals.residuals(theta)).all():
-        raise NotComputed(prediction_finding(residuals.model, residuals.laxity, theta).sentence)
+        raise NotComputable(prediction_finding(residuals.model, residuals.laxity, theta).sentence)
     # Where only lengths or only angles were measured there is one group.
     units, groups = np.unique(residuals.units, return_inverse=True)
     found = with_estimated_noise(part, groups, part.free.restrict(theta))
@@ -350,18 +350,19 @@ def _with_estimated_noise(
     return found, (sizes.get(0), sizes.get(1))
 
 
-def _about_estimated_noise(sizes: Sizes, degrees: int) -> str:
+def _estimated_noise_finding(sizes: Sizes, degrees: int) -> str:
     shown = ", ".join(
         f"{sd:.3g} {unit}" for sd, unit in zip(sizes, ("mm", "deg"), strict=True) if sd is not None
     )
     return (
         "The data state no noise: one standard deviation for lengths and one for angles was "
-        f"estimated from what the best fit leaves ({shown}, {degrees} degrees of freedom), and F "
+        f"estimated from the residuals of the best fit ({shown}, {degrees} degrees of freedom), "
+        f"and F "
         "thresholds are used."
     )
 
 
-def _about_the_data(laxity: Laxity, n_parameters: int) -> list[str]:
+def _data_findings(laxity: Laxity, n_parameters: int) -> list[str]:
     n = int(laxity.is_measured.sum())
     if n == 0:
         raise ValueError("no coordinate was measured in any trial; fill in at least one column")
@@ -369,6 +370,6 @@ def _about_the_data(laxity: Laxity, n_parameters: int) -> list[str]:
         return []
     sentence = (
         f"{n} measured values cannot determine {n_parameters} parameters: some intervals must be "
-        "open. Measure more trials, or hold parameters with --fix."
+        "open. Measure more trials, or fix parameters with --fix."
     )
     return [sentence]

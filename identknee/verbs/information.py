@@ -1,20 +1,27 @@
 """Which combinations of parameters the data determine around the best fit, and how well."""
 
-from collections.abc import Sequence
+from typing import Annotated, Unpack
 
 from identknee.identify.geodesic import Geodesic, geodesics
 from identknee.identify.information import Information, Scaling, scaled_units
 from identknee.identify.information import information as fisher_information
 from identknee.identify.structure import StructureCheck, check_structure
 from identknee.runs.declare import declared, derived, entry
-from identknee.runs.files import PathLike
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
-from identknee.verbs.averaged import averaged
 from identknee.verbs.identification import best_fits, identification
-from identknee.verbs.values import BoundsLike, NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+from identknee.verbs.marginalise_nuisances import marginalise_nuisances
+from identknee.verbs.options import (
+    Bounds,
+    Data,
+    Fixed,
+    KneeOptions,
+    Noise,
+    Seed,
+    Start,
+    Subject,
+    option,
+)
+from identknee.verbs.verb import Run, verb
 
 
 @declared
@@ -47,42 +54,29 @@ class LocalIdentifiability(Answer):
 @verb
 def information(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    scaling: Scaling = "typical",
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    scaling: Annotated[
+        Scaling,
+        option(
+            "Scale of the parameters. typical: 3 kN and 2 %. prior: the standard deviations of "
+            "the prior."
+        ),
+    ] = "typical",
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> LocalIdentifiability:
     """Which combinations of parameters the data determine around the best fit, and how well.
 
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    scaling
-        What directions are measured in: ``"typical"`` steps of 3 kN and 2 %, or ``"prior"``
-        standard deviations.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly. These errors are averaged over to first order at the best fit.
-    noise, start, fixed, bounds
-        As for `identknee.verbs.identification.identification`.
-    out
-        Folder for the results; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    Gives the eigenvalues of the Fisher information at the best fit, next to the noise of the
+    solver. It also gives the rank at random points within the bounds, and shows where the least
+    known combination leads. Stated errors of knee and tests are marginalised to first order at the
+    best fit.
 
     Raises
     ------
@@ -91,13 +85,11 @@ def information(
     NotComputed
         If no parameters near the start have a prediction in every measured trial.
     """
-    setup = identification(
-        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
-    )
+    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
     # Refuses a scaling that is none before anything takes time.
     scaled_units(setup.problem.parameters, scaling)
     run.start_clock()
-    setup, fits = averaged(setup, seed=seed, executor=run.executor)
+    setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
     fits = fits or best_fits(setup, seed=seed, executor=run.executor)
     theta = fits[0].theta[fits[0].parameters.is_of_interest]
     return LocalIdentifiability(

@@ -3,19 +3,29 @@
 import os
 import platform
 import sys
+import time
 from collections.abc import Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
+from importlib.resources import as_file, files
 from itertools import groupby
 from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from typing_extensions import override
 
-from identknee.runs.cache_folder import cache_folder
+from identknee.calibrate.fit import fit
+from identknee.calibrate.starts import load_start
+from identknee.laxity.protocol import load_protocol
+from identknee.laxity.table import Laxity, read_laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.residuals import LaxityResiduals
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.errors import InputError
-from identknee.runs.files import BYTES_PER_MB, prepare_folder
-from identknee.runs.library_threads import LIBRARY_THREADS
+from identknee.runs.executors import LIBRARY_THREADS
+from identknee.runs.files import BYTES_PER_MB, cache_folder, prepare_folder
+from identknee.runs.progress import progress_bar
+from identknee.subject.reference import reference_knee
 
 # Extras for work on identknee itself; a user misses nothing without them.
 FOR_DEVELOPERS = {"benchmarks", "docs", "lint", "test"}
@@ -23,7 +33,7 @@ INSTALL_AGAIN = "Install it again from its checkout: pip install --force-reinsta
 
 
 @declared
-class Check:
+class InstallationCheck:
     """One thing looked at."""
 
     group: str = entry("What it belongs to: versions, machine, cache, extras or self-test")
@@ -34,8 +44,8 @@ class Check:
         "What to do about it, a sentence; empty where there is nothing to do", default=""
     )
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """The check as a line for a person."""
         mark = "  ok  " if self.is_sound else "  FAIL"
         text = f"{mark}  {self.name}: {self.found}"
@@ -46,7 +56,7 @@ class Check:
 class Installation:
     """All that was looked at in an installation."""
 
-    checks: tuple[Check, ...] = entry("What was looked at")
+    checks: tuple[InstallationCheck, ...] = entry("What was looked at")
 
     @property
     @derived("Whether all is as it should be")
@@ -65,13 +75,13 @@ class Installation:
             "Do what their lines say, then run again: identknee doctor"
         )
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """The checks, a line each, under their groups."""
         lines: list[str] = []
         for group, checks in groupby(self.checks, lambda x: x.group):
             lines += [group.capitalize(), *map(str, checks)]
-        return "\n".join([*lines, *(["All is as it should be."] if self.is_sound else [])])
+        return "\n".join([*lines, *(["All checks passed."] if self.is_sound else [])])
 
 
 def doctor() -> Installation:
@@ -84,17 +94,19 @@ def doctor() -> Installation:
     return Installation(checks=tuple(check for part in parts for check in part()))
 
 
-def versions() -> Iterator[Check]:
+def versions() -> Iterator[InstallationCheck]:
     """Python, identknee and every package it needs, against the versions it asks for."""
     its = _distribution()
     if its is None:
         found, remedy = "not installed, only found on the path", "Install it: pip install ."
-        yield Check(group="versions", name="identknee", is_sound=False, found=found, remedy=remedy)
+        yield InstallationCheck(
+            group="versions", name="identknee", is_sound=False, found=found, remedy=remedy
+        )
         return
-    yield Check(group="versions", name="identknee", is_sound=True, found=its.version)
+    yield InstallationCheck(group="versions", name="identknee", is_sound=True, found=its.version)
     python, wanted = platform.python_version(), its.metadata["Requires-Python"]
     fits = SpecifierSet(wanted).contains(python, prereleases=True)
-    yield Check(
+    yield InstallationCheck(
         group="versions",
         name="Python",
         is_sound=fits,
@@ -107,23 +119,25 @@ def versions() -> Iterator[Check]:
             yield _version_of(requirement)
 
 
-def machine() -> Iterator[Check]:
+def machine() -> Iterator[InstallationCheck]:
     """Processor cores and threads."""
     total = os.cpu_count() or 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else total
     found = f"{usable} of {total} can be used; more than one work with --workers"
-    yield Check(group="machine", name="cores", is_sound=True, found=found)
+    yield InstallationCheck(group="machine", name="cores", is_sound=True, found=found)
     threads = ", ".join(f"{x}={os.environ.get(x, 'unset')}" for x in LIBRARY_THREADS)
-    yield Check(group="machine", name="threads of linear algebra", is_sound=True, found=threads)
+    yield InstallationCheck(
+        group="machine", name="threads of linear algebra", is_sound=True, found=threads
+    )
 
 
-def cache() -> Iterator[Check]:
+def cache() -> Iterator[InstallationCheck]:
     """The folder of compiled code and distance fields: writable, how large, and what is in it."""
     folder = cache_folder()
     try:
         prepare_folder(folder)
     except InputError as error:
-        yield Check(
+        yield InstallationCheck(
             group="cache",
             name="folder",
             is_sound=False,
@@ -134,13 +148,13 @@ def cache() -> Iterator[Check]:
         return
     size = sum(x.stat().st_size for x in folder.rglob("*") if x.is_file())
     found = f"{folder}, can be written to, {size / BYTES_PER_MB:.0f} MB"
-    yield Check(group="cache", name="folder", is_sound=True, found=found)
+    yield InstallationCheck(group="cache", name="folder", is_sound=True, found=found)
     n = _n_compiled()
     found = f"{n} compiled functions are there" if n else "none yet; the first command compiles"
-    yield Check(group="cache", name="compiled code", is_sound=True, found=found)
+    yield InstallationCheck(group="cache", name="compiled code", is_sound=True, found=found)
 
 
-def extras() -> Iterator[Check]:
+def extras() -> Iterator[InstallationCheck]:
     """The optional parts, and how to add those that are missing."""
     its = _distribution()
     if its is None:
@@ -155,7 +169,7 @@ def extras() -> Iterator[Check]:
             and not x.marker.evaluate({"extra": ""})
         ]
         missing = [x.name for x in its_own if not x.is_sound]
-        yield Check(
+        yield InstallationCheck(
             group="extras",
             name=extra,
             is_sound=True,
@@ -164,23 +178,23 @@ def extras() -> Iterator[Check]:
         )
 
 
-def self_test() -> Iterator[Check]:
+def self_test() -> Iterator[InstallationCheck]:
     """Trials of the reference knee against stored ones, derivatives against differences, a fit."""
     try:
-        from identknee.verbs.self_test import self_tests
-
         for name, is_sound, found in self_tests():
-            yield Check(
+            yield InstallationCheck(
                 group="self-test",
                 name=name,
                 is_sound=is_sound,
                 found=found,
-                remedy="" if is_sound else f"Trust no result of this installation. {INSTALL_AGAIN}",
+                remedy=""
+                if is_sound
+                else f"Do not use results of this installation. {INSTALL_AGAIN}",
             )
     # A broken installation may raise anything, and what it is is the answer.
     except Exception as error:  # noqa: BLE001
         found = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(".")
-        yield Check(
+        yield InstallationCheck(
             group="self-test", name="run", is_sound=False, found=found, remedy=INSTALL_AGAIN
         )
 
@@ -192,7 +206,7 @@ def _distribution() -> Distribution | None:
         return None
 
 
-def _version_of(requirement: Requirement) -> Check:
+def _version_of(requirement: Requirement) -> InstallationCheck:
     wanted = str(requirement.specifier)
     try:
         found = version(requirement.name)
@@ -201,7 +215,7 @@ def _version_of(requirement: Requirement) -> Check:
     else:
         fits = requirement.specifier.contains(found, prereleases=True)
         found = found if fits else f"{found}, but {wanted} is needed"
-    return Check(
+    return InstallationCheck(
         group="versions",
         name=requirement.name,
         is_sound=fits,
@@ -217,3 +231,57 @@ def _n_compiled() -> int:
 
     mechanics = Path(__file__).parents[1] / "mechanics"
     return len(list(compiled_folder(mechanics).rglob("*.nbc")))
+
+
+# Numbers of the same program on another machine: rounding may differ, nothing else.
+SAME_MM_OR_DEG = 1e-6
+# Half the step of a central difference [kN and %], and what it can be trusted to, as a share of
+# the largest derivative.
+STEP, SAME_SLOPE = 1e-3, 1e-4
+# Where least squares stops on data without noise.
+SAME_KN_OR_PCT = 1e-6
+
+
+def self_tests() -> Iterator[tuple[str, bool, str]]:
+    """Name of each test, whether it passed, and what it found."""
+    with progress_bar("preparing, longer the first time after an installation"):
+        with as_file(files("identknee.verbs").joinpath("self_test.csv")) as path:
+            stored = read_laxity(path)
+        model = LaxityModel(knee=reference_knee(), protocol=stored.protocol)
+        model.predict(model.parameters.center)
+    for name, test in (("poses", _poses), ("derivatives", _derivatives), ("fit", _fit)):
+        began = time.perf_counter()
+        is_sound, found = test(model, stored)
+        yield name, is_sound, f"{found} ({time.perf_counter() - began:.2f} s)"
+
+
+def _poses(model: LaxityModel, stored: Laxity) -> tuple[bool, str]:
+    difference = abs(model.simulate(model.parameters.center).coordinates - stored.coordinates)
+    largest = float(difference.max())
+    found = f"{stored.n} trials of the reference knee are {largest:.1g} mm or deg from those stored"
+    return largest <= SAME_MM_OR_DEG, found
+
+
+def _derivatives(model: LaxityModel, stored: Laxity) -> tuple[bool, str]:
+    residuals = LaxityResiduals(model=model, laxity=stored)
+    theta = model.parameters.center
+    exact = residuals.jacobian(theta)
+    differences = exact * 0.0
+    for i in range(len(theta)):
+        up, down = theta.copy(), theta.copy()
+        up[i] += STEP
+        down[i] -= STEP
+        differences[:, i] = (residuals.residuals(up) - residuals.residuals(down)) / (2.0 * STEP)
+    share = float(abs(exact - differences).max() / abs(exact).max())
+    found = f"exact ones are {share:.1g} of the largest from central differences"
+    return share <= SAME_SLOPE, found
+
+
+def _fit(model: LaxityModel, _: Laxity) -> tuple[bool, str]:
+    full = model.with_protocol(load_protocol("seed63"))
+    truth = full.parameters.center
+    problem = LaxityResiduals(model=full, laxity=full.simulate(truth))
+    ended = fit(problem, load_start("IG2", full.parameters))
+    largest = float(abs(ended.theta - truth).max())
+    found = f"from IG2 it ends {largest:.1g} kN or % from the parameters of its data"
+    return largest <= SAME_KN_OR_PCT, found

@@ -1,27 +1,47 @@
-"""Which causes the trials of a protocol could show and tell apart, before any data."""
+"""Detectable and isolable causes under a protocol, before any data."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Unpack, overload
 
 from identknee.diagnosis.advice import ROOT, GroupAdvice, protocol_isolability
-from identknee.diagnosis.candidates import Visibility
+from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import LEAST_DISTANCE
 from identknee.laxity.named_trials import TrialsLike, read_trials
+from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.errors import NotComputed
+from identknee.runs.errors import NotComputable
 from identknee.runs.files import PathLike
-from identknee.runs.workers import Workers
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
-from identknee.verbs.trials import AdvisedTrial, advised
-from identknee.verbs.values import noise_of
-from identknee.verbs.verb import Run, SubjectLike, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.diagnose import diagnose_data
+from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.options import (
+    Candidates,
+    ExtraStart,
+    GivenData,
+    GivenSubject,
+    KneeOptions,
+    LaxityLike,
+    Noise,
+    Out,
+    ProtocolName,
+    Seed,
+    Subject,
+    SubjectLike,
+    Uncertain,
+    Workers,
+    documented,
+    option,
+    trials_option,
+)
+from identknee.verbs.values import AdvisedTrial, NoiseLike, advised, noise_of
+from identknee.verbs.verb import Run, verb, warm_up
 
 
 @declared
-class Confused:
-    """Causes that a protocol cannot tell apart, and the trials that would."""
+class ConfusableCauses:
+    """Causes that a protocol cannot distinguish, and the trials that would."""
 
     effects: tuple[str, ...] = entry("Names of the causes")
     distance: float = entry("Distance of the closest two, in units of noise", unit="1")
@@ -31,15 +51,15 @@ class Confused:
 
 @declared
 class Isolability(Answer):
-    """What the trials of a protocol could show and tell apart on a subject."""
+    """Detectable and isolable causes under a protocol on a subject."""
 
     protocol: str = entry("Name of the protocol")
     n_trials: int = entry("Its trials with a prediction", unit="1")
-    groups: tuple[Confused, ...] = entry("Causes that it cannot tell apart")
+    groups: tuple[ConfusableCauses, ...] = entry("Causes that it cannot distinguish")
     look_alikes: Mapping[str, tuple[str, ...]] = entry(
         "What each cause could be taken for, the closest first"
     )
-    effects: Mapping[str, Visibility] = entry(
+    effects: Mapping[str, Detectability] = entry(
         "Which size of each cause it would show", rows="effect", group="isolability"
     )
     rivals: tuple[str, ...] = array(
@@ -53,42 +73,27 @@ class Isolability(Answer):
     )
     root_noncentrality: float = entry("How far each stands out of the noise", unit="1")
     least_distance: float = entry(
-        "Distance from which on two causes are told apart, in units of noise", unit="1"
+        "Distance from which two causes can be distinguished, in units of noise", unit="1"
     )
 
 
 @verb
 def isolability(
     run: Run,
-    subject: SubjectLike,
-    protocol: TrialsLike,
-    noise: str | tuple[float, float],
+    subject: Subject,
+    protocol: ProtocolName,
+    noise: Annotated[
+        str | tuple[float, float],
+        option(
+            "Standard deviations of lengths and angles, such as 0.5mm,0.5deg.",
+            in_python="A text, or two numbers in mm and deg.",
+        ),
+    ],
     *,
-    uncertain: UncertainLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Isolability:
-    """Which causes the trials of a protocol could show and tell apart on a subject.
-
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    protocol
-        A protocol, the name of one, its TOML file, or a laxity table.
-    noise
-        Standard deviations of lengths and angles [mm, deg].
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    out
-        Folder for the results; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Without effect: one process does the work.
+    """Detectable and isolable causes under a protocol on a subject.
 
     Raises
     ------
@@ -99,25 +104,25 @@ def isolability(
     """
     trials = read_trials(protocol)
     mm, deg = noise_of(noise)
-    warm_up(run.knee, trials)
+    warm_up(subject, trials)
     run.start_clock()
-    found = protocol_isolability(run.knee, trials, sd_mm=mm, sd_deg=deg, seed=seed)
+    found = protocol_isolability(subject, trials, sd_mm=mm, sd_deg=deg, seed=seed)
     if found is None:
-        raise NotComputed(
+        raise NotComputable(
             "the subject's own values have no prediction in any trial of the protocol. See: "
-            f"identknee subject check {run.knee.name}"
+            f"identknee subject check {subject.name}"
         )
     order = [found.distances.rivals.index(x) for x in found.distances.effects]
     lost = trials.n - found.protocol.n
     said = (
         f"{lost} of the {trials.n} trials of {trials.name} have no prediction at the subject's own "
-        f"values and were left out. See: identknee subject check {run.knee.name}"
+        f"values and were left out. See: identknee subject check {subject.name}"
     )
     return Isolability(
         assumptions=(said,) if lost else (),
         protocol=found.protocol.name,
         n_trials=found.protocol.n,
-        groups=tuple(_confused(x) for x in found.advice),
+        groups=tuple(_confusable_causes(x) for x in found.advice),
         look_alikes=found.look_alikes,
         effects={x.name: x for x in found.visibility},
         rivals=found.distances.effects,
@@ -127,10 +132,94 @@ def isolability(
     )
 
 
-def _confused(advice: GroupAdvice) -> Confused:
-    return Confused(
+def _confusable_causes(advice: GroupAdvice) -> ConfusableCauses:
+    return ConfusableCauses(
         effects=advice.names,
         distance=advice.before,
         distance_with_advised_trials=advice.after,
         advised_trials=advised(advice.trials),
+    )
+
+
+@overload
+def diagnose(
+    subject: SubjectLike,
+    data: LaxityLike,
+    *,
+    protocol: None = None,
+    noise: NoiseLike = None,
+    uncertain: UncertainLike = None,
+    start: str = "subject",
+    effects: Sequence[Effect] | None = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: Workers = 1,
+) -> Diagnosis: ...
+@overload
+def diagnose(
+    subject: SubjectLike,
+    data: None = None,
+    *,
+    protocol: TrialsLike,
+    noise: str | tuple[float, float],
+    uncertain: UncertainLike = None,
+    out: PathLike | None = None,
+    seed: int = 0,
+    workers: Workers = 1,
+) -> Isolability: ...
+@documented
+def diagnose(
+    subject: GivenSubject,
+    data: GivenData = None,
+    *,
+    protocol: Annotated[
+        TrialsLike | None,
+        trials_option(
+            "Instead of DATA.csv: find out what planned trials could show, given --noise. The "
+            "trials: {}."
+        ),
+    ] = None,
+    noise: Noise = None,
+    uncertain: Uncertain = None,
+    start: ExtraStart = "subject",
+    effects: Candidates = None,
+    out: Out = None,
+    seed: Seed = 0,
+    workers: Workers = 1,
+) -> Diagnosis | Isolability:
+    """What the model of a subject gets wrong in the data, and which physical cause it has.
+
+    The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the other
+    causes that would fit, and the trials that would tell them apart. The folder extended holds the
+    subject with the causes found, for use with every other command. With --protocol instead of
+    DATA.csv, it says which causes such trials could show and tell apart.
+
+    Raises
+    ------
+    ValueError
+        If an argument or a file is wrong; the message says what to do.
+    NotComputed
+        If the subject has no prediction in any trial of the protocol.
+    """
+    if (data is None) == (protocol is None):
+        raise ValueError(
+            "diagnose needs either DATA.csv or --protocol; give one of the two, for example "
+            "identknee diagnose reference --protocol seed63 --noise 0.3mm,0.3deg"
+        )
+    if data is not None:
+        return diagnose_data(
+            subject,
+            data,
+            noise=noise,
+            uncertain=uncertain,
+            start=start,
+            effects=effects,
+            out=out,
+            seed=seed,
+            workers=workers,
+        )
+    if noise is None or protocol is None:
+        raise ValueError("--protocol needs --noise; add for example --noise 0.3mm,0.3deg")
+    return isolability(
+        subject, protocol, noise, uncertain=uncertain, out=out, seed=seed, workers=workers
     )

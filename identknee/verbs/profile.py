@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Annotated, Unpack
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
 from identknee.identify.profile.pairs import PairProfile, profile_pair
@@ -20,13 +22,22 @@ from identknee.laxity.protocol import Protocol
 from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
-from identknee.runs.files import PathLike
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
-from identknee.verbs.values import BoundsLike, NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, verb
+from identknee.verbs.options import (
+    Bounds,
+    Data,
+    Fixed,
+    KneeOptions,
+    Level,
+    Noise,
+    Seed,
+    Start,
+    Subject,
+    option,
+    trials_option,
+)
+from identknee.verbs.verb import Run, verb
 
 Pair = str | tuple[str, str]
 
@@ -67,6 +78,12 @@ class Profiles(Answer):
         return dict(zip(self.parameter_names, self.optimum.tolist(), strict=True))
 
     @property
+    @override
+    def parameter_set(self) -> dict[str, float]:
+        """Theta of the best fit by parameter."""
+        return self.optimum_by_name
+
+    @property
     @derived("Simulations made for the profiles, each with its Jacobian", unit="1")
     def n_simulations(self) -> int:
         """Simulations made, each with its Jacobian."""
@@ -77,64 +94,75 @@ class Profiles(Answer):
 @verb
 def profile(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    parameters: Sequence[str] | None = None,
-    quantities: Sequence[str] | None = None,
-    forces: Sequence[str] | None = None,
-    trials: TrialsLike | None = None,
-    pairs: Sequence[Pair] | None = None,
-    level: float = 0.95,
-    budget: int = 1000,
-    bootstrap: int = 0,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    parameters: Annotated[
+        Sequence[str] | None,
+        option(
+            "Profile only this parameter, such as ACL.stiffness_kN.",
+            "--parameter",
+            in_python="A list of names; all but nuisance parameters if None.",
+            metavar="NAME",
+        ),
+    ] = None,
+    quantities: Annotated[
+        Sequence[str] | None,
+        option(
+            "Also profile a prediction: ACL.tension_N@TRIAL or varus_deg@TRIAL, where TRIAL is a "
+            "name from the column trial of the data.",
+            "--quantity",
+            in_python="A list of names.",
+            metavar="NAME",
+        ),
+    ] = None,
+    forces: Annotated[
+        Sequence[str] | None,
+        option(
+            "Also profile the forces of all ligaments in this trial.",
+            in_python="A list of names.",
+            metavar="TRIAL",
+        ),
+    ] = None,
+    trials: Annotated[
+        TrialsLike | None,
+        trials_option("Where the trials of --quantity and --forces stand, if not in the data: {}."),
+    ] = None,
+    pairs: Annotated[
+        Sequence[Pair] | None,
+        option(
+            "Also outline the joint confidence region of two parameters.",
+            "--pair",
+            in_python="A list of pairs.",
+            metavar="NAME,NAME",
+            typed=list[str] | None,
+        ),
+    ] = None,
+    level: Level = 0.95,
+    budget: Annotated[
+        int,
+        option("Largest number of simulations per profile. Most profiles need 25 to 100.", least=1),
+    ] = 1000,
+    bootstrap: Annotated[
+        int,
+        option(
+            "Take thresholds from N simulated data sets (at least 20 for a level of 0.95) instead "
+            "of the chi-squared law.",
+            metavar="N",
+            least=0,
+        ),
+    ] = 0,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Profiles:
     """Which values of each parameter, or of any prediction, the data allow.
 
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    parameters
-        Names such as ``ACL.stiffness_kN``; all but nuisances if None.
-    quantities
-        Predictions too: ``ACL.tension_N@TRIAL`` or ``varus_deg@TRIAL``.
-    forces
-        Trials in which the forces of all ligaments are profiled.
-    trials
-        Trials of `quantities` and `forces`, if not those of the data: a protocol, the name of one,
-        its TOML file, or a laxity table.
-    pairs
-        Pairs of parameters whose joint set is wanted.
-    level
-        Confidence level of the sets.
-    budget
-        Simulations that a profile may make.
-    bootstrap
-        Simulated data sets that the thresholds come from; the chi-squared or F law if 0.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    noise, start, fixed, bounds
-        As for `identknee.verbs.identification.identification`.
-    out
-        Folder for the results, and for the work of a run that was stopped, which the same call
-        resumes; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    Each parameter gets a verdict and an interval: the values that the data do not exclude. The
+    interval ends only where the data end it; an open end is null in result.json.
 
     Raises
     ------
@@ -144,9 +172,7 @@ def profile(
         If no parameters near the start have a prediction in every measured trial.
     """
     asked = None if trials is None else read_trials(trials)
-    setup = identification(
-        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
-    )
+    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
     if bootstrap and setup.degrees_of_freedom is not None:
         raise ValueError(
             "--bootstrap simulates noise of a stated size; state it with --noise, for example "
@@ -158,7 +184,7 @@ def profile(
         *_parameters(setup, parameters),
         *_predictions(setup, quantities or (), forces or (), asked),
     ]
-    couples = [_couple(setup, x) for x in pairs or ()]
+    couples = [_pair_of_parameters(setup, x) for x in pairs or ()]
     run.start_clock()
     fits = best_fits(setup, seed=seed, executor=run.executor)
     thresholds = (
@@ -213,7 +239,7 @@ def _predictions(
     ]
 
 
-def _couple(setup: Identification, pair: Pair) -> tuple[str, str]:
+def _pair_of_parameters(setup: Identification, pair: Pair) -> tuple[str, str]:
     text = pair if isinstance(pair, str) else ",".join(pair)
     first, comma, second = (x.strip() for x in text.partition(","))
     if not comma:

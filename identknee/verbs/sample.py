@@ -1,43 +1,327 @@
 """The posterior of the parameters given the data, and whether it can be trusted."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 
 from identknee.identify.posterior.convergence import ConvergenceCheck, SampleOutcome, StopRule
-from identknee.identify.posterior.density import ExcludedMass
+from identknee.identify.posterior.density import InfeasiblePriorMass
 from identknee.identify.posterior.nested import nested_posterior, quantile_differences
-from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.posterior import Posterior, prior_sensitivity
 from identknee.identify.posterior.sample import Ensembles
 from identknee.identify.posterior.sample import sample as sampled
-from identknee.laxity.table import Laxity
-from identknee.model.parameters import Parameters
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import FreeParameters, Parameters
+from identknee.model.quantities import tensions_of
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
-from identknee.verbs.sample_cells import MeasuredCells, measured_cells
-from identknee.verbs.sample_records import (
-    Draws,
-    Marginal,
-    Nested,
-    Predictive,
-    PriorDraws,
-    draws_of,
-    marginals_of,
-    predictive,
+from identknee.verbs.options import (
+    Bounds,
+    Data,
+    Fixed,
+    KneeOptions,
+    Noise,
+    Seed,
+    Start,
+    Subject,
+    option,
 )
-from identknee.verbs.values import BoundsLike, NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
+from identknee.verbs.verb import Run, not_resume_relevant, verb
+
+N_PREDICTIONS = 400
+CHAIN = ("chain", "draw")
+
+
+@declared
+class Marginal:
+    """The posterior of one parameter."""
+
+    mean: float = entry("Posterior mean", unit=OF_PARAMETER)
+    sd: float = entry("Posterior standard deviation", unit=OF_PARAMETER)
+    q025: float = entry("Quantile at 2.5 %", unit=OF_PARAMETER)
+    q500: float = entry("Posterior median", unit=OF_PARAMETER)
+    q975: float = entry("Quantile at 97.5 %", unit=OF_PARAMETER)
+    mcse_mean: float = entry("Monte Carlo standard error of the mean", unit=OF_PARAMETER)
+    mcse_q025: float = entry("Monte Carlo standard error of q025", unit=OF_PARAMETER)
+    mcse_q500: float = entry("Monte Carlo standard error of q500", unit=OF_PARAMETER)
+    mcse_q975: float = entry("Monte Carlo standard error of q975", unit=OF_PARAMETER)
+    tau: float = entry("Autocorrelation time", unit="steps")
+    rhat: float = entry("R-hat between half ensembles", unit="1")
+    ess_bulk: float = entry("Effective draws of the bulk", unit="1")
+    ess_tail: float = entry("Effective draws of the tails", unit="1")
+    prior_sensitivity: float = entry(
+        "Change of the marginal when the prior is raised to a power", unit="1"
+    )
+    likelihood_sensitivity: float = entry("The same for the likelihood", unit="1")
+    leans_on: str = entry("What it depends on: data, prior, both or neither")
+
+
+@declared
+class LogPrior:
+    """Log prior density of draws, under the name of what it is a density of, as ArviZ has it."""
+
+    theta: Array = array("Log prior density of theta", *CHAIN)
+
+
+@declared
+class Draws:
+    """The steps of all walkers after burn-in; a chain is a walker, as ArviZ has it."""
+
+    theta: Array = array(
+        "Theta of each draw", *CHAIN, "parameter", unit=OF_PARAMETER, group="posterior"
+    )
+    log_posterior: Array = array(
+        "Log likelihood and log prior density together", *CHAIN, group="sample_stats", key="lp"
+    )
+    log_likelihood: Array = array("Minus half the deviance", *CHAIN, group="sample_stats")
+    log_prior: LogPrior = entry(
+        "Log prior density of the draws", group="log_prior", is_in_json=False
+    )
+    acceptance: Array = array(
+        "Part of its steps in which a walker moved",
+        "chain",
+        group="sample_stats",
+        key="acceptance_rate",
+    )
+    ensemble: IntArray = array("Ensemble of each walker", "chain", dtype=int, group="sample_stats")
+    walker: IntArray = array(
+        "Number of the walker in its ensemble", "chain", dtype=int, group="sample_stats"
+    )
+
+    @property
+    @derived("Walkers of all ensembles", unit="1")
+    def n_chains(self) -> int:
+        """Walkers of all ensembles."""
+        return len(self.theta)
+
+    @property
+    @derived("Steps of each after burn-in", unit="1")
+    def n_draws(self) -> int:
+        """Steps of each walker after burn-in."""
+        return int(self.theta.shape[1])
+
+
+@declared
+class PriorDraws:
+    """Draws of the prior within the bounds, as one chain."""
+
+    theta: Array = array("Theta of each draw", *CHAIN, "parameter", unit=OF_PARAMETER)
+
+
+@declared
+class Predictive:
+    """Predictions of the model at draws as good as independent, as one chain and without noise."""
+
+    coordinate_names: tuple[str, ...] = array(
+        "Names of the coordinates", "coordinate", is_in_arrays=False
+    )
+    ligaments: tuple[str, ...] = array("Names of the ligaments", "ligament", is_in_arrays=False)
+    coordinates: Array = array(
+        "Predicted laxity; NaN without a prediction",
+        *(*CHAIN, "trial", "coordinate"),
+        unit=OF_COORDINATE,
+    )
+    tension_N: Array = array(  # noqa: N815 - the unit
+        "Tension of each ligament", *CHAIN, "trial", "ligament", unit="N"
+    )
+    places: IntArray = array(
+        "Ensemble, walker and step after burn-in of each draw",
+        *("draw", "axis"),
+        dtype=int,
+        group="predicted_draws",
+    )
+
+    @property
+    @derived("Draws predicted at", unit="1")
+    def n_draws(self) -> int:
+        """Draws predicted at."""
+        return len(self.places)
+
+
+@declared
+class Nested:
+    """A second opinion by nested sampling."""
+
+    log_evidence: float = entry("Log evidence", unit="1")
+    log_evidence_error: float = entry("Standard error of the log evidence", unit="1")
+    n_simulations: int = entry("Simulations made", unit="1")
+    effective_draws: float = entry("Equally weighted draws that are worth as much", unit="1")
+    quantile_differences: Array = array(
+        "Differences of the 2.5, 50 and 97.5 % quantiles from those of the sample, in their joint "
+        "standard errors",
+        *("parameter", "quantile"),
+        is_in_json=True,
+        key="quantile_differences_in_errors",
+    )
+
+
+def predictive(
+    posterior: Posterior,
+    model: LaxityModel,
+    free: FreeParameters | None = None,
+    *,
+    n_draws: int = N_PREDICTIONS,
+) -> Predictive:
+    """Laxity and the tension of every ligament at draws as good as independent.
+
+    Parameters
+    ----------
+    posterior
+        The sample.
+    model
+        The model, under any protocol: also one that was not measured.
+    free
+        Which parameters of the model were sampled; all if None.
+    n_draws
+        How many draws to predict at; fewer where the sample holds fewer.
+    """
+    places = posterior.independent(n_draws, or_fewer=True)
+    thetas = posterior.kept[tuple(places.T)]
+    thetas = thetas if free is None else free.expand(thetas)
+    predictions = [model.predict(theta, derivatives=False) for theta in thetas]
+    return Predictive(
+        coordinate_names=COORDINATES,
+        ligaments=tuple(x.name for x in model.knee.ligaments),
+        coordinates=np.array([[x.coordinates for x in predictions]]),
+        tension_N=np.array([[tensions_of(model, x) for x in predictions]]),
+        places=places,
+    )
+
+
+def marginals_of(posterior: Posterior) -> dict[str, Marginal]:
+    """The marginal of each parameter by its name."""
+    check, sensitivity = posterior.last_check, prior_sensitivity(posterior)
+    quantiles, errors = posterior.quantiles(), posterior.quantile_errors()
+    return {
+        name: Marginal(
+            mean=float(posterior.mean[i]),
+            sd=float(posterior.sd[i]),
+            **dict(zip(("q025", "q500", "q975"), quantiles[i].tolist(), strict=True)),
+            mcse_mean=float(check.mean_error[i] * posterior.sd[i]),
+            **dict(zip(("mcse_q025", "mcse_q500", "mcse_q975"), errors[i].tolist(), strict=True)),
+            tau=float(check.tau[i]),
+            rhat=float(check.rhat[i]),
+            ess_bulk=float(check.bulk[i].sum()),
+            ess_tail=float(check.tail[i].sum()),
+            prior_sensitivity=float(sensitivity.prior[i]),
+            likelihood_sensitivity=float(sensitivity.likelihood[i]),
+            leans_on=sensitivity.verdicts[i],
+        )
+        for i, name in enumerate(posterior.parameters.names)
+    }
+
+
+def draws_of(posterior: Posterior) -> Draws:
+    """The draws after burn-in, a chain for each walker."""
+    n_ensembles, n_walkers, n_steps, n = posterior.kept.shape
+    number = np.arange(n_ensembles * n_walkers)
+    likelihood = posterior.kept_log_likelihood.reshape(-1, n_steps)
+    prior = posterior.kept_log_prior.reshape(-1, n_steps)
+    return Draws(
+        theta=posterior.kept.reshape(-1, n_steps, n),
+        log_posterior=likelihood + prior,
+        log_likelihood=likelihood,
+        log_prior=LogPrior(theta=prior),
+        acceptance=posterior.last_check.acceptance.ravel(),
+        ensemble=number // n_walkers,
+        walker=number % n_walkers,
+    )
+
+
+@declared
+class CellValues:
+    """The measured values in a row."""
+
+    laxity: Array = array("Measured laxity", "cell", unit=OF_COORDINATE)
+
+
+@declared
+class CellDensity:
+    """Log density of the measured values, under the name of what it is a density of."""
+
+    laxity: Array = array(
+        "Log density of each measured value, given those before it in its trial", *CHAIN, "cell"
+    )
+
+
+@declared
+class CellDraws:
+    """Laxity as it would be measured again, at draws of the posterior."""
+
+    laxity: Array = array(
+        "Laxity as it would be measured again, with noise", *CHAIN, "cell", unit=OF_COORDINATE
+    )
+
+
+@declared
+class MeasuredCells:
+    """Every measured value with its likelihood and predictions, at the predicted draws."""
+
+    names: tuple[str, ...] = array(
+        "Trial and coordinate of each measured value", "cell", is_in_arrays=False
+    )
+    measured: CellValues = entry("Measured values", group="observed_data", is_in_json=False)
+    log_likelihood: CellDensity = entry(
+        "Likelihood of the measured values", group="log_likelihood", is_in_json=False
+    )
+    replicated: CellDraws = entry(
+        "Predictions of the measured values", group="posterior_predictive", is_in_json=False
+    )
+
+    @property
+    @derived("Measured values", unit="1")
+    def n_cells(self) -> int:
+        """How many values were measured."""
+        return len(self.names)
+
+
+def measured_cells(residuals: LaxityResiduals, predictive: Predictive, seed: int) -> MeasuredCells:
+    """The measured values with their likelihood and predictions at the draws of `predictive`.
+
+    Parameters
+    ----------
+    residuals
+        Residuals of the model against the data, weighted by their noise.
+    predictive
+        Predictions of the same model under the trials of the data.
+    seed
+        Seed of the noise on the predictions.
+    """
+    laxity = residuals.laxity
+    coordinates = predictive.coordinates[0]
+    density = np.array([residuals.log_density(x) for x in coordinates])
+    predicted = np.array([residuals.as_measured(x) for x in coordinates])
+    noisy = predicted + _errors(laxity, len(predicted), seed)
+    cells = zip(
+        product(laxity.protocol.trials, COORDINATES), laxity.is_measured.ravel(), strict=True
+    )
+    return MeasuredCells(
+        names=tuple(f"{trial} {name}" for (trial, name), is_measured in cells if is_measured),
+        measured=CellValues(laxity=laxity.coordinates[laxity.is_measured]),
+        log_likelihood=CellDensity(laxity=density[None]),
+        replicated=CellDraws(laxity=noisy[:, laxity.is_measured][None]),
+    )
+
+
+def _errors(laxity: Laxity, n: int, seed: int) -> Array:
+    """Draws of the measurement error [mm, deg], shape ``(n, trials, 5)``."""
+    k = len(COORDINATES)
+    shared = np.full((k, k), laxity.within_trial_correlation)
+    np.fill_diagonal(shared, 1.0)
+    draws = np.random.default_rng(seed).standard_normal((n, laxity.n, k))
+    return np.asarray(laxity.sd * np.einsum("ij,mnj->mni", np.linalg.cholesky(shared), draws))
+
 
 OPTIMUM = ("optimum", "parameter")
 
@@ -65,7 +349,7 @@ class Sample(Answer):
         "Likelihood and predictions of every measured value; null without a sample", default=None
     )
     data: Laxity | None = entry("The measured laxity", group="observed_data", default=None)
-    excluded: ExcludedMass = entry(
+    excluded: InfeasiblePriorMass = entry(
         "How much of the prior the posterior cannot reach", key="excluded_prior"
     )
     optima: Array = array("What the walkers started around", *OPTIMUM, unit=OF_PARAMETER)
@@ -144,60 +428,54 @@ class Sample(Answer):
 
 
 @verb
-@not_deciding("budget", "nested")
+@not_resume_relevant("budget", "nested")
 def sample(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    basins: PathLike | None = None,
-    n_ensembles: int = 4,
-    moves: str | None = None,
-    budget: int = 400_000,
-    nested: bool = False,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    basins: Annotated[
+        PathLike | None,
+        option(
+            "The result.json of a sweep. Walkers then start in its basins; otherwise around fits "
+            "that start from draws of the prior.",
+            metavar="FILE",
+            typed=Path | None,
+        ),
+    ] = None,
+    n_ensembles: Annotated[
+        int, option("Number of independent ensembles of walkers.", "--ensembles", least=2)
+    ] = 4,
+    moves: Annotated[
+        str | None,
+        option(
+            "How walkers move. newton, surrogate and hamiltonian use the exact Jacobian; "
+            "difference and stretch do not need it.  [default: newton up to 12 parameters, "
+            "surrogate beyond]"
+        ),
+    ] = None,
+    budget: Annotated[
+        int,
+        option(
+            "Largest number of simulations. With a larger one and the same --out the run goes on.",
+            least=1,
+        ),
+    ] = 400_000,
+    nested: Annotated[
+        bool,
+        option("Also run nested sampling (dynesty), as a second opinion and for the evidence."),
+    ] = False,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Sample:
     """The posterior of the parameters given the data, and whether it can be trusted.
 
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    basins
-        The ``result.json`` of a sweep, in whose basins the walkers start; around fits from draws of
-        the prior if None.
-    n_ensembles
-        Independent ensembles of walkers.
-    moves
-        ``"newton"``, ``"surrogate"`` and ``"hamiltonian"`` use the exact Jacobian,
-        ``"difference"`` and ``"stretch"`` do without; Newton up to 12 parameters and a surrogate
-        beyond if None.
-    budget
-        Simulations after which sampling ends anyway; with more the same work goes on.
-    nested
-        Whether to add a second opinion and the evidence, by dynesty.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    noise, start, fixed, bounds
-        As for `identknee.verbs.identification.identification`.
-    out
-        Folder for the results, and for the work of a run that was stopped, which the same call
-        resumes; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    Walkers run until they pass the convergence checks, whose numbers are in result.json. All draws
+    are in result.nc, with the laxity and the ligament forces at some of them.
 
     Raises
     ------
@@ -207,9 +485,7 @@ def sample(
     ModuleNotFoundError
         If dynesty is wanted and not installed.
     """
-    setup = identification(
-        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
-    )
+    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
     optima = None if basins is None else _optima(Path(basins), setup.problem.parameters)
     run.start_clock()
     posterior = sampled(
@@ -229,7 +505,7 @@ def sample(
         cells=None if predicted is None else _cells(setup, predicted, seed),
         data=setup.laxity,
         nested=_nested(setup, posterior, seed) if nested and is_begun else None,
-        assumptions=(*setup.assumptions, *_about_noise(setup)),
+        assumptions=(*setup.assumptions, *_noise_findings(setup)),
         trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
         findings=_findings(setup, posterior),
@@ -282,10 +558,10 @@ def _optima(path: Path, parameters: Parameters) -> Array:
     return np.array(thetas)
 
 
-def _about_noise(setup: Identification) -> tuple[str, ...]:
+def _noise_findings(setup: Identification) -> tuple[str, ...]:
     if setup.degrees_of_freedom is None:
         return ()
-    return ("The posterior takes this noise for known, which makes it a little too narrow.",)
+    return ("The posterior treats this noise as known, which makes it slightly too narrow.",)
 
 
 def _findings(setup: Identification, posterior: Posterior) -> tuple[Finding, ...]:

@@ -1,27 +1,41 @@
 """Which parameters the laxity of a knee depends on."""
 
+import math
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Unpack
 
 import numpy as np
+import xarray
 
 from identknee.calibrate.starts import load_start
-from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Method, Sensitivity, box_around
+from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Sensitivity, box_around
+from identknee.identify.sensitivity import Method as Kind
 from identknee.identify.sensitivity import sensitivity as analysed
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.scenarios import LaxityGroup, laxity_groups
 from identknee.laxity.table import Laxity
-from identknee.model.of_tests import model_of_tests
+from identknee.laxity.trial_words import LaxityGroup, laxity_groups
+from identknee.model.model_for_tests import model_for_tests
 from identknee.model.quantities import LaxityOutputs
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
+from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import finding
-from identknee.runs.workers import Workers
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.options import (
+    Fixed,
+    MaybeData,
+    RunOptions,
+    Seed,
+    Start,
+    Subject,
+    option,
+    trials_option,
+)
+from identknee.verbs.verb import Run, not_resume_relevant, verb, warm_up
 
 
 @declared
@@ -39,56 +53,49 @@ class GlobalSensitivity(Answer):
 
 
 @verb
-@not_deciding("method", "samples")
+@not_resume_relevant("method", "samples")
 def sensitivity(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike | None = None,
+    subject: Subject,
+    data: MaybeData = None,
     *,
-    protocol: TrialsLike | None = None,
-    method: Method = "sobol",
-    samples: int | None = None,
-    posterior: PathLike | None = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    protocol: Annotated[
+        TrialsLike | None,
+        trials_option("The trials, if there is no DATA.csv: {}. If not given: seed63."),
+    ] = None,
+    method: Annotated[
+        Kind,
+        option(
+            "morris and sobol vary the parameters independently: stiffness by +-50 % and reference "
+            "strain by +-3 %. The others use the draws of --posterior, or draws from the same "
+            "ranges."
+        ),
+    ] = "sobol",
+    samples: Annotated[
+        int | None,
+        option(
+            "Number of trajectories for morris (256 if not given), blocks for sobol (1,024) or "
+            "draws (2,048). With a larger number and the same --out the run goes on."
+        ),
+    ] = None,
+    posterior: Annotated[
+        PathLike | None,
+        option(
+            "Results folder of: identknee sample.",
+            metavar="DIR",
+            typed=Path | None,
+        ),
+    ] = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    seed: Seed = 0,
+    **_: Unpack[RunOptions],
 ) -> GlobalSensitivity:
     """Which parameters the laxity of a knee depends on.
 
-    Outputs are grouped by coordinate, flexion angle and kind of load; failures to converge are an
-    output of their own.
-
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity whose trials are meant, its CSV file, or the name of a subject that comes
-        with one.
-    protocol
-        The trials where there are no data: a protocol, the name of one, its TOML file, or a laxity
-        table; ``"seed63"`` if None.
-    method
-        ``"morris"`` and ``"sobol"`` vary parameters independently in a box around the start; the
-        others take draws of a posterior, or draws from the box.
-    samples
-        Trajectories (256 if None), blocks (1,024) or draws (2,048, at most so many of the
-        posterior).
-    posterior
-        Folder of results of a sample.
-    start
-        Middle of the box: ``"subject"``, ``"IG1"`` to ``"IG4"``, or a TOML file.
-    fixed
-        Names of parameters held at the start.
-    out
-        Folder for the results, and for the work of a run that was stopped, which the same call
-        resumes; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    Laxity is grouped by coordinate, flexion angle and kind of load. Trials without a stable pose
+    are an output of their own. Parameters vary around --start. All indices, with confidence
+    intervals and convergence, are in result.nc.
 
     Raises
     ------
@@ -96,15 +103,15 @@ def sensitivity(
         If an argument or a file is wrong; the message says what to do. That no simulation has all
         predictions is no error: the answer says it in `failure`.
     """
-    if run.measured is not None and protocol is not None:
+    if data is not None and protocol is not None:
         raise ValueError(
             "the trials are those of DATA.csv or those of --protocol; give one of the two"
         )
     planned = "seed63" if protocol is None else protocol
-    tests = read_tests(planned) if run.measured is None else run.measured
-    outputs = _outputs(run.knee, tests, start, fixed)
+    tests = read_tests(planned) if data is None else data
+    outputs = _outputs(subject, tests, start, fixed)
     over = _where(run, outputs, posterior, samples)
-    warm_up(run.knee, outputs.model.protocol)
+    warm_up(subject, outputs.model.protocol)
     run.start_clock()
     found = analysed(
         outputs,
@@ -123,7 +130,7 @@ def sensitivity(
 def _outputs(
     knee: Knee, tests: Protocol | Laxity, start: str, fixed: Sequence[str] | None
 ) -> LaxityOutputs:
-    model = model_of_tests(knee, tests)
+    model = model_for_tests(knee, tests)
     held = {*(fixed or ()), *model.parameters.nuisance_names}
     free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
     if free.parameters.n < 2:
@@ -146,8 +153,54 @@ def _where(
         middle = outputs.free.restrict(outputs.free.fixed_values)
         return box_around(outputs.parameters, middle)
     # xarray takes longer to load than most mistakes take.
-    from identknee.verbs.posterior_draws import posterior_draws
 
     draws = posterior_draws(posterior, outputs.parameters.names, samples or DEFAULT_DRAWS)
-    run.also_decide(draws=digest(np.ascontiguousarray(draws).tobytes()))
+    run.add_resume_condition(draws=digest(np.ascontiguousarray(draws).tobytes()))
     return draws
+
+
+ARRAYS, POSTERIOR, THETA = "result.nc", "posterior", "theta"
+
+
+def posterior_draws(folder: PathLike, names: tuple[str, ...], n: int) -> Array:
+    """At most n draws of the parameters called `names` from what ``identknee sample`` left.
+
+    They are evenly spread over all chains and steps, shape ``(n, p)``.
+
+    Raises
+    ------
+    InputError
+        If the folder has no posterior, or that of other parameters.
+    """
+    path = Path(folder) / ARRAYS
+    remedy = "Give the folder --out of an identknee sample that has ended."
+    if not path.is_file():
+        raise InputError(path, "", "there are no results to read", remedy)
+    try:
+        tree = xarray.open_datatree(path, engine="h5netcdf")
+    except OSError as error:
+        raise InputError(path, "", f"there are no results to read ({error})", remedy) from error
+    with tree:
+        if POSTERIOR not in tree.children:
+            raise InputError(path, "", "there is no posterior in these results", remedy)
+        data = tree[POSTERIOR].to_dataset().load()
+    draws = _by_name(data, names)
+    if draws is None:
+        why = f"its posterior is not one of {', '.join(names)}"
+        raise InputError(path, POSTERIOR, why, "Sample and analyse with the same --fix.")
+    step = max(1, math.ceil(len(draws) / n))
+    return np.asarray(draws[::step])
+
+
+def _by_name(data: xarray.Dataset, names: tuple[str, ...]) -> Array | None:
+    """Draws of the parameters in this order, from one variable for all or one for each."""
+    if THETA in data:
+        theta = data[THETA]
+        known = [str(x) for x in theta["parameter"].values] if "parameter" in theta.coords else []
+        if set(known) != set(names):
+            return None
+        values = theta.transpose(..., "parameter").sel(parameter=list(names)).values
+        return np.asarray(values.reshape(-1, len(names)), dtype=np.float64)
+    if not all(name in data for name in names):
+        return None
+    return np.column_stack([data[name].values.ravel() for name in names])

@@ -1,27 +1,35 @@
 """The laxity of a knee under a protocol, and how each trial ended."""
 
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Annotated, Any, Unpack, get_args
+
+from typing_extensions import override
 
 from identknee.calibrate.starts import load_start
 from identknee.checks.subject_checks import rim_findings
-from identknee.checks.usable_trials import about_paths
+from identknee.checks.usable_trials import path_findings
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.rmse import LaxityError, laxity_rmse
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.mechanics.load_paths import Continuation
-from identknee.model.candidate_laxity import at_own_poses
+from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.laxity_model import Contact, LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
-from identknee.runs.files import PathLike
 from identknee.runs.outcome import Outcome
-from identknee.runs.workers import Workers
 from identknee.verbs.answer import Answer
+from identknee.verbs.options import (
+    LOAD_STEPS,
+    PROTOCOLS,
+    RunOptions,
+    Seed,
+    Subject,
+    option,
+)
 from identknee.verbs.values import (
     NoiseLike,
     ValuesLike,
@@ -30,8 +38,7 @@ from identknee.verbs.values import (
     noise_of,
     values_of,
 )
-from identknee.verbs.verb import Run, SubjectLike, verb
-from identknee.verbs.warming import warm_up
+from identknee.verbs.verb import Run, verb, warm_up
 
 LAXITY_FILE = "laxity.csv"
 
@@ -84,6 +91,12 @@ class SimulatedLaxity(Answer):
         return Laxity(protocol=self.protocol, coordinates=self.coordinates)
 
     @property
+    @override
+    def parameter_set(self) -> dict[str, float]:
+        """The parameters simulated with, by name."""
+        return dict(zip(self.parameter_names, self.theta.tolist(), strict=True))
+
+    @property
     def outcomes(self) -> tuple[Outcome, ...]:
         """How each trial ended."""
         return tuple(x.outcome for x in self.trials)
@@ -104,7 +117,7 @@ class SimulatedLaxity(Answer):
     @derived("Parameters simulated with, by ligament and quantity", unit=OF_PARAMETER)
     def parameters(self) -> dict[str, dict[str, float]]:
         """Parameters by ligament and quantity."""
-        return by_ligament(dict(zip(self.parameter_names, self.theta.tolist(), strict=True)))
+        return by_ligament(self.parameter_set)
 
 
 @declared
@@ -121,7 +134,8 @@ class Simulation(SimulatedLaxity):
     )
 
     @property
-    def failure(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def failure(self) -> str:
         """That no trial has an equilibrium; empty where one has."""
         if self.n_converged:
             return ""
@@ -131,49 +145,65 @@ class Simulation(SimulatedLaxity):
 @verb
 def simulate(
     run: Run,
-    subject: SubjectLike,
-    protocol: TrialsLike = "seed63",
-    values: ValuesLike = None,
+    subject: Subject,
+    protocol: Annotated[
+        TrialsLike,
+        option(
+            f"The trials: {PROTOCOLS}. Measured trials are run as `fit` would run them.",
+            in_python="Or a `Protocol`. A subject that was fitted begins at the poses of its fit.",
+            metavar="PROTOCOL",
+            typed=str,
+        ),
+    ] = "seed63",
+    values: Annotated[
+        ValuesLike,
+        option(
+            "Set a parameter, such as ACL.stiffness_kN=9.5.",
+            "--set",
+            in_python="A list of texts, or numbers by name.",
+            metavar="NAME=VALUE",
+            typed=list[str] | None,
+        ),
+    ] = None,
     *,
-    start: str = "subject",
-    noise: NoiseLike = None,
-    noise_correlation: float = 0.0,
-    noise_student: float | None = None,
-    continuation: Continuation = "continuation",
-    contact: Contact = "field",
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    start: Annotated[
+        str,
+        option(
+            "Ligament parameters: subject (its own values), IG1 to IG4 of the paper, or a file "
+            "ending in .toml. --set changes single ones."
+        ),
+    ] = "subject",
+    noise: Annotated[
+        NoiseLike,
+        option(
+            "Add noise with this standard deviation, such as 0.3mm,0.3deg.",
+            in_python="A text, or two numbers in mm and deg.",
+            metavar="MM,DEG",
+            typed=str | None,
+        ),
+    ] = None,
+    noise_correlation: Annotated[
+        float, option("Correlation between the five errors of a trial.")
+    ] = 0.0,
+    noise_student: Annotated[
+        float | None,
+        option("Degrees of freedom of Student's t noise; normal noise if not given."),
+    ] = None,
+    continuation: Annotated[Continuation, LOAD_STEPS] = "continuation",
+    contact: Annotated[
+        Contact,
+        option(
+            "field: a smooth distance field. mesh: the law of the paper between triangles, which "
+            "is slow."
+        ),
+    ] = "field",
+    seed: Seed = 0,
+    **_: Unpack[RunOptions],
 ) -> Simulation:
     """The simulated laxity of a knee; a trial without equilibrium is no error but has an outcome.
 
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    protocol
-        Trials: ``"seed63"``, ``"table2"``, ``"drawer"``, a TOML file, a `Protocol`, or a laxity
-        table (CSV, or ``"s192803"``), whose trials are run as a fit to it would run them, and whose
-        values are compared with. A subject that was fitted begins at the poses of its fit instead
-        of the measured ones.
-    values
-        Parameters other than those of `start`, such as ``{"ACL.stiffness_kN": 9.5}``.
-    start
-        Parameters of the ligaments: ``"subject"``, ``"IG1"`` to ``"IG4"``, or a TOML file.
-    noise
-        Standard deviations of lengths and angles of noise to add [mm, deg]; none is added if None.
-    noise_correlation
-        Correlation that the five errors of a trial share.
-    noise_student
-        Degrees of freedom of heavy-tailed noise; normal noise if None.
-    continuation, contact
-        As for `identknee.model.laxity_model.LaxityModel`.
-    out
-        Folder for the results and for ``laxity.csv``; nothing is written if None.
-    seed
-        Seed of the noise.
-    workers
-        Without effect: one process does the work.
+    Writes the laxity to laxity.csv, and how each trial ended to result.json. A trial without a
+    stable pose has blank cells.
 
     Raises
     ------
@@ -191,17 +221,17 @@ def simulate(
     tests = read_tests(protocol)
     chosen = values_of(values)
     trials = tests.protocol if isinstance(tests, Laxity) else tests
-    model = LaxityModel(knee=run.knee, protocol=trials, continuation=continuation, contact=contact)
+    model = LaxityModel(knee=subject, protocol=trials, continuation=continuation, contact=contact)
     if isinstance(tests, Laxity):
         its_own = replace(model, order=tests.order, phase=tests.phase)
-        model = its_own if run.knee.poses else model.with_tests(tests)
+        model = its_own if subject.poses else model.with_tests(tests)
     begun = load_start(start, model.parameters).tolist()
     theta = model.parameters.vector(dict(zip(model.parameters.names, begun, strict=True)) | chosen)
-    warm_up(run.knee, trials)
+    warm_up(subject, trials)
     run.start_clock()
-    said = about_paths(model)
-    if run.knee.poses:
-        model = at_own_poses(model, theta)
+    said = path_findings(model)
+    if subject.poses:
+        model = continued_from_own_poses(model, theta)
     prediction = model.predict(theta, derivatives=False)
     noisy = None
     if sizes is not None:

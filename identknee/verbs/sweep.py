@@ -2,31 +2,39 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Literal
+from typing import Annotated, Literal, Unpack
 
 from identknee.calibrate.fit import BUDGET
 from identknee.checks.fit_warnings import start_findings
 from identknee.identify.basins import WITHIN, Survey
 from identknee.identify.basins import survey as surveyed
 from identknee.identify.cliffs import CliffMap, map_cliffs
-from identknee.identify.sweep import STARTS_A_TASK, Searches, shell_starts, sobol_starts
+from identknee.identify.sweep import STARTS_A_TASK, SweepSearches, shell_starts, sobol_starts
 from identknee.identify.sweep import sweep as searched
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.files import PathLike
 from identknee.runs.findings import Finding
 from identknee.runs.progress import planned
-from identknee.runs.workers import Workers
-from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
-from identknee.verbs.values import BoundsLike, NoiseLike
-from identknee.verbs.verb import LaxityLike, Run, SubjectLike, not_deciding, verb
+from identknee.verbs.options import (
+    Bounds,
+    Data,
+    Fixed,
+    KneeOptions,
+    Method,
+    Noise,
+    Seed,
+    Start,
+    Subject,
+    option,
+)
+from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 Design = Literal["sobol", "shells"]
-DISTANCES = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
+DISTANCES = "0,0.5,1,1.5,2,2.5,3,4,5,6"
 
 # Of a path searched for cliffs, in searches by least squares.
 PATH_COST = 3.6
@@ -46,67 +54,67 @@ class Sweep(Answer):
     )
 
     @property
-    def searches(self) -> Searches:
+    def searches(self) -> SweepSearches:
         """Every search."""
         return self.survey.searches
 
 
 @verb
-@not_deciding("within", "paths")
+@not_resume_relevant("within", "paths")
 def sweep(
     run: Run,
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: Subject,
+    data: Data,
     *,
-    n_starts: int = 1000,
-    method: str = "least-squares",
-    design: Design = "sobol",
-    distances: str | Sequence[float] = DISTANCES,
-    budget: int | None = None,
-    within: float = WITHIN,
-    paths: int = 100,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: str = "subject",
-    fixed: Sequence[str] | None = None,
-    bounds: BoundsLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: Workers = 1,
+    n_starts: Annotated[int, option("Number of starts.", least=1)] = 1000,
+    method: Method = "least-squares",
+    design: Annotated[
+        Design,
+        option(
+            "How starts are placed. sobol: evenly within the bounds. shells: at --distances from "
+            "--start."
+        ),
+    ] = "sobol",
+    distances: Annotated[
+        str | Sequence[float],
+        option(
+            "For shells: mean differences from --start in kN and in %, such as 0.5,1,2.",
+            in_python="A text, or numbers.",
+            metavar="D,D,...",
+            typed=str,
+        ),
+    ] = DISTANCES,
+    budget: Annotated[
+        int | None,
+        option("Largest number of simulations per search; 2,500 if not given."),
+    ] = None,
+    within: Annotated[
+        float,
+        option(
+            "A search recovers the best fit if it ends within this mean distance of it, in kN and "
+            "in %.",
+            least=0.0,
+        ),
+    ] = WITHIN,
+    paths: Annotated[
+        int,
+        option(
+            "For how many starts to search the straight path to the best fit for cliffs.", least=0
+        ),
+    ] = 100,
+    noise: Noise = None,
+    start: Start = "subject",
+    fixed: Fixed = None,
+    bounds: Bounds = None,
+    seed: Seed = 0,
+    **_: Unpack[KneeOptions],
 ) -> Sweep:
     """Where searches from many starts end, and why there.
 
-    Parameters
-    ----------
-    subject
-        A knee, its folder, or the name of one that comes with identknee.
-    data
-        Measured laxity, its CSV file, or the name of a subject that comes with one.
-    n_starts
-        Searches to make.
-    method, budget
-        Optimizer, and the simulations that a search may make; 2,500 if None.
-    design
-        ``"sobol"``: starts evenly over the bounds; ``"shells"``: at `distances` from the start.
-    distances
-        Mean differences in kN and in %, as numbers or as a text such as ``0.5,1,2``.
-    within
-        Mean distance in kN and in % from the best fit at which it counts as recovered.
-    paths
-        Starts whose straight path to the best fit is searched for cliffs.
-    uncertain
-        How well geometry, frames and loads are known, as in
-        ``"insertions=2mm,registration=2deg"``, in place of what the subject states; ``"none"`` for
-        exactly.
-    noise, start, fixed, bounds
-        As for `identknee.verbs.identification.identification`.
-    out
-        Folder for the results, and for the work of a run that was stopped, which the same call
-        resumes; nothing is written if None.
-    seed
-        Seed of all random numbers.
-    workers
-        Processes to work with, or the address of a dask scheduler; results are the same.
+    A search may end in a minimum, give up in a valley, or stop at a cliff, where the simulated
+    knee jumps. Least squares with exact derivatives goes on from each end, so that only real
+    minima count. The answer has the basins with their volumes, how often the best fit is found
+    from how far away, and the cliffs on the way. All ends are in result.nc.
 
     Raises
     ------
@@ -114,9 +122,7 @@ def sweep(
         If an argument or a file is wrong; the message says what to do. That no search has a
         prediction is no error: the answer says it in `failure`.
     """
-    setup = identification(
-        run.knee, run.laxity, noise=noise, start=start, fixed=fixed, bounds=bounds
-    )
+    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
     parameters = setup.problem.parameters
     if design == "sobol":
         starts = sobol_starts(parameters, n_starts, seed=seed)
@@ -199,7 +205,7 @@ def _lost(model: LaxityModel, free: FreeParameters, theta: Array) -> list[str]:
 
 
 def _findings(setup: Identification, survey: Survey) -> tuple[Finding, ...]:
-    """What speaks against the best fit, and whether others fit as well."""
+    """Findings about the best fit, and whether others fit as well."""
     searches = survey.searches
     if survey.target is None:
         return (no_prediction_finding(setup),)

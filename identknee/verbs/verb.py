@@ -7,23 +7,57 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar, overload
+from typing import Protocol as TypedProtocol
 
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
-from identknee.runs.executors import Executor
-from identknee.runs.files import PathLike, digest, prepare_folder
-from identknee.runs.library_threads import one_library_thread
+from identknee.model.laxity_model import LaxityModel
+from identknee.runs.executors import Executor, Workers, executor_of, one_library_thread
+from identknee.runs.files import digest, prepare_folder
+from identknee.runs.progress import progress_bar
 from identknee.runs.record import record
 from identknee.runs.store import Store, finish_work, open_work
-from identknee.runs.workers import Workers, executor_of
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import with_stated
+from identknee.subject.uncertainty import EXACTLY, with_stated_uncertainty
 from identknee.verbs.answer import Answer
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.options import (
+    REFERENCE,
+    LaxityLike,
+    SubjectLike,
+    explained,
+    parameters_in_full,
+)
+
+
+def knee_digest(knee: Knee) -> str:
+    """SHA-256 of all numbers of a knee, and of what it states to be uncertain."""
+    parts = [knee.side.encode()]
+    for x in knee.ligaments:
+        numbers = (*x.femur.tolist(), *x.tibia.tolist(), x.stiffness_kN, x.reference_strain_pct)
+        parts.append(f"{x.name} {numbers}".encode())
+    for effect in knee.effects:
+        ends = [(femur.tolist(), tibia.tolist()) for femur, tibia in effect.lines]
+        spread = (effect.stiffness_sd_kN, effect.site_sd_mm)
+        parts.append(f"{effect.name} {dict(effect.values)} {effect.fixed} {ends} {spread}".encode())
+    stated = (knee.uncertainty, sorted(knee.priors.items()), sorted(knee.bounds.items()))
+    if stated != (EXACTLY, [], []):
+        parts.append(repr(stated).encode())
+    known = [(x.flexion_deg, x.coordinates.tolist()) for x in knee.poses]
+    further = (knee.groups, known, sorted(knee.fitted.items()))
+    if further != ((), [], []):
+        parts.append(repr(further).encode())
+    if knee.contact_rounding_mm:
+        parts.append(f"contact rounding {knee.contact_rounding_mm}".encode())
+    for surface in (knee.femur, *knee.tibia):
+        parts += [surface.vertices.tobytes(), surface.faces.tobytes()]
+    for frame in (knee.femur_frame, knee.tibia_frame):
+        parts += [frame.origin.tobytes(), frame.axes.tobytes()]
+    return digest(b"".join(parts))
+
 
 WORK = "work.sqlite"
 # What cannot change a number; everything else decides whether stored work may be resumed. Of
@@ -34,11 +68,10 @@ BESIDE, RECORDED = "__not_deciding__", "__recorded_as__"
 READ, SUMMARY = (".toml", ".json", ".osim", ".csv", ".sto", ".mot"), "result.json"
 # Kept by their names in the record of a call.
 _NAMED = (Knee, Protocol, MechanicalEffect, ObservationEffect)
-SubjectLike = Knee | PathLike
-LaxityLike = Laxity | PathLike
 Arguments = ParamSpec("Arguments")
 Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result", bound=Answer)
+Given = TypeVar("Given", bound=Answer, covariant=True)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -47,8 +80,6 @@ class Run:
 
     Attributes
     ----------
-    knee, measured
-        The subject and the data, read and digested; None for no data.
     workers
         Processes to work with.
     out
@@ -57,8 +88,6 @@ class Run:
         All that the results depend on.
     """
 
-    knee: Knee
-    measured: Laxity | None
     workers: Workers
     out: Path | None
     deciding: Mapping[str, Any]
@@ -66,19 +95,6 @@ class Run:
     _executor: Executor | None = None
     _store: Store | None = None
     _began: float = 0.0
-
-    @property
-    def laxity(self) -> Laxity:
-        """The data.
-
-        Raises
-        ------
-        ValueError
-            If there are none.
-        """
-        if self.measured is None:
-            raise ValueError("there are no data; give a laxity table")
-        return self.measured
 
     @property
     def executor(self) -> Executor:
@@ -94,7 +110,7 @@ class Run:
             self._store = self._stack.enter_context(open_work(self.out / WORK, self.deciding))
         return self._store
 
-    def also_decide(self, **values: Any) -> None:
+    def add_resume_condition(self, **values: Any) -> None:
         """Add to what stored work must agree with, before the store is opened."""
         self.deciding = {**self.deciding, **values}
 
@@ -114,25 +130,75 @@ class Run:
         return earlier + time.perf_counter() - self._began
 
 
+class OfData(TypedProtocol[Arguments, Given]):
+    """A verb as users call it: with a knee and its laxity, or where to read them."""
+
+    def __call__(
+        self,
+        subject: SubjectLike,
+        data: LaxityLike,
+        *args: Arguments.args,
+        **kwargs: Arguments.kwargs,
+    ) -> Given:
+        """The answer."""
+
+
+class OfMaybeData(TypedProtocol[Arguments, Given]):
+    """The same of a verb that may do without data."""
+
+    def __call__(
+        self,
+        subject: SubjectLike,
+        data: LaxityLike | None = None,
+        *args: Arguments.args,
+        **kwargs: Arguments.kwargs,
+    ) -> Given:
+        """The answer."""
+
+
+class OfSubject(TypedProtocol[Arguments, Given]):
+    """The same of a verb without data."""
+
+    def __call__(
+        self, subject: SubjectLike, *args: Arguments.args, **kwargs: Arguments.kwargs
+    ) -> Given:
+        """The answer."""
+
+
+@overload
+def verb(
+    function: Callable[Concatenate[Run, Knee, Laxity | None, Arguments], Result],
+) -> OfMaybeData[Arguments, Result]: ...
+@overload
+def verb(
+    function: Callable[Concatenate[Run, Knee, Laxity, Arguments], Result],
+) -> OfData[Arguments, Result]: ...
+@overload
+def verb(
+    function: Callable[Concatenate[Run, Knee, Arguments], Result],
+) -> OfSubject[Arguments, Result]: ...
+@overload
 def verb(
     function: Callable[Concatenate[Run, Arguments], Result],
-) -> Callable[Arguments, Result]:
-    """The function as users call it: without its run, which is made from the arguments.
+) -> Callable[Arguments, Result]: ...
+def verb(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function as users call it: without its run, and with files in place of what is in them.
 
-    The arguments ``subject`` and ``data`` may be a knee and its laxity or where to read them,
-    ``out`` and ``workers`` say where results go and how many processes work. Every other argument
-    is part of what stored work must agree with to be resumed.
+    The function gets ``subject`` and ``data`` as they were read, the subject with its uncertainty
+    as ``uncertain`` states it. The run has the folder ``out`` and the executor of ``workers``.
+    Every other argument is part of what stored work must agree with to be resumed.
     """
-    signature = inspect.signature(function)
-    own = list(signature.parameters.values())[1:]
+    public = parameters_in_full(function)
+    # The run comes first.
+    del public[next(iter(public))]
 
     @functools.wraps(function)
-    def called(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+    def called(*args: Any, **kwargs: Any) -> Any:
         bound = called.__signature__.bind(*args, **kwargs)  # type: ignore[attr-defined]
         bound.apply_defaults()
-        with one_library_thread(), _run(function, bound.arguments) as (run, recording):
+        with one_library_thread(), _run(function, bound.arguments) as (run, read, recording):
             run.start_clock()
-            result = function(run, *bound.args, **bound.kwargs)
+            result = function(run, **bound.arguments | read)
             result = replace(result, seconds=run.seconds, record=recording.finish())
         if run.out is not None:
             # xarray takes longer to load than a short computation takes.
@@ -142,11 +208,10 @@ def verb(
             run.finish()
         return result
 
-    called.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
-    return called
+    return explained(called, public)
 
 
-def not_deciding(*names: str) -> Callable[[Function], Function]:
+def not_resume_relevant(*names: str) -> Callable[[Function], Function]:
     """Decorator, below ``@verb``, that names options which cannot change a number in the store.
 
     With another value of them the same work goes on, as with a larger budget.
@@ -173,17 +238,23 @@ def recorded_as(name: str, *, secret: Sequence[str] = ()) -> Callable[[Function]
 
 
 @contextmanager
-def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator[tuple[Run, Any]]:
+def _run(
+    function: Callable[..., Any], arguments: Mapping[str, Any]
+) -> Iterator[tuple[Run, Mapping[str, Any], Any]]:
+    """The run, the arguments that were read from files, and the recording."""
     name, secret = getattr(function, RECORDED, (function.__name__, frozenset()))
     beside = NOT_DECIDING | getattr(function, BESIDE, frozenset())
     out = arguments.get("out")
     folder = None if out is None else prepare_folder(out)
     data = arguments.get("data")
     laxity = data if data is None or isinstance(data, Laxity) else read_laxity(data)
-    subject = arguments.get("subject", "reference")
+    if laxity is None and _needs_data(function):
+        raise ValueError("there are no data; give a laxity table")
+    subject = arguments.get("subject", REFERENCE)
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
-        knee = knee.with_uncertainty(with_stated(knee.uncertainty, stated))
+        knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))
+    read = {k: x for k, x in (("subject", knee), ("data", laxity)) if k in arguments}
     inputs = _inputs(arguments, knee, data)
     settings = {key: _setting(x) for key, x in arguments.items()}
     told = {key: x for key, x in settings.items() if key not in secret}
@@ -192,14 +263,17 @@ def _run(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Iterator
     workers = arguments.get("workers", 1)
     with ExitStack() as stack:
         run = Run(
-            knee=knee,
-            measured=laxity,
             workers=workers,
             out=folder,
             deciding={"verb": name, "inputs": inputs, **deciding},
             _stack=stack,
         )
-        yield run, recording
+        yield run, read, recording
+
+
+def _needs_data(function: Callable[..., Any]) -> bool:
+    data = inspect.signature(function).parameters.get("data")
+    return data is not None and data.default is data.empty
 
 
 def _inputs(arguments: Mapping[str, Any], knee: Knee, data: Any) -> dict[str, str]:
@@ -247,3 +321,10 @@ def _setting(value: Any) -> Any:
     if isinstance(value, list | tuple) and any(isinstance(x, _NAMED) for x in value):
         return [_setting(x) for x in value]
     return "a table in memory" if isinstance(value, Laxity) else value
+
+
+def warm_up(knee: Knee, protocol: Protocol) -> None:
+    """Compile and build the distance field, or load them, so that times taken later exclude it."""
+    with progress_bar("preparing, longer the first time after an installation"):
+        model = LaxityModel(knee=knee, protocol=protocol.select([0]), effects=())
+        model.predict(model.parameters.center)

@@ -23,7 +23,7 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee
 import identknee as ik
 from identknee.calibrate.fit import fit
-from identknee.model.parameter_error import parameter_error
+from identknee.verbs.demo import parameter_error
 
 KNEES = ("reference", "lenhart2015_stable")
 STARTS = ("IG1", "IG2", "IG3", "IG4")

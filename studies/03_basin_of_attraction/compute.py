@@ -125,7 +125,7 @@ def swept(
     wanted: Part,
     options: argparse.Namespace,
     executor: ik.runs.Executor,
-) -> ik.identify.Searches:
+) -> ik.identify.SweepSearches:
     """The sweep of a part on a knee, from its store as far as it is there."""
     n = wanted.numbers[knee]
     n = max(1, n // 100) if options.quick else n
@@ -169,7 +169,7 @@ def described(problem: ik.LaxityResiduals) -> Row:
     return row
 
 
-def part_row(problem: ik.LaxityResiduals, found: ik.identify.Searches, wanted: Part) -> Row:
+def part_row(problem: ik.LaxityResiduals, found: ik.identify.SweepSearches, wanted: Part) -> Row:
     """What the record keeps of a sweep."""
     truth = truth_of(problem.parameters)
     read = ik.identify.survey(problem, found, target=truth)
@@ -208,7 +208,7 @@ def part_row(problem: ik.LaxityResiduals, found: ik.identify.Searches, wanted: P
     return checked
 
 
-def crossed(found: ik.identify.Searches) -> Row:
+def crossed(found: ik.identify.SweepSearches) -> Row:
     """How many ends of each kind, by how their polishing ended."""
     rows: Row = {}
     for kind in ik.identify.OUTCOMES:
@@ -219,7 +219,11 @@ def crossed(found: ik.identify.Searches) -> Row:
 
 
 def recovered_row(
-    found: ik.identify.Searches, truth: ik.runs.Array, away: ik.runs.Array, within: float, end: str
+    found: ik.identify.SweepSearches,
+    truth: ik.runs.Array,
+    away: ik.runs.Array,
+    within: float,
+    end: str,
 ) -> Row:
     """Shares recovered by distance, and the radii for nine of ten and every second."""
     shares = ik.identify.recovery(
@@ -240,7 +244,7 @@ def shares_row(found: ik.identify.Recovery) -> Row:
     }
 
 
-def guess_rows(found: ik.identify.Searches, truth: ik.runs.Array) -> Row:
+def guess_rows(found: ik.identify.SweepSearches, truth: ik.runs.Array) -> Row:
     """For each guess: how its searches end, where polishing leads, errors as in Table 3."""
     groups = ik.identify.unit_groups(found.parameters)
     guess_of = np.repeat(GUESSES, found.n // len(GUESSES))

@@ -38,6 +38,6 @@ def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
 def searched(problem: ik.LaxityResiduals, start: ik.runs.Array, number: int) -> Row:
     """One search of a sweep."""
     end = fit(problem, start, method=METHOD, seed=ik.identify.search_seed(SEED, number))
-    kind = ik.identify.kind_of_end(problem, end).value
+    kind = ik.identify.classify_end(problem, end).value
     row: Row = rounded({"start": start, "end": end.theta, "kind": kind}, 5)
     return row

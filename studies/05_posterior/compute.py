@@ -21,8 +21,7 @@ import identknee as ik
 from identknee.identify.posterior.sample import sample
 from identknee.identify.profile.profile import profile_parameters
 from identknee.runs.plain_records import summary_of
-from identknee.verbs.sample import as_answer
-from identknee.verbs.sample_records import predictive
+from identknee.verbs.sample import as_answer, predictive
 
 KNEES = ("reference", "lenhart2015_stable")
 NOISE = 0.5  # mm and deg

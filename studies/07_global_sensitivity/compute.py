@@ -19,7 +19,7 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee as ik
 from identknee.calibrate.fit import fit
 from identknee.identify.sensitivity import Method, sensitivity
-from identknee.laxity.scenarios import laxity_groups
+from identknee.laxity.trial_words import laxity_groups
 
 # Blocks, trajectories, draws: in full on the reference knee, a fifth or so on the real one.
 KNEES = {
@@ -111,7 +111,7 @@ def posterior_draws(model: ik.LaxityModel, truth: ik.runs.Array, n: int) -> ik.r
     """
     laxity = ik.add_noise(model.simulate(truth), sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=SEED)
     residuals = ik.LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-    problem = ik.calibrate.WithPriors(problem=residuals)
+    problem = ik.calibrate.ProblemWithPriors(problem=residuals)
     best = fit(problem, truth).theta
     problem.residuals(best)
     jacobian = problem.jacobian(best)

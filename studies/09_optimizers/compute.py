@@ -111,7 +111,7 @@ def search_row(
     end = fit(
         problem, start, method=method, seed=ik.identify.search_seed(SEED, number), budget=budget
     )
-    kind = ik.identify.kind_of_end(problem, end)
+    kind = ik.identify.classify_end(problem, end)
     failed = end.outcome is ik.Outcome.START_FAILED
     polished = end if failed else fit(problem, end.theta, seed=number)
     groups = ik.identify.unit_groups(problem.parameters)

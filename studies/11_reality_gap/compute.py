@@ -216,7 +216,7 @@ def extensions(found: ik.diagnosis.Investigation) -> Row:
 
 def extension(
     found: ik.diagnosis.Investigation,
-    before: ik.diagnosis.HeldOut,
+    before: ik.diagnosis.CrossValidation,
     refit: ik.diagnosis.Refit,
     folds: Sequence[ik.diagnosis.Fold],
 ) -> Row:
@@ -233,9 +233,9 @@ def extension(
         "amplitudes": [
             {
                 "name": x.name,
-                "value": x.amplitude.value,
-                "unit": x.amplitude.unit,
-                "ci95": x.amplitude.ci95,
+                "value": x.amplitude,
+                "unit": x.unit,
+                "ci95": x.ci95,
             }
             for x in ik.diagnosis.causes_of(refit)
         ],
@@ -248,7 +248,7 @@ def extension(
 
 def left_out(
     found: ik.diagnosis.Investigation, refit: ik.diagnosis.Refit, folds: Sequence[ik.diagnosis.Fold]
-) -> ik.diagnosis.HeldOut:
+) -> ik.diagnosis.CrossValidation:
     """Each value predicted by the model fitted to the 12 others."""
     fitted = refit.fitted
     observations = ik.diagnosis.observations_of(found.laxity, found.noise.sd, fitted.noise)
@@ -266,7 +266,7 @@ def one_value_folds(laxity: ik.Laxity) -> Sequence[ik.diagnosis.Fold]:
     ]
 
 
-def held_facts(scores: ik.diagnosis.HeldOut) -> Row:
+def held_facts(scores: ik.diagnosis.CrossValidation) -> Row:
     """Errors of the predicted values."""
     rmse, expected = scores.rmse(), scores.expected_rmse()
     return {

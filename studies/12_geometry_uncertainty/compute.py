@@ -131,7 +131,7 @@ def replicate_row(knee: ik.Knee, task: Row) -> Row:
 
 def best_fit(
     evaluator: ik.calibrate.Evaluator, truth: ik.runs.Array, generator: np.random.Generator
-) -> ik.calibrate.Constrained:
+) -> ik.calibrate.ConstrainedFit:
     """The best of a few fits: from the truth, and from places of the box around it."""
     found = []
     for start in (truth, *ik.checks.box_sample(evaluator.parameters, STARTS, generator)):

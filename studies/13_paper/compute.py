@@ -20,7 +20,7 @@ from other_studies import module_of
 
 import identknee as ik
 from identknee.calibrate.fit import fit
-from identknee.model.parameter_error import parameter_error
+from identknee.verbs.demo import parameter_error
 
 GUESSES = module_of("02_initial_guess", "compute")
 TABLES = module_of("02_initial_guess", "paper_tables")

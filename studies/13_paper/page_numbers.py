@@ -24,7 +24,7 @@ from page_tables import (
 )
 
 import identknee as ik
-from identknee.model.parameter_error import parameter_error
+from identknee.verbs.demo import parameter_error
 
 VERDICT = Path(__file__).parents[2] / "tests" / "verification" / "verdict.json"
 NOT_YET = "(not computed yet)"

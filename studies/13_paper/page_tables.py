@@ -11,7 +11,7 @@ from common.page import table
 from other_studies import module_of
 
 import identknee as ik
-from identknee.model.parameter_error import parameter_error
+from identknee.verbs.demo import parameter_error
 
 EVALUATION, GUESSES, BASINS = "01_model_evaluation", "02_initial_guess", "03_basin_of_attraction"
 PROFILES, EQUIVALENTS, OPTIMIZERS = "04_profiles", "06_equivalent_sets", "09_optimizers"

@@ -27,7 +27,7 @@ from common.wrong_geometry import constrained_deviances, true_setting, with_erro
 from scipy.spatial.transform import Rotation
 
 import identknee as ik
-from identknee.runs.errors import NotComputed
+from identknee.runs.errors import NotComputable
 from identknee.subject.uncertainty import Uncertainty
 from identknee.verbs.identification import identification
 
@@ -123,7 +123,7 @@ def replicate_row(knee: ik.Knee, task: Row) -> Row:
     assumed, laxity = given(knee, task)
     try:
         setup = identification(assumed, laxity)
-    except NotComputed:
+    except NotComputable:
         return {**task, "theta": None}
     evaluator = ik.calibrate.Evaluator(setup.problem)
     parameters = evaluator.parameters

@@ -18,7 +18,7 @@ from common.records import Row, begun, parsed_options, rounded, say, working, wr
 import identknee as ik
 from identknee.checks.contradicted_trials import end_point_findings
 from identknee.runs.findings import Severity
-from identknee.verbs.held_out import HeldValue
+from identknee.verbs.fit import HeldValue
 
 KNEES = ("s192803", "s192803_bundles")
 WRONG_ROW = "Valgus_60"
@@ -216,7 +216,7 @@ def ended(found: ik.Calibration) -> Row:
 
 
 def doubts(found: ik.Calibration) -> list[str]:
-    """What speaks against a fit."""
+    """Findings about a fit."""
     return [x.sentence for x in found.findings if x.severity is not Severity.INFO]
 
 

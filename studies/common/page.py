@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import identknee as ik
-from identknee.report.picture import png
+from identknee.report.figures import png
 
 Record = dict[str, Any]
 Cell = str | float | int | None

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from common.published import PublishedLaxity
-from identknee.mechanics.ligament_wrench import line_tensions
+from identknee.mechanics.ligament_tensions import line_tensions
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
 from identknee.runs.arrays import Array
 

@@ -12,7 +12,7 @@ import numpy as np
 from identknee.laxity.protocol import LOADS, trial_name
 from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zeros import SAME_ANGLE_DEG
+from identknee.laxity.zero_conventions import SAME_ANGLE_DEG
 from identknee.runs.arrays import Array
 
 PAPER = (

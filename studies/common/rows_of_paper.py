@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from common.published import PublishedError, PublishedLaxity
-from identknee.model.parameter_error import parameter_error
 from identknee.report.tables import Cell, Column, Table
 from identknee.runs.arrays import Array
+from identknee.verbs.demo import parameter_error
 
 
 def laxity_table(published: Sequence[PublishedLaxity], models: Mapping[str, ArrayLike]) -> Table:

@@ -77,9 +77,9 @@ def with_error(
 
 def constrained_deviances(
     evaluator: ik.calibrate.Evaluator,
-    best: ik.calibrate.Constrained,
+    best: ik.calibrate.ConstrainedFit,
     wanted: Sequence[tuple[ik.calibrate.Quantity, float]],
-) -> tuple[list[float], ik.calibrate.Constrained]:
+) -> tuple[list[float], ik.calibrate.ConstrainedFit]:
     """Lowest deviance with each quantity at its true value, and the best fit seen on the way."""
     deviances = []
     for quantity, target in wanted:

@@ -7,7 +7,7 @@ import pytest
 
 from identknee.blind.case import blind_case
 from identknee.blind.conditions import stated_conditions
-from identknee.blind.experiment import conduct, experiment_of, theta_slopes
+from identknee.blind.experiment import experiment_of, parameter_derivatives, run_experiment
 from identknee.calibrate.fit import fit
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
@@ -15,7 +15,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import with_stated
+from identknee.subject.uncertainty import with_stated_uncertainty
 
 SD = 0.3
 # What a null may leave after the fit of the ligament parameters, in units of the noise.
@@ -26,7 +26,7 @@ SEEDS = (1, 2, 3)
 def test_coordinates_are_close_and_not_the_same(
     reference: Knee, reference_model: LaxityModel, reference_prediction: Prediction
 ) -> None:
-    run = conduct(experiment_of(reference, reference_model.protocol))
+    run = run_experiment(experiment_of(reference, reference_model.protocol))
     assert run.is_complete
     difference = np.abs(run.coordinates - reference_prediction.coordinates)
     assert 0.01 < difference[:, TRANSLATIONS].max() < 1.0
@@ -40,11 +40,11 @@ def test_slopes_are_those_of_runs(reference: Knee) -> None:
         [x.stiffness_kN for x in reference.ligaments]
         + [x.reference_strain_pct for x in reference.ligaments]
     )
-    run, size = conduct(experiment), 1e-3
-    slopes = theta_slopes(experiment, run, len(reference.ligaments))
+    run, size = run_experiment(experiment), 1e-3
+    slopes = parameter_derivatives(experiment, run, len(reference.ligaments))
     for i, step in enumerate(size * np.eye(len(theta))):
         ahead, behind = (
-            conduct(experiment.with_theta(theta + x), run).coordinates for x in (step, -step)
+            run_experiment(experiment.with_theta(theta + x), run).coordinates for x in (step, -step)
         )
         by_difference = (ahead - behind) / (2.0 * size)
         # Its Hessian is differenced too, across points that come into contact.
@@ -80,7 +80,7 @@ def test_true_errors_are_the_nuisances_of_the_model(reference: Knee, uncertain: 
     protocol = load_protocol("seed63").select(range(0, 63, 4))
     conditions = stated_conditions(uncertain)
     case = blind_case(reference, seed=3, effect=None, protocol=protocol, conditions=conditions)
-    knee = reference.with_uncertainty(with_stated(reference.uncertainty, uncertain))
+    knee = reference.with_uncertainty(with_stated_uncertainty(reference.uncertainty, uncertain))
     model = LaxityModel(knee=knee, protocol=protocol)
     assert set(case.truth.stated_errors) == set(model.parameters.nuisance_names)
     exact, wrong = (

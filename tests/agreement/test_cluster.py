@@ -18,7 +18,7 @@ from cli_runs import said
 from small_knee import small_knee, small_protocol
 
 import identknee as ik
-from identknee.runs.dask_executor import dask_cluster
+from identknee.runs.executors import dask_cluster
 from identknee.verbs.answer import Answer
 
 # Two parameters stay free.

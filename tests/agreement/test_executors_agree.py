@@ -71,7 +71,7 @@ def _main() -> None:
     with threads(2) as executor:
         found["threads"] = _fits(problem, starts, executor)
     if HAS_DASK:
-        from identknee.runs.dask_executor import dask_cluster
+        from identknee.runs.executors import dask_cluster
 
         with dask_cluster(2) as executor:
             found["dask"] = _fits(problem, starts, executor)

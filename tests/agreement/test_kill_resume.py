@@ -59,7 +59,7 @@ def test_kills_at_random_moments_change_no_bit(tmp_path: Path) -> None:
         kept.append(_n_kept(tmp_path / "work.sqlite"))
     assert kept == sorted(kept)
     assert run_for([sys.executable, __file__, str(tmp_path), "2"], None, environment) == 0
-    expected = [resume.as_stored(fit_one(index)) for index in range(N_STARTS)]
+    expected = [resume.json_round_trip(fit_one(index)) for index in range(N_STARTS)]
     assert json.loads((tmp_path / "result.json").read_text()) == expected
 
 

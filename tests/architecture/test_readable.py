@@ -8,7 +8,8 @@ import typer
 from sentences import long_sentences
 
 from identknee.cli.app import app
-from identknee.report.answers.statements import statements_of
+from identknee.cli.verb_command import WaitingCommand, command_of
+from identknee.report.presenter import statements_of
 from identknee.verbs.files import load
 
 ROOT = Path(__file__).parents[2]
@@ -23,6 +24,8 @@ PAGES = [
 
 def helps(command: typer.core.TyperCommand, name: str = "identknee") -> Iterator[tuple[str, str]]:
     """By command its help with that of its options, and so on for the commands below it."""
+    if isinstance(command, WaitingCommand):
+        command = command_of(command.verb)
     options = [getattr(x, "help", None) or "" for x in command.params]
     yield name, "\n\n".join([command.help or "", *options])
     for below in getattr(command, "commands", {}).values():

@@ -8,7 +8,7 @@ from rows import Measure, Row, median_of
 
 from identknee.blind.case import blind_case
 from identknee.diagnosis.investigation import investigate
-from identknee.runs.library_threads import one_library_thread
+from identknee.runs.executors import one_library_thread
 
 MOST_S, LONGEST_S = 3.0, 8.0
 # Every third effect of the library, drawn with seeds of their own, and nothing.

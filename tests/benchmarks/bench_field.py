@@ -13,7 +13,7 @@ import json, time
 from knees import knee
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.distance_field import build_field
-from identknee.model import joint
+from identknee.model import contact_geometry as joint
 subject = knee("lenhart2015")
 vertices = subject.femur_frame.to_local(subject.femur.vertices)
 

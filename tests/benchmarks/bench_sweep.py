@@ -9,7 +9,7 @@ from knees import model, noise_free
 from rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.sweep import Searches, shell_starts, sweep, tenths
+from identknee.identify.sweep import SweepSearches, shell_starts, split_into_tenths, sweep
 from identknee.runs.executors import process_pool
 
 WORKERS = 2
@@ -25,7 +25,7 @@ def measure(options: argparse.Namespace) -> Row:
     problem = noise_free(model("reference"))
     exact, exact_s = timed(problem, "least-squares", N_LEAST_SQUARES)
     simplex, simplex_s = timed(problem, "complex", N_COMPLEX_MADE)
-    parts = [float(x.mean()) for x in tenths(exact.seconds)]
+    parts = [float(x.mean()) for x in split_into_tenths(exact.seconds)]
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000.0
     measures = [
         Measure(
@@ -61,7 +61,7 @@ def measure(options: argparse.Namespace) -> Row:
     return Row(line=f"{line}; cost per start constant", measures=measures, notes=notes)
 
 
-def timed(problem: Problem, method: str, n: int) -> tuple[Searches, float]:
+def timed(problem: Problem, method: str, n: int) -> tuple[SweepSearches, float]:
     """A sweep on shells around the subject's own values, and its seconds."""
     parameters = problem.parameters
     starts = shell_starts(parameters, n, center=parameters.center, distances=DISTANCES)

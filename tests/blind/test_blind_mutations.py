@@ -76,6 +76,6 @@ def test_without_nuisances_softer_contact_is_another_cause(
     bare = allowed.with_effects(())
     noise = build_noise_model(sd, errorless.is_measured, correlation=0.3)
     start = allowed.parameters.center
-    with_it = fitting.fit_from(allowed, errorless, noise, [start])
-    without = fitting.fit_from(bare, errorless, noise, [start[: bare.parameters.n]])
+    with_it = fitting.best_fit_from(allowed, errorless, noise, [start])
+    without = fitting.best_fit_from(bare, errorless, noise, [start[: bare.parameters.n]])
     assert without.misfit > 2.0 * with_it.misfit

@@ -50,7 +50,7 @@ def test_places_of_both_differ_as_the_table_says(column: int) -> None:
     knee = example(("reference", "lenhart2015_stable")[column])
     of_library = {x.name: x for lines in structure_sites(knee).values() for x in lines}
     apart: list[float] = []
-    for name, (femur, tibia) in sites.structure_ends(sites.places_of(knee)).items():
+    for name, (femur, tibia) in sites.structure_insertions(sites.anatomical_sites(knee)).items():
         place = of_library[name]
         ends = (
             float(np.linalg.norm(knee.femur_frame.to_local(place.femur) - femur)),

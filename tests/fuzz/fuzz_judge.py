@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 import identknee as ik
 from identknee.cli.app import app
-from identknee.cli.command import is_our_sentence
-from identknee.runs import unforeseen
+from identknee.cli.command import is_identknee_error
+from identknee.runs import crash_report as unforeseen
 
 SLOWEST_S = 60.0
 LONGEST_SENTENCE = 8000
@@ -82,8 +82,8 @@ def commanded(words: list[str], out: Path | None = None) -> str:
     with (
         patch.object(ik, "read_subject", read_once),
         patch("identknee.verbs.verb.read_subject", read_once),
-        patch.object(unforeseen, "report_unforeseen", _raise),
-        patch("identknee.cli.command.report_unforeseen", _raise),
+        patch.object(unforeseen, "report_unexpected_error", _raise),
+        patch("identknee.cli.command.report_unexpected_error", _raise),
     ):
         result = CliRunner().invoke(app, words)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
@@ -122,7 +122,7 @@ def _check_folder(out: Path | None, code: int) -> None:
 
 def _fault_of(error: Exception) -> str:
     """Why an error is no refusal; empty where it is one."""
-    if isinstance(error, ValueError) and is_our_sentence(error):
+    if isinstance(error, ValueError) and is_identknee_error(error):
         return ""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:

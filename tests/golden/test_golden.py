@@ -11,7 +11,8 @@ import pytest
 import typer
 
 from identknee.cli.app import app
-from identknee.report.terminal import terminal_lines
+from identknee.cli.verb_command import WaitingCommand, command_of
+from identknee.report.printer import terminal_lines
 from identknee.verbs.files import load
 
 HERE = Path(__file__).parent
@@ -21,6 +22,8 @@ RESULTS = HERE.parent / "fuzz" / "results"
 def _commands(
     command: typer.core.TyperCommand, name: str = "identknee"
 ) -> Iterator[tuple[str, typer.core.TyperCommand]]:
+    if isinstance(command, WaitingCommand):
+        command = command_of(command.verb)
     yield name, command
     for below in getattr(command, "commands", {}).values():
         yield from _commands(below, f"{name} {below.name}")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tolerances import CLOSED_FORM
 
-from identknee.mechanics.ligament_law import tension
+from identknee.mechanics.elements import tension
 
 stiffnesses = st.floats(1.0, 40000.0)
 transitions = st.floats(0.005, 0.1)

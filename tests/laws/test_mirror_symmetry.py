@@ -12,9 +12,9 @@ from small_knee import small_knee, small_protocol
 from tolerances import DERIVATIVE, SAME_POSE
 
 from identknee.mechanics.distance_field import DistanceField, _near, _reach
-from identknee.mechanics.equilibria import ContactPoints, Lines
-from identknee.model import joint as module
-from identknee.model.joint import Joint
+from identknee.mechanics.equilibria import ContactPoints, LineLigaments
+from identknee.model import contact_geometry as module
+from identknee.model.contact_geometry import ContactGeometry
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.subject.folder import read_subject, write_subject
@@ -25,7 +25,7 @@ OF_POSE = np.array([-1.0, -1.0, 1.0, 1.0, -1.0])
 
 
 @pytest.fixture(scope="module")
-def mirrored(reference_model: LaxityModel) -> Joint:
+def mirrored(reference_model: LaxityModel) -> ContactGeometry:
     here = reference_model.joint
     field = here.field
     last = field.origin + field.spacing * (np.array(field.coefficients.shape) - 1)
@@ -44,7 +44,7 @@ def mirrored(reference_model: LaxityModel) -> Joint:
             areas=here.contact.areas,
             compartment=here.contact.compartment,
         ),
-        lines=Lines(
+        lines=LineLigaments(
             femoral=here.lines.femoral * MIRROR,
             tibial=here.lines.tibial * MIRROR,
             reference_length=here.lines.reference_length,
@@ -56,7 +56,7 @@ def mirrored(reference_model: LaxityModel) -> Joint:
 def test_energy_and_force_are_those_of_the_mirror(
     reference_model: LaxityModel,
     reference_prediction: Prediction,
-    mirrored: Joint,
+    mirrored: ContactGeometry,
     seed: int,
     trial: int,
 ) -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from small_knee import small_knee, small_protocol
 
 from identknee.mechanics.distance_field import DistanceField
-from identknee.model import joint
+from identknee.model import contact_geometry as joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
@@ -70,7 +70,7 @@ def test_a_moved_scan_is_the_same_joint(still: Still, rotation: Array, translati
     knee = small_knee(rotation=rotation, translation=translation)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(joint, "_field", lambda *_: still.model.joint.field)
-        moved = joint.joint_of(knee)
+        moved = joint.contact_geometry(knee)
     here = still.model.joint
     rounding = 1e-12 * 300
     assert moved.contact.points == pytest.approx(here.contact.points, abs=rounding)

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactPoints, Lines, solve
+from identknee.mechanics.equilibria import ContactPoints, LineLigaments, solve
 from identknee.mechanics.load_paths import load_paths
 from identknee.mechanics.memory import CONVERGED, Equilibria
-from identknee.model.joint import Joint
+from identknee.model.contact_geometry import ContactGeometry
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 
@@ -23,7 +23,7 @@ trials = st.lists(st.integers(0, 62), min_size=1, max_size=3, unique=True)
 
 
 def _solved(
-    model: LaxityModel, joint: Joint, trials: list[int], force: float, length: float
+    model: LaxityModel, joint: ContactGeometry, trials: list[int], force: float, length: float
 ) -> Equilibria:
     """Equilibria with loads, stiffnesses and contact `force` times as large, lengths `length`."""
     nodes = model.paths.trial_node[trials]
@@ -81,7 +81,7 @@ def test_a_larger_knee_under_larger_loads_turns_by_the_same_angles(
             areas=factor**2 * here.contact.areas,
             compartment=here.contact.compartment,
         ),
-        lines=Lines(
+        lines=LineLigaments(
             femoral=factor * here.lines.femoral,
             tibial=factor * here.lines.tibial,
             reference_length=factor * here.lines.reference_length,

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.pose import rotation_matrix
-from identknee.model.joint import Joint
+from identknee.model.contact_geometry import ContactGeometry
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
@@ -59,7 +59,7 @@ def test_work_along_a_path_is_the_energy_stored(
     )
 
 
-def _contact_forces(joint: Joint, flexion: float, pose: Array) -> tuple[Array, Array]:
+def _contact_forces(joint: ContactGeometry, flexion: float, pose: Array) -> tuple[Array, Array]:
     """Force of the femur on every tibial point [N] and where it acts, by brute force."""
     places = femoral_places(flexion, pose, joint.contact.points)
     depth = depths(joint, flexion, pose)

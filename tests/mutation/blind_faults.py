@@ -278,7 +278,7 @@ FAULTS = (
     ),
     fault(
         "identknee/blind/sites.py",
-        "structure_ends",
+        "structure_insertions",
         "lateral + s * np.array([-4.0, 4.0, 0.0])",
         "lateral + s * np.array([4.0, 4.0, 0.0])",
         "the anterolateral ligament starts in front of the collateral",
@@ -286,7 +286,7 @@ FAULTS = (
     ),
     fault(
         "identknee/blind/sites.py",
-        "structure_ends",
+        "structure_insertions",
         "places.fibula + s * np.array([-4.0, 6.0, -5.0])",
         "places.fibula + s * np.array([4.0, -6.0, -5.0])",
         "the popliteofibular ligament ends on the shaft of the fibula",
@@ -294,7 +294,7 @@ FAULTS = (
     ),
     fault(
         "identknee/blind/sites.py",
-        "structure_ends",
+        "structure_insertions",
         "medial + s * np.array([-8.0, 0.0, 3.0])",
         "medial + s * np.array([8.0, 0.0, 3.0])",
         "the posteromedial structure is an anteromedial one",
@@ -302,7 +302,7 @@ FAULTS = (
     ),
     fault(
         "identknee/blind/sites.py",
-        "places_of",
+        "anatomical_sites",
         "forward = tibial[:, 0] - femoral[:, 0] - 0.001 * np.abs(across)",
         "forward = femoral[:, 0] - tibial[:, 0] - 0.001 * np.abs(across)",
         "the cruciates are taken for one another",
@@ -310,7 +310,7 @@ FAULTS = (
     ),
     fault(
         "identknee/blind/case.py",
-        "left_over",
+        "unexplained_norm",
         "np.linalg.norm(white - columns @ share)",
         "np.linalg.norm(white)",
         "signals count what ligament parameters absorb",

@@ -259,7 +259,7 @@ EFFECTS = (
     ),
     fault(
         "identknee/model/effects/history.py",
-        "_behind",
+        "_with_hysteresis",
         "(phase == UNLOADING).astype(float) - (phase == LOADING)",
         "(phase == LOADING).astype(float) - (phase == UNLOADING)",
         "loops run the other way",
@@ -267,7 +267,7 @@ EFFECTS = (
     ),
     fault(
         "identknee/model/effects/history.py",
-        "_crept",
+        "_with_creep",
         "np.log(order - order.min() + 1.0)",
         "order - order.min() + 1.0",
         "creep grows with time, not with its logarithm",
@@ -317,7 +317,7 @@ MECHANICS = (
     ),
     fault(
         "identknee/mechanics/contact_elements.py",
-        "felt_depth",
+        "effective_depth",
         "felt * felt / (exponent + 1.0) + more",
         "felt * felt / 2.0 + more",
         "the energy beside exponent 1 is not that of the force",
@@ -325,7 +325,7 @@ MECHANICS = (
     ),
     fault(
         "identknee/mechanics/contact_elements.py",
-        "felt_depth",
+        "effective_depth",
         "return (felt, steepness if is_rounded else 1.0, work)",
         "return (felt, 0.5 * steepness if is_rounded else 1.0, work)",
         "the stiffness of contact that begins gradually is half of what it is",
@@ -341,7 +341,7 @@ MECHANICS = (
         "tests/unit/mechanics/test_contact_expansion.py",
     ),
     fault(
-        "identknee/mechanics/spline.py",
+        "identknee/mechanics/contact_elements.py",
         "along_axis",
         "half, third = (0.5 * place, 1.0 / 3.0 * place)",
         "half, third = (0.5 * place, 1.0 / 2.0 * place)",
@@ -349,7 +349,7 @@ MECHANICS = (
         "tests/unit/mechanics/test_spline.py",
     ),
     fault(
-        "identknee/mechanics/minimum.py",
+        "identknee/mechanics/kernel.py",
         "",
         "LAST_STEP = 3e-07",
         "LAST_STEP = 0.01",
@@ -399,7 +399,7 @@ MECHANICS = (
         "tests/unit/calibrate/test_curvature.py",
     ),
     fault(
-        "identknee/mechanics/ligament_law.py",
+        "identknee/mechanics/elements.py",
         "tension",
         "if strain <= 2.0 * transition:\n    slope = stiffness * strain / (2.0 * transition)\n    return (0.5 * slope * strain, slope, slope * strain * strain / 6.0)",
         "if strain <= 1.9 * transition:\n    slope = stiffness * strain / (2.0 * transition)\n    return (0.5 * slope * strain, slope, slope * strain * strain / 6.0)",
@@ -407,7 +407,7 @@ MECHANICS = (
         f"{_LAWS}::test_the_toe_ends_where_both_formulas_meet",
     ),
     fault(
-        "identknee/mechanics/ligament_wrench.py",
+        "identknee/mechanics/ligament_tensions.py",
         "line_tensions",
         "toe = stretched < 2.0 * width",
         "toe = stretched < 1.9 * width",
@@ -415,7 +415,7 @@ MECHANICS = (
         f"{_LAWS}::test_the_toe_ends_where_both_formulas_meet",
     ),
     fault(
-        "identknee/mechanics/ligament_law.py",
+        "identknee/mechanics/elements.py",
         "tension",
         "transition * transition / 6.0",
         "transition * transition / 3.0",
@@ -463,7 +463,7 @@ MECHANICS = (
         _GROOD,
     ),
     fault(
-        "identknee/mechanics/rims.py",
+        "identknee/mechanics/contact_points.py",
         "rim_distance",
         "named[count == 1]",
         "named[count == 2]",
@@ -487,7 +487,7 @@ MECHANICS = (
         _NOISE,
     ),
     fault(
-        "identknee/mechanics/workspace.py",
+        "identknee/mechanics/equilibria.py",
         "kept_workspace",
         "_forget(_kept.last.evaluation)",
         "pass",
@@ -506,7 +506,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/mechanics/contact_expansion.py",
+        "identknee/mechanics/contact_elements.py",
         "turn_expansion",
         "expansion[8, k] = a * x + d * y + g * z",
         "expansion[8, k] = a * x + b * y + c * z",
@@ -514,7 +514,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/mechanics/contact_motion.py",
+        "identknee/mechanics/contact_points.py",
         "contact_motion_columns",
         "[swinging + np.swapaxes(moment, 1, 2) - trace, swapped - pushing, turning, stiffness]",
         "[swinging + moment - trace, swapped - pushing, turning, stiffness]",
@@ -523,7 +523,7 @@ NUISANCES = (
     ),
     fault(
         "identknee/model/effect_stack.py",
-        "_by_lines",
+        "_gradient_differences",
         "share = moves[:, line, entry] / (2.0 * step)",
         "share = np.abs(moves[:, line, entry]) / (2.0 * step)",
         "a line that gets shorter changes the gradient as one that gets longer",
@@ -554,18 +554,18 @@ NUISANCES = (
         _SHARED,
     ),
     fault(
-        "identknee/model/residuals.py",
-        "LaxityResiduals.__post_init__",
-        "covariance = np.eye(len(columns)) + columns @ columns.T",
-        "covariance = np.eye(len(columns))",
+        "identknee/runs/marginalise.py",
+        "marginal_covariance",
+        "np.asarray(own + weighted @ slopes.mT)",
+        "np.asarray(own)",
         "shared errors are stated and not averaged over",
         _SHARED,
     ),
     fault(
         "identknee/calibrate/problem.py",
         "with_all_priors",
-        "return WithPriors(problem=without_priors(problem))",
-        "return WithPriors(problem=problem)",
+        "return ProblemWithPriors(problem=without_priors(problem))",
+        "return ProblemWithPriors(problem=problem)",
         "priors of nuisances count twice",
         _ESTIMATES,
     ),
@@ -587,7 +587,7 @@ NUISANCES = (
     ),
     fault(
         "identknee/model/laxity_model.py",
-        "solve_past_folds",
+        "solve_beyond_folds",
         "(found.codes[nodes] != CONVERGED) & np.isfinite(fallback_poses).all(axis=1)",
         "(found.codes[nodes] == CONVERGED) & np.isfinite(fallback_poses).all(axis=1)",
         "trials past the ends of their load paths stay lost",
@@ -603,7 +603,7 @@ NUISANCES = (
     ),
     fault(
         "identknee/checks/trial_exclusion.py",
-        "TrialExclusion._on_the_way",
+        "TrialExclusion._blocking_trials",
         "return (~np.isfinite(rise), at.theta)",
         "return (np.isnan(rise), at.theta)",
         "a search stays before the trials that stop it",
@@ -611,9 +611,9 @@ NUISANCES = (
     ),
     fault(
         "identknee/calibrate/least_squares.py",
-        "_Watch._stop_creeping",
-        "if self._n_above_goal > self._creeping[0]:\n    raise Ended(Outcome.VALLEY)",
-        "if self._n_above_goal < 0:\n    raise Ended(Outcome.VALLEY)",
+        "_Monitored._stop_if_stagnating",
+        "if self._n_above_goal > self._creeping[0]:\n    raise SearchEnded(Outcome.VALLEY)",
+        "if self._n_above_goal < 0:\n    raise SearchEnded(Outcome.VALLEY)",
         "searches creep along kinks until their budget is spent",
         "tests/unit/calibrate/test_least_squares.py",
     ),

@@ -33,7 +33,8 @@ MOST_SHOWN = 5
 RELATIVE = 1e-5
 # Errors of a fit that found the truth are rounding [kN, %, mm, deg, N]; nothing smaller matters.
 ABSOLUTE = 1e-6
-NOT_COMPARED = {"seconds"}
+# Words may change; the numbers they are made of stand beside them.
+NOT_COMPARED = {"seconds", "sentence"}
 # How long a search went on may hang on its last bits, and so on the processor: where it ended does
 # not, which is compared beside it.
 WORK = {"n_simulations", "n_polishing"}

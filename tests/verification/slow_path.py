@@ -35,7 +35,7 @@ class End:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Leg:
+class SideWalk:
     """A straight piece of the path, from one flexion [rad] and load to another."""
 
     flexion: tuple[float, float]
@@ -61,8 +61,8 @@ def follow_slowly(energy: PoseEnergy) -> End:
     joint = energy.model.joint
     none = np.zeros(5)
     legs = (
-        Leg(flexion=(joint.start_flexion, energy.flexion), load=(none, none)),
-        Leg(flexion=(energy.flexion, energy.flexion), load=(none, energy.load)),
+        SideWalk(flexion=(joint.start_flexion, energy.flexion), load=(none, none)),
+        SideWalk(flexion=(energy.flexion, energy.flexion), load=(none, energy.load)),
     )
     place = _minimum(energy.loaded(joint.start_flexion, none), joint.start * SCALE, radius=0.5)
     if place is None:
@@ -74,7 +74,7 @@ def follow_slowly(energy: PoseEnergy) -> End:
     return End(reached=2.0, reason="reached the full load", place=place)
 
 
-def _follow(energy: PoseEnergy, leg: Leg, place: Array) -> tuple[Array | None, End]:
+def _follow(energy: PoseEnergy, leg: SideWalk, place: Array) -> tuple[Array | None, End]:
     reached, step, halvings = 0.0, leg.step, 0
     for _ in range(MOST_STEPS):
         if reached >= 1.0:

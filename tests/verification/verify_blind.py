@@ -14,7 +14,7 @@ from work_store import work_store
 
 from identknee.blind.effects import LISTED, UNLISTED
 from identknee.diagnosis.advice import protocol_isolability
-from identknee.identify.shares import share
+from identknee.identify.binomial_interval import share
 from identknee.laxity.protocol import load_protocol
 from identknee.runs.executors import process_pool
 from identknee.runs.store import Store, resumable_map

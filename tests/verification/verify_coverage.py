@@ -24,7 +24,7 @@ from identknee.identify.profile.thresholds import bootstrap_statistics, resimula
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.store import Store, resumable_map
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 LEVEL = 0.95
 REPLICATES = {"reference": 1000, "lenhart2015_stable": 200}

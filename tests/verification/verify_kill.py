@@ -18,7 +18,7 @@ from killed import run_for
 from rows import Measure, Row
 from work_store import work_store
 
-from identknee.runs.store import as_stored, resumable_map
+from identknee.runs.store import json_round_trip, resumable_map
 
 KILLS, SEED = 50, 0
 # Each is to take about half a minute on two slow cores, most of it in work that is resumed.
@@ -121,7 +121,7 @@ def _arrays(tree: xarray.DataTree) -> Iterator[tuple[str, str]]:
     for node in tree.subtree:
         for name, array in node.to_dataset(inherit=False).variables.items():
             # As the shortest text that reads back equal: NaN equals itself there.
-            text = json.dumps(as_stored(array.values))
+            text = json.dumps(json_round_trip(array.values))
             yield f"{node.path}/{name}", f"{array.dtype} {array.dims} {text}"
 
 

@@ -17,7 +17,7 @@ from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.store import resumable_map
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 KNEES = ("reference", "lenhart2015_stable")
 DESIGN = next(design for design in DESIGNS if design.name == "seed63 at 0.5")

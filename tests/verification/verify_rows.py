@@ -10,7 +10,7 @@ from scipy.stats import beta
 
 from identknee.calibrate.fit import fit
 from identknee.checks.contradicted_trials import contradicted_rows, suspicious_end_points
-from identknee.laxity.dominant import opposite_pairs
+from identknee.laxity.dominant_load import opposite_pairs
 from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel

@@ -11,7 +11,7 @@ from work_store import work_store
 
 from identknee.runs.executors import process_pool
 from identknee.runs.store import Store, resumable_map
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 WORKERS = 2
 # Knee, how far the noise is understated, and the number of replicates.

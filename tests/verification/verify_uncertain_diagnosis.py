@@ -30,7 +30,7 @@ from verify_blind import (
 from work_store import work_store
 
 from identknee.blind.effects import LISTED
-from identknee.diagnosis.advice import protocol_groups
+from identknee.diagnosis.advice import protocol_isolability
 from identknee.laxity.protocol import load_protocol
 from identknee.runs.executors import process_pool
 from identknee.runs.store import resumable_map
@@ -95,8 +95,8 @@ def _tasks() -> list[UncertainCase]:
 def _not_separable(subject: str) -> frozenset[str]:
     """What the 63 trials cannot tell from something else over such insertions."""
     stated = knee(subject).with_uncertainty(Uncertainty(insertions_mm=STATED_MM))
-    found = protocol_groups(stated, load_protocol("seed63"), sd_mm=NOISE, sd_deg=NOISE)
-    return frozenset(x for group in found if len(group) > 1 for x in group)
+    found = protocol_isolability(stated, load_protocol("seed63"), sd_mm=NOISE, sd_deg=NOISE)
+    return frozenset() if found is None else frozenset(x for group in found.groups for x in group)
 
 
 def _row(found: list[tuple[UncertainCase, dict[str, Any]]], n_parts: int) -> Row:
@@ -125,7 +125,7 @@ def _row(found: list[tuple[UncertainCase, dict[str, Any]]], n_parts: int) -> Row
         share_of(
             "nothing seen where the claimed power is at least 95 %",
             [x for x in outcomes if (x.get("power") or 0.0) >= POWERFUL],
-            _is_unseen,
+            _is_structurally_flat,
             bar=0.05,
         ),
         *_powers(outcomes),
@@ -166,7 +166,7 @@ def _named(hidden: list[tuple[UncertainCase, dict[str, Any]]]) -> list[Measure]:
     ]
 
 
-def _is_unseen(outcome: dict[str, Any]) -> bool:
+def _is_structurally_flat(outcome: dict[str, Any]) -> bool:
     return not is_alarm(outcome)
 
 

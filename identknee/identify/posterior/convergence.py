@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from enum import Enum, unique
 
 import numpy as np
+import scipy
 from scipy.special import ndtr, ndtri
-from scipy.stats import beta, norm, rankdata
+from typing_extensions import override
 
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, entry
@@ -78,11 +79,11 @@ def effective_draws(values: Array) -> float:
 
 def normal_scores(values: Array) -> Array:
     """Normal quantiles of the ranks among all values, same shape."""
-    ranks = rankdata(values, method="average").reshape(values.shape)
-    return np.asarray(norm.ppf((ranks - 0.375) / (values.size + 0.25)))
+    ranks = scipy.stats.rankdata(values, method="average").reshape(values.shape)
+    return np.asarray(scipy.stats.norm.ppf((ranks - 0.375) / (values.size + 0.25)))
 
 
-def bulk_draws(values: Array) -> Array:
+def bulk_ess(values: Array) -> Array:
     """Effective sample size of the bulk (ranks) by ensemble, ``(ensembles,)``; they add up.
 
     References
@@ -93,7 +94,7 @@ def bulk_draws(values: Array) -> Array:
     return _by_ensemble(normal_scores(values))
 
 
-def tail_draws(values: Array) -> Array:
+def tail_ess(values: Array) -> Array:
     """Effective sample size of the tails (5 and 95 % quantile), the smaller, by ensemble."""
     low, high = np.quantile(values, [TAIL, 1.0 - TAIL])
     return np.minimum(
@@ -137,7 +138,7 @@ def quantile_error(values: Array, probability: float) -> float:
     if not np.isfinite(draws) or draws <= 0:
         return np.inf
     shape = (draws * probability + 1.0, draws * (1.0 - probability) + 1.0)
-    between = beta.ppf([ONE_SD, 1.0 - ONE_SD], *shape)
+    between = scipy.stats.beta.ppf([ONE_SD, 1.0 - ONE_SD], *shape)
     low, high = np.quantile(values, between)
     return float(0.5 * (high - low))
 
@@ -183,8 +184,8 @@ class SampleOutcome(Enum):
 
 _SENTENCES = {
     SampleOutcome.CONVERGED: "Every condition of convergence is met.",
-    SampleOutcome.BUDGET: "The budget of simulations was used up before the sample converged.",
-    SampleOutcome.STUCK: "A walker hardly ever moves, so the sample cannot be trusted.",
+    SampleOutcome.BUDGET: "The budget of simulations was exhausted before the sample converged.",
+    SampleOutcome.STUCK: "A walker is stuck, so the sample is not reliable.",
     SampleOutcome.START_FAILED: "The model has no prediction around the places to start from.",
 }
 
@@ -285,8 +286,8 @@ class ConvergenceCheck:
         is_stuck = (self.acceptance < STUCK_ACCEPTANCE) & (self.kept >= STUCK_STEPS)
         return np.asarray(is_stuck)
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """Every condition with its number."""
         lines = [f"{self.steps} steps of every walker, the first {self.burn_in} left out."]
         for name, (value, bar, met) in self.conditions.items():
@@ -340,8 +341,8 @@ def check_convergence(
         tau=tau,
         drift=_drift(tau, steps, before),
         rhat=_each(split_rhat, kept),
-        bulk=_each(bulk_draws, kept),
-        tail=_each(tail_draws, kept),
+        bulk=_each(bulk_ess, kept),
+        tail=_each(tail_ess, kept),
         mean_error=_each(mean_error, kept),
         acceptance=moved[:, :, burn_in:].mean(axis=2),
     )
@@ -391,7 +392,7 @@ def expected_steps(checks: Sequence[ConvergenceCheck]) -> float:
     return max(latest.steps * max(1.0, *needed), _drift_steps(checks))
 
 
-def outlook(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, str]:
+def expected_end(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, str]:
     """Steps at which sampling is expected to end, and the state of its convergence in words.
 
     Parameters
@@ -419,7 +420,7 @@ def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
     block = latest.steps - checks[-2].steps
     scaled = [x.drift * x.steps for x in seen if np.isfinite(x.drift) and x.drift > 0.0]
     weight = PRIOR_CHECKS / (PRIOR_CHECKS + len(scaled))
-    typical = weight * np.log(_drift_times_steps(latest, block))
+    typical = weight * np.log(_expected_drift_noise(latest, block))
     typical += (1.0 - weight) * np.mean(np.log(scaled or [1.0]))
     steps = latest.steps + block * np.arange(1, MOST_CHECKS + 1)
     small = ndtr((np.log(latest.rule.drift * steps) - typical) / DRIFT_SPREAD)
@@ -427,7 +428,7 @@ def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
     return float(steps[np.argmax(passed)]) if passed.any() else np.inf
 
 
-def _drift_times_steps(latest: ConvergenceCheck, block: float) -> float:
+def _expected_drift_noise(latest: ConvergenceCheck, block: float) -> float:
     """Drift expected from the noise of autocorrelation times.
 
     The error of one, estimated over a window of 5 of them, is that of Sokal; it changes with the

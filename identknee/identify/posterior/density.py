@@ -2,10 +2,11 @@
 
 import numpy as np
 from scipy.special import ndtr, ndtri
+from typing_extensions import override
 
 from identknee.calibrate.evaluation import Evaluation, evaluate
 from identknee.calibrate.problem import Problem, without_priors
-from identknee.identify.shares import share
+from identknee.identify.binomial_interval import share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, entry
@@ -109,7 +110,7 @@ def prior_draws(parameters: Parameters, n: int, generator: np.random.Generator) 
 
 
 @declared
-class ExcludedMass:
+class InfeasiblePriorMass:
     """Prior mass without a prediction or beyond the bounds."""
 
     beyond_bounds: float = entry("Part of the priors that the bounds cut off, exact", unit="1")
@@ -122,8 +123,8 @@ class ExcludedMass:
     high: float = entry("Upper 95 % confidence limit of that estimate", unit="1")
     n_draws: int = entry("Draws of the prior simulated for it", unit="1")
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """Both parts as a sentence."""
         return (
             f"The bounds exclude {100 * self.beyond_bounds:.2g} % of the prior. Another "
@@ -133,10 +134,10 @@ class ExcludedMass:
         )
 
 
-def excluded_mass(parameters: Parameters, is_predicted: BoolArray) -> ExcludedMass:
+def infeasible_prior_mass(parameters: Parameters, is_predicted: BoolArray) -> InfeasiblePriorMass:
     """The excluded prior mass; `is_predicted` tells of draws of the prior, shape ``(n,)``."""
     failed = share(int(np.sum(~is_predicted)), len(is_predicted))
-    return ExcludedMass(
+    return InfeasiblePriorMass(
         beyond_bounds=max(0.0, 1.0 - mass_within_bounds(parameters)),
         without_prediction=failed.value,
         low=failed.lower,

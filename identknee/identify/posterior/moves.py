@@ -50,7 +50,8 @@ class HamiltonianMove(Move):  # type: ignore[misc]
             start = State(
                 state.coords[moving], log_prob=state.log_prob[moving], blobs=state.blobs[moving]
             )
-            mass = _mean_precision(state.blobs[~moving], state.coords.shape[1])
+            factors = _factors(state.blobs[~moving], state.coords.shape[1])
+            mass = np.asarray(np.mean(factors @ factors.transpose(0, 2, 1), axis=0))
             end, gain = _trajectories(model, start, mass)
             accepted[moving] = np.log(model.random.rand(len(gain))) < gain
             state = self.update(state, end, accepted, moving)
@@ -86,11 +87,6 @@ def _kinetic(momentum: Array, mass: Array) -> Array:
 
 def _factors(blobs: Array, n: int) -> Array:
     return np.asarray(blobs[:, n:].reshape(-1, n, n))
-
-
-def _mean_precision(blobs: Array, n: int) -> Array:
-    factors = _factors(blobs, n)
-    return np.asarray(np.mean(factors @ factors.transpose(0, 2, 1), axis=0))
 
 
 def _gradient(points: Array, blobs: Array) -> Array:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from identknee.identify.posterior.convergence import ConvergenceCheck, SampleOutcome, quantile_error
-from identknee.identify.posterior.density import ExcludedMass, log_prior, log_prior_working
+from identknee.identify.posterior.density import InfeasiblePriorMass, log_prior, log_prior_working
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.record import Record
@@ -57,7 +58,7 @@ class Posterior:
     checks: tuple[ConvergenceCheck, ...]
     outcome: SampleOutcome
     prior: Array
-    excluded: ExcludedMass
+    excluded: InfeasiblePriorMass
     optima: Array
     n_simulations: int
     n_walk_simulations: int
@@ -159,8 +160,8 @@ class Posterior:
             )
         return np.asarray(places[np.linspace(0, len(places) - 1, n_draws).round().astype(int)])
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """A table of the parameters, how sampling ended, and the last convergence check."""
         if not self.checks:
             return self.outcome.sentence

@@ -19,12 +19,12 @@ from identknee.identify.posterior.convergence import (
     SampleOutcome,
     StopRule,
     check_convergence,
-    outlook,
+    expected_end,
 )
 from identknee.identify.posterior.density import (
-    ExcludedMass,
+    InfeasiblePriorMass,
     LogPosterior,
-    excluded_mass,
+    infeasible_prior_mass,
     inside,
     log_prior_working,
     newton_kernel,
@@ -32,7 +32,7 @@ from identknee.identify.posterior.density import (
 )
 from identknee.identify.posterior.moves import MOVES, surrogate_moves
 from identknee.identify.posterior.posterior import Posterior
-from identknee.identify.posterior.surrogate import Surrogate, trained
+from identknee.identify.posterior.surrogate import Surrogate, trained_surrogate
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared
@@ -80,7 +80,7 @@ class Ensemble:
     seed: int
 
 
-def optimum_near_prior(task: Ensemble, number: int) -> Block:
+def optimum_from_prior_draw(task: Ensemble, number: int) -> Block:
     """The posterior mode reached from a draw of the prior; None without a prediction.
 
     A least-squares fit from the first draw with a prediction; where that ends within `FIT_EACH`
@@ -98,7 +98,7 @@ def optimum_near_prior(task: Ensemble, number: int) -> Block:
     return {"theta": None, "n_simulations": n_simulations}
 
 
-def started(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
+def initial_state(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     """The first state of an ensemble, its walkers spread widely around the optima.
 
     Every second walker starts around the optimum of the ensemble's own turn, the others around all
@@ -114,7 +114,7 @@ def started(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     Returns
     -------
     block
-        As of `advanced`, without steps; its positions are None where too few walkers found a
+        As of `next_block`, without steps; its positions are None where too few walkers found a
         prediction.
     """
     number, optima = item
@@ -138,7 +138,7 @@ def started(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     }
 
 
-def learned(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
+def train_surrogate(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     """The trained surrogate of an ensemble; None if it is not useful.
 
     Each ensemble learns its own, so that ensembles stay independent.
@@ -153,12 +153,14 @@ def learned(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     number, optima = item
     parameters = task.density.parameters
     places = [_within(x, parameters) for x in optima]
-    surrogate, n_simulations = trained(task.density, places, _generator(task.seed, 4, number))
+    surrogate, n_simulations = trained_surrogate(
+        task.density, places, _generator(task.seed, 4, number)
+    )
     fields = None if surrogate is None else asdict(surrogate)
     return {"surrogate": fields, "n_simulations": n_simulations}
 
 
-def advanced(task: Ensemble, item: tuple[int, int, Block, Block | None]) -> Block:
+def next_block(task: Ensemble, item: tuple[int, int, Block, Block | None]) -> Block:
     """The next block of steps of an ensemble.
 
     Parameters
@@ -442,7 +444,7 @@ class _Run:
             "rule": to_plain(rule),
         }
 
-    def prior(self, n_draws: int) -> tuple[Array, ExcludedMass]:
+    def prior(self, n_draws: int) -> tuple[Array, InfeasiblePriorMass]:
         """Draws of the prior, and how many have no prediction."""
         density = self._task.density
         sequence = np.random.SeedSequence(self._task.seed, spawn_key=(3,))
@@ -450,12 +452,12 @@ class _Run:
         chunks = list(draws.reshape(-1, PRIOR_CHUNK, density.parameters.n))
         parts = self._map(partial(_are_predicted, density), chunks, "prior")
         self.n_simulations += n_draws
-        return draws, excluded_mass(density.parameters, np.array(parts, dtype=bool).ravel())
+        return draws, infeasible_prior_mass(density.parameters, np.array(parts, dtype=bool).ravel())
 
     def optima(self) -> Array:
         """Ends of one fit for each ensemble; none where no draw of the prior has a prediction."""
         numbers = list(range(self._n_ensembles))
-        fits = self._map(partial(optimum_near_prior, self._task), numbers, "optima")
+        fits = self._map(partial(optimum_from_prior_draw, self._task), numbers, "optima")
         self.n_simulations += sum(x["n_simulations"] for x in fits)
         thetas = [x["theta"] for x in fits if x["theta"] is not None]
         return np.array(thetas, dtype=np.float64).reshape(-1, self._task.density.parameters.n)
@@ -463,11 +465,11 @@ class _Run:
     def begin(self, optima: Array) -> bool:
         """Whether all walkers of all ensembles found a place to start from."""
         items = [(number, list(optima)) for number in range(self._n_ensembles)]
-        self._states = self._map(partial(started, self._task), items, "start")
+        self._states = self._map(partial(initial_state, self._task), items, "start")
         self.n_simulations += sum(x["n_simulations"] for x in self._states)
         is_begun = all(x["positions"] is not None for x in self._states)
         if is_begun and self._task.moves == "surrogate":
-            blocks = self._map(partial(learned, self._task), items, "surrogate")
+            blocks = self._map(partial(train_surrogate, self._task), items, "surrogate")
             self.n_simulations += sum(x["n_simulations"] for x in blocks)
             self._surrogates = [x["surrogate"] for x in blocks]
         return is_begun
@@ -489,7 +491,7 @@ class _Run:
 
     def _tell(self, bar: Advance, block_s: float, rule: StopRule) -> None:
         """Show how far sampling is, from the time that the last block took [s]."""
-        expected, words = outlook(self.checks, self.n_simulations / rule.budget)
+        expected, words = expected_end(self.checks, self.n_simulations / rule.budget)
         steps = self.checks[-1].steps
         # A block that was kept takes no time.
         left_s = block_s / self._task.steps * (expected - steps) if block_s > KEPT_S else None
@@ -505,7 +507,7 @@ class _Run:
     def _advance(self, block: int) -> None:
         ways = zip(self._states, self._surrogates, strict=True)
         items = [(number, block, *way) for number, way in enumerate(ways)]
-        states = self._map(partial(advanced, self._task), items, f"block {block:05d}")
+        states = self._map(partial(next_block, self._task), items, f"block {block:05d}")
         before = np.array([state["positions"] for state in self._states])
         chain = np.array([x["chain"] for x in states])
         path = np.concatenate([before[:, :, None], chain], axis=2)

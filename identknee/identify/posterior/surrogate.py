@@ -158,7 +158,7 @@ SMALLEST = 3e-3
 SMALLEST_VARIANCE = 1e-6
 
 
-def trained(
+def trained_surrogate(
     density: LogPosterior, optima: Sequence[Array], generator: np.random.Generator
 ) -> tuple[Surrogate | None, int]:
     """A surrogate for the posterior around the best of its optima, and the simulations made.

@@ -13,7 +13,7 @@ from identknee.calibrate.problem import Problem, typical_steps
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.profile.result import SideStatus, crossings
 from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
-from identknee.identify.profile.walk import BetterFound, Walk, march
+from identknee.identify.profile.walk import BetterOptimumFound, ProfileContext, march
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
@@ -163,7 +163,7 @@ def profile_pair(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AlongRay:
+class RayProblem:
     """A problem in which two parameters vary together along a ray.
 
     Attributes
@@ -260,16 +260,16 @@ def _ray(
 ) -> dict[str, Any]:
     threshold, is_last = settings
     direction = shape @ np.array([np.cos(angle), np.sin(angle)])
-    along = AlongRay(problem=problem, origin=theta, pair=pair, direction=direction)
+    along = RayProblem(problem=problem, origin=theta, pair=pair, direction=direction)
     evaluator = Evaluator(along, budget=BUDGET)
     start = np.r_[0.0, along.others.restrict(theta)]
     radius = ParameterQuantity(parameters=along.parameters, name=RADIUS)
-    walk = Walk(evaluator, radius, threshold, evaluator(start))
+    walk = ProfileContext(evaluator, radius, threshold, evaluator(start))
     walk.is_final = is_last
     try:
         origin = walk.point(walk.solve(0.0, start, tolerance=np.inf))
         leg = march(walk, origin, 1)
-    except BetterFound as found:
+    except BetterOptimumFound as found:
         better = along.expand(found.theta)
         return {
             "better": better,

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.bounded_least_squares import IsEnough, minimise
@@ -34,11 +34,11 @@ from identknee.identify.profile.walk import (
     AT_END,
     FLAT,
     JUMP,
-    BetterFound,
-    Leg,
-    Point,
-    Walk,
-    fit_around,
+    BetterOptimumFound,
+    ProfileContext,
+    ProfilePoint,
+    SideWalk,
+    fit_from_nearby,
     march,
 )
 from identknee.identify.sweep import sobol_starts
@@ -73,16 +73,16 @@ Region = tuple[float, float]
 class Branch:
     """The profile from one local optimum, downward and upward."""
 
-    lower: Leg
-    upper: Leg
+    lower: SideWalk
+    upper: SideWalk
 
     @property
-    def origin(self) -> Point:
+    def origin(self) -> ProfilePoint:
         """The optimum."""
         return self.lower.points[0]
 
     @property
-    def points(self) -> list[Point]:
+    def points(self) -> list[ProfilePoint]:
         """All points from low to high values."""
         both = [*self.lower.points, *self.upper.points[1:]]
         return sorted(both, key=lambda x: x.value)
@@ -93,17 +93,17 @@ class Branch:
         low, high = self.lower.side.end, self.upper.side.end
         return (-np.inf if low is None else low), (np.inf if high is None else high)
 
-    def nearest(self, value: float) -> Point:
+    def nearest(self, value: float) -> ProfilePoint:
         """The point whose value is nearest."""
         return min(self.points, key=lambda x: abs(x.value - value))
 
 
-def walk_branch(walk: Walk, origin: Point) -> Branch:
+def walk_branch(walk: ProfileContext, origin: ProfilePoint) -> Branch:
     """The profile from an optimum downward and upward."""
     return Branch(lower=march(walk, origin, -1), upper=march(walk, origin, 1))
 
 
-def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
+def constant_branches(walk: ProfileContext, origin: ProfilePoint) -> list[Branch]:
     """The branches of a quantity that is locally constant, such as a slack line's force.
 
     Its set begins as that one value. Where it is another one at an end of the confidence set of a
@@ -125,9 +125,11 @@ def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
         max_deviance=0.0,
         at_bounds=(),
     )
-    leg = Leg(points=(origin,), side=side)
+    leg = SideWalk(points=(origin,), side=side)
     branches = [Branch(lower=leg, upper=leg)]
-    found = [(*walk.quantity.evaluate(theta), theta) for theta in _likely_ends(walk, origin)]
+    found = [
+        (*walk.quantity.evaluate(theta), theta) for theta in _confidence_set_corners(walk, origin)
+    ]
     found = [x for x in found if np.isfinite(x[0]) and x[0] != origin.value and x[1].any()]
     for value, _, theta in sorted(found, key=lambda x: x[0])[:: max(len(found) - 1, 1)]:
         solved = walk.solve(value, theta, tolerance=GLANCE_TOLERANCE * walk.threshold)
@@ -136,7 +138,7 @@ def branches_of_a_constant(walk: Walk, origin: Point) -> list[Branch]:
     return branches
 
 
-def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
+def _confidence_set_corners(walk: ProfileContext, origin: ProfilePoint) -> list[Array]:
     """Theta near each end of each parameter's confidence set, the others adjusted."""
     parameters = walk.evaluator.parameters
     at = origin.evaluation
@@ -153,7 +155,7 @@ def _likely_ends(walk: Walk, origin: Point) -> list[Array]:
     ]
 
 
-def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
+def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Branch]:
     """The branches of the optimum and of other local optima found.
 
     Fits without a constraint start from the middle of what lies beyond each closed end, and from
@@ -181,7 +183,7 @@ def find_branches(walk: Walk, main: Branch, starts: Array) -> list[Branch]:
             branches.append(branch)
             regions += _beside(branch, region)
     for leg, direction in ((main.lower, -1), (main.upper, 1)):
-        branch = _from_outside(walk, leg, direction)
+        branch = _branch_beyond_end(walk, leg, direction)
         if branch is not None and not _is_known(walk, branches, branch.origin):
             branches.append(branch)
     for start in starts:
@@ -198,7 +200,7 @@ def _beside(branch: Branch, region: Region) -> list[Region]:
     return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]
 
 
-def _into(walk: Walk, main: Branch, region: Region) -> Array | None:
+def _into(walk: ProfileContext, main: Branch, region: Region) -> Array | None:
     """The optimum's theta moved into a region, shape ``(n,)``; None if that is too narrow."""
     low, high = main.limits
     reach = [x for x in (low, high) if np.isfinite(x)] + [main.origin.value]
@@ -220,7 +222,7 @@ def _into(walk: Walk, main: Branch, region: Region) -> Array | None:
     return solved.evaluation.theta if solved.evaluation.is_finite else None
 
 
-def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
+def _branch_beyond_end(walk: ProfileContext, leg: SideWalk, direction: int) -> Branch | None:
     """The branch met by going on beyond a closed end and coming back; None if it is the same one.
 
     Where the path folds, the fits beyond its end lie on another part of it, which may be lower at
@@ -234,7 +236,7 @@ def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
     value = float(np.clip(value, *walk.limits))
     if value == end:
         return None
-    far = _glance(walk, value, walk.start(value, last, None))
+    far = _rough_fit(walk, value, walk.start(value, last, None))
     if far is None:
         return None
     if walk.delta(far) < walk.threshold:
@@ -247,7 +249,7 @@ def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
     parameters = walk.evaluator.parameters
     opposite = np.clip(2.0 * last.evaluation.theta - expected, parameters.lower, parameters.upper)
     for start in (expected, opposite):
-        back = _glance(
+        back = _rough_fit(
             walk,
             end,
             start,
@@ -259,14 +261,14 @@ def _from_outside(walk: Walk, leg: Leg, direction: int) -> Branch | None:
     return None
 
 
-def _glance(
-    walk: Walk,
+def _rough_fit(
+    walk: ProfileContext,
     value: float,
     start: Array,
     *,
     most_steps: int = GLANCE_STEPS,
     is_enough: IsEnough | None = None,
-) -> Point | None:
+) -> ProfilePoint | None:
     """A rough constrained fit at a value; None if it failed or stopped early."""
     solved = walk.solve(
         value,
@@ -279,7 +281,7 @@ def _glance(
     return walk.point(solved) if is_there else None
 
 
-def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch | None:
+def _branch_from(walk: ProfileContext, branches: Sequence[Branch], start: Array) -> Branch | None:
     """The branch of the optimum that `start` leads to, if that is likely and not known."""
     is_known = partial(_joins, walk, [x.origin for x in branches])
     glance = minimise(
@@ -303,7 +305,7 @@ def _branch_from(walk: Walk, branches: Sequence[Branch], start: Array) -> Branch
     return walk_branch(walk, point)
 
 
-def _joins(walk: Walk, ends: Sequence[Point], at: Evaluation) -> bool:
+def _joins(walk: ProfileContext, ends: Sequence[ProfilePoint], at: Evaluation) -> bool:
     """Whether `at` is close to a known fit that ended as low.
 
     It would where the residuals change between both as the derivatives at either say: the next step
@@ -319,7 +321,7 @@ def _joins(walk: Walk, ends: Sequence[Point], at: Evaluation) -> bool:
     return False
 
 
-def _point(walk: Walk, theta: Array) -> Point | None:
+def _point(walk: ProfileContext, theta: Array) -> ProfilePoint | None:
     """The point of a profile at theta, no fit being made; None where there is no prediction."""
     value, _ = walk.quantity.evaluate(theta)
     if not np.isfinite(value):
@@ -328,7 +330,7 @@ def _point(walk: Walk, theta: Array) -> Point | None:
     return walk.point(solved) if solved.evaluation.is_finite else None
 
 
-def _is_known(walk: Walk, branches: Sequence[Branch], point: Point) -> bool:
+def _is_known(walk: ProfileContext, branches: Sequence[Branch], point: ProfilePoint) -> bool:
     """Whether a point lies on the path of one of the branches, or near its optimum."""
     for branch in branches:
         low, high = branch.limits
@@ -348,7 +350,7 @@ UNDECIDED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
 
 
 def assembled(
-    walk: Walk,
+    walk: ProfileContext,
     branches: Sequence[Branch],
     *,
     level: float,
@@ -404,7 +406,7 @@ def _union(branches: Sequence[Branch]) -> tuple[tuple[Interval, ...], tuple[Side
     reaches = [_Reach.of(x) for x in branches]
     merged: list[_Reach] = []
     for reach in sorted(reaches, key=lambda x: (x.low, x.high)):
-        if merged and merged[-1].goes_on_to(reach):
+        if merged and merged[-1].overlaps_next(reach):
             merged[-1] = merged[-1].joined(reach)
         else:
             merged.append(reach)
@@ -426,7 +428,7 @@ class _Reach:
         lower, upper = branch.lower.side, branch.upper.side
         return cls(low=_reach(lower, -np.inf), high=_reach(upper, np.inf), lower=lower, upper=upper)
 
-    def goes_on_to(self, other: "_Reach") -> bool:
+    def overlaps_next(self, other: "_Reach") -> bool:
         """Whether this interval overlaps with the next higher one."""
         at_boundary = SideStatus.OPEN_AT_FEASIBILITY
         is_gap = at_boundary in {self.upper.status, other.lower.status}
@@ -444,9 +446,9 @@ def _reach(side: Side, beyond: float) -> float:
     return beyond if side.end is None else side.end
 
 
-def _envelope(walk: Walk, branches: Sequence[Branch]) -> list[tuple[Point, int]]:
+def _envelope(walk: ProfileContext, branches: Sequence[Branch]) -> list[tuple[ProfilePoint, int]]:
     """Points from low to high values with their branch, without those above another branch."""
-    kept: list[tuple[Point, int]] = []
+    kept: list[tuple[ProfilePoint, int]] = []
     for k, branch in enumerate(branches):
         others = [x for x in branches if x is not branch]
         for point in branch.points:
@@ -458,7 +460,7 @@ def _envelope(walk: Walk, branches: Sequence[Branch]) -> list[tuple[Point, int]]
     return [x for i, x in enumerate(kept) if i == 0 or places[i] > places[i - 1]]
 
 
-def curve_slopes(walk: Walk, points: Sequence[Point]) -> Array:
+def curve_slopes(walk: ProfileContext, points: Sequence[ProfilePoint]) -> Array:
     """Slopes of the curve, shape ``(k,)``; of its chords where a fit stopped at the boundary.
 
     What such a fit's derivatives give is the slope of the model beyond the boundary.
@@ -470,7 +472,7 @@ def curve_slopes(walk: Walk, points: Sequence[Point]) -> Array:
     return np.where([walk.is_settled(x) for x in points], exact, chords)
 
 
-def _height(walk: Walk, branch: Branch, value: float) -> float:
+def _height(walk: ProfileContext, branch: Branch, value: float) -> float:
     """Rise of the deviance of a branch at a value; infinite outside its range."""
     for left, right in pairwise(branch.points):
         if left.value <= value <= right.value and left.value < right.value:
@@ -483,7 +485,10 @@ def _height(walk: Walk, branch: Branch, value: float) -> float:
 
 
 def _verdict(
-    walk: Walk, origin: Point, sides: tuple[Side, Side], intervals: tuple[Interval, ...]
+    walk: ProfileContext,
+    origin: ProfilePoint,
+    sides: tuple[Side, Side],
+    intervals: tuple[Interval, ...],
 ) -> ProfileVerdict:
     if len(intervals) > 1:
         return ProfileVerdict.MULTIMODAL
@@ -495,12 +500,12 @@ def _verdict(
     if n_closed == 1:
         return ProfileVerdict.ONE_SIDED
     is_flat = all(x.max_deviance <= FLAT * walk.threshold for x in sides)
-    if is_flat and _is_unseen(walk, origin):
+    if is_flat and _is_structurally_flat(walk, origin):
         return ProfileVerdict.STRUCTURALLY_SUSPECT
     return ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE
 
 
-def _is_unseen(walk: Walk, origin: Point) -> bool:
+def _is_structurally_flat(walk: ProfileContext, origin: ProfilePoint) -> bool:
     """Whether the quantity varies along a direction in which no residual does."""
     scales = conditional_sds(origin.evaluation.jacobian, walk.evaluator.parameters)
     gradient = walk.quantity.evaluate(origin.evaluation.theta)[1] * scales
@@ -526,8 +531,8 @@ OPTIMUM_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Settled:
-    """An optimum polished for profiles, from `settled`.
+class PolishedOptimum:
+    """An optimum polished for profiles, from `polish_optimum`.
 
     Attributes
     ----------
@@ -540,7 +545,7 @@ class Settled:
 
 def profile(
     problem: Problem,
-    optimum_theta: ArrayLike | Settled,
+    optimum_theta: ArrayLike | PolishedOptimum,
     quantity: Quantity,
     *,
     level: float = LEVEL,
@@ -563,7 +568,7 @@ def profile(
     problem
         Residuals in units of their noise.
     optimum_theta
-        The best fit known, shape ``(n,)``. What `settled` makes of it is not polished again.
+        The best fit known, shape ``(n,)``. What `polish_optimum` makes of it is not polished again.
     quantity
         What to profile: a parameter or any function of theta.
     level
@@ -597,15 +602,15 @@ def profile(
         threshold=threshold,
         starts=np.reshape(np.asarray(starts, dtype=np.float64), (-1, problem.parameters.n)),
     )
-    if isinstance(optimum_theta, Settled):
+    if isinstance(optimum_theta, PolishedOptimum):
         return run.profile(run.evaluator(optimum_theta.theta))
     theta = np.asarray(optimum_theta, dtype=np.float64)
     return run.profile(_settled(run.evaluator, theta, threshold))
 
 
-def settled(
+def polish_optimum(
     problem: Problem, optimum_theta: ArrayLike, *, threshold: float, budget: int = BUDGET
-) -> Settled:
+) -> PolishedOptimum:
     """The polished optimum, shared by several profiles.
 
     Parameters
@@ -619,7 +624,9 @@ def settled(
         If the model has no prediction at the optimum.
     """
     theta = np.asarray(optimum_theta, dtype=np.float64)
-    return Settled(theta=_settled(Evaluator(problem, budget=budget), theta, threshold).theta)
+    return PolishedOptimum(
+        theta=_settled(Evaluator(problem, budget=budget), theta, threshold).theta
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -634,12 +641,12 @@ class _Run:
 
     def profile(self, optimum: Evaluation) -> Profile:
         for n_restarts in range(MOST_RESTARTS + 1):
-            walk = Walk(self.evaluator, self.quantity, self.threshold, optimum)
+            walk = ProfileContext(self.evaluator, self.quantity, self.threshold, optimum)
             is_last = n_restarts == MOST_RESTARTS
             walk.is_final = is_last
             try:
                 branches = self._branches(walk, optimum.theta)
-            except BetterFound as found:
+            except BetterOptimumFound as found:
                 optimum = _settled(self.evaluator, found.theta, self.threshold)
                 continue
             return assembled(
@@ -651,11 +658,11 @@ class _Run:
             )
         raise AssertionError  # pragma: no cover - the last round meets nothing better
 
-    def _branches(self, walk: Walk, theta: Array) -> list[Branch]:
+    def _branches(self, walk: ProfileContext, theta: Array) -> list[Branch]:
         value, gradient = self.quantity.evaluate(theta)
         origin = walk.point(walk.solve(value, theta, tolerance=np.inf))
         if not gradient.any():
-            return branches_of_a_constant(walk, origin)
+            return constant_branches(walk, origin)
         return find_branches(walk, walk_branch(walk, origin), self.starts)
 
 
@@ -667,7 +674,7 @@ def _settled(evaluator: Evaluator, theta: Array, threshold: float) -> Evaluation
             "another parameter set"
         )
     if optimum.outcome is Outcome.CLIFF:
-        around = fit_around(
+        around = fit_from_nearby(
             evaluator,
             optimum.evaluation,
             quantity=None,
@@ -804,7 +811,7 @@ def profile_quantities(
             description="profiling",
         )
         found = tuple(from_plain(Profile, x) for x in kept)
-        better = _better_of_all(found)
+        better = _lowest_better_optimum(found)
         if better is None:
             break
         theta = better
@@ -855,7 +862,7 @@ def other_optima(
 
 
 def _all_settled(problem: Problem, theta: Array, threshold: float, budget: int) -> list[float]:
-    optimum = settled(problem, theta, threshold=threshold, budget=budget)
+    optimum = polish_optimum(problem, theta, threshold=threshold, budget=budget)
     return [float(x) for x in optimum.theta]
 
 
@@ -867,11 +874,11 @@ def _profiled(
     which: int,
 ) -> dict[str, Any]:
     quantity, threshold = asked[which]
-    optimum = Settled(theta=theta)
+    optimum = PolishedOptimum(theta=theta)
     return to_plain(profile(problem, optimum, quantity, threshold=threshold, **settings))
 
 
-def _better_of_all(found: Sequence[Profile]) -> Array | None:
+def _lowest_better_optimum(found: Sequence[Profile]) -> Array | None:
     """The lowest of the better optima met; None if none was or all profiles stand on it."""
     lowest = min(found, key=lambda x: x.deviance)
     if lowest.better_optimum is None:

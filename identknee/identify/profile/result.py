@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.optimize
+from typing_extensions import override
 
 from identknee.identify.profile.thresholds import threshold_below
 from identknee.runs.arrays import Array, IntArray
@@ -91,10 +92,10 @@ _SIDES = {
     SideStatus.OPEN_AT_BOUND: "The data exclude no value up to the bound or the end of the range.",
     SideStatus.OPEN_FLAT: "The data exclude no value on this side: the misfit stopped rising.",
     SideStatus.OPEN_AT_FEASIBILITY: (
-        "The model ends the set here, not the data: parameter sets beyond that would fit have no "
+        "The model limits the set here, not the data: parameter sets beyond that would fit have no "
         "prediction in some trial."
     ),
-    SideStatus.OPEN_BUDGET: "The budget of simulations was used up before this end was found.",
+    SideStatus.OPEN_BUDGET: "The budget of simulations was exhausted before this end was found.",
     SideStatus.FAILED: "The constrained fits on this side failed before an end was found.",
 }
 _VERDICTS = {
@@ -102,10 +103,10 @@ _VERDICTS = {
     ProfileVerdict.ONE_SIDED: "The data bound the value on one side only.",
     ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "These data bound the value on neither side.",
     ProfileVerdict.STRUCTURALLY_SUSPECT: (
-        "No such data may bound the value: they do not depend on it."
+        "Data of this kind cannot bound the value: they do not depend on it."
     ),
     ProfileVerdict.MULTIMODAL: "The confidence set has several separate intervals.",
-    ProfileVerdict.UNDETERMINED: "A side was not finished, so nothing is claimed.",
+    ProfileVerdict.UNDETERMINED: "One side was not completed, so there is no verdict.",
 }
 
 
@@ -257,8 +258,8 @@ class Profile:
             ends.append(None)
         return tuple(zip(ends[0::2], ends[1::2], strict=True))
 
-    # typing.override came with Python 3.12.
-    def __str__(self) -> str:  # type: ignore[explicit-override]
+    @override
+    def __str__(self) -> str:
         """A line: the set and the verdict."""
         parts = " and ".join(f"{_end(low)} to {_end(high)}" for low, high in self.intervals)
         unit = f" {self.unit}" if self.unit else ""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
@@ -165,7 +165,7 @@ class BootstrapStatistics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Resimulated:
+class ResimulatedProblem:
     """A problem with data simulated at one parameter set.
 
     Attributes
@@ -193,7 +193,7 @@ class Resimulated:
         return self.problem.jacobian(theta)
 
 
-def resimulated(problem: Problem, truth: Array, seed: np.random.SeedSequence) -> Resimulated:
+def resimulated(problem: Problem, truth: Array, seed: np.random.SeedSequence) -> ResimulatedProblem:
     """The problem with data simulated at `truth`: its prediction there plus standard normal noise.
 
     With the first two arguments bound it is what `bootstrap_statistics` asks for.
@@ -207,7 +207,7 @@ def resimulated(problem: Problem, truth: Array, seed: np.random.SeedSequence) ->
     if not np.isfinite(at_truth).all():
         raise ValueError("the model has no prediction at the parameter set to simulate data at")
     noise = np.random.default_rng(seed).standard_normal(at_truth.size)
-    return Resimulated(problem=problem, shift=at_truth + noise)
+    return ResimulatedProblem(problem=problem, shift=at_truth + noise)
 
 
 def bootstrap_statistics(

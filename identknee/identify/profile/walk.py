@@ -7,13 +7,13 @@ import numpy as np
 from identknee.calibrate.bounded_least_squares import (
     MAX_STEPS,
     TOLERANCE,
-    Constrained,
+    ConstrainedFit,
     IsEnough,
     bounded_step,
     minimise,
     solve_constrained,
 )
-from identknee.calibrate.evaluation import Ended, Evaluation, Evaluator
+from identknee.calibrate.evaluation import Evaluation, Evaluator, SearchEnded
 from identknee.calibrate.problem import conditional_sds
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.profile.result import Side, SideStatus, crossings
@@ -31,7 +31,7 @@ SEED = 20
 LEAST_SIZE = 0.05
 
 
-def fit_around(
+def fit_from_nearby(
     evaluator: Evaluator,
     at: Evaluation,
     *,
@@ -39,7 +39,7 @@ def fit_around(
     target: float,
     rise: float,
     tolerance: float,
-) -> Constrained | None:
+) -> ConstrainedFit | None:
     """The lowest fit found from points around `at`, None where none of them has a prediction.
 
     The points lie where the linear model expects the deviance to rise by no more than `rise` above
@@ -59,13 +59,13 @@ def fit_around(
     tolerance
         Tolerance on the deviance, as for `solve_constrained`.
     """
-    best: Constrained | None = None
+    best: ConstrainedFit | None = None
     n_fits = 0
     for theta in _points_around(evaluator, at, quantity, target, rise):
         try:
             if not evaluator(theta).is_finite:
                 continue
-        except Ended:
+        except SearchEnded:
             return best
         if quantity is None:
             end = minimise(evaluator, theta, tolerance=tolerance, most_steps=MOST_STEPS)
@@ -87,7 +87,7 @@ def fit_around(
     return best
 
 
-def promised_reduction(evaluator: Evaluator, at: Evaluation, gradient: Array | None) -> float:
+def linear_reduction_bound(evaluator: Evaluator, at: Evaluation, gradient: Array | None) -> float:
     """Reduction predicted by the linear model if every point had a prediction.
 
     Parameters
@@ -148,7 +148,7 @@ CUT_OFF = 5e-2
 FARTHEST = 2.5
 
 
-class BetterFound(Exception):  # noqa: N818 - not an error: a profile met a better fit
+class BetterOptimumFound(Exception):  # noqa: N818 - not an error: a profile met a better fit
     """Raised where a profile meets a point clearly lower than its optimum."""
 
     def __init__(self, theta: Array) -> None:
@@ -157,7 +157,7 @@ class BetterFound(Exception):  # noqa: N818 - not an error: a profile met a bett
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Point:
+class ProfilePoint:
     """One constrained fit on a profile.
 
     Attributes
@@ -194,7 +194,7 @@ class Point:
         return float(change @ change)
 
 
-class Walk:
+class ProfileContext:
     """What all points of a profile share: the quantity, the threshold and the lowest deviance.
 
     Parameters
@@ -218,7 +218,7 @@ class Walk:
         self.lowest = optimum.deviance
         self.is_final = False
         # At the feasibility boundary a slightly better fit is always met.
-        is_settled = promised_reduction(evaluator, optimum, None) <= CUT_OFF * threshold
+        is_settled = linear_reduction_bound(evaluator, optimum, None) <= CUT_OFF * threshold
         self._better = (BETTER if is_settled else CUT_OFF) * threshold
         parameters = evaluator.parameters
         self.limits = (-np.inf, np.inf)
@@ -226,7 +226,7 @@ class Walk:
             i = quantity.index
             self.limits = (float(parameters.lower[i]), float(parameters.upper[i]))
 
-    def delta(self, point: Point) -> float:
+    def delta(self, point: ProfilePoint) -> float:
         """How far the deviance of a point is above the lowest."""
         return point.evaluation.deviance - self.lowest
 
@@ -238,7 +238,7 @@ class Walk:
         tolerance: float = TOLERANCE,
         most_steps: int = MAX_STEPS,
         is_enough: IsEnough | None = None,
-    ) -> Constrained:
+    ) -> ConstrainedFit:
         """The constrained fit at a value.
 
         Raises
@@ -260,7 +260,7 @@ class Walk:
 
     def solve_around(
         self, value: float, at: Evaluation, *, tolerance: float = TOLERANCE
-    ) -> Constrained | None:
+    ) -> ConstrainedFit | None:
         """The constrained fit at a value from points around `at`, where there is one.
 
         Raises
@@ -268,7 +268,7 @@ class Walk:
         BetterFound
             If it is clearly better than the optimum.
         """
-        solved = fit_around(
+        solved = fit_from_nearby(
             self.evaluator,
             at,
             quantity=self.quantity,
@@ -280,14 +280,16 @@ class Walk:
             self.note(solved.evaluation)
         return solved
 
-    def point(self, solved: Constrained) -> Point:
+    def point(self, solved: ConstrainedFit) -> ProfilePoint:
         """The point of a profile that a constrained fit is."""
         at = solved.evaluation
         promise = solved.left
         # A budget used up before the first simulation leaves nothing to judge by.
         if at.is_finite and solved.outcome is not Outcome.MINIMUM:
-            promise = promised_reduction(self.evaluator, at, self.quantity.evaluate(at.theta)[1])
-        return Point(
+            promise = linear_reduction_bound(
+                self.evaluator, at, self.quantity.evaluate(at.theta)[1]
+            )
+        return ProfilePoint(
             value=solved.value,
             evaluation=at,
             slope=solved.multiplier,
@@ -297,7 +299,7 @@ class Walk:
             left=solved.left,
         )
 
-    def is_settled(self, point: Point) -> bool:
+    def is_settled(self, point: ProfilePoint) -> bool:
         """Whether no better fit lies beyond the feasibility boundary of the model."""
         return point.promise <= CUT_OFF * self.threshold
 
@@ -310,10 +312,10 @@ class Walk:
             If it is clearly better.
         """
         if not self.is_final and evaluation.deviance < self.lowest - self._better:
-            raise BetterFound(evaluation.theta)
+            raise BetterOptimumFound(evaluation.theta)
         self.lowest = min(self.lowest, evaluation.deviance)
 
-    def start(self, value: float, last: Point, other: Point | None) -> Array:
+    def start(self, value: float, last: ProfilePoint, other: ProfilePoint | None) -> Array:
         """Theta expected at a value: along the tangent of `last`, bent toward `other`, (n,)."""
         step = value - last.value
         theta = last.evaluation.theta + last.tangent * step
@@ -383,7 +385,7 @@ ENOUGH = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Leg:
+class SideWalk:
     """The profile on one side.
 
     Attributes
@@ -394,11 +396,11 @@ class Leg:
         How it ended.
     """
 
-    points: tuple[Point, ...]
+    points: tuple[ProfilePoint, ...]
     side: Side
 
 
-def march(walk: Walk, origin: Point, direction: int) -> Leg:
+def march(walk: ProfileContext, origin: ProfilePoint, direction: int) -> SideWalk:
     """The profile on one side of an optimum, until its deviance has risen by the threshold.
 
     Steps aim at equal rises of the deviance's root, by the parabola through the last point with its
@@ -426,12 +428,12 @@ def march(walk: Walk, origin: Point, direction: int) -> Leg:
 class _March:
     """The state of the profile on one side."""
 
-    def __init__(self, walk: Walk, origin: Point, direction: int) -> None:
+    def __init__(self, walk: ProfileContext, origin: ProfilePoint, direction: int) -> None:
         self._walk = walk
         self._direction = direction
         self._points = [origin]
         self._inside = origin
-        self._outside: Point | None = None
+        self._outside: ProfilePoint | None = None
         self._blocked: float | None = None
         self._is_gap = False
         self._bound = walk.limits[1 if direction > 0 else 0]
@@ -439,16 +441,16 @@ class _March:
         self._n_refined = self._n_retries = self._n_detours = 0
         self._unit = self._first_step(origin)
 
-    def run(self) -> Leg:
+    def run(self) -> SideWalk:
         for _ in range(MOST_POINTS):
             side = self._ended()
             if side is None:
                 side = self._go_on()
             if side is not None:
-                return Leg(points=tuple(self._points), side=side)
-        return Leg(points=tuple(self._points), side=self._open(SideStatus.OPEN_BUDGET))
+                return SideWalk(points=tuple(self._points), side=side)
+        return SideWalk(points=tuple(self._points), side=self._open(SideStatus.OPEN_BUDGET))
 
-    def _first_step(self, origin: Point) -> float:
+    def _first_step(self, origin: ProfilePoint) -> float:
         rise = self._walk.threshold / POINTS_PER_SIDE**2
         step = step_to(rise, 0.0, origin.curvature)
         low, high = self._walk.limits
@@ -470,19 +472,19 @@ class _March:
         if solved.outcome is Outcome.BUDGET:
             return self._open(SideStatus.OPEN_BUDGET)
         if not np.isfinite(solved.evaluation.deviance):
-            return self._meet_gap(value, tolerance)
+            return self._cross_gap(value, tolerance)
         if not solved.is_on_target:
             return self._missed(value, solved, tolerance)
         self._take(self._walk.point(solved), start)
         return None
 
-    def _solved(self, value: float, start: Array, tolerance: float) -> Constrained:
+    def _solved(self, value: float, start: Array, tolerance: float) -> ConstrainedFit:
         """The constrained fit at a value, from other points too where the model ends on the way."""
         walk, inside = self._walk, self._inside.evaluation
         solved = walk.solve(value, start, tolerance=tolerance)
         if solved.outcome is Outcome.START_FAILED:
             solved = walk.solve(value, inside.theta, tolerance=tolerance)
-        if self._n_detours == MOST_DETOURS or not self._is_cut_off(solved):
+        if self._n_detours == MOST_DETOURS or not self._is_limited_by_feasibility(solved):
             return solved
         self._n_detours += 1
         around = walk.solve_around(value, inside, tolerance=tolerance)
@@ -492,13 +494,13 @@ class _March:
             return solved
         return around
 
-    def _is_cut_off(self, solved: Constrained) -> bool:
+    def _is_limited_by_feasibility(self, solved: ConstrainedFit) -> bool:
         """Whether the feasibility boundary kept a fit from being made or from going lower."""
         if solved.outcome in {Outcome.START_FAILED, Outcome.CLIFF} and not solved.is_on_target:
             return True
         return solved.is_on_target and not self._walk.is_settled(self._walk.point(solved))
 
-    def _meet_gap(self, value: float, tolerance: float) -> Side | None:
+    def _cross_gap(self, value: float, tolerance: float) -> Side | None:
         """Continue beyond a gap without predictions if there are fits beyond; else step back."""
         is_new = not self._is_gap
         self._blocked, self._is_gap = value, True
@@ -527,7 +529,7 @@ class _March:
                 break
         return None
 
-    def _behind(self) -> Point | None:
+    def _behind(self) -> ProfilePoint | None:
         """The accepted point before the last, or the one beyond the end."""
         if self._outside is not None:
             return self._outside
@@ -561,7 +563,7 @@ class _March:
         room = abs(self._bound - self._points[0].value) / STEPS_ACROSS
         return max(min(step, last, room), END_TOLERANCE * self._distance())
 
-    def _refined(self, outside: Point) -> float:
+    def _refined(self, outside: ProfilePoint) -> float:
         self._n_refined += 1
         pair = sorted((self._inside, outside), key=lambda x: x.value)
         if self._n_refined % 4 == 0:
@@ -576,7 +578,7 @@ class _March:
 
     # What came back.
 
-    def _missed(self, value: float, solved: Constrained, tolerance: float) -> Side | None:
+    def _missed(self, value: float, solved: ConstrainedFit, tolerance: float) -> Side | None:
         """Handle a fit that missed its target: the end of the range, a gap or a failure."""
         if solved.outcome is Outcome.MINIMUM:
             point = self._walk.point(solved)
@@ -587,11 +589,11 @@ class _March:
                 return self._at_bound()
             return None
         if solved.outcome is Outcome.CLIFF:
-            return self._meet_gap(value, tolerance)
+            return self._cross_gap(value, tolerance)
         self._blocked = value
         return None
 
-    def _take(self, point: Point, start: Array) -> None:
+    def _take(self, point: ProfilePoint, start: Array) -> None:
         # Beside the feasibility boundary slopes say nothing of the next fit.
         is_smooth = self._walk.is_settled(point) and self._walk.is_settled(self._inside)
         mismatch = self._mismatch(point, start) if is_smooth else 0.0
@@ -611,14 +613,14 @@ class _March:
         if not self._is_gap or is_beyond:
             self._blocked, self._is_gap = None, False
 
-    def _accept(self, point: Point) -> None:
+    def _accept(self, point: ProfilePoint) -> None:
         self._points.append(point)
         if self._walk.delta(point) >= self._walk.threshold:
             self._outside = point
         else:
             self._inside = point
 
-    def _mismatch(self, point: Point, start: Array) -> float:
+    def _mismatch(self, point: ProfilePoint, start: Array) -> float:
         """Excess of a point over its prediction from the slopes."""
         at = self._inside
         moved = point.evaluation.jacobian @ (point.evaluation.theta - start)
@@ -628,7 +630,7 @@ class _March:
         expected = 0.5 * step * (at.slope + point.slope)
         return point.evaluation.deviance - at.evaluation.deviance - expected
 
-    def _repair(self, point: Point) -> None:
+    def _repair(self, point: ProfilePoint) -> None:
         """Walk back from a point that jumped down, and replace points that lie above this path."""
         last, other = point, None
         for k in range(len(self._points) - 1, 0, -1):
@@ -647,10 +649,10 @@ class _March:
         at, outside = self._inside, self._outside
         if at.value == self._bound:
             return self._at_bound()
-        if outside is not None and self._is_raised_by_boundary(outside):
+        if outside is not None and self._is_excluded_by_feasibility(outside):
             return self._open(SideStatus.OPEN_AT_FEASIBILITY)
         for point in (outside, at):
-            end = None if point is None else self._end_seen_from(point)
+            end = None if point is None else self._extrapolated_end(point)
             if point is not None and end is not None:
                 return self._closed(point, end, self._error(point))
         if outside is not None:
@@ -666,7 +668,7 @@ class _March:
             return self._open(SideStatus.OPEN_FLAT)
         return None
 
-    def _end_seen_from(self, point: Point) -> float | None:
+    def _extrapolated_end(self, point: ProfilePoint) -> float | None:
         """Where the slope of a point leads to the end; None from afar or past the bound."""
         is_tight = point.left <= AT_END * self._walk.threshold
         is_close = abs(self._z(point) - self._root) <= CLOSE * self._root
@@ -675,7 +677,7 @@ class _March:
         end = point.value + (self._walk.threshold - self._walk.delta(point)) / point.slope
         return end if self._direction * (self._bound - end) > 0 else None
 
-    def _is_raised_by_boundary(self, point: Point) -> bool:
+    def _is_excluded_by_feasibility(self, point: ProfilePoint) -> bool:
         """Whether a fit is excluded only because the way to a better one has no prediction."""
         promised = self._walk.delta(point) - point.promise
         is_excluded = promised >= ENOUGH * self._walk.threshold
@@ -696,25 +698,27 @@ class _March:
     def _is_flat_far_out(self) -> bool:
         return self._distance() > FAR * self._unit and self._is_flat()
 
-    def _z(self, point: Point) -> float:
+    def _z(self, point: ProfilePoint) -> float:
         return float(np.sqrt(max(self._walk.delta(point), 0.0)))
 
     def _distance(self) -> float:
         return max(abs(self._inside.value - self._points[0].value), self._unit)
 
-    def _error(self, point: Point) -> float:
+    def _error(self, point: ProfilePoint) -> float:
         """Estimated error of the end, in units of the value."""
         missing = abs(self._walk.delta(point) - self._walk.threshold)
         slope = max(abs(point.slope), 1e-300)
         return float((SLOPE_ERROR * missing + LEFT * AT_END * self._walk.threshold) / slope)
 
-    def _closed(self, point: Point, end: float, error: float) -> Side:
+    def _closed(self, point: ProfilePoint, end: float, error: float) -> Side:
         return self._side(SideStatus.CLOSED, point, end, error)
 
     def _open(self, status: SideStatus) -> Side:
         return self._side(status, self._inside, None, np.nan)
 
-    def _side(self, status: SideStatus, point: Point, end: float | None, error: float) -> Side:
+    def _side(
+        self, status: SideStatus, point: ProfilePoint, end: float | None, error: float
+    ) -> Side:
         parameters = self._walk.evaluator.parameters
         theta = point.evaluation.theta
         on_bound = (theta <= parameters.lower) | (theta >= parameters.upper)

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.mechanics.equilibria import Lines
-from identknee.model.effects.effect import CopiesChange, amplitudes, remeasured
+from identknee.mechanics.equilibria import LineLigaments
+from identknee.model.effects.effect import ReplicaInputsChange, amplitudes, with_remeasured_lengths
 from identknee.model.effects.insertion import AXES, BONES
-from identknee.model.mechanics_inputs import PER_PCT, Setting
+from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 
@@ -15,7 +15,7 @@ SPREAD_SD, SPREAD_LIMIT = 5.0, 30.0  # %
 PLACE_SD, PLACE_LIMIT = 4.0, 16.0  # mm
 
 
-def bundles(knee: Knee) -> CopiesChange:
+def bundles(knee: Knee) -> ReplicaInputsChange:
     """Two bundles in place of every ligament, a spread apart in reference strain and in place.
 
     Each has half of the stiffness; the first half of the spread [%] more strain than the ligament
@@ -45,10 +45,10 @@ def bundles(knee: Knee) -> CopiesChange:
         lower=n * [0.0] + m * [-PLACE_LIMIT],
         upper=n * [SPREAD_LIMIT] + m * [PLACE_LIMIT],
     )
-    return CopiesChange(name="bundles", parameters=made, changed=_split)
+    return ReplicaInputsChange(name="bundles", parameters=made, changed=_split)
 
 
-def _split(setting: Setting, values: Array) -> Setting:
+def _split(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     is_own, lines = setting.owner >= 0, setting.lines
     # Every line, then the second bundles of those that belong to a ligament.
     line = np.r_[np.arange(is_own.size), np.flatnonzero(is_own)]
@@ -61,7 +61,7 @@ def _split(setting: Setting, values: Array) -> Setting:
     strains, places = each[:, :n], each[:, n:].reshape(-1, n, len(BONES), len(AXES))
     aside = side[:, None, None] * places[row, owner]
     half = np.where(owner >= 0, 0.5, 1.0)
-    bundled = Lines(
+    bundled = LineLigaments(
         femoral=lines.femoral[line] + aside[:, 0],
         tibial=lines.tibial[line] + aside[:, 1],
         reference_length=lines.reference_length[line],
@@ -77,4 +77,4 @@ def _split(setting: Setting, values: Array) -> Setting:
         share=half * setting.share[line],
         copy=setting.copy[line],
     )
-    return remeasured(split, bundled, owner >= 0)
+    return with_remeasured_lengths(split, bundled, owner >= 0)

@@ -4,9 +4,9 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.model.effects.effect import amplitudes
-from identknee.model.mechanics_inputs import Setting, with_lines
+from identknee.model.mechanics_inputs import MechanicsInputs, with_lines
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
@@ -40,7 +40,7 @@ class Cartilage:
         )
         object.__setattr__(self, "parameters", made)
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the other contact law."""
         law = replace(
             setting.law,
@@ -83,9 +83,9 @@ class Meniscus:
         made = amplitudes(self.name, names, [20.0, 20.0], lower=[0.0, 0.0], upper=[100.0, 100.0])
         object.__setattr__(self, "parameters", made)
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the springs added."""
-        springs = Lines(
+        springs = LineLigaments(
             femoral=self.femoral,
             tibial=self.tibial,
             reference_length=np.full(4, FAR),

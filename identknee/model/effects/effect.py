@@ -7,8 +7,8 @@ from typing import Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
-from identknee.mechanics.equilibria import Lines
-from identknee.model.mechanics_inputs import Setting
+from identknee.mechanics.equilibria import LineLigaments
+from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
@@ -35,7 +35,7 @@ class Effect(Protocol):
 class MechanicalEffect(Effect, Protocol):
     """An effect on loads, flexion, lines or contact."""
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect at amplitudes `values`, shape ``(n,)``."""
         ...
 
@@ -45,20 +45,20 @@ class SelfContainedEffect(MechanicalEffect, Protocol):
     """A mechanical effect on lines of its own that no other effect changes."""
 
     def gradient_columns(
-        self, setting: Setting, values: Array, flexion: Array, poses: Array
+        self, setting: MechanicsInputs, values: Array, flexion: Array, poses: Array
     ) -> Array:
         """Derivatives of the energy's gradient by the amplitudes at fixed poses, ``(n, 5, a)``."""
         ...
 
 
 @runtime_checkable
-class CopiesEffect(MechanicalEffect, Protocol):
+class ReplicaEffect(MechanicalEffect, Protocol):
     """A mechanical effect whose amplitudes may differ between replicas of the inputs.
 
     Its derivatives are had faster then.
     """
 
-    def change_copies(self, setting: Setting, values: Array) -> Setting:
+    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect at amplitudes ``values[i]`` in replica i, ``(k, a)``."""
         ...
 
@@ -67,16 +67,16 @@ class CopiesEffect(MechanicalEffect, Protocol):
 class ObservationEffect(Effect, Protocol):
     """An effect on the measurement of a pose, not on the pose."""
 
-    def observe(self, coordinates: Array, values: Array, tests: "Tests") -> Array:
+    def observe(self, coordinates: Array, values: Array, tests: "TrialRecord") -> Array:
         """Measured coordinates, shape ``(n, 5)``, for the true coordinates (n, 5)."""
         ...
 
 
 @runtime_checkable
-class CopiesObservation(ObservationEffect, Protocol):
+class ReplicaObservation(ObservationEffect, Protocol):
     """An effect on the measurement whose amplitudes may differ between replicas of the trials."""
 
-    def observe_copies(self, coordinates: Array, values: Array, tests: "Tests") -> Array:
+    def observe_copies(self, coordinates: Array, values: Array, tests: "TrialRecord") -> Array:
         """What is measured in k copies of the trials, copy i with amplitudes ``values[i]``."""
         ...
 
@@ -100,18 +100,18 @@ def is_self_contained(effect: Effect) -> TypeGuard[SelfContainedEffect]:
     return hasattr(effect, "gradient_columns")
 
 
-def is_changed_in_copies(effect: Effect) -> TypeGuard[CopiesEffect]:
+def changes_replicas(effect: Effect) -> TypeGuard[ReplicaEffect]:
     """Whether the amplitudes of an effect may differ between replicas of the inputs."""
     return hasattr(effect, "change_copies")
 
 
-def is_read_in_copies(effect: Effect) -> TypeGuard[CopiesObservation]:
+def reads_replicas(effect: Effect) -> TypeGuard[ReplicaObservation]:
     """Whether the amplitudes of an effect may differ between replicas of the trials."""
     return hasattr(effect, "observe_copies")
 
 
 @declared
-class Tests:
+class TrialRecord:
     """The trials as they were made, with order and phase."""
 
     flexion_deg: Array = entry("Flexion as stated")
@@ -126,9 +126,9 @@ class Tests:
         default=None,
     )
 
-    def repeated(self, n: int) -> "Tests":
+    def repeated(self, n: int) -> "TrialRecord":
         """The same trials `n` times, one after the other."""
-        return Tests(
+        return TrialRecord(
             flexion_deg=np.tile(self.flexion_deg, n),
             loads=np.tile(self.loads, (n, 1)),
             order=None if self.order is None else np.tile(self.order, n),
@@ -172,12 +172,12 @@ def amplitudes(
     )
 
 
-Changed = Callable[[Setting, Array], Setting]
-Read = Callable[[Array, Array, Tests], Array]
+Changed = Callable[[MechanicsInputs, Array], MechanicsInputs]
+Read = Callable[[Array, Array, TrialRecord], Array]
 
 
 @declared
-class SettingChange:
+class InputsChange:
     """An effect on lines or flexion."""
 
     name: str = entry("Name of the cause")
@@ -186,16 +186,16 @@ class SettingChange:
         "The setting with the effect, from the setting without it and the amplitudes"
     )
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect at amplitudes `values`."""
         return self.changed(setting, values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CopiesChange(SettingChange):
+class ReplicaInputsChange(InputsChange):
     """The same, vectorised over amplitudes (k, a) of k replicas."""
 
-    def change_copies(self, setting: Setting, values: Array) -> Setting:
+    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
         return self.changed(setting, values)
 
@@ -210,21 +210,23 @@ class ReadingError:
         "The coordinates read, from those that are actual (n, 5), amplitudes and tests"
     )
 
-    def observe(self, coordinates: Array, values: Array, tests: Tests) -> Array:
+    def observe(self, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
         """The coordinates read, shape ``(n, 5)`` [mm, deg]."""
         return self.read(coordinates, values, tests)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CopiesError(ReadingError):
+class ReplicaReadingError(ReadingError):
     """The same, vectorised over amplitudes (k, a) of k replicas of the trials."""
 
-    def observe_copies(self, coordinates: Array, values: Array, tests: Tests) -> Array:
+    def observe_copies(self, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
         """The coordinates read in k copies of the trials, copy i with amplitudes ``values[i]``."""
         return self.read(coordinates, values, tests)
 
 
-def remeasured(setting: Setting, lines: Lines, changed: BoolArray) -> Setting:
+def with_remeasured_lengths(
+    setting: MechanicsInputs, lines: LineLigaments, changed: BoolArray
+) -> MechanicsInputs:
     """The inputs with other lines, `changed` ones (m,) with their length in the scanned pose.
 
     A ligament's reference length is measured between its insertions: where they are put elsewhere,
@@ -234,12 +236,12 @@ def remeasured(setting: Setting, lines: Lines, changed: BoolArray) -> Setting:
     return replace(setting, lines=replace(lines, reference_length=lengths))
 
 
-def held(effect: Effect, fixed: Mapping[str, float]) -> Effect:
+def with_fixed_amplitudes(effect: Effect, fixed: Mapping[str, float]) -> Effect:
     """The effect with some of its amplitudes, by their full names, fixed at given values."""
     free = effect.parameters.with_fixed([*fixed], effect.parameters.vector(fixed))
     if isinstance(effect, MechanicalEffect):
         changed = partial(_change_held, effect, free)
-        return SettingChange(name=effect.name, parameters=free.parameters, changed=changed)
+        return InputsChange(name=effect.name, parameters=free.parameters, changed=changed)
     if isinstance(effect, ObservationEffect):
         read = partial(_read_held, effect, free)
         return ReadingError(name=effect.name, parameters=free.parameters, read=read)
@@ -247,8 +249,8 @@ def held(effect: Effect, fixed: Mapping[str, float]) -> Effect:
 
 
 def _change_held(
-    effect: MechanicalEffect, free: FreeParameters, setting: Setting, values: Array
-) -> Setting:
+    effect: MechanicalEffect, free: FreeParameters, setting: MechanicsInputs, values: Array
+) -> MechanicsInputs:
     return effect.change(setting, free.expand(values))
 
 
@@ -257,7 +259,7 @@ def _read_held(
     free: FreeParameters,
     coordinates: Array,
     values: Array,
-    tests: Tests,
+    tests: TrialRecord,
 ) -> Array:
     return effect.observe(coordinates, free.expand(values), tests)
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from identknee.model.effects.effect import Effect
-from identknee.model.effects.insertion import MovedInsertion
+from identknee.model.effects.insertion import InsertionShift
 from identknee.model.effects.remounting import Remounting
 from identknee.model.effects.stored import choice_of
 from identknee.model.parameters import Parameters
@@ -11,10 +11,10 @@ from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 
 # What changes the knee given, and is no effect on it.
-OF_THE_KNEE = (MovedInsertion, Remounting)
+OF_THE_KNEE = (InsertionShift, Remounting)
 
 
-def knee_with(knee: Knee, found: Iterable[tuple[Effect, Array]]) -> Knee:
+def knee_with_effects(knee: Knee, found: Iterable[tuple[Effect, Array]]) -> Knee:
     """The subject whose model has these effects with their amplitudes.
 
     An insertion found elsewhere is moved there, errors of zero are stated.
@@ -31,7 +31,7 @@ def knee_with(knee: Knee, found: Iterable[tuple[Effect, Array]]) -> Knee:
 def values_by_owner(
     effects: Iterable[Effect], parameters: Parameters, theta: Array
 ) -> dict[str, dict[str, float]]:
-    """All parameters by owner and name, as in a file of starts for `knee_with`."""
+    """All parameters by owner and name, as in a file of starts for `knee_with_effects`."""
     applied = [x for x in effects if isinstance(x, OF_THE_KNEE)]
     left_out = {name for x in applied for name in x.parameters.names}
     tree: dict[str, dict[str, float]] = {}

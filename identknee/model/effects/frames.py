@@ -6,42 +6,47 @@ import numpy as np
 
 from identknee.mechanics.grood_suntay import coordinates_from_pose, pose_from_coordinates
 from identknee.mechanics.pose import angles_of, rotation_matrix
-from identknee.model.effects.effect import CopiesError, SettingChange, Tests, amplitudes
-from identknee.model.mechanics_inputs import Setting
+from identknee.model.effects.effect import (
+    InputsChange,
+    ReplicaReadingError,
+    TrialRecord,
+    amplitudes,
+)
+from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.runs.arrays import Array
 
 FRAME_SD, FRAME_LIMIT = 2.0, 10.0  # deg
 
 
-def femur_frame() -> CopiesError:
+def femur_frame() -> ReplicaReadingError:
     """The femur's axes, as the rig has them, turned about their x and y [deg].
 
     A turn about z is an offset of flexion. Cross-talk of 1 to 5 deg between flexion and the other
     rotations is usual where axes come from landmarks; an estimate.
     """
     made = amplitudes("femur_frame", ["x_deg", "y_deg"], 2 * [FRAME_SD], upper=2 * [FRAME_LIMIT])
-    return CopiesError(name="femur_frame", parameters=made, read=_from_turned_femur)
+    return ReplicaReadingError(name="femur_frame", parameters=made, read=_from_turned_femur)
 
 
-def tibia_frame() -> CopiesError:
+def tibia_frame() -> ReplicaReadingError:
     """The tibia's axes, as the rig has them, turned about their x, y and z [deg]."""
     names = ["x_deg", "y_deg", "z_deg"]
     made = amplitudes("tibia_frame", names, 3 * [FRAME_SD], upper=3 * [FRAME_LIMIT])
-    return CopiesError(name="tibia_frame", parameters=made, read=_of_turned_tibia)
+    return ReplicaReadingError(name="tibia_frame", parameters=made, read=_of_turned_tibia)
 
 
-def flexion_offset() -> SettingChange:
+def flexion_offset() -> InputsChange:
     """How much more the knee was flexed than stated [deg]; 1 to 4 deg is an estimate."""
     made = amplitudes("flexion_offset", ["flexion_deg"], [2.0], upper=[8.0])
-    return SettingChange(name="flexion_offset", parameters=made, changed=_flexed)
+    return InputsChange(name="flexion_offset", parameters=made, changed=_flexed)
 
 
-def _from_turned_femur(coordinates: Array, values: Array, tests: Tests) -> Array:
+def _from_turned_femur(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
     about_x_y = np.concatenate([values, np.zeros((*values.shape[:-1], 1))], axis=-1)
     return _read(coordinates, tests, _turns(about_x_y), _turns(np.zeros(3)))
 
 
-def _of_turned_tibia(coordinates: Array, values: Array, tests: Tests) -> Array:
+def _of_turned_tibia(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
     return _read(coordinates, tests, _turns(np.zeros(3)), _turns(values))
 
 
@@ -54,7 +59,7 @@ def _turns(values: Array) -> Array:
     return np.asarray(np.moveaxis(turns, 0, 2))
 
 
-def _read(coordinates: Array, tests: Tests, femur: Array, tibia: Array) -> Array:
+def _read(coordinates: Array, tests: TrialRecord, femur: Array, tibia: Array) -> Array:
     """Coordinates between frames turned from the true ones, their origins where they are.
 
     The tibial origin is the same point, but its components are those along the axes that the rig
@@ -74,5 +79,5 @@ def _read(coordinates: Array, tests: Tests, femur: Array, tibia: Array) -> Array
     return coordinates_from_pose(np.column_stack([varus, internal, *in_turned_axes]))
 
 
-def _flexed(setting: Setting, values: Array) -> Setting:
+def _flexed(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     return replace(setting, flexion=setting.flexion + np.radians(values[0]))

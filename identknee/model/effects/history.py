@@ -6,7 +6,7 @@ import numpy as np
 
 from identknee.laxity.protocol import LOADS
 from identknee.laxity.table import COORDINATES, PHASES
-from identknee.model.effects.effect import ReadingError, Tests, amplitudes
+from identknee.model.effects.effect import ReadingError, TrialRecord, amplitudes
 from identknee.runs.arrays import Array, IntArray
 
 # Column of the moment and of the angle that goes with it.
@@ -24,10 +24,10 @@ def rig_compliance(axis: str) -> ReadingError:
     """
     name = f"rig_compliance_{axis}"
     made = amplitudes(name, ["compliance_deg_per_Nm"], [0.1], lower=[0.0], upper=[1.0])
-    return ReadingError(name=name, parameters=made, read=partial(_yielded, axis))
+    return ReadingError(name=name, parameters=made, read=partial(_with_rig_compliance, axis))
 
 
-def _yielded(axis: str, coordinates: Array, values: Array, tests: Tests) -> Array:
+def _with_rig_compliance(axis: str, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
     load, angle = COLUMNS[axis]
     read = np.array(coordinates)
     read[:, angle] += values[0] * tests.loads[:, load]
@@ -47,7 +47,7 @@ def hysteresis() -> ReadingError:
     """
     names = [f"{axis}_deg" for axis in AXES]
     made = amplitudes("hysteresis", names, [1.0, 1.0], lower=[0.0, 0.0], upper=[8.0, 8.0])
-    return ReadingError(name="hysteresis", parameters=made, read=_behind)
+    return ReadingError(name="hysteresis", parameters=made, read=_with_hysteresis)
 
 
 def creep() -> ReadingError:
@@ -58,7 +58,7 @@ def creep() -> ReadingError:
     """
     names = [f"{axis}_deg" for axis in AXES]
     made = amplitudes("creep", names, [0.5, 0.5], lower=[0.0, 0.0], upper=[3.0, 3.0])
-    return ReadingError(name="creep", parameters=made, read=_crept)
+    return ReadingError(name="creep", parameters=made, read=_with_creep)
 
 
 def drift() -> ReadingError:
@@ -69,10 +69,10 @@ def drift() -> ReadingError:
     """
     n = len(COORDINATES)
     made = amplitudes("drift", COORDINATES, n * [0.5], upper=n * [4.0])
-    return ReadingError(name="drift", parameters=made, read=_drifted)
+    return ReadingError(name="drift", parameters=made, read=_with_drift)
 
 
-def _behind(coordinates: Array, values: Array, tests: Tests) -> Array:
+def _with_hysteresis(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
     if tests.phase is None:
         raise ValueError(
             "hysteresis needs to know which trials were loading and which unloading; add a column "
@@ -83,20 +83,20 @@ def _behind(coordinates: Array, values: Array, tests: Tests) -> Array:
     return _turned(coordinates, values, ahead[:, None] * np.sign(_moments(tests)))
 
 
-def _crept(coordinates: Array, values: Array, tests: Tests) -> Array:
+def _with_creep(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
     order = _order("creep", tests)
     grown = np.log(order - order.min() + 1.0)
     return _turned(coordinates, values, grown[:, None] * _moments(tests) / FULL_MOMENT)
 
 
-def _drifted(coordinates: Array, values: Array, tests: Tests) -> Array:
+def _with_drift(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
     order = _order("drift", tests)
     share = (order - order.min()) / max(int(np.ptp(order)), 1)
     drifted: Array = coordinates + (share[:, None] - 0.5) * values
     return drifted
 
 
-def _order(cause: str, tests: Tests) -> IntArray:
+def _order(cause: str, tests: TrialRecord) -> IntArray:
     if tests.order is None:
         raise ValueError(
             f"{cause} needs to know in which order the trials were made; add a column order to the "
@@ -105,7 +105,7 @@ def _order(cause: str, tests: Tests) -> IntArray:
     return tests.order
 
 
-def _moments(tests: Tests) -> Array:
+def _moments(tests: TrialRecord) -> Array:
     """Stated moments of `AXES` [N·m], shape ``(n, 2)``."""
     return np.asarray(tests.loads[:, [load for load, _ in COLUMNS.values()]])
 

@@ -5,8 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.model.effects.effect import CopiesChange, CopiesEffect, amplitudes, remeasured
-from identknee.model.mechanics_inputs import Setting
+from identknee.model.effects.effect import (
+    ReplicaEffect,
+    ReplicaInputsChange,
+    amplitudes,
+    with_remeasured_lengths,
+)
+from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
@@ -16,7 +21,7 @@ SHIFT_SD, SHIFT_LIMIT = 2.0, 8.0  # mm
 BONES, AXES = ("femur", "tibia"), ("x", "y", "z")
 
 
-def insertion(knee: Knee) -> CopiesChange:
+def insertion(knee: Knee) -> ReplicaInputsChange:
     """Shifts of both insertions of every ligament along the axes of their bone [mm].
 
     The reference length is that between the shifted insertions in the scanned pose. Errors of 1 to
@@ -27,10 +32,10 @@ def insertion(knee: Knee) -> CopiesChange:
     ]
     n = len(names)
     made = amplitudes("insertion", names, n * [SHIFT_SD], upper=n * [SHIFT_LIMIT])
-    return CopiesChange(name="insertion", parameters=made, changed=_shifted)
+    return ReplicaInputsChange(name="insertion", parameters=made, changed=_shifted)
 
 
-def _shifted(setting: Setting, values: Array) -> Setting:
+def _shifted(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     is_own = setting.owner >= 0
     shifts = np.zeros((len(is_own), 2, 3))
     of_ligament = np.moveaxis(values.reshape(*values.shape[:-1], -1, 2, 3), -3, 0)
@@ -38,7 +43,7 @@ def _shifted(setting: Setting, values: Array) -> Setting:
     shifts[is_own] = of_ligament[setting.owner[is_own], *copies]
     lines = setting.lines
     moved = replace(lines, femoral=lines.femoral + shifts[:, 0], tibial=lines.tibial + shifts[:, 1])
-    return remeasured(setting, moved, is_own)
+    return with_remeasured_lengths(setting, moved, is_own)
 
 
 # Two sets of insertions of one specimen, from CT and from MRI, differ by 9 mm rms, 5 mm an axis.
@@ -50,12 +55,12 @@ LEAST_TOLD = 0.25
 
 
 @declared
-class MovedInsertion:
+class InsertionShift:
     """A shift of one insertion beside the small shifts that all of them may have [mm]."""
 
     ligament: str = entry("Ligament whose insertion it is")
     bone: str = entry("Bone on which the insertion lies")
-    shifts: CopiesEffect = entry("The effect of shifts of all insertions")
+    shifts: ReplicaEffect = entry("The effect of shifts of all insertions")
     first: int = entry("Place of the first of its three shifts among those")
     parameters: Parameters = entry("Shifts to anterior, proximal and lateral")
 
@@ -69,11 +74,11 @@ class MovedInsertion:
         """Which insertion it is."""
         return f"{self.ligament}_{self.bone}"
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect."""
         return self.shifts.change(setting, self._whole(values))
 
-    def change_copies(self, setting: Setting, values: Array) -> Setting:
+    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect at shifts ``values[i]`` in replica i."""
         return self.shifts.change_copies(setting, self._whole(values))
 
@@ -94,7 +99,7 @@ class MovedInsertion:
         return whole
 
 
-def moved_insertion(knee: Knee, ligament: str, bone: str) -> MovedInsertion:
+def moved_insertion(knee: Knee, ligament: str, bone: str) -> InsertionShift:
     """The insertion of a ligament on a bone, ``"femur"`` or ``"tibia"``, as a cause of its own.
 
     Raises
@@ -107,7 +112,7 @@ def moved_insertion(knee: Knee, ligament: str, bone: str) -> MovedInsertion:
     names = [f"{ligament}_{bone}_{way}_mm" for way, _ in WAYS]
     n = len(WAYS)
     made = amplitudes(shifts.name, names, n * [GROSS_SD], upper=n * [FARTHEST])
-    return MovedInsertion(
+    return InsertionShift(
         ligament=ligament, bone=bone, shifts=shifts, first=n * place, parameters=made
     )
 

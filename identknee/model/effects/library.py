@@ -80,7 +80,7 @@ def effect_named(knee: Knee, name: str) -> Effect:
     return _MAKERS[name](knee)
 
 
-def _at_its_site(name: str, knee: Knee) -> Effect:
+def _make_structure(name: str, knee: Knee) -> Effect:
     lines = tuple((x.femur, x.tibia) for x in _sites(knee)[name])
     return structure(knee, name, lines)
 
@@ -89,35 +89,35 @@ _sites = lru_cache(maxsize=4)(structure_sites)
 Maker = Callable[[Knee], Effect]
 
 
-def _anywhere(make: Callable[[], Effect]) -> Maker:
+def _make_on_any_subject(make: Callable[[], Effect]) -> Maker:
     """A factory of an effect that is the same on every subject."""
     return lambda _knee: make()
 
 
 _BY_NAME: dict[str, Maker] = {
-    **{name: partial(_at_its_site, name) for name in STIFFNESS_SD},
+    **{name: partial(_make_structure, name) for name in STIFFNESS_SD},
     "bundles": bundles,
     WRAPPING: mcl_wrapping,
     "meniscus": meniscus,
-    "toe_strain": _anywhere(toe_strain),
-    "cartilage": _anywhere(Cartilage),
-    "compression": _anywhere(compression),
-    "shank_gravity": _anywhere(shank_gravity),
-    "moment_gain_IE": _anywhere(partial(moment_gain, "IE")),
-    "moment_gain_VV": _anywhere(partial(moment_gain, "VV")),
-    "moment_offset": _anywhere(moment_offset),
-    "axis_misalignment": _anywhere(axis_misalignment),
-    "parasitic_shear": _anywhere(parasitic_shear),
-    "femur_frame": _anywhere(femur_frame),
-    "tibia_frame": _anywhere(tibia_frame),
-    "flexion_offset": _anywhere(flexion_offset),
-    "rig_compliance_IE": _anywhere(partial(rig_compliance, "IE")),
-    "rig_compliance_VV": _anywhere(partial(rig_compliance, "VV")),
+    "toe_strain": _make_on_any_subject(toe_strain),
+    "cartilage": _make_on_any_subject(Cartilage),
+    "compression": _make_on_any_subject(compression),
+    "shank_gravity": _make_on_any_subject(shank_gravity),
+    "moment_gain_IE": _make_on_any_subject(partial(moment_gain, "IE")),
+    "moment_gain_VV": _make_on_any_subject(partial(moment_gain, "VV")),
+    "moment_offset": _make_on_any_subject(moment_offset),
+    "axis_misalignment": _make_on_any_subject(axis_misalignment),
+    "parasitic_shear": _make_on_any_subject(parasitic_shear),
+    "femur_frame": _make_on_any_subject(femur_frame),
+    "tibia_frame": _make_on_any_subject(tibia_frame),
+    "flexion_offset": _make_on_any_subject(flexion_offset),
+    "rig_compliance_IE": _make_on_any_subject(partial(rig_compliance, "IE")),
+    "rig_compliance_VV": _make_on_any_subject(partial(rig_compliance, "VV")),
     "insertion": insertion,
-    "hysteresis": _anywhere(hysteresis),
-    "creep": _anywhere(creep),
-    "drift": _anywhere(drift),
-    "contact_law": _anywhere(contact_nuisance),
+    "hysteresis": _make_on_any_subject(hysteresis),
+    "creep": _make_on_any_subject(creep),
+    "drift": _make_on_any_subject(drift),
+    "contact_law": _make_on_any_subject(contact_nuisance),
 }
 _MAKERS: Mapping[str, Maker] = MappingProxyType(
     {name: _BY_NAME[name] for name in FACTS if name in _BY_NAME}

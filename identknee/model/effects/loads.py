@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from identknee.model.effects.effect import amplitudes
-from identknee.model.mechanics_inputs import Setting
+from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
@@ -27,7 +27,7 @@ class LoadError:
         "The loads that acted, from loads (n, 5), flexion [rad] (n,) and amplitudes"
     )
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the loads that acted."""
         return replace(setting, loads=self.acted(setting.loads, setting.flexion, values))
 

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS
-from identknee.model.effects.effect import CopiesError, Tests, amplitudes
+from identknee.model.effects.effect import ReplicaReadingError, TrialRecord, amplitudes
 from identknee.model.effects.facts import REMOUNTING
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
@@ -17,7 +17,7 @@ ZERO_SD, FARTHEST = 0.5, 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Remounting(CopiesError):  # noqa: N818 - an error of reading
+class Remounting(ReplicaReadingError):  # noqa: N818 - an error of reading
     """Offsets of the five coordinates at every flexion angle [mm, deg]."""
 
     def applied(self, knee: Knee, values: Array) -> Knee:
@@ -35,7 +35,7 @@ def remounting(angles: Sequence[float]) -> Remounting:
     return Remounting(name=REMOUNTING, parameters=made, read=partial(_offset, np.array(angles)))
 
 
-def _offset(angles: Array, coordinates: Array, values: Array, tests: Tests) -> Array:
+def _offset(angles: Array, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
     offsets = values.reshape(*values.shape[:-1], len(angles), len(COORDINATES))
     is_there = tests.flexion_deg[:, None] == angles
     if values.ndim == 1:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
-from identknee.model.effects.effect import Effect, held
+from identknee.model.effects.effect import Effect, with_fixed_amplitudes
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.structures import (
     MissingStructure,
@@ -102,7 +102,7 @@ def _effect(knee: Knee, choice: EffectChoice) -> Effect:
                 f"{whole} of {knee.name} must be within {low:g} to {high:g}, got {value:g}"
             )
     fixed = {f"{choice.name}.{name}": choice.values[name] for name in choice.fixed}
-    return held(effect, fixed) if fixed else effect
+    return with_fixed_amplitudes(effect, fixed) if fixed else effect
 
 
 def _of_its_kind(knee: Knee, choice: EffectChoice) -> Effect:

@@ -6,10 +6,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from identknee.mechanics.equilibria import Lines
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradients
 from identknee.model.effects.effect import amplitudes
-from identknee.model.mechanics_inputs import PER_KN, PER_PCT, Setting, with_lines
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs, with_lines
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
@@ -54,7 +54,7 @@ class MissingStructure:
         """Index of the first shift among the amplitudes, after the reference strain."""
         return 2
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the structure added."""
         m = len(self.femoral)
         lines = _measured(setting, *self.insertions(values))
@@ -62,7 +62,7 @@ class MissingStructure:
         return with_lines(setting, lines, stiffness, strain)
 
     def gradient_columns(
-        self, setting: Setting, values: Array, flexion: Array, poses: Array
+        self, setting: MechanicsInputs, values: Array, flexion: Array, poses: Array
     ) -> Array:
         """Derivatives of the energy's gradient by the amplitudes at fixed poses, ``(n, 5, a)``.
 
@@ -106,9 +106,9 @@ class MissingStructure:
         return self.femoral + shift[:3], self.tibial + shift[3:]
 
 
-def _measured(setting: Setting, femoral: Array, tibial: Array) -> Lines:
+def _measured(setting: MechanicsInputs, femoral: Array, tibial: Array) -> LineLigaments:
     """Lines between insertions, their reference length that of the scanned pose."""
-    lines = Lines(femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral)))
+    lines = LineLigaments(femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral)))
     return replace(lines, reference_length=setting.lengths_at_start(lines))
 
 
@@ -179,13 +179,13 @@ class PosteriorCapsule:
         """Index of the first shift among the amplitudes, after the reference strain."""
         return 3
 
-    def change(self, setting: Setting, values: Array) -> Setting:
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with both lines added."""
         medial, lateral = self._of_sides(values)
         return self.lateral.change(self.medial.change(setting, medial), lateral)
 
     def gradient_columns(
-        self, setting: Setting, values: Array, flexion: Array, poses: Array
+        self, setting: MechanicsInputs, values: Array, flexion: Array, poses: Array
     ) -> Array:
         """Derivatives of the energy's gradient by the amplitudes at fixed poses, ``(n, 5, a)``."""
         medial, lateral = (

@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from identknee.model.effects.effect import SettingChange, amplitudes, remeasured
-from identknee.model.mechanics_inputs import Setting
+from identknee.model.effects.effect import InputsChange, amplitudes, with_remeasured_lengths
+from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.runs.arrays import Array
 from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import Knee
@@ -14,7 +14,7 @@ from identknee.subject.knee import Knee
 NAME = "mcl_wrapping"
 
 
-def mcl_wrapping(knee: Knee) -> SettingChange:
+def mcl_wrapping(knee: Knee) -> InputsChange:
     """Lift of the medial collateral ligament off its straight line, at the joint line [mm].
 
     The rim of the plateau and the meniscus push it medially. Its reference length is that of the
@@ -37,10 +37,12 @@ def mcl_wrapping(knee: Knee) -> SettingChange:
     index = [x.name for x in knee.ligaments].index(ligament.name)
     made = amplitudes(NAME, ["lift_mm"], [4.0], lower=[0.0], upper=[12.0])
     place = float((found.joint_line - bottom) / (top - bottom))
-    return SettingChange(name=NAME, parameters=made, changed=partial(_lifted, index, place))
+    return InputsChange(name=NAME, parameters=made, changed=partial(_with_wrapping, index, place))
 
 
-def _lifted(index: int, place: float, setting: Setting, values: Array) -> Setting:
+def _with_wrapping(
+    index: int, place: float, setting: MechanicsInputs, values: Array
+) -> MechanicsInputs:
     is_lifted, lines = setting.owner == index, setting.lines
     course = replace(
         lines,
@@ -48,4 +50,4 @@ def _lifted(index: int, place: float, setting: Setting, values: Array) -> Settin
         wrap_offset=np.where(is_lifted, -values[0], lines.wrap_offset),
         wrap_place=np.where(is_lifted, place, lines.wrap_place),
     )
-    return remeasured(setting, course, is_lifted)
+    return with_remeasured_lengths(setting, course, is_lifted)

@@ -1,11 +1,28 @@
 """What the demo says: a good fit with wrong parameters, and within what limits they are known."""
 
 from collections.abc import Iterator, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-from identknee.report.answers.profile import parameter_statements
+from typing_extensions import override
+
+from identknee.laxity.protocol import Protocol
+from identknee.report.answers.profile import parameter_statements, profile_drawings, profile_range
+from identknee.report.answers.simulate import simulated_curves
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
+from identknee.report.range import Range
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
+from identknee.runs.words import listed
+from identknee.subject.knee import Knee
+from identknee.verbs.answer import Answer
 from identknee.verbs.demo import Demonstration, StartFits
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from identknee.report.laxity_figures import LaxityCurves
 
 ENDS = {
     "minimum": "at a minimum",
@@ -26,7 +43,7 @@ def demo_statements(answer: Demonstration) -> Iterator[Statement]:
     worst = max(searches, key=lambda x: x.error["kN"])
     yield Statement(
         question=Question.SEARCH,
-        sentence=f"{misleading_fit(worst)} {exact_fit(descents)}",
+        sentence=f"{misleading_fit_sentence(worst)} {least_squares_sentence(descents)}",
         tables=(_table(answer.starts),),
         is_answer=True,
     )
@@ -35,7 +52,7 @@ def demo_statements(answer: Demonstration) -> Iterator[Statement]:
     yield from parameter_statements(tuple(answer.profiles.values()), given)
 
 
-def misleading_fit(fits: StartFits) -> str:
+def misleading_fit_sentence(fits: StartFits) -> str:
     """How wrong the parameters of a start were that fitted well."""
     error, rmse = fits.error, fits.rmse
     return (
@@ -46,7 +63,7 @@ def misleading_fit(fits: StartFits) -> str:
     )
 
 
-def exact_fit(fits: Sequence[StartFits]) -> str:
+def least_squares_sentence(fits: Sequence[StartFits]) -> str:
     """How near least squares came from the same starts."""
     largest = max(x.error["kN"] for x in fits)
     if largest > EXACT_KN:
@@ -83,3 +100,65 @@ def _table(starts: Sequence[StartFits]) -> Table:
         ),
         rows=rows,
     )
+
+
+class DemonstrationPresenter(Presenter[Demonstration]):
+    """How the demo is shown."""
+
+    questions = MappingProxyType({"starts": Question.SEARCH})
+
+    @override
+    def statements(self, answer: Demonstration) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from demo_statements(answer)
+
+    @override
+    def drawings(self, answer: Demonstration, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """Errors of the fits, then the profiles."""
+        from identknee.report.sweep_figures import starts_figure
+
+        methods = listed(dict.fromkeys(x.method for x in answer.starts))
+        yield Drawing(
+            name="starts",
+            figure=starts_figure(answer.starts),
+            caption="Left: the error of the fitted stiffnesses. Right: how well the same fits "
+            "reproduce the laxity. Each dot is one run.",
+            description=f"Errors of fits by {methods} from every start. Laxity is reproduced to "
+            f"{max(x.rmse_deg.max() for x in answer.starts):.2f} deg at worst, with stiffnesses up "
+            f"to {max(x.error_kN.max() for x in answer.starts):.2f} kN wrong on average.",
+        )
+        truth = {f"{x}.{k}": v for x, own in answer.truth.items() for k, v in own.items()}
+        yield from profile_drawings(tuple(answer.profiles.values()), truth)
+
+    @override
+    def curves(self, answer: Demonstration, beside: Sequence[Answer]) -> "LaxityCurves":
+        """The laxity simulated."""
+        return simulated_curves(answer)
+
+    @override
+    def pictures(self, answer: Demonstration, knee: Knee) -> dict[str, "Figure"]:
+        """The starts, the profiles and the knee."""
+        from identknee.report.profile_figures import profiles_figure
+        from identknee.report.scene import scene
+        from identknee.report.sweep_figures import starts_figure
+
+        return {
+            "starts": starts_figure(answer.starts),
+            "profiles": profiles_figure(tuple(answer.profiles.values())),
+            "knee": scene(knee),
+        }
+
+    @override
+    def ranges(self, answer: Demonstration) -> Iterator[tuple[str, Range]]:
+        """The set of each parameter."""
+        yield from ((x.name, profile_range(x)) for x in answer.profiles.values())
+
+    @override
+    def headline(self, answer: Demonstration) -> str:
+        """What it was made to show."""
+        return next(self.statements(answer)).sentence
+
+    @override
+    def protocol(self, answer: Demonstration) -> Protocol:
+        """The trials simulated."""
+        return answer.protocol

@@ -1,15 +1,143 @@
 """Which trials to measure next, and what they would tell."""
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
 
+import numpy as np
+from typing_extensions import override
+
+from identknee.identify.nuisances import NuisanceEstimate, group_name
 from identknee.identify.profile.result import Profile
-from identknee.report.answers.advised import table_of_trials
-from identknee.report.answers.better_known import better_known_statements
+from identknee.laxity.trial_words import trial_description
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.report.words import counted, interval_words, trial_words
-from identknee.runs.words import capital, label, listed, parameter_words
+from identknee.report.words import counted, interval_words, times, trial_list
+from identknee.runs.arrays import Array
+from identknee.runs.marginalise import SHARE
+from identknee.runs.plain_records import summary_of
+from identknee.runs.words import (
+    capitalised,
+    error_words,
+    label,
+    label_without_unit,
+    listed,
+    parameter_words,
+    unit_of,
+)
+from identknee.subject.knee import Knee
 from identknee.verbs.design import ADVICE, Design
+from identknee.verbs.values import AdvisedTrial
+
+
+def trials_words(trials: Sequence[AdvisedTrial]) -> str:
+    """Loads and flexion of each, with how often it comes."""
+    return counted(map(_words, trials))
+
+
+def trial_table(trials: Sequence[AdvisedTrial]) -> Table:
+    """The trials as a table."""
+    return table_of_trials([(x.trial, _words(x)) for x in trials])
+
+
+def table_of_trials(trials: Sequence[tuple[str, str]]) -> Table:
+    """A row for each trial that differs, from names and words, with how often it is to be made."""
+    counts = Counter(words for _, words in trials)
+    first = {words: name for name, words in reversed(trials)}
+    has_repeats = max(counts.values(), default=1) > 1
+    return Table(
+        title="Trials to add, the most informative first",
+        columns=(Column(name="trial"), Column(name="what to do"), Column(name="repeats")),
+        rows=tuple(
+            (first[words], words, times(n) if has_repeats else "") for words, n in counts.items()
+        ),
+    )
+
+
+def _words(trial: AdvisedTrial) -> str:
+    return trial_description(summary_of(trial))
+
+
+MOST_ROWS = 12
+UNITS = ("mm", "deg")
+
+
+def better_known_statements(answer: Design) -> Iterator[Statement]:
+    """Which stated error is best known better, and how it compares with the best trial."""
+    ranking, targets = answer.choice.ranking, answer.choice.targets
+    errors, trials = ([x for x in ranking if x["kind"] == y] for y in ("error", "trial"))
+    if not errors:
+        return
+    best, trial = errors[0], trials[0]
+    of = (
+        f"the interval of {parameter_words(targets[0])}"
+        if len(targets) == 1
+        else f"the intervals of the {len(targets)} targets on average"
+    )
+    is_more = best["narrowing"] > trial["narrowing"]
+    than = "more than any" if is_more else "less than the best"
+    yield Statement(
+        question=Question.NEXT,
+        sentence=f"Knowing the {error_words(best['name'])} twice as well"
+        f"{sizes_words(answer.nuisances, best['name'])} narrows {of} by {_percent(best)}. "
+        f"That is {than} of the {len(trials)} candidate trials "
+        f"(one more {_trial(answer, trial['name'])}: {_percent(trial)}).",
+        tables=(_ranking(answer),),
+    )
+
+
+def _ranking(answer: Design) -> Table:
+    """Both kinds together, the most helpful first; of several targets the one that gains most."""
+    several = len(answer.choice.targets) > 1
+    rows = [
+        (
+            _trial(answer, x["name"]) if x["kind"] == "trial" else error_words(x["name"]),
+            100.0 * x["narrowing"],
+            *(_most(answer, x) if several else ()),
+        )
+        for x in answer.choice.ranking[:MOST_ROWS]
+    ]
+    most = (Column(name="most of all"), Column(name="by", unit="%", decimals=1))
+    columns = (
+        Column(name="one more trial, or halved uncertainty"),
+        Column(name="narrows by", unit="%", decimals=1),
+        *(most if several else ()),
+    )
+    return Table(title="Narrowing of the targets", columns=columns, rows=tuple(rows))
+
+
+def _most(answer: Design, row: dict[str, Any]) -> tuple[str, float]:
+    choice, narrowing = answer.choice, answer.choice.narrowing
+    names, shares = (
+        (choice.names, narrowing.by_trial)
+        if row["kind"] == "trial"
+        else (narrowing.errors, narrowing.by_error)
+    )
+    own = shares[names.index(row["name"])]
+    place = int(np.argmax(own))
+    return label_without_unit(choice.targets[place]), 100.0 * float(own[place])
+
+
+def _trial(answer: Design, name: str) -> str:
+    return trial_description(answer.candidate(answer.choice.names.index(name)))
+
+
+def sizes_words(nuisances: Sequence[NuisanceEstimate], name: str) -> str:
+    """How well that is, in brackets, where it is one size for each unit."""
+    own = [x for x in nuisances if group_name(x.name) == name]
+    sds = {unit: {x.prior_sd for x in own if x.name.endswith(f"_{unit}")} for unit in UNITS}
+    told = [(min(x), unit) for unit, x in sds.items() if x]
+    if not told or any(len(x) > 1 for x in sds.values()):
+        return ""
+    new, old = (" and ".join(f"{y * x:.3g} {unit}" for x, unit in told) for y in (SHARE, 1.0))
+    return f" (to {new} instead of {old})"
+
+
+def _percent(row: dict[str, Any]) -> str:
+    return f"{100.0 * row['narrowing']:.2g} %"
+
 
 # Beyond so many, targets are counted and not named.
 MOST_NAMED = 3
@@ -23,11 +151,11 @@ def design_statements(answer: Design) -> Iterator[Statement]:
     targets = listed(map(parameter_words, choice.targets[:MOST_NAMED]))
     if len(choice.targets) > MOST_NAMED:
         targets = f"all {len(choice.targets)} targets"
-    trials = counted(map(trial_words, answer.trials))
+    trials = counted(map(trial_description, answer.trials))
     yield Statement(
         question=Question.NEXT,
         sentence=f"Next test for {targets}: {trials}. "
-        f"{_brings(name, before, after)} {ADVICE} lists the "
+        f"{_narrowing_words(name, before, after)} {ADVICE} lists the "
         "trials, to be filled in and appended to the data.",
         tables=(_targets(answer), _trials(answer)),
         is_answer=True,
@@ -36,13 +164,13 @@ def design_statements(answer: Design) -> Iterator[Statement]:
     if choice.excluded:
         yield Statement(
             question=Question.NEXT,
-            sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were not "
-            f"offered; for example, {choice.excluded[0].sentence}",
+            sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were excluded; "
+            f"for example, {choice.excluded[0].sentence}",
         )
 
 
-def _brings(name: str, before: Profile, after: Profile) -> str:
-    words = capital(parameter_words(name))
+def _narrowing_words(name: str, before: Profile, after: Profile) -> str:
+    words = capitalised(parameter_words(name))
     now, then = (interval_words(x.lower, x.upper, before.unit) for x in (before, after))
     return f"{words} {'stays' if now == then else 'would then be'} {then}" + (
         "." if now == then else f"; it is {now} now."
@@ -65,8 +193,84 @@ def _targets(answer: Design) -> Table:
 
 
 def _trials(answer: Design) -> Table:
-    return table_of_trials([(str(x["trial"]), trial_words(x)) for x in answer.trials])
+    return table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials])
 
 
 def _ends(*ends: float | None) -> str:
     return " to ".join("open" if x is None else f"{x:.3g}" for x in ends)
+
+
+def _both_ends(profiles: Sequence[Profile]) -> Array:
+    """Both ends of each interval, shape ``(t, 2)``; NaN where open."""
+    return np.array([(x.lower, x.upper) for x in profiles], dtype=np.float64)
+
+
+class DesignPresenter(Presenter[Design]):
+    """How advised trials are shown."""
+
+    question = Question.NEXT
+
+    @override
+    def statements(self, answer: Design) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from design_statements(answer)
+
+    @override
+    def drawings(self, answer: Design, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """What the advised trials would bring, and all that were to choose from."""
+        from identknee.report.design_figures import (
+            candidates_figure,
+            intervals_figure,
+            steps_figure,
+        )
+
+        choice = answer.choice
+        before, after = (list(x.values()) for x in (choice.before, choice.after))
+        ends = {
+            "before": _both_ends(before),
+            "predicted": choice.predicted[-1],
+            "achieved": _both_ends(after),
+        }
+        names, trials = [label(x) for x in choice.targets], listed(answer.advised)
+        yield Drawing(
+            name="design-intervals",
+            figure=intervals_figure(names, [x.optimum_value for x in before], ends),
+            caption="The interval of each target: now, as predicted with the advised trials, and "
+            "as found when those trials were simulated.",
+            description=f"Intervals of {listed(names)} before and after adding {trials}.",
+        )
+        widths = np.diff(choice.predicted)[..., 0]
+        relative = {x: widths[:, t] / widths[0, t] for t, x in enumerate(names)}
+        achieved = dict(
+            zip(names, (np.diff(ends["achieved"])[:, 0] / widths[0]).tolist(), strict=True)
+        )
+        yield Drawing(
+            name="design-steps",
+            figure=steps_figure(relative, achieved),
+            caption="How much narrower each interval becomes with every trial added.",
+            description=f"Relative widths by the number of trials added, down to "
+            f"{listed(f'{x:.2f}' for x in achieved.values())}.",
+        )
+        gains = choice.losses[0] - choice.alone
+        yield Drawing(
+            name="design-candidates",
+            figure=candidates_figure(
+                answer.candidates, gains, choice.chosen, "gain of one such trial"
+            ),
+            caption="What each possible trial alone would gain. Circles mark the advised trials, "
+            "with their order and how often each is to be made.",
+            description=f"Gain of {choice.n_candidates} candidate trials; chosen are {trials}.",
+        )
+
+    @override
+    def next_tests(self, answer: Design) -> Iterator[str]:
+        """The trials, and how they narrow the first target."""
+        choice = answer.choice
+        name = choice.targets[0]
+        before, after = choice.before[name], choice.after[name]
+        now, then = (interval_words(x.lower, x.upper, unit_of(name)) for x in (before, after))
+        words = parameter_words(name)
+        brings = f"This would narrow {words} to {then}; it is {now} now."
+        if now == then:
+            brings = f"{capitalised(words)} stays {then}."
+        yield f"{trial_list(answer.trials)}. {brings}"

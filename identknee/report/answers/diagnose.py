@@ -2,20 +2,29 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
+from typing_extensions import override
+
+from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.folds import FLEXION
 from identknee.diagnosis.refit import RivalState
 from identknee.diagnosis.score import Cell
-from identknee.diagnosis.verdict import Estimate, Verdict
+from identknee.diagnosis.verdict import Cause, Estimate, Verdict
 from identknee.identify.laplace import Interval
+from identknee.laxity.protocol import Protocol
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
-from identknee.report.answers.advised import trial_table, trials_words
-from identknee.report.answers.better_known import sizes_words
-from identknee.report.answers.isolability import SIZES, sizes_seen
+from identknee.report.answers.design import sizes_words, trial_table, trials_words
+from identknee.report.answers.isolability import SIZES, detectable_sizes
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
+from identknee.report.range import Range, Source, open_ends_text
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
+from identknee.report.words import trial_list
+from identknee.runs.arrays import Array
+from identknee.runs.plain_records import summary_of
 from identknee.runs.words import (
     amount,
     amplitude_label,
@@ -25,8 +34,14 @@ from identknee.runs.words import (
     listed,
     parameter_words,
 )
-from identknee.verbs.diagnosis import AdviceFound, CauseFound, Diagnosis, Misfit, RivalFound
-from identknee.verbs.diagnosis_gain import FamilyGain, GainFound
+from identknee.subject.knee import Knee
+from identknee.verbs.answer import Answer
+from identknee.verbs.diagnosis import Diagnosis, FamilyGain, GainFound, Misfit, RivalFound
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from identknee.report.laxity_figures import LaxityCurves
 
 Value = TypeVar("Value")
 HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested."
@@ -58,7 +73,7 @@ def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
         yield _gain(answer.gain)
     if answer.parameters_before is not None:
         yield _change(answer)
-    if (whichever := _whichever(answer)) is not None:
+    if (whichever := _parameters_by_explanation(answer)) is not None:
         yield whichever
     if answer.noise is not None:
         yield Statement(question=Question.WRONG, sentence=answer.noise.sentence)
@@ -81,7 +96,7 @@ def verdict_sentence(answer: Diagnosis) -> str:
     if answer.verdict is Verdict.NAMED:
         means = " ".join(x.meaning for x in answer.causes)
         return (
-            "The data show something the model lacks, and only one known cause fits: "
+            "A misfit is detected, and only one known cause fits: "
             f"{listed(map(cause_label, answer.cause_names))}. {means} Its size is "
             f"{listed(map(size_words, answer.causes))}. {HYPOTHESIS}"
         )
@@ -97,7 +112,7 @@ def verdict_sentence(answer: Diagnosis) -> str:
     return " ".join([answer.sentence, *untested])
 
 
-def size_words(cause: CauseFound) -> str:
+def size_words(cause: Cause) -> str:
     """The amplitude of a cause with its interval."""
     (low, high), unit = cause.ci95, cause.unit
     value = amount(cause.amplitude, unit)
@@ -135,7 +150,7 @@ def _largest_first(
     return sorted(amplitudes, key=lambda x: -abs(x[1].value))
 
 
-def _sizes(causes: Sequence[CauseFound]) -> Table:
+def _sizes(causes: Sequence[Cause]) -> Table:
     # What is plausible is known of a cause's size, which is its first amplitude.
     rows = tuple(
         (
@@ -236,7 +251,7 @@ def _gain(gain: GainFound) -> Statement:
     return Statement(
         question=Question.WRONG,
         sentence=_gain_sentence(gain),
-        tables=(Table(title="Errors of trials held out", columns=columns, rows=rows),),
+        tables=(Table(title="Errors of held-out trials", columns=columns, rows=rows),),
     )
 
 
@@ -291,7 +306,7 @@ def _change(answer: Diagnosis) -> Statement:
     )
 
 
-def _better_known(answer: Diagnosis, advice: AdviceFound) -> Statement:
+def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
     """Whether a stated error known better would tell more than one more trial."""
     least = {name: min(x) for name, x in advice.distance_with_error_halved.items()}
     trial, now = min(advice.distance_with_one_trial), min(advice.distance_before)
@@ -302,11 +317,12 @@ def _better_known(answer: Diagnosis, advice: AdviceFound) -> Statement:
     return Statement(
         question=Question.NEXT,
         sentence=f"Knowing the {error_words(best)} twice as well"
-        f"{sizes_words(answer.nuisances, best)} would put the nearest rival {least[best]:.1f} "
+        f"{sizes_words(answer.nuisances, best)} would separate the nearest rival by "
+        f"{least[best]:.1f} "
         f"units of noise away instead of {now:.1f}; the first trial to add, {trial:.1f}.",
         tables=(
             Table(
-                title="What would tell the nearest rival",
+                title="What would separate the nearest rival",
                 columns=(
                     Column(name="known twice as well, or added"),
                     Column(name="distance", unit="sd of the noise", decimals=1),
@@ -317,7 +333,7 @@ def _better_known(answer: Diagnosis, advice: AdviceFound) -> Statement:
     )
 
 
-def _whichever(answer: Diagnosis) -> Statement | None:
+def _parameters_by_explanation(answer: Diagnosis) -> Statement | None:
     """What the ligaments' parameters are under every explanation that is open."""
     rivals = [_flat(x.parameters) for x in answer.rivals if x.state is RivalState.OPEN]
     if not rivals or not answer.causes:
@@ -351,7 +367,7 @@ def _whichever(answer: Diagnosis) -> Statement | None:
 
 def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
     rows = tuple(
-        (cause_label(name), FOUND[x.cell], x.score, *sizes_seen(x), 100.0 * x.power)
+        (cause_label(name), FOUND[x.cell], x.score, *detectable_sizes(x), 100.0 * x.power)
         for name, x in effects.items()
     )
     columns = (
@@ -395,3 +411,130 @@ def _width(ends: Interval) -> float:
 
 def _end(end: float | None) -> float | str:
     return "open" if end is None else end
+
+
+class DiagnosisPresenter(Presenter[Diagnosis]):
+    """How a diagnosis is shown."""
+
+    question = Question.WRONG
+
+    @override
+    def statements(self, answer: Diagnosis) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from diagnosis_statements(answer)
+
+    @override
+    def drawings(self, answer: Diagnosis, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """Where the model is wrong, what the cause explains, and the parameters it changes."""
+        from identknee.report.diagnosis_figures import (
+            misfit_figure,
+            misfit_words,
+            parameters_before_after_figure,
+            residuals_figure,
+        )
+        from identknee.report.wrench_figure import wrench_figure
+
+        misfit, trials, residuals = answer.misfit, answer.trials, answer.residuals
+        # None of them where the data cannot be tested.
+        if misfit is None or trials is None or residuals is None:
+            return
+        where = misfit_words(misfit.cells, misfit.share)
+        yield Drawing(
+            name="misfit",
+            figure=misfit_figure(misfit.map, where),
+            caption="Measured minus predicted, in units of the noise: red where more was measured, "
+            "blue where less. Framed cells are significant.",
+            description=f"Map of the misfit by coordinate, flexion and load: {where}.",
+        )
+        causes = listed(map(cause_label, answer.cause_names))
+        before = residuals.before
+        changes = {f"what is explained by {causes}": before - residuals.after} if causes else {}
+        if (figure := residuals_figure(trials.protocol, before, residuals.sd, changes)) is not None:
+            yield Drawing(
+                name="residuals",
+                figure=figure,
+                caption="Residuals of the model along every load curve (dots, with a "
+                "band of two standard deviations of the noise)"
+                + (", and what the cause explains of it (line)." if causes else "."),
+                description="Measured minus predicted laxity along every load curve"
+                + (f", with the part that {causes} explains." if causes else "."),
+            )
+        if knee is not None and answer.missing_wrench and answer.verdict is not Verdict.ADEQUATE:
+            yield Drawing(
+                name="missing-wrench",
+                figure=wrench_figure(answer, knee),
+                caption="Missing force and moment on the tibia, seen from above: arrows are "
+                "forces, arcs are moments. Grey is the range that noise alone could explain.",
+                description="Forces and moments that the model lacks, by flexion and load.",
+            )
+        # Without a cause there is nothing to compare.
+        if causes:
+            yield Drawing(
+                name="before-after",
+                figure=parameters_before_after_figure(answer),
+                caption="The ligament parameters with their 95 % intervals, without and with the "
+                "cause.",
+                description=f"Fitted parameters of {listed(answer.parameters_before or ())}, "
+                f"without and with {causes}.",
+            )
+
+    @override
+    def curves(self, answer: Diagnosis, beside: Sequence[Answer]) -> "LaxityCurves | None":
+        """The laxity of the model without and with the causes; None where nothing was tested."""
+        from identknee.report.laxity_figures import LaxityCurves
+
+        trials, residuals = answer.trials, answer.residuals
+        if trials is None or residuals is None:
+            return None
+        simulated = {"model": trials.coordinates - residuals.before}
+        if answer.causes:
+            with_causes = f"with {listed(map(cause_label, answer.cause_names))}"
+            simulated[with_causes] = trials.coordinates - residuals.after
+        return LaxityCurves(
+            protocol=trials.protocol,
+            simulated=simulated,
+            measured=trials.coordinates,
+            sd=trials.sd,
+            band=None,
+        )
+
+    @override
+    def pictures(self, answer: Diagnosis, knee: Knee) -> dict[str, "Figure"]:
+        """All figures of a diagnosis."""
+        from identknee.report.diagnosis_figures import diagnosis_figures
+
+        return diagnosis_figures(answer, knee)
+
+    @override
+    def ranges(self, answer: Diagnosis) -> Iterator[tuple[str, Range]]:
+        """The interval of each parameter, without and with the causes."""
+        pairs = [(Source.DIAGNOSIS, answer.parameters_before, answer.parameters_before_ci95)]
+        if answer.causes:
+            pairs += [(Source.CAUSE, answer.parameters_after, answer.parameters_after_ci95)]
+        for source, values, intervals in pairs:
+            for owner, own in (values or {}).items():
+                for kind, value in own.items():
+                    low, high = (intervals or {})[owner][kind]
+                    status = open_ends_text(low, high)
+                    yield (
+                        f"{owner}.{kind}",
+                        Range(source=source, low=low, high=high, value=value, status=status),
+                    )
+
+    @override
+    def next_tests(self, answer: Diagnosis) -> Iterator[str]:
+        """The trials that would tell causes apart."""
+        if answer.advised_trials:
+            said = "" if answer.advice is None else f" {answer.advice.sentence}"
+            yield f"{trial_list([summary_of(x) for x in answer.advised_trials])}.{said}"
+
+    @override
+    def protocol(self, answer: Diagnosis) -> Protocol | None:
+        """The trials tested."""
+        return None if answer.trials is None else answer.trials.protocol
+
+    @override
+    def missing_line(self, answer: Diagnosis, knee: Knee) -> Array | None:
+        """Ends of the line found."""
+        line = answer.line
+        return line.in_common_frame(knee) if line is not None and line.is_line else None

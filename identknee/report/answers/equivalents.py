@@ -2,17 +2,35 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
+from typing_extensions import override
+
 from identknee.identify.equivalents import Extrema
-from identknee.identify.extremum import End
+from identknee.identify.extremum import ExtremumEnd
+from identknee.laxity.table import COORDINATES
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Band, Presenter
+from identknee.report.range import SDS_95, Range, Source
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.runs.words import amount, between, interval, label, parameter_words
+from identknee.runs.words import (
+    amount,
+    between,
+    interval,
+    label,
+    label_without_unit,
+    listed,
+    parameter_words,
+)
+from identknee.subject.knee import Knee
 from identknee.verbs.equivalents import Equivalents
 
 STIFFNESS = "stiffness_kN"
 MOST_FORCES = 12
+# Forces in a figure.
+MOST_DRAWN = 16
 # What ends a range as a rule.
-USUAL = {End.LIMIT, End.INTERIOR}
+USUAL = {ExtremumEnd.LIMIT, ExtremumEnd.INTERIOR}
 
 
 def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
@@ -20,7 +38,9 @@ def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
     region = answer.region
     yield Statement(
         question=Question.KNOWN,
-        sentence=" ".join([*_least_known(region.parameters.values()), *_sets(answer)]),
+        sentence=" ".join(
+            [*_least_determined_sentence(region.parameters.values()), *_sets(answer)]
+        ),
         tables=(_table(region.parameters.values(), "Ranges over all equivalent sets"),),
         is_answer=True,
     )
@@ -39,11 +59,11 @@ def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
         )
 
 
-def _least_known(parameters: Iterable[Extrema]) -> Iterator[str]:
+def _least_determined_sentence(parameters: Iterable[Extrema]) -> Iterator[str]:
     stiffness = [x for x in parameters if x.name.endswith(STIFFNESS)]
     for x in _widest_first(stiffness)[:1]:
         yield (
-            "Two knees that this measurement cannot tell apart may differ by "
+            "Two knees that this measurement cannot distinguish may differ by "
             f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
             f"({interval(_ends(x), x.unit)})."
         )
@@ -58,7 +78,8 @@ def _sets(answer: Equivalents) -> Iterator[str]:
     )
     if answer.power_of_best_test is not None:
         yield (
-            "Even the best test at the 5 % level tells one of them from the fit in only "
+            "Even the most powerful test at the 5 % level distinguishes one of them from the fit "
+            "in only "
             f"{100 * answer.power_of_best_test:.0f} of 100 measurements."
         )
 
@@ -91,3 +112,70 @@ def _width(x: Extrema) -> float:
 
 def _ends(x: Extrema) -> tuple[float, float]:
     return x.smallest, x.largest
+
+
+class EquivalentsPresenter(Presenter[Equivalents]):
+    """How equivalent sets are shown."""
+
+    @override
+    def statements(self, answer: Equivalents) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from equivalents_statements(answer)
+
+    @override
+    def drawings(self, answer: Equivalents, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """The sets, and the ranges of forces."""
+        from identknee.report.equivalents_figures import ranges_figure, sets_figure
+
+        region, names = answer.region, answer.region.parameter_names
+        apart = answer.coordinates - answer.coordinates.mean(axis=0)
+        bands = {label(x): apart[:, :, j] for j, x in enumerate(COORDINATES)}
+        yield Drawing(
+            name="sets",
+            figure=sets_figure(names, region.sets, region.fit, bands, origin="the mean"),
+            caption="Above: parameter sets that this measurement cannot distinguish, one line "
+            "each. "
+            "Below: how little their laxity differs, trial by trial.",
+            description=f"{region.n_sets} equivalent sets of {listed(map(label, names))}, and the "
+            "spread of their laxity.",
+        )
+        forces = sorted(region.quantities.values(), key=lambda x: x.smallest - x.largest)
+        if widest := forces[:MOST_DRAWN]:
+            shown = [label_without_unit(x.name) for x in widest]
+            ends = np.array([(x.smallest, x.largest) for x in widest])
+            # Forces of hundreds of N that differ by a few would all be ticks on one axis.
+            at_fit = np.array([x.at_fit for x in widest])
+            apart = {"equivalent sets": ends - at_fit[:, None]}
+            named = [f"{x}, {y:.0f} N" for x, y in zip(shown, at_fit, strict=True)]
+            yield Drawing(
+                name="force-ranges",
+                figure=ranges_figure(
+                    named, 0.0 * at_fit, apart, unit="tension minus the fit's [N]"
+                ),
+                caption="Smallest and largest ligament force among these sets, where they differ "
+                "most, beside that of the fit (its name and size on the left).",
+                description=f"Force ranges; the widest is {shown[0]}, {ends[0, 0]:.0f} to "
+                f"{ends[0, 1]:.0f} N.",
+            )
+
+    @override
+    def band(self, answer: Equivalents) -> Band:
+        """All that the sets predict."""
+        return "equivalent sets", answer.coordinates, (0.0, 1.0)
+
+    @override
+    def ranges(self, answer: Equivalents) -> Iterator[tuple[str, Range]]:
+        """From the smallest to the largest value of each quantity."""
+        reach = answer.region.limit / SDS_95**2 if answer.criterion == "noise" else None
+        for x in answer.region.extrema:
+            yield (
+                x.name,
+                Range(
+                    source=Source.EQUIVALENTS,
+                    low=x.smallest,
+                    high=x.largest,
+                    value=x.at_fit,
+                    status="at least so uncertain",
+                    reach=reach,
+                ),
+            )

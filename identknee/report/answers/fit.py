@@ -1,22 +1,35 @@
 """What a fit says: how well it reproduces the data, and that this is not yet knowledge."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.checks.fit_warnings import AT_END
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.zero_conventions import from_zero
+from identknee.report.answers.simulate import simulated_curves
+from identknee.report.presenter import Presenter, of_type, presenter_of
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
+from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import amount, coordinate_words, label, listed, unit_of
-from identknee.verbs.fit import Calibration
-from identknee.verbs.held_out import HeldOut
+from identknee.verbs.answer import Answer
+from identknee.verbs.fit import Calibration, HeldOut
+
+if TYPE_CHECKING:
+    from identknee.report.laxity_figures import LaxityCurves
 
 # Below it an error is that of rounding, mm or deg.
 NO_ERROR = 1e-4
 # Stated errors that a terminal shows.
 MOST_ERRORS = 8
+# Fits in a figure.
+MOST_LINES = 4
 
 
 def fit_statements(answer: Calibration) -> Iterator[Statement]:
@@ -55,8 +68,7 @@ def _held_out(held: HeldOut) -> Statement:
     errors = f", to {listed(sizes)} on average (RMSE)" if sizes else ""
     return Statement(
         question=Question.SEARCH,
-        sentence=f"The fit predicts {len(held.trials)} trials that it did not see{errors}."
-        f"{lost}{shown}",
+        sentence=f"The fit predicts {len(held.trials)} held-out trials{errors}.{lost}{shown}",
         tables=(
             Table(
                 title="Trials held out",
@@ -77,7 +89,7 @@ def _held_out(held: HeldOut) -> Statement:
 
 def _table(answer: Calibration) -> Table:
     search = answer.search
-    notes = dict.fromkeys(at_their_bounds(answer), "at its bound")
+    notes = dict.fromkeys(parameters_at_bounds(answer), "at its bound")
     notes |= dict.fromkeys(search.fixed, "fixed")
     nuisances = {x.name for x in answer.nuisances}
     rows = zip(answer.parameter_names, search.start.tolist(), search.theta.tolist(), strict=True)
@@ -97,7 +109,7 @@ def _table(answer: Calibration) -> Table:
     )
 
 
-def at_their_bounds(answer: Calibration) -> tuple[str, ...]:
+def parameters_at_bounds(answer: Calibration) -> tuple[str, ...]:
     """Names of the parameters that the fit's own warning says to stand at a bound."""
     search, own = answer.search, answer.search.parameters
     margin = AT_END * (own.upper - own.lower)
@@ -113,7 +125,7 @@ def nuisance_tables(answer: Calibration) -> Iterator[Table]:
     if answer.nuisances:
         moved = sorted(answer.nuisances, key=lambda x: -abs(x.away))
         yield Table(
-            title="Stated errors of geometry and tests at the fit, those moved most first",
+            title="Stated errors of geometry and tests at the fit, largest shifts first",
             columns=(
                 Column(name="error"),
                 Column(name="fitted", decimals=None),
@@ -123,3 +135,52 @@ def nuisance_tables(answer: Calibration) -> Iterator[Table]:
             rows=tuple((label(x.name), x.value, x.sd, x.prior_sd) for x in moved),
             most=MOST_ERRORS,
         )
+
+
+def _fits_of(first: Calibration, beside: Sequence[Answer]) -> list[Calibration]:
+    """All fits of the same trials, in the order of their results."""
+    fits = of_type(beside, Calibration)
+    return [x for x in fits if x.protocol.trials == first.protocol.trials][:MOST_LINES]
+
+
+def _band(
+    beside: Sequence[Answer], as_measured: Callable[[Array], Array]
+) -> tuple[str, Array] | None:
+    """Predictions of the posterior, or of equivalent sets, from the same data."""
+    for other in beside:
+        if (found := presenter_of(other).band(other)) is not None:
+            name, coordinates, ends = found
+            drawn = np.array([as_measured(x) for x in coordinates])
+            return name, np.quantile(drawn, ends, axis=0)
+    return None
+
+
+class CalibrationPresenter(Presenter[Calibration]):
+    """How a fit is shown."""
+
+    @override
+    def statements(self, answer: Calibration) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from fit_statements(answer)
+
+    @override
+    def curves(self, answer: Calibration, beside: Sequence[Answer]) -> "LaxityCurves":
+        """Measured laxity, that of all fits to it, and a band of what fits as well."""
+
+        def as_measured(values: Array) -> Array:
+            return from_zero(values, answer.protocol, answer.data.zero)
+
+        fits = _fits_of(answer, beside)
+        return replace(
+            simulated_curves(answer, answer.data),
+            simulated={
+                "fit" if len(fits) == 1 else f"fit from {x.start}": as_measured(x.coordinates)
+                for x in fits
+            },
+            band=_band(beside, as_measured),
+        )
+
+    @override
+    def protocol(self, answer: Calibration) -> Protocol:
+        """The trials fitted to."""
+        return answer.protocol

@@ -2,11 +2,18 @@
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+from typing_extensions import override
+
 from identknee.identify.geodesic import Boundary
 from identknee.identify.information import Information
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
+from identknee.report.range import SDS_95, Range, Source
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import label, label_without_unit, listed, parameter_words
+from identknee.subject.knee import Knee
 from identknee.verbs.information import LocalIdentifiability
 
 
@@ -18,7 +25,7 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
     if n > 1:
         pair = found.most_collinear[0]
         words = listed(map(parameter_words, pair.parameters))
-        alike = f" Hardest to tell apart are {words} (collinearity {pair.collinearity:.3g})."
+        alike = f" Hardest to separate are {words} (collinearity {pair.collinearity:.3g})."
     yield _known(
         f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
         f"Of {structure.n_points} random parameter sets, {structure.n_with_prediction} have a "
@@ -26,28 +33,28 @@ def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
         f"{alike}"
     )
     yield _known(
-        f"{found.n_above_noise} of {n} combinations of parameters rise above the noise of the "
-        f"solver. Their condition number is {found.condition:.3g}.",
+        f"{found.n_above_noise} of {n} combinations of parameters exceed the noise of the solver"
+        f". Their condition number is {found.condition:.3g}.",
         Table(
-            title="Combinations of parameters, from well to badly known",
+            title="Combinations of parameters, from well to poorly determined",
             columns=(
                 Column(name="combination, in scaled units"),
                 Column(name="eigenvalue", decimals=None),
                 Column(name="noise floor", decimals=None),
             ),
             rows=tuple(
-                (_readable(x.combination, found.parameter_names), x.value, x.floor)
+                (_combination_words(x.combination, found.parameter_names), x.value, x.floor)
                 for x in found.spectrum
             ),
         ),
     )
     yield _known(
-        "These standard deviations take the model as linear near the best fit; profiles do not.",
+        "These standard deviations linearise the model at the best fit; profiles do not.",
         _parameters(found),
     )
     for path in answer.geodesics:
         yield _known(
-            "Followed one way, the path along the least known combination ends "
+            "The geodesic along the least-determined combination ends "
             f"{_end(path.boundary, path.involved)}."
         )
 
@@ -65,7 +72,7 @@ def _end(boundary: Boundary, involved: Sequence[str]) -> str:
         Boundary.INFINITY: f"nowhere: {words} go{s and 'es'} on without end, and the predictions "
         "keep changing",
         Boundary.CLIFF: f"at {words}: beyond this point the model has no prediction",
-        Boundary.BUDGET: f"at {words}, because the budget of simulations was used up",
+        Boundary.BUDGET: f"at {words}, because the budget of simulations was exhausted",
     }[boundary]
 
 
@@ -73,7 +80,7 @@ def _known(sentence: str, *tables: Table) -> Statement:
     return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
 
 
-def _readable(combination: str, names: Sequence[str]) -> str:
+def _combination_words(combination: str, names: Sequence[str]) -> str:
     """A combination with its parameters in words."""
     for name in sorted(names, key=len, reverse=True):
         combination = combination.replace(name, label_without_unit(name))
@@ -93,3 +100,54 @@ def _parameters(found: Information) -> Table:
             for name, best, sd in zip(found.parameter_names, found.theta, found.sd, strict=True)
         ),
     )
+
+
+class InformationPresenter(Presenter[LocalIdentifiability]):
+    """How the information around the best fit is shown."""
+
+    # As of a sample.
+    is_folded = True
+
+    @override
+    def statements(self, answer: LocalIdentifiability) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from information_statements(answer)
+
+    @override
+    def drawings(
+        self, answer: LocalIdentifiability, subject: str, knee: Knee | None
+    ) -> Iterator[Drawing]:
+        """The eigenvalues and the eigenvectors."""
+        from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
+
+        found = answer.fisher
+        yield Drawing(
+            name="spectrum",
+            figure=spectrum_figure({subject: found}),
+            caption="How well the data determine each combination of parameters, from stiff to "
+            "sloppy. A bar marks what rounding alone would give.",
+            description=f"Eigenvalues of the information from {found.eigenvalues[0]:.3g} to "
+            f"{found.eigenvalues[-1]:.3g}; {found.n_above_noise} of {found.theta.size} stand above "
+            "the solver's noise.",
+        )
+        yield Drawing(
+            name="eigenvectors",
+            figure=eigenvectors_figure(found),
+            caption="Which parameters make up each of these combinations, one column each.",
+            description=f"The sloppiest combination is {found.combination(found.theta.size - 1)}.",
+        )
+
+    @override
+    def ranges(self, answer: LocalIdentifiability) -> Iterator[tuple[str, Range]]:
+        """1.96 standard errors around each parameter."""
+        found = answer.fisher
+        for name, best, sd in zip(
+            found.parameter_names, found.theta.tolist(), found.sd.tolist(), strict=True
+        ):
+            is_known = bool(np.isfinite(sd))
+            low, high = (best - SDS_95 * sd, best + SDS_95 * sd) if is_known else (None, None)
+            status = "known locally" if is_known else "not known"
+            yield (
+                name,
+                Range(source=Source.INFORMATION, low=low, high=high, value=best, status=status),
+            )

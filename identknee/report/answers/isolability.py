@@ -1,15 +1,27 @@
 """What a protocol could show of causes, before there are data."""
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
-from identknee.diagnosis.candidates import Visibility
+from typing_extensions import override
+
+from identknee.diagnosis.candidates import Detectability
+from identknee.diagnosis.isolability import Distances
 from identknee.model.effects.facts import cause_label
-from identknee.report.answers.advised import trial_table, trials_words
+from identknee.report.answers.design import trial_table, trials_words
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
+from identknee.report.words import trial_list
+from identknee.runs.plain_records import summary_of
 from identknee.runs.words import amount, listed
+from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability
-from identknee.verbs.trials import AdvisedTrial
+from identknee.verbs.values import AdvisedTrial
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_CAUSES = 2
 SIZES = ("detectable above", "smallest relevant effect")
@@ -20,7 +32,7 @@ def isolability_statements(answer: Isolability) -> Iterator[Statement]:
     rows = tuple(
         (
             cause_label(name),
-            *sizes_seen(x),
+            *detectable_sizes(x),
             listed(map(cause_label, answer.look_alikes.get(name, ()))) or "-",
         )
         for name, x in answer.effects.items()
@@ -33,9 +45,9 @@ def isolability_statements(answer: Isolability) -> Iterator[Statement]:
     )
     trials = f"The {answer.n_trials} trials of {answer.protocol}"
     together = "; ".join(_few(x.effects) for x in answer.groups)
-    said = "would tell all causes apart."
+    said = "would distinguish all causes."
     if answer.groups:
-        said = f"could not tell all causes apart. These look alike: {together}."
+        said = f"could not distinguish all causes. These are confounded: {together}."
     yield Statement(
         question=Question.WRONG, sentence=f"{trials} {said}", tables=(table,), is_answer=True
     )
@@ -43,15 +55,15 @@ def isolability_statements(answer: Isolability) -> Iterator[Statement]:
         if group.advised_trials:
             yield Statement(
                 question=Question.NEXT,
-                sentence=f"{_more_trials(group.advised_trials)} would help to tell "
-                f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two most "
-                f"alike would then be {group.distance_with_advised_trials:.1f} and not "
+                sentence=f"{_more_trials(group.advised_trials)} would help to distinguish "
+                f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two "
+                f"closest would then be {group.distance_with_advised_trials:.1f} and not "
                 f"{group.distance:.1f} units of noise apart.",
                 tables=(trial_table(group.advised_trials),),
             )
 
 
-def sizes_seen(x: Visibility) -> tuple[str, str]:
+def detectable_sizes(x: Detectability) -> tuple[str, str]:
     """The size that nine of ten data sets would show, and the smallest that matters."""
     # Not finite in a computed answer, not a number in a loaded one.
     seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "not detectable"
@@ -69,3 +81,48 @@ def _few(causes: Sequence[str]) -> str:
     shown = [cause_label(x) for x in causes[:MOST_CAUSES]]
     more = len(causes) - len(shown)
     return listed([*shown, *([f"{more} more"] if more else [])])
+
+
+def distances_of(answer: Isolability) -> Distances:
+    """The distances of all causes from one another."""
+    return Distances(effects=answer.rivals, rivals=answer.rivals, values=answer.distances)
+
+
+class IsolabilityPresenter(Presenter[Isolability]):
+    """How it is shown what a protocol could tell apart."""
+
+    question = Question.WRONG
+
+    @override
+    def statements(self, answer: Isolability) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from isolability_statements(answer)
+
+    @override
+    def drawings(self, answer: Isolability, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """Which causes the trials could tell apart."""
+        from identknee.report.diagnosis_figures import isolability_figure
+
+        yield Drawing(
+            name="isolability",
+            figure=isolability_figure(distances_of(answer)),
+            caption="How far the data of each cause (rows) are from what another cause (columns) "
+            "could explain in its place. Causes in dark cells cannot be distinguished.",
+            description=f"Distances between {len(answer.rivals)} causes.",
+        )
+
+    @override
+    def pictures(self, answer: Isolability, knee: Knee) -> dict[str, "Figure"]:
+        """The same as a file."""
+        from identknee.report.diagnosis_figures import isolability_figure
+
+        return {"isolability": isolability_figure(distances_of(answer))}
+
+    @override
+    def next_tests(self, answer: Isolability) -> Iterator[str]:
+        """The trials that would tell causes apart."""
+        for group in answer.groups:
+            if group.advised_trials:
+                trials = trial_list([summary_of(x) for x in group.advised_trials])
+                causes = listed(map(cause_label, group.effects), "from")
+                yield f"{trials}. This would tell {causes}."

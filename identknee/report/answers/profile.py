@@ -1,25 +1,39 @@
 """What profile likelihoods say: which values are known within limits, and which are open."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from typing_extensions import override
 
 from identknee.identify.profile.pairs import PairProfile
 from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
+from identknee.report.range import Range, Source, open_ends_text
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.words import (
     amount,
     between,
-    capital,
+    capitalised,
     label,
     listed,
     owner_words,
     parameter_words,
 )
+from identknee.subject.knee import Knee
 from identknee.verbs.profile import Profiles
 
 STIFFNESS = "stiffness_kN"
 # More of them in one sentence are no answer any more.
 MOST_NAMED = 5
+PROFILE_WORDS = {
+    ProfileVerdict.IDENTIFIABLE: "known",
+    ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "not known",
+    ProfileVerdict.STRUCTURALLY_SUSPECT: "not known",
+    ProfileVerdict.MULTIMODAL: "several ranges",
+    ProfileVerdict.UNDETERMINED: "not finished",
+}
 
 
 def profile_statements(answer: Profiles) -> Iterator[Statement]:
@@ -27,7 +41,7 @@ def profile_statements(answer: Profiles) -> Iterator[Statement]:
     yield from parameter_statements(tuple(answer.parameters.values()))
     yield from _predictions(tuple(answer.quantities.values()))
     for pair in answer.pairs:
-        yield _joint(pair)
+        yield _joint_set_sentence(pair)
 
 
 def parameter_statements(profiles: Sequence[Profile], given: str = "") -> Iterator[Statement]:
@@ -44,16 +58,16 @@ def parameter_statements(profiles: Sequence[Profile], given: str = "") -> Iterat
     others = [x for x in profiles if not x.name.endswith(STIFFNESS)]
     groups = (("stiffness", stiffness), ("other quantities", others))
     for k, (kind, group) in enumerate((name, x) for name, x in groups if x):
-        first = [capital(f"{given}{_how_many(profiles)}")] if k == 0 else []
+        first = [capitalised(f"{given}{_bounded_count_sentence(profiles)}")] if k == 0 else []
         yield Statement(
             question=Question.KNOWN,
-            sentence=" ".join([*first, _one_by_one(group)]),
+            sentence=" ".join([*first, _quantity_sentences(group)]),
             tables=(_table(group, f"{100 * group[0].level:g} % profile intervals of {kind}"),),
             is_answer=k == 0,
         )
 
 
-def _joint(pair: PairProfile) -> Statement:
+def _joint_set_sentence(pair: PairProfile) -> Statement:
     closed = sum(x.status is SideStatus.CLOSED for x in pair.rays)
     names = listed(map(parameter_words, pair.names))
     return Statement(
@@ -63,7 +77,7 @@ def _joint(pair: PairProfile) -> Statement:
     )
 
 
-def _one_by_one(profiles: Sequence[Profile]) -> str:
+def _quantity_sentences(profiles: Sequence[Profile]) -> str:
     """All quantities of a group in one sentence; of many the best known and those left open."""
     chosen = list(profiles)
     if len(chosen) > MOST_NAMED:
@@ -76,12 +90,12 @@ def _one_by_one(profiles: Sequence[Profile]) -> str:
         quantity = profile.name.rpartition(".")[2]
         is_repeated = quantity == before
         words = owner_words(profile.name) if is_repeated else parameter_words(profile.name)
-        clauses.append(f"{words} {clause(profile)}")
+        clauses.append(f"{words} {quantity_clause(profile)}")
         before = quantity
-    return " ".join(f"{capital(x)}." for x in clauses)
+    return " ".join(f"{capitalised(x)}." for x in clauses)
 
 
-def clause(profile: Profile) -> str:
+def quantity_clause(profile: Profile) -> str:
     """What is known of a quantity, to follow its name."""
     low, high, unit = profile.lower, profile.upper, profile.unit
     if profile.verdict is ProfileVerdict.MULTIMODAL:
@@ -95,22 +109,22 @@ def clause(profile: Profile) -> str:
         half = amount(0.5 * (high - low), unit, 2)
         return f"is known to within ±{half} ({amount(low, '')} to {amount(high, unit)})"
     if low is not None:
-        return f"has no upper limit (at least {amount(low, unit)}{_model_ends(profile)})"
+        return f"has no upper limit (at least {amount(low, unit)}{_feasibility_limits(profile)})"
     if high is not None:
-        return f"has no lower limit (at most {amount(high, unit)}{_model_ends(profile)})"
+        return f"has no lower limit (at most {amount(high, unit)}{_feasibility_limits(profile)})"
     if profile.verdict is ProfileVerdict.STRUCTURALLY_SUSPECT:
-        return "is not known, and more data of this kind may not help"
-    return f"is not known: these data bound it on neither side{_model_ends(profile)}"
+        return "is not identifiable, and more data of this kind may not help"
+    return f"is not determined: the data bound it on neither side{_feasibility_limits(profile)}"
 
 
-def _model_ends(profile: Profile) -> str:
+def _feasibility_limits(profile: Profile) -> str:
     """Where the model and not the data ends a set, to follow what the data say; mostly empty."""
     places = [
         amount(side.reached, profile.unit)
         for side in (profile.lower_side, profile.upper_side)
         if side.status is SideStatus.OPEN_AT_FEASIBILITY
     ]
-    return f"; the model ends at {listed(places)}" if places else ""
+    return f"; the model has no equilibrium beyond {listed(places)}" if places else ""
 
 
 def _width(profile: Profile) -> float:
@@ -120,7 +134,7 @@ def _width(profile: Profile) -> float:
     return (profile.upper - profile.lower) / max(abs(profile.optimum_value), 1e-12)
 
 
-def _how_many(profiles: Sequence[Profile]) -> str:
+def _bounded_count_sentence(profiles: Sequence[Profile]) -> str:
     n, level = len(profiles), 100 * profiles[0].level
     k = sum(x.lower is not None and x.upper is not None for x in profiles)
     said = "ligament parameters on both sides"
@@ -137,7 +151,7 @@ def _predictions(profiles: Sequence[Profile]) -> Iterator[Statement]:
     if profiles:
         yield Statement(
             question=Question.KNOWN,
-            sentence=_one_by_one(profiles),
+            sentence=_quantity_sentences(profiles),
             tables=(_table(profiles, "Forces and laxities that the data do not exclude"),),
         )
 
@@ -172,5 +186,85 @@ def _end(side: Side) -> float | str:
     if side.end is not None:
         return float(side.end)
     if side.status is SideStatus.OPEN_AT_FEASIBILITY:
-        return f"open, the model ends at {side.reached:.4g}"
+        return f"open, no equilibrium beyond {side.reached:.4g}"
     return str(side.status.value).replace("_", " ")
+
+
+def profile_drawings(
+    profiles: Sequence[Profile], truth: Mapping[str, float] | None = None
+) -> Iterator[Drawing]:
+    """Intervals and curves of profiles, beside the true values where these are known."""
+    from identknee.report.profile_figures import intervals_figure, profiles_figure
+
+    names = listed(label(x.name) for x in profiles)
+    ends = "; ".join(
+        f"{label(x.name)} {_end_words(x.lower)} to {_end_words(x.upper)}, "
+        f"{x.verdict.value.replace('_', ' ')}"
+        for x in profiles
+    )
+    yield Drawing(
+        name="intervals",
+        figure=intervals_figure(profiles, truth),
+        caption="Confidence intervals of each quantity, nested from 50 % (thick) to 95 % (thin). "
+        "An arrow marks an end that the data leave open, a cross one where the model ends.",
+        description=f"Nested intervals of {names}. "
+        f"At {100 * profiles[0].level:g} % confidence: {ends}.",
+    )
+    # The force of a slack ligament is one point.
+    curves = [x for x in profiles if len(x.values) > 1]
+    if not curves:
+        return
+    yield Drawing(
+        name="profiles",
+        figure=profiles_figure(curves),
+        caption="Increase of the deviance when one value is fixed and all others are refitted."
+        " Values below the dashed line are not excluded; a curve that stays below it is open "
+        "on that side.",
+        description=f"Profile likelihoods of {names}: a curve each that rises away from the best "
+        "value, and the threshold as a dashed line.",
+    )
+
+
+def _end_words(value: float | None) -> str:
+    return "open" if value is None else f"{value:.3g}"
+
+
+def profile_range(profile: Profile) -> Range:
+    """What a profile says of its quantity."""
+    return Range(
+        source=Source.PROFILE,
+        low=profile.lower,
+        high=profile.upper,
+        value=profile.optimum_value,
+        status=PROFILE_WORDS.get(profile.verdict) or open_ends_text(profile.lower, profile.upper),
+    )
+
+
+class ProfilesPresenter(Presenter[Profiles]):
+    """How profiles are shown."""
+
+    @override
+    def statements(self, answer: Profiles) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from profile_statements(answer)
+
+    @override
+    def drawings(self, answer: Profiles, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """Intervals and curves."""
+        yield from profile_drawings(answer.profiles)
+
+    @override
+    def ranges(self, answer: Profiles) -> Iterator[tuple[str, Range]]:
+        """The set of each quantity."""
+        yield from ((x.name, profile_range(x)) for x in answer.profiles)
+
+    @override
+    def joined(self, first: Profiles, later: Profiles) -> Profiles:
+        """Both together; what both have counts as the later has it."""
+        return replace(
+            first,
+            parameters={**first.parameters, **later.parameters},
+            quantities={**first.quantities, **later.quantities},
+            pairs=(*first.pairs, *later.pairs),
+            assumptions=tuple(dict.fromkeys((*first.assumptions, *later.assumptions))),
+        )

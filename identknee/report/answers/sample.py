@@ -1,17 +1,27 @@
 """What a sample of the posterior says: how probable values are, and whether to rely on it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.identify.posterior.convergence import SampleOutcome
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Band, Presenter
+from identknee.report.range import NOT_CONVERGED, Range, Source
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
+from identknee.runs.arrays import Array
 from identknee.runs.words import interval, label, listed, parameter_words
-from identknee.verbs.sample import Sample
-from identknee.verbs.sample_records import Marginal, Nested
+from identknee.subject.knee import Knee
+from identknee.verbs.sample import Marginal, Nested, Predictive, Sample
 
 STIFFNESS = "stiffness_kN"
+MOST_DRAWS = 400
+MOST_FORCES = 16
+QUANTILES = (0.025, 0.25, 0.5, 0.75, 0.975)
+BAND_ENDS = (0.025, 0.975)
+TAILS = (0.025, 0.5, 0.975)
 # More of them in one sentence are no answer any more.
 MOST_NAMED = 5
 CONDITIONS = {
@@ -27,10 +37,10 @@ CONDITIONS = {
 def sample_statements(answer: Sample) -> Iterator[Statement]:
     """What is probable, whether the sample converged, and what the prior excludes."""
     if answer.last_check is None:
-        yield _statement(_trusted(answer))
+        yield _statement(_is_reliable(answer))
         return
     yield _statement(
-        f"Given the prior and the data, {_probable(answer.parameters)}. {_trusted(answer)}",
+        f"Given the prior and the data, {_probable(answer.parameters)}. {_is_reliable(answer)}",
         _table(answer.parameters),
     )
     check = answer.last_check
@@ -41,22 +51,22 @@ def sample_statements(answer: Sample) -> Iterator[Statement]:
     )
     yield _statement(f"{answer.excluded} The sample took {answer.n_simulations} simulations.")
     if answer.nested is not None:
-        yield _statement(_opinion(answer.nested))
+        yield _statement(_nested_sampling_comparison(answer.nested))
 
 
 def _statement(sentence: str, *tables: Table) -> Statement:
     return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
 
 
-def _trusted(answer: Sample) -> str:
+def _is_reliable(answer: Sample) -> str:
     """Whether the sample may be relied on."""
     if answer.outcome is SampleOutcome.CONVERGED:
         return "The independent ensembles of walkers agree."
     unmet = sum(not x["met"] for x in answer.gate.values())
     count = f" {unmet} of {len(answer.gate)} conditions of convergence are not met." * bool(unmet)
     is_short = answer.outcome is SampleOutcome.BUDGET
-    remedy = " The same command with a larger --budget goes on from here." if is_short else ""
-    return f"Do not rely on this yet. {answer.sentence}{count}{remedy}"
+    remedy = " The same command with a larger --budget continues from here." if is_short else ""
+    return f"The sample has not converged. {answer.sentence}{count}{remedy}"
 
 
 def _probable(marginals: Mapping[str, Marginal]) -> str:
@@ -98,10 +108,120 @@ def _conditions(answer: Sample) -> Table:
     )
 
 
-def _opinion(nested: Nested) -> str:
+def _nested_sampling_comparison(nested: Nested) -> str:
     worst = float(np.max(np.abs(nested.quantile_differences)))
     return (
         f"Nested sampling: log evidence {nested.log_evidence:.2f} ± "
         f"{nested.log_evidence_error:.2f}; its quantiles differ by {worst:.1f} joint standard "
         "errors at most."
     )
+
+
+def _forces_drawing(predictive: Predictive, names: Sequence[str]) -> Drawing:
+    from identknee.report.sample_figures import forces_figure
+
+    tensions = predictive.tension_N.reshape(-1, *predictive.tension_N.shape[-2:])
+    # A trial may have no prediction anywhere.
+    known = np.flatnonzero(np.isfinite(tensions).any(axis=(0, 2)))
+    spread = np.nanquantile(tensions[:, known], QUANTILES, axis=0)
+    widths = (spread[-1] - spread[0]).max(axis=1)
+    chosen = np.sort(np.argsort(-widths)[:MOST_FORCES])
+    trials = [names[i] for i in known[chosen]]
+    return Drawing(
+        name="forces",
+        figure=forces_figure(trials, predictive.ligaments, np.moveaxis(spread[:, chosen], 0, -1)),
+        caption="Ligament forces in the trials where they are least certain, around their medians: "
+        "thick bars hold 50 %, thin bars 95 % of the posterior.",
+        description=f"Ranges of the tension of {listed(predictive.ligaments)} in {len(trials)} "
+        f"trials; the widest has {widths.max():.0f} N.",
+    )
+
+
+def _thinned(theta: Array) -> Array:
+    """Some of the draws of all chains, evenly apart, shape ``(n, p)``."""
+    flat = theta.reshape(-1, theta.shape[-1])
+    chosen = np.linspace(0, len(flat) - 1, min(len(flat), MOST_DRAWS)).astype(int)
+    return np.asarray(flat[chosen])
+
+
+def _quantiles(draws: Array) -> Array:
+    """Shape ``(3, trial, ligament)``; NaN where a trial has no prediction at any draw."""
+    known = np.isfinite(draws).any(axis=0)
+    limits = np.nanquantile(np.where(known, draws, 0.0), TAILS, axis=0)
+    return np.where(known, limits, np.nan)
+
+
+def _force_ranges(
+    limits: Array, trials: Sequence[str], ligaments: Sequence[str], status: str
+) -> Iterator[tuple[str, Range]]:
+    for i, trial in enumerate(trials):
+        for j, ligament in enumerate(ligaments):
+            low, value, high = limits[:, i, j].tolist()
+            if np.isnan(value):
+                continue
+            own = Range(source=Source.POSTERIOR, low=low, high=high, value=value, status=status)
+            yield f"{ligament}.tension_N@{trial}", own
+
+
+class SamplePresenter(Presenter[Sample]):
+    """How a sample of the posterior is shown."""
+
+    # What the figures show stands in the table, or is for those who want to know why.
+    is_folded = True
+
+    @override
+    def statements(self, answer: Sample) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from sample_statements(answer)
+
+    @override
+    def drawings(self, answer: Sample, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """Prior and posterior, pairs of parameters, and forces."""
+        from identknee.report.sample_figures import corner_figure, prior_posterior_figure
+
+        if answer.draws is None:
+            return
+        names, draws = answer.space.names, _thinned(answer.draws.theta)
+        told = listed(map(label, names))
+        yield Drawing(
+            name="prior-posterior",
+            figure=prior_posterior_figure(
+                names, _thinned(answer.prior.theta), {"posterior": draws}
+            ),
+            caption="Prior (grey) and posterior of each parameter.",
+            description=f"Densities of {told} before and after the data.",
+        )
+        yield Drawing(
+            name="corner",
+            figure=corner_figure(names, draws),
+            caption="Every pair of parameters: 50 and 95 % of the posterior lie inside the lines. "
+            "Elongated shapes are parameters that compensate for one another.",
+            description=f"Pairwise posterior of {told}.",
+        )
+        if answer.predictive is not None and answer.data is not None:
+            yield _forces_drawing(answer.predictive, answer.data.protocol.trials)
+
+    @override
+    def band(self, answer: Sample) -> Band | None:
+        """Predictions of the posterior."""
+        if answer.predictive is None:
+            return None
+        values = answer.predictive.coordinates
+        return "95 % of the posterior", values.reshape(-1, *values.shape[-2:]), BAND_ENDS
+
+    @override
+    def ranges(self, answer: Sample) -> Iterator[tuple[str, Range]]:
+        """The central 95 % of each parameter and force."""
+        status = "probable" if answer.outcome is SampleOutcome.CONVERGED else NOT_CONVERGED
+        for name, x in answer.parameters.items():
+            yield (
+                name,
+                Range(
+                    source=Source.POSTERIOR, low=x.q025, high=x.q975, value=x.q500, status=status
+                ),
+            )
+        if answer.predictive is not None and answer.data is not None:
+            trials, ligaments = answer.data.protocol.trials, answer.predictive.ligaments
+            tension = answer.predictive.tension_N
+            draws = tension.reshape(-1, *tension.shape[-2:])
+            yield from _force_ranges(_quantiles(draws), trials, ligaments, status)

@@ -3,13 +3,20 @@
 import math
 from collections.abc import Iterator
 
+import numpy as np
+from typing_extensions import override
+
 from identknee.identify.sensitivity import Sensitivity
-from identknee.laxity.scenarios import UNLOADED
+from identknee.laxity.trial_words import UNLOADED
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
-from identknee.runs.words import coordinate_words, label, parameter_words
+from identknee.runs.words import coordinate_words, label, listed, parameter_words
+from identknee.subject.knee import Knee
 from identknee.verbs.sensitivity import GlobalSensitivity
 
+INDICES = {"mu_star": "mean absolute effect, mu*", "ST": "total Sobol index, ST"}
 METHODS = {"morris": "Morris's elementary effects", "sobol": "Sobol's total index"}
 OF_MAIN_INTEREST = {
     "morris": "mu_star",
@@ -120,3 +127,64 @@ def _table(answer: GlobalSensitivity) -> Table:
             for i, (parameter, top) in enumerate(zip(found.parameters.names, tops, strict=True))
         ),
     )
+
+
+class SensitivityPresenter(Presenter[GlobalSensitivity]):
+    """How a sensitivity analysis is shown."""
+
+    question = Question.LAXITY
+
+    @override
+    def statements(self, answer: GlobalSensitivity) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from sensitivity_statements(answer)
+
+    @override
+    def drawings(
+        self, answer: GlobalSensitivity, subject: str, knee: Knee | None
+    ) -> Iterator[Drawing]:
+        """The influence of each parameter, and the largest effects."""
+        from identknee.report.sensitivity_figures import effects_figure, map_figure
+
+        found = answer.analysis
+        name = next((x for x in INDICES if x in found.indices), None)
+        if name is None:
+            return
+        index, parameters = found.indices[name], found.parameters.names
+        by_coordinate: dict[str, list[tuple[int, str]]] = {}
+        for i, x in enumerate(map(answer.group_named, found.groups)):
+            if x is not None:
+                by_coordinate.setdefault(label(x.coordinate), []).append((i, x.place))
+        # Results of earlier versions have the names of the groups only.
+        by_coordinate = by_coordinate or {"": list(enumerate(found.groups[:-1]))}
+        tables = {
+            coordinate: ([place for _, place in rows], index.final[[i for i, _ in rows]])
+            for coordinate, rows in by_coordinate.items()
+        }
+        yield Drawing(
+            name="influence",
+            figure=map_figure(tables, parameters, INDICES[name]),
+            caption="How much each parameter (across) moves each kind of laxity (down): dark means "
+            "strongly.",
+            description=f"{INDICES[name]} of {listed(map(label, parameters))} by coordinate, "
+            "flexion and load.",
+        )
+        if name == "mu_star":
+            size, width, spread = index.final, index.final_half_widths, found.indices["sigma"].final
+            # The last group is failure.
+            order = np.argsort(-np.nan_to_num(size[:-1], nan=-1.0).max(axis=1))
+            panels = {
+                _panel(answer, found.groups[i]): (size[i], width[i], spread[i]) for i in order[:2]
+            }
+            yield Drawing(
+                name="effects",
+                figure=effects_figure(panels, parameters),
+                caption="The two kinds of laxity that move most. Farther right an effect is "
+                "stronger; farther up it depends more on the other parameters.",
+                description=f"Morris effects of {listed(map(label, parameters))}.",
+            )
+
+
+def _panel(answer: GlobalSensitivity, name: str) -> str:
+    group = answer.group_named(name)
+    return name if group is None else f"{label(group.coordinate)}, {group.place}"

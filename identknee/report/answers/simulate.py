@@ -1,16 +1,25 @@
 """What a simulation says: how many trials have an equilibrium, and why the others have none."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from typing_extensions import override
 
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.rmse import LaxityError
-from identknee.laxity.table import COORDINATES
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.zero_conventions import ABSOLUTE, from_zero
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import amount, label_without_unit, listed, unit_of
-from identknee.verbs.simulate import Simulation
+from identknee.verbs.answer import Answer
+from identknee.verbs.simulate import SimulatedLaxity, Simulation
+
+if TYPE_CHECKING:
+    from identknee.report.laxity_figures import LaxityCurves
 
 
 def simulate_statements(answer: Simulation) -> Iterator[Statement]:
@@ -61,3 +70,35 @@ def _how_many(answer: Simulation) -> str:
     if n == found:
         return "The one simulated trial has" if n == 1 else f"All {n} simulated trials have"
     return f"Of {n} simulated trials, {found} {'has' if found == 1 else 'have'}"
+
+
+def simulated_curves(answer: SimulatedLaxity, data: Laxity | None = None) -> "LaxityCurves":
+    """The laxity simulated beside data, counted from their zero."""
+    from identknee.report.laxity_figures import LaxityCurves
+
+    zero = ABSOLUTE if data is None else data.zero
+    return LaxityCurves(
+        protocol=answer.protocol,
+        simulated={"simulated": from_zero(answer.coordinates, answer.protocol, zero)},
+        measured=None if data is None else data.coordinates,
+        sd=None if data is None else data.sd,
+    )
+
+
+class SimulationPresenter(Presenter[Simulation]):
+    """How a simulation is shown."""
+
+    @override
+    def statements(self, answer: Simulation) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from simulate_statements(answer)
+
+    @override
+    def curves(self, answer: Simulation, beside: Sequence[Answer]) -> "LaxityCurves":
+        """The laxity simulated, and with noise if that was added."""
+        return simulated_curves(answer, answer.noisy)
+
+    @override
+    def protocol(self, answer: Simulation) -> Protocol:
+        """The trials simulated."""
+        return answer.protocol

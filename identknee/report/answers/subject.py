@@ -1,11 +1,17 @@
 """What is said of a subject: what it is made of, and which insertions were moved."""
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
+from typing_extensions import override
+
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
-from identknee.verbs.subject_check import SubjectCheck
-from identknee.verbs.subject_facts import SubjectFacts
-from identknee.verbs.subject_settle import SettledSubject
+from identknee.subject.knee import Knee
+from identknee.verbs.subject import SettledSubject, SubjectCheck, SubjectFacts
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def subject_statements(answer: SubjectFacts) -> Iterator[Statement]:
@@ -34,3 +40,37 @@ def settle_statements(answer: SettledSubject) -> Iterator[Statement]:
     )
     moved = [f"  {x.words}" for x in answer.moved] or ["No insertion was moved."]
     yield Statement(question=Question.KNOWN, sentence="\n".join([sentence, *moved]))
+
+
+class SubjectPresenter(Presenter[SubjectFacts]):
+    """How a subject is shown."""
+
+    @override
+    def statements(self, answer: SubjectFacts) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from subject_statements(answer)
+
+    @override
+    def pictures(self, answer: SubjectFacts, knee: Knee) -> dict[str, "Figure"]:
+        """The knee in its scanned pose."""
+        from identknee.report.scene import scene
+
+        return {"scene": scene(knee)}
+
+
+class SubjectCheckPresenter(Presenter[SubjectCheck]):
+    """How the check of a subject is shown."""
+
+    @override
+    def statements(self, answer: SubjectCheck) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from check_statements(answer)
+
+
+class SettledSubjectPresenter(Presenter[SettledSubject]):
+    """How moved insertions are shown."""
+
+    @override
+    def statements(self, answer: SettledSubject) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from settle_statements(answer)

@@ -3,12 +3,19 @@
 import math
 from collections.abc import Iterator
 
+import numpy as np
+from typing_extensions import override
+
 from identknee.identify.basins import END, POLISHED, Recovery, Survey
 from identknee.identify.cliffs import CliffMap
+from identknee.identify.sweep import OUTCOMES
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Cell, Column, Table
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import label, listed
+from identknee.subject.knee import Knee
 from identknee.verbs.sweep import Sweep
 
 SHARES = "share of all starts"
@@ -29,7 +36,7 @@ def sweep_statements(answer: Sweep) -> Iterator[Statement]:
     if survey.unseen.n:
         yield _statement(
             f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
-            f"{_pct(survey.unseen.upper)} %) would end at a minimum that no search has reached."
+            f"{_pct(survey.unseen.upper)} %) would end at a minimum not reached by any search."
         )
     recoveries = survey.recoveries
     if len(recoveries) > 1 and all(x.radius.value == 0.0 for x in recoveries.values()):
@@ -99,7 +106,8 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
     radius = recovery.radius
     if radius.value == 0.0:
         return (
-            f"No distance from the best fit is known to be safe for {searches}: at every one, "
+            f"At no distance from the best fit do nine in ten starts succeed for {searches}: at "
+            f"every one, "
             "fewer than nine in ten starts led back to it "
             f"(to within {_kN_and_pct(within)}). More starts may show one."
         )
@@ -124,3 +132,46 @@ def _pct(share: float) -> str:
 
 def _kN_and_pct(distance: float) -> str:  # noqa: N802 - the unit
     return "any distance tried" if math.isinf(distance) else f"{distance:.2g} kN and %"
+
+
+class SweepPresenter(Presenter[Sweep]):
+    """How searches from many starts are shown."""
+
+    question = Question.SEARCH
+
+    @override
+    def statements(self, answer: Sweep) -> Iterator[Statement]:
+        """What the answer says."""
+        yield from sweep_statements(answer)
+
+    @override
+    def drawings(self, answer: Sweep, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        """What each search reached, and where it began and ended."""
+        from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
+
+        searches = answer.searches
+        number = np.arange(1.0, searches.n + 1.0)
+        curves = {
+            "end": (number, np.sort(searches.objectives)),
+            "polished": (number, np.sort(searches.polished_objectives)),
+        }
+        told = listed(f"{n} {KIND_WORDS[kind]}" for kind, n in searches.kinds.items())
+        if np.isfinite(searches.objectives).any():
+            yield Drawing(
+                name="waterfall",
+                figure=waterfall_figure({f"{searches.n} starts": curves}),
+                caption="Objective at which each search ended, the best first. A step is a place "
+                "where several searches ended.",
+                description=f"Objectives of {searches.n} searches in ascending order: {told}.",
+            )
+        kinds = [OUTCOMES[code].value for code in searches.kind_codes]
+        names, best = searches.parameters.names, searches.polished[searches.best]
+        yield Drawing(
+            name="basins",
+            figure=start_end_figure(
+                {"": (searches.starts, searches.ends, kinds)}, names, best, mark="best end"
+            ),
+            caption="Where searches began (coloured by how they ended) and where they ended "
+            "(black), in the plane of each ligament's two parameters.",
+            description=f"Starts and ends of {searches.n} searches: {told}.",
+        )

@@ -55,7 +55,7 @@ def bullets(items: Iterable[str]) -> str:
     return element("ul", rows) if rows else ""
 
 
-def disclosed(heading: str, content: str) -> str:
+def collapsible(heading: str, content: str) -> str:
     """Content that one click, or Enter, shows; nothing where there is none."""
     return element("details", element("summary", escape(heading)) + content) if content else ""
 

@@ -5,13 +5,12 @@ from html import escape
 from importlib.resources import files
 from itertools import chain
 
-from identknee.report.page.drawing import Drawing
-from identknee.report.page.drawings import drawings
-from identknee.report.page.knee_scene import KneeScene
+from identknee.report.drawing import Drawing
 from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import element, paragraph, section
-from identknee.report.page.results import Findings, Result, by_subject
+from identknee.report.page.results import Findings, Result, by_subject, drawings
 from identknee.report.page.subject_part import subject_html
+from identknee.report.page.viewer import KneeScene
 from identknee.runs.progress import progress
 from identknee.runs.record import versions
 
@@ -116,4 +115,4 @@ def _lead(results: Sequence[Result]) -> str:
     verbs = ", ".join(dict.fromkeys(x.verb for x in results))
     days = sorted({str(x.record["started"])[:10] for x in results})
     when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
-    return f"From {verbs}, computed {when}. Every sentence has its numbers behind it."
+    return f"From {verbs}, computed {when}. Every sentence links to its numbers."

@@ -6,21 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from identknee.laxity.protocol import Protocol
+from identknee.report.drawing import Drawing
+from identknee.report.presenter import presenter_of
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.schema import read_json
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.diagnosis import Diagnosis
-from identknee.verbs.files import AGAIN, ANSWERS, SUMMARY, loaded
-from identknee.verbs.profile import Profiles
-from identknee.verbs.simulate import SimulatedLaxity
+from identknee.verbs.files import AGAIN, SUMMARY, loaded
+from identknee.verbs.registry import verb_named, verbs
 
-# In the order of the flow; verbs that are not here leave nothing to report on.
-FLOW = (
-    *("demo", "simulate", "fit", "sweep", "profile", "sample", "information"),
-    *("equivalents", "sensitivity", "diagnose", "isolability", "design"),
-)
 DEPTH = 2
 REMEDY = (
     "Give the folder --out of identknee demo, fit, profile or diagnose, or one that holds such."
@@ -56,7 +51,7 @@ class Result:
 
     @property
     def subject_digest(self) -> str:
-        """SHA-256 of the knee, by which subjects are told apart."""
+        """SHA-256 of the knee, which identifies the subject."""
         return str(self.record["inputs"].get("subject", self.subject))
 
     @property
@@ -72,11 +67,7 @@ class Result:
     @property
     def protocol(self) -> Protocol | None:
         """The trials; None where the result keeps none."""
-        if isinstance(self.answer, SimulatedLaxity):
-            return self.answer.protocol
-        if isinstance(self.answer, Diagnosis):
-            return None if self.answer.trials is None else self.answer.trials.protocol
-        return None
+        return presenter_of(self.answer).protocol(self.answer)
 
 
 @declared
@@ -107,12 +98,18 @@ class Findings:
 
     @property
     def merged(self) -> "Findings":
-        """The same with all profiles of one table as one result, whose later ones count."""
-        kept: dict[object, Result] = {}
-        for k, x in enumerate(self.results):
-            key = (x.verb, x.data_digest) if isinstance(x.answer, Profiles) else k
-            kept[key] = _joined(kept[key], x) if key in kept else x
-        return replace(self, results=tuple(kept.values()))
+        """The same with answers from the same data joined where their kind allows it."""
+        kept: list[Result] = []
+        for x in self.results:
+            alike = [y for y in kept if (y.verb, y.data_digest) == (x.verb, x.data_digest)]
+            for first in alike[:1]:
+                joined = presenter_of(x.answer).joined(first.answer, x.answer)
+                if joined is not None:
+                    kept[kept.index(first)] = replace(first, answer=joined)
+                    break
+            else:
+                kept.append(x)
+        return replace(self, results=tuple(kept))
 
 
 def found_results(folder: Path) -> tuple[Result, ...]:
@@ -146,7 +143,8 @@ def found_results(folder: Path) -> tuple[Result, ...]:
 
 def in_order(results: Sequence[Result]) -> tuple[Result, ...]:
     """The results in the order of the flow, older ones first within a verb."""
-    return tuple(sorted(results, key=lambda x: (FLOW.index(x.verb), x.record["started"])))
+    order = [x.name for x in verbs()]
+    return tuple(sorted(results, key=lambda x: (order.index(x.verb), x.record["started"])))
 
 
 def by_subject(results: Sequence[Result]) -> tuple[Findings, ...]:
@@ -159,26 +157,19 @@ def by_subject(results: Sequence[Result]) -> tuple[Findings, ...]:
     )
 
 
-def _joined(first: Result, later: Result) -> Result:
-    """The profiles of two results as those of the first."""
-    one, other = first.answer, later.answer
-    if not isinstance(one, Profiles) or not isinstance(other, Profiles):
-        return later
-    answer = replace(
-        one,
-        parameters={**one.parameters, **other.parameters},
-        quantities={**one.quantities, **other.quantities},
-        pairs=(*one.pairs, *other.pairs),
-        assumptions=tuple(dict.fromkeys((*one.assumptions, *other.assumptions))),
-    )
-    return replace(first, answer=answer)
-
-
 def _read(path: Path) -> Result | None:
     """The result at `path`; None where it is of a verb with nothing to report."""
     summary = read_json(path, AGAIN)
     record = summary.get("record") if isinstance(summary, dict) else None
-    verb = record.get("verb") if isinstance(record, dict) else None
-    if record is None or not isinstance(verb, str) or verb not in FLOW or verb not in ANSWERS:
+    verb = verb_named(record.get("verb")) if isinstance(record, dict) else None
+    if verb is None or not verb.is_reported:
         return None
-    return Result(folder=path.parent, summary=summary, answer=loaded(path, summary))
+    return Result(
+        folder=path.parent, summary=summary, answer=loaded(path, summary, verb.answer_class)
+    )
+
+
+def drawings(result: Result) -> tuple[Drawing, ...]:
+    """All figures of a result, the most telling first; none where the answer is a table."""
+    shows = presenter_of(result.answer)
+    return tuple(shows.drawings(result.answer, result.subject, result.knee))

@@ -10,8 +10,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
-from identknee.report.figures import COLOURS
-from identknee.report.picture import names_as_they_are
+from identknee.report.figures import COLOURS, without_mathtext
 
 # Above something drawn in fixed colours black must stay black; this is not taken for it.
 FIXED_BLACK = "#010101"
@@ -42,7 +41,7 @@ def inline_svg(figure: Figure, identity: str, description: str) -> str:
     _fix_colours(figure)
     buffer = io.StringIO()
     with (
-        names_as_they_are(figure),
+        without_mathtext(figure),
         mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": identity}),
     ):
         figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})

@@ -7,13 +7,269 @@ from string import Template
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from identknee.report.page.few_triangles import Mesh
-from identknee.report.page.knee_scene import KneeScene, SceneTrial, model_scene
-from identknee.runs.arrays import Array
+from identknee.calibrate.starts import load_start
+from identknee.laxity.dominant_load import nominal_loads
+from identknee.laxity.trial_words import setting_words
+from identknee.mechanics.contact_points import distances
+from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.grood_suntay import coordinates_from_pose
+from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.mechanics.pose import Placement, place
+from identknee.model.effects.effect import MechanicalEffect
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.mechanics_inputs import MechanicsInputs
+from identknee.model.prediction import Prediction
+from identknee.report.page.results import Findings
+from identknee.report.presenter import presenter_of
+from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.declare import array, declared, entry
 from identknee.runs.outcome import Outcome
+from identknee.subject.folder import read_subject
+from identknee.subject.frames import Frame
+from identknee.subject.knee import Knee
+from identknee.subject.surface import Surface, joined
 
-__all__ = ["KneeScene", "model_scene", "viewer_html"]
+ROUNDS = 12  # of clustering; the patches hardly change after
+DECIMALS = 2  # of a mm
+
+
+@declared
+class Mesh:
+    """A triangle mesh."""
+
+    vertices: Array = array("Vertices", "vertex", "axis", unit="mm")
+    faces: IntArray = array("Vertex numbers of the triangles", "triangle", "axis", dtype=int)
+
+
+def few_triangles(surface: Surface, number: int) -> Mesh:
+    """The surface with about `number` vertices and twice as many triangles, rounded to 0.01 mm.
+
+    Vertices are clustered into patches of nearly equal area, as in [1]_. Each patch becomes a
+    vertex, at its centroid or, where it has a part of the rim, in the middle of that part; each
+    triangle whose corners lie in three patches joins them. A surface that has no more vertices than
+    asked for is only rounded.
+
+    Parameters
+    ----------
+    surface
+        An open or a closed surface.
+    number
+        How many vertices are wanted.
+
+    References
+    ----------
+    .. [1] Valette and Chassery (2004), Comput. Graph. Forum 23(3), 381-389.
+           https://doi.org/10.1111/j.1467-8659.2004.00769.x
+    """
+    vertices, faces = surface.vertices, surface.faces
+    if len(vertices) > number:
+        patch, vertices = _patches(surface, number)
+        faces = _joining(patch[faces])
+    return Mesh(vertices=vertices.round(DECIMALS) + 0.0, faces=faces)
+
+
+def _patches(surface: Surface, number: int) -> tuple[IntArray, Array]:
+    """The patch of every vertex, and the place of every patch [mm]."""
+    vertices = surface.vertices
+    # A vertex of no triangle weighs next to nothing.
+    weight = np.maximum(surface.vertex_areas, 1e-9 * surface.areas.sum())
+    # Seeds evenly along the surface's area, in an order that keeps neighbours together.
+    order = cKDTree(vertices).indices
+    passed = np.cumsum(weight[order]) - 0.5 * weight[order]
+    seeds = order[np.searchsorted(passed, (np.arange(number) + 0.5) * weight.sum() / number)]
+    centroids = vertices[np.unique(seeds)]
+    for _ in range(ROUNDS):
+        nearest = cKDTree(centroids).query(vertices)[1]
+        used, patch = np.unique(nearest, return_inverse=True)
+        area = np.bincount(patch, weight)
+        moment = [np.bincount(patch, weight * x, len(used)) for x in vertices.T]
+        centroids = np.stack(moment, axis=1) / area[:, None]
+    # Patches at the rim reach up to it.
+    rim = np.unique(surface.boundary_edges)
+    count = np.bincount(patch[rim], minlength=len(used))
+    sums = [np.bincount(patch[rim], x, len(used)) for x in vertices[rim].T]
+    at_rim = count > 0
+    centroids[at_rim] = (np.stack(sums, axis=1) / np.maximum(count, 1)[:, None])[at_rim]
+    return np.asarray(patch, np.int64), centroids
+
+
+def _joining(corners: IntArray) -> IntArray:
+    """Triangles between three different patches, each once, turned as it was."""
+    a, b, c = corners.T
+    between = corners[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(between, axis=1), axis=0, return_index=True)
+    return frozen_integers(between[np.sort(first)])
+
+
+# Of femur and tibia as drawn; they have about twice as many triangles.
+N_VERTICES = (720, 760)
+# Places of the tibia that lie farther than this from the femur [mm] are not sent: the others shape
+# the edge of the patch that touches it.
+APART = 0.4
+
+
+@declared
+class SceneTrial:
+    """One trial as it is drawn."""
+
+    name: str = entry("Name of the trial")
+    loads: str = entry("Its flexion and loads in words")
+    outcome: Outcome = entry("How it ended")
+    placement: Placement = entry("Placement of the tibia in the femur")
+    coordinates: Array = array(
+        "Lateral shift, anterior drawer, distraction [mm], varus, internal [deg]", "coordinate"
+    )
+    tensions: Array = array("Tension of each line; NaN without equilibrium", "line", unit="N")
+    near: IntArray = array(
+        "Which vertices of the tibia touch the femur or are less than `APART` from it",
+        "touching",
+        dtype=int,
+    )
+    depths: Array = array(
+        "How deep these lie in the femur; negative where apart", "touching", unit="mm"
+    )
+
+
+@declared
+class KneeScene:
+    """A knee in every trial of a protocol, as a right knee whatever its side."""
+
+    knee: Knee = entry("The subject")
+    femur: Mesh = entry("Femoral cartilage, in the axes of poses")
+    tibia: Mesh = entry("Tibial cartilage, both plateaus as one mesh")
+    names: tuple[str, ...] = entry("Names of the m lines that carry the tensions")
+    lines: LineLigaments = entry("Their courses")
+    missing_line: Array | None = entry(
+        "Femoral end in femoral axes and tibial end in tibial axes [mm], shape ``(2, 3)``, of a "
+        "line that the model lacks; None where none is shown"
+    )
+    trials: tuple[SceneTrial, ...] = entry("Its trials in the order of the protocol")
+
+
+def model_scene(
+    model: LaxityModel, theta: Array, *, missing_line: Array | None = None
+) -> KneeScene:
+    """The scene of what a model predicts, with the lines that its effects add or move.
+
+    A trial without equilibrium stands in the last stable pose on the way to it. Springs that stand
+    for more than a line, such as those of the menisci, are left out.
+
+    Parameters
+    ----------
+    model
+        Any laxity model.
+    theta
+        Its parameter vector, shape ``(p,)``.
+    missing_line
+        Femoral and tibial end of a line that the model lacks, in the common frame of the scanned
+        pose [mm], shape ``(2, 3)``.
+
+    Raises
+    ------
+    ValueError
+        As `LaxityModel.predict`.
+    """
+    prediction, setting = model.predict(theta, derivatives=False), model.setting(theta)
+    flexion = setting.flexion[model.paths.trial_node]
+    lines = setting.measured_lines
+    found = ligament_tensions(
+        lines, flexion, prediction.poses, setting.stiffness, setting.reference_strain
+    )
+    tensions = np.where(prediction.is_converged[:, None], found.tensions, np.nan)
+    drawn = np.flatnonzero(np.asarray(lines.transition) > 0.0)
+    names = _line_names(model, theta)
+    knee = model.knee
+    femur = _drawn(knee.femur, knee.femur_frame, setting, 0)
+    tibia = _drawn(joined(*knee.tibia), knee.tibia_frame, setting, 1)
+    return KneeScene(
+        knee=knee,
+        femur=femur,
+        tibia=tibia,
+        names=tuple(names[i] for i in drawn),
+        lines=_selected_lines(lines, drawn),
+        missing_line=None if missing_line is None else _in_bones(knee, setting, missing_line),
+        trials=_trials(model, prediction, setting, tensions[:, drawn], tibia),
+    )
+
+
+def _trials(
+    model: LaxityModel,
+    prediction: Prediction,
+    setting: MechanicsInputs,
+    tensions: Array,
+    tibia: Mesh,
+) -> tuple[SceneTrial, ...]:
+    protocol, trials = model.protocol, []
+    told = nominal_loads(protocol)
+    flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
+    for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
+        placement = place(float(flexion[i]), pose)
+        near, depths = _contact(field, placement.to_femur(tibia.vertices))
+        trials.append(
+            SceneTrial(
+                name=protocol.trials[i],
+                loads=setting_words(float(protocol.flexion_deg[i]), told[i]),
+                outcome=outcome,
+                placement=placement,
+                coordinates=coordinates_from_pose(pose),
+                tensions=tensions[i],
+                near=near,
+                depths=depths,
+            )
+        )
+    return tuple(trials)
+
+
+def _drawn(surface: Surface, frame: Frame, setting: MechanicsInputs, bone: int) -> Mesh:
+    """The surface of femur (0) or tibia (1) in the axes of poses, with few triangles."""
+    vertices = setting.as_measured_points(frame.to_local(surface.vertices), bone)
+    return few_triangles(Surface(vertices=vertices, faces=surface.faces), N_VERTICES[bone])
+
+
+def _contact(field: DistanceField, places: Array) -> tuple[IntArray, Array]:
+    """Which places touch the femur or nearly do, and how deep they lie in it [mm]."""
+    places = field.to_field(places)
+    cell = np.floor((places - field.origin) / field.spacing)
+    # The outermost cells of the grid lack the support of the spline.
+    inner = (cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)
+    index = np.flatnonzero(inner.all(axis=1))
+    depths = -distances(field, places[index])[0]
+    near = depths > -APART
+    return index[near], depths[near]
+
+
+def _in_bones(knee: Knee, setting: MechanicsInputs, ends: Array) -> Array:
+    """Femoral and tibial end of a line (2, 3) of the common frame, each in its bone's axes."""
+    femoral, tibial = frozen(ends, 2, 3, name="missing_line")
+    local = knee.femur_frame.to_local(femoral), knee.tibia_frame.to_local(tibial)
+    return np.stack([setting.as_measured_points(x, bone) for bone, x in enumerate(local)])
+
+
+def _line_names(model: LaxityModel, theta: Array) -> list[str]:
+    """Names of all lines of a model, those that effects add called after what they belong to."""
+    ligaments = [x.name for x in model.knee.ligaments]
+    names, start = list(ligaments), 0
+    setting, values = model.setting(theta, is_changed=False), model.amplitudes(theta)
+    for effect in model.effects:
+        part = slice(start, start + effect.parameters.n)
+        start = part.stop
+        if not isinstance(effect, MechanicalEffect):
+            continue
+        setting = effect.change(setting, values[part])
+        for owner in setting.owner[len(names) :]:
+            name = ligaments[owner] if owner >= 0 else effect.name.replace("_", " ")
+            number = 1 + sum(x == name or x.startswith(f"{name} #") for x in names)
+            names.append(name if number == 1 else f"{name} #{number}")
+    return names
+
+
+def _selected_lines(lines: LineLigaments, index: IntArray) -> LineLigaments:
+    columns = ("femoral", "tibial", "reference_length", "transition", "wrap_offset", "wrap_place")
+    return LineLigaments(**{x: np.asarray(getattr(lines, x))[index] for x in columns})
+
 
 MICROMETRES = 1000.0  # in a mm
 MARGIN = 8.0  # mm around what is drawn, room for names
@@ -33,7 +289,7 @@ def viewer_html(scene: KneeScene) -> str:
         code=code,
         # Nothing in the data can end the element that holds them.
         data=data.replace("<", "\\u003c"),
-        words=html.escape(_in_words(scene)),
+        words=html.escape(_alternative_text(scene)),
         last=len(scene.trials) - 1,
         hidden=" hidden" if len(scene.trials) == 1 else "",
     )
@@ -120,7 +376,7 @@ def _rounded(values: Array, decimals: int) -> Any:
     return (np.round(values, decimals) + 0.0).tolist()
 
 
-def _in_words(scene: KneeScene) -> str:
+def _alternative_text(scene: KneeScene) -> str:
     """Alternative text of the interactive figure."""
     forces = np.array([x.tensions for x in scene.trials])
     knee, n = scene.knee, len(scene.trials)
@@ -135,3 +391,35 @@ def _in_words(scene: KneeScene) -> str:
     if lost:
         said.append(f"{len(lost)} without equilibrium, the first of them {lost[0]}.")
     return " ".join(said)
+
+
+EXTENDED, FITTED = "extended", "fitted.toml"
+
+
+def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
+    """The knee as a diagnosis extended it, else as it was fitted, else as it was simulated.
+
+    None where no result says in which trials it is loaded.
+
+    Parameters
+    ----------
+    findings
+        The results of one subject.
+    knee
+        That subject.
+    """
+    for result in findings.of("diagnose", "fit", "demo", "simulate"):
+        protocol = result.protocol
+        if protocol is None:
+            continue
+        extended = result.folder / EXTENDED
+        if result.verb == "diagnose" and extended.is_dir():
+            model = LaxityModel(knee=read_subject(extended), protocol=protocol)
+            theta = load_start(str(extended / FITTED), model.parameters)
+            line = presenter_of(result.answer).missing_line(result.answer, model.knee)
+            return model_scene(model, theta, missing_line=line)
+        if (values := result.answer.parameter_set) is not None:
+            model = LaxityModel(knee=knee, protocol=protocol)
+            if tuple(values) == model.parameters.names:
+                return model_scene(model, np.array(list(values.values())))
+    return None

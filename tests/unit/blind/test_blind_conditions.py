@@ -5,7 +5,7 @@ import pytest
 from blind_axes import AXES, PRIOR, TWICE, conditions_of
 
 from identknee.blind.case import blind_case
-from identknee.blind.conditions import STANDARD, Conditions, Spread
+from identknee.blind.conditions import STANDARD, Conditions, TruncatedNormal
 from identknee.blind.effects import LISTED
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.subject.reference import reference_knee
@@ -58,13 +58,13 @@ def test_an_error_of_a_mounting_is_common_to_a_flexion_angle(
 def test_an_amplitude_is_the_length_of_its_numbers(generator: np.random.Generator) -> None:
     """The mean square of a length is the number of its parts, each of variance one."""
     for n, over in ((1, 1.0), (4, 1.0), (24, np.sqrt(24.0))):
-        sizes = [Spread(sd=2.0).size(generator, n=n, over=float(over)) for _ in range(N)]
+        sizes = [TruncatedNormal(sd=2.0).size(generator, n=n, over=float(over)) for _ in range(N)]
         mean = np.mean(np.square(sizes)) * over**2 / (4.0 * n)
         assert mean == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (n * N)))
 
 
 def test_no_amplitude_passes_the_end_on_its_own_side(generator: np.random.Generator) -> None:
-    spread = Spread(sd=10.0, lower=-2.0, upper=5.0)
+    spread = TruncatedNormal(sd=10.0, lower=-2.0, upper=5.0)
     up = max(spread.size(generator) for _ in range(N))
     down = max(spread.size(generator, sign=-1.0) for _ in range(N))
     assert 4.5 < up <= 5.0
@@ -136,13 +136,13 @@ def test_every_axis_gives_a_case(axis: str, protocol: Protocol) -> None:
 
 def test_mistakes_of_the_caller() -> None:
     with pytest.raises(ValueError, match="greater than 0"):
-        Spread(sd=0.0)
+        TruncatedNormal(sd=0.0)
     with pytest.raises(ValueError, match="lower < upper"):
-        Spread(sd=1.0, lower=1.0, upper=1.0)
+        TruncatedNormal(sd=1.0, lower=1.0, upper=1.0)
     with pytest.raises(ValueError, match="farther apart"):
-        Spread(sd=1e-9, lower=1.0, upper=2.0).value(np.random.default_rng(0))
+        TruncatedNormal(sd=1e-9, lower=1.0, upper=2.0).value(np.random.default_rng(0))
     with pytest.raises(ValueError, match="farther apart"):
-        Spread(sd=1e-9, lower=1.0, upper=2.0).size(np.random.default_rng(0))
+        TruncatedNormal(sd=1e-9, lower=1.0, upper=2.0).size(np.random.default_rng(0))
     with pytest.raises(ValueError, match="exponents"):
         Conditions(exponents=(1.5, 1.0))
     with pytest.raises(ValueError, match="remount_mm"):

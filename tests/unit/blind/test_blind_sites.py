@@ -5,13 +5,13 @@ import pytest
 from blind_scene import scene
 from posed_knees import posed_reference
 
-from identknee.blind.case import Noise, left_over, scaled_to
-from identknee.blind.sites import places_of, structure_ends
+from identknee.blind.case import Noise, amplitude_for_signal, unexplained_norm
+from identknee.blind.sites import anatomical_sites, structure_insertions
 from identknee.runs.arrays import Array
 from identknee.subject.reference import reference_knee
 
 NOISE = Noise(sd_mm=0.3, sd_deg=0.3, correlation=0.3)
-ENDS = structure_ends(scene().places)
+ENDS = structure_insertions(scene().places)
 MEDIAL, LATERAL = scene().places.epicondyles
 
 
@@ -66,7 +66,7 @@ def test_the_capsule_is_behind_both_condyles() -> None:
 def test_places_grow_with_the_knee() -> None:
     """Distances are those of a knee whose epicondyles are 83 mm apart."""
     assert scene().places.scale == 1.0
-    places = places_of(reference_knee())
+    places = anatomical_sites(reference_knee())
     across = places.epicondyles[1, 2] - places.epicondyles[0, 2]
     assert places.scale == pytest.approx(across / 83.0)
 
@@ -76,7 +76,7 @@ def test_ligaments_are_told_by_where_they_run_and_not_by_their_names() -> None:
     knee, posed = reference_knee(), posed_reference(4)
     names = [x.name for x in knee.ligaments]
     for of in (knee, posed):
-        found = places_of(of)
+        found = anatomical_sites(of)
         order = [names[i] for i in (found.medial, found.lateral, found.front, found.rear)]
         assert order == ["MCL", "LCL", "ACL", "PCL"]
 
@@ -93,8 +93,10 @@ def test_what_is_left_is_what_no_slope_can_absorb() -> None:
     columns, whole = slopes.reshape(30, 3), change.ravel()
     best = np.linalg.solve(columns.T @ inverse @ columns, columns.T @ inverse @ whole)
     rest = whole - columns @ best
-    assert left_over(slopes, change, NOISE) == pytest.approx(np.sqrt(rest @ inverse @ rest))
-    assert left_over(slopes, slopes @ [1.0, -2.0, 0.5], NOISE) == pytest.approx(0.0, abs=1e-9)
+    assert unexplained_norm(slopes, change, NOISE) == pytest.approx(np.sqrt(rest @ inverse @ rest))
+    assert unexplained_norm(slopes, slopes @ [1.0, -2.0, 0.5], NOISE) == pytest.approx(
+        0.0, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
@@ -104,7 +106,7 @@ def test_an_amplitude_is_found_for_a_signal(power: float) -> None:
     def signal(amplitude: float) -> float:
         return float(4.0 * amplitude**power)
 
-    found = scaled_to(signal, signal, 12.0, 50.0)
+    found = amplitude_for_signal(signal, signal, 12.0, 50.0)
     assert found is not None
     assert not found.is_largest
     assert found.signal == pytest.approx(12.0, rel=0.02)
@@ -112,8 +114,8 @@ def test_an_amplitude_is_found_for_a_signal(power: float) -> None:
 
 
 def test_a_signal_out_of_reach_ends_at_the_largest_amplitude_and_says_so() -> None:
-    found = scaled_to(lambda a: 2.0 * a, lambda a: 2.0 * a, 12.0, 3.0)
+    found = amplitude_for_signal(lambda a: 2.0 * a, lambda a: 2.0 * a, 12.0, 3.0)
     assert found is not None
     assert found.is_largest
     assert (found.amplitude, found.signal) == (3.0, 6.0)
-    assert scaled_to(lambda _: None, lambda _: None, 12.0, 3.0) is None
+    assert amplitude_for_signal(lambda _: None, lambda _: None, 12.0, 3.0) is None

@@ -9,11 +9,11 @@ from blind_scene import START, drawn, experiment, numbers, scene
 from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.blind import energy
-from identknee.blind.conditions import Conditions, Spread
+from identknee.blind.conditions import Conditions, TruncatedNormal
 from identknee.blind.effects import EFFECTS, LISTED, UNLISTED
 from identknee.blind.experiment import Experiment
 from identknee.blind.hidden import line_row
-from identknee.blind.sites import structure_ends
+from identknee.blind.sites import structure_insertions
 from identknee.runs.arrays import Array
 
 STRUCTURES = ("anterolateral", "posteromedial", "popliteofibular", "deep_mcl")
@@ -74,7 +74,7 @@ def test_structures_lie_3_mm_about_their_place_with_slack_strains_of_1_to_5_perc
     stage, generator = scene(), np.random.default_rng(1)
     made = [EFFECTS[name](stage, generator) for _ in range(N)]
     ends = np.array([np.concatenate(x.line) for x in made if x.line is not None])
-    anatomical = np.concatenate(structure_ends(stage.places)[name])
+    anatomical = np.concatenate(structure_insertions(stage.places)[name])
     np.testing.assert_allclose(ends.std(axis=0), 3.0, rtol=5.0 / np.sqrt(2.0 * N))
     np.testing.assert_allclose(ends.mean(axis=0), anatomical, atol=5.0 * 3.0 / np.sqrt(N))
     strains = np.array([numbers(x, 1.0)["reference_strain_pct"] for x in made])
@@ -130,9 +130,9 @@ def test_the_medial_collateral_is_pushed_medially_and_measured_so() -> None:
 def test_a_lifted_line_has_the_slope_of_its_length() -> None:
     line = drawn("mcl_wrapping").apply(experiment(), 6.0).lines[0]
     R, t = energy.turned(np.array([0.1, -0.2, 0.15])), np.array([2.0, -41.0, 1.0])
-    _, _, slope = energy.course(R, t, line)
+    _, _, slope = energy.line_path(R, t, line)
     by_difference = [
-        (energy.course(R, t + x, line)[0] - energy.course(R, t - x, line)[0]) / 2e-4
+        (energy.line_path(R, t + x, line)[0] - energy.line_path(R, t - x, line)[0]) / 2e-4
         for x in 1e-4 * np.eye(3)
     ]
     np.testing.assert_allclose(slope, by_difference, atol=DIFFERENCE)
@@ -198,7 +198,9 @@ def test_a_strap_and_a_tether_share_one_stiffness() -> None:
 
 
 def test_slack_strains_can_come_from_a_prior() -> None:
-    wide = Conditions(structure_strain_pct=Spread(sd=4.0, center=1.5, lower=-10.0, upper=12.0))
+    wide = Conditions(
+        structure_strain_pct=TruncatedNormal(sd=4.0, center=1.5, lower=-10.0, upper=12.0)
+    )
     generator, stage = np.random.default_rng(2), scene(wide)
     strains = [
         numbers(EFFECTS["deep_mcl"](stage, generator), 1.0)["reference_strain_pct"]

@@ -18,7 +18,7 @@ from identknee.blind.case import (
     _theta,
     _usual_size,
 )
-from identknee.blind.conditions import Conditions, Spread
+from identknee.blind.conditions import Conditions, TruncatedNormal
 from identknee.blind.effects import EFFECTS, LISTED, UNLISTED
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
@@ -163,7 +163,9 @@ def test_sizes_of_the_literature_are_even_in_their_logarithm(name: str) -> None:
 def test_sizes_of_a_prior_have_its_spread_in_each_number() -> None:
     """Four shears of sd 0.6 each; the root mean square of 24 shifts of sd 2."""
     wanted = {"parasitic_shear": (0.6, 4), "insertion": (2.0, 24)}
-    stage = scene(Conditions(amplitudes={x: Spread(sd=sd) for x, (sd, _) in wanted.items()}))
+    stage = scene(
+        Conditions(amplitudes={x: TruncatedNormal(sd=sd) for x, (sd, _) in wanted.items()})
+    )
     generator = np.random.default_rng(10)
     for name, (sd, n) in wanted.items():
         hidden = EFFECTS[name](stage, generator)

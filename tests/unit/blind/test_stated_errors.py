@@ -8,7 +8,7 @@ from identknee.blind.conditions import (
     STANDARD,
     Conditions,
     LoadErrors,
-    actual_knee,
+    knee_with_errors,
     load_errors,
     stated_conditions,
     with_load_errors,
@@ -21,7 +21,7 @@ N = 200
 
 def drawn(conditions: Conditions) -> list[Knee]:
     generator = np.random.default_rng(0)
-    return [actual_knee(small_knee(), conditions, generator) for _ in range(N)]
+    return [knee_with_errors(small_knee(), conditions, generator) for _ in range(N)]
 
 
 def off(conditions: Conditions) -> LoadErrors:

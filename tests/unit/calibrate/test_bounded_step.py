@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from identknee.calibrate.bounded_least_squares import attainable, bounded_step, point_on_plane
+from identknee.calibrate.bounded_least_squares import (
+    bounded_step,
+    feasible_point,
+    nearest_attainable,
+)
 
 # Linear algebra of condition 100 at most.
 CLOSE = 1e-9
@@ -29,7 +33,7 @@ def test_without_a_plane_it_is_bounded_least_squares(seed: int) -> None:
 def test_on_a_plane_the_forces_balance(seed: int) -> None:
     """Karush, Kuhn and Tucker: the derivatives are the plane's, or push against a bound."""
     matrix, data, low, high, normal = _problem(seed)
-    wanted = attainable(normal, (low, high), 0.4)
+    wanted = nearest_attainable(normal, (low, high), 0.4)
     found = bounded_step(matrix, data, (low, high), (normal, wanted))
     assert normal @ found.step == pytest.approx(wanted, abs=CLOSE)
     assert np.all((low <= found.step) & (found.step <= high))
@@ -78,9 +82,9 @@ def test_directions_that_change_nothing_stay() -> None:
 
 def test_a_plane_out_of_reach_is_approached() -> None:
     normal, bounds = np.array([1.0, -2.0]), (np.zeros(2) - 1.0, np.ones(2))
-    assert attainable(normal, bounds, 10.0) == 3.0
-    assert attainable(normal, bounds, -10.0) == -3.0
-    np.testing.assert_allclose(point_on_plane(normal, bounds, 3.0), [1.0, -1.0])
+    assert nearest_attainable(normal, bounds, 10.0) == 3.0
+    assert nearest_attainable(normal, bounds, -10.0) == -3.0
+    np.testing.assert_allclose(feasible_point(normal, bounds, 3.0), [1.0, -1.0])
 
 
 def test_unbounded_components_are_welcome() -> None:

@@ -13,7 +13,7 @@ from problems import (
 from identknee.calibrate import least_squares
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.fit import fit
-from identknee.calibrate.least_squares import way_around
+from identknee.calibrate.least_squares import descent_around_cliff
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
@@ -21,7 +21,7 @@ SCALES = np.array([3.0] * 4 + [2.0] * 4)
 
 
 def without_a_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(least_squares, "way_around", lambda *_: None)
+    monkeypatch.setattr(least_squares, "descent_around_cliff", lambda *_: None)
 
 
 def test_the_straight_descent_ends_on_the_disc(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,7 +46,7 @@ def test_a_way_around_is_feasible_and_lower() -> None:
     evaluator = Evaluator(cliff, budget=500)
     before = np.array([-2.0001, -0.1])
     value = evaluator.deviance(before)
-    around = way_around(evaluator, before, np.random.default_rng(0))
+    around = descent_around_cliff(evaluator, before, np.random.default_rng(0))
     assert around is not None
     assert cliff.beyond(around) <= 0
     assert evaluator.deviance(around) < value
@@ -57,7 +57,7 @@ def test_no_way_around_a_wall_at_its_lowest_point() -> None:
     end = fit(cliff, cliff.problem.start)
     evaluator = Evaluator(cliff, budget=500)
     evaluator.deviance(end.theta)
-    assert way_around(evaluator, end.theta, np.random.default_rng(1)) is None
+    assert descent_around_cliff(evaluator, end.theta, np.random.default_rng(1)) is None
 
 
 def test_no_way_from_a_point_without_slope() -> None:
@@ -73,7 +73,7 @@ def test_no_way_from_a_point_without_slope() -> None:
 
     evaluator = Evaluator(Flat(), budget=5)
     evaluator.deviance(problem.start)
-    assert way_around(evaluator, problem.start, np.random.default_rng(0)) is None
+    assert descent_around_cliff(evaluator, problem.start, np.random.default_rng(0)) is None
 
 
 def test_one_parameter_has_no_sideways() -> None:

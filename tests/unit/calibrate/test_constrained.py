@@ -15,7 +15,7 @@ from problems import (
     sloppy_springs,
 )
 
-from identknee.calibrate.bounded_least_squares import Constrained, minimise, solve_constrained
+from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.runs.outcome import Outcome
@@ -40,7 +40,7 @@ def test_a_held_parameter_is_held_and_the_rest_is_fitted(
     first = ParameterQuantity(parameters=problem.parameters, name=problem.parameters.names[0])
     target = max(problem.minimum[0] + distance, problem.parameters.lower[0])
 
-    def at(value: float) -> Constrained:
+    def at(value: float) -> ConstrainedFit:
         return solve_constrained(
             Evaluator(problem), problem.minimum, quantity=first, target=value, tolerance=TIGHT
         )

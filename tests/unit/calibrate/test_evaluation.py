@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, linear, sloppy_springs
 
-from identknee.calibrate.evaluation import Ended, Evaluator, evaluate
+from identknee.calibrate.evaluation import Evaluator, SearchEnded, evaluate
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 
@@ -71,7 +71,7 @@ def test_a_simulation_is_an_evaluation_at_a_new_theta() -> None:
 def test_a_search_that_joins_one_which_found_as_much_is_left(springs: ClosedForm) -> None:
     evaluator = Evaluator(springs, ends=[evaluate(springs, springs.minimum)])
     evaluator(springs.start)
-    with pytest.raises(Ended):
+    with pytest.raises(SearchEnded):
         evaluator(springs.minimum)
     assert evaluator.n_simulations == 1
 
@@ -123,7 +123,7 @@ def test_budget_ends_the_search() -> None:
     problem = linear()
     evaluator = Evaluator(problem, budget=1)
     evaluator.deviance(problem.start)
-    with pytest.raises(Ended) as ended:
+    with pytest.raises(SearchEnded) as ended:
         evaluator.deviance(problem.minimum)
     assert ended.value.outcome is Outcome.BUDGET
     assert evaluator.n_simulations == 1

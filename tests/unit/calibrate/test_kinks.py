@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identknee.calibrate.bounded_least_squares import Kinks, lowest_of_the_highest
+from identknee.calibrate.bounded_least_squares import KinkModels, minimise_max_model
 from identknee.calibrate.evaluation import Evaluation
 from identknee.runs.arrays import Array
 
@@ -20,7 +20,7 @@ def _side(theta: list[float], sign: float) -> Evaluation:
 
 
 def _models(at: Evaluation, *others: Evaluation, length: float = 1.0) -> Array:
-    kinks = Kinks()
+    kinks = KinkModels()
     for other in others:
         kinks.remember(other)
     return kinks.models(at, ONES, length=length, slack=0.0)
@@ -28,7 +28,7 @@ def _models(at: Evaluation, *others: Evaluation, length: float = 1.0) -> Array:
 
 def test_the_step_ends_on_the_kink_between_two_sides() -> None:
     models = _models(_side([0.3, 0.0], 1.0), _side([-0.2, 0.1], -1.0))
-    step, height = lowest_of_the_highest(models, ANYWHERE, None, 1e-9)
+    step, height = minimise_max_model(models, ANYWHERE, None, 1e-9)
     np.testing.assert_allclose(step.step, [-0.3, 1.0], atol=1e-6)
     assert height == pytest.approx(10.0, abs=1e-8)
 
@@ -37,7 +37,7 @@ def test_the_multiplier_is_that_of_the_kink() -> None:
     """With the second parameter held, the first stays on the kink: only the held one pulls."""
     models = _models(_side([0.3, 0.0], 1.0), _side([-0.2, 0.1], -1.0))
     plane = np.array([0.0, 1.0]), 0.4
-    step, height = lowest_of_the_highest(models, ANYWHERE, plane, 1e-9)
+    step, height = minimise_max_model(models, ANYWHERE, plane, 1e-9)
     np.testing.assert_allclose(step.step, [-0.3, 0.4], atol=1e-6)
     assert height == pytest.approx(10.36, abs=1e-8)
     assert step.multiplier == pytest.approx(-0.6, abs=1e-6)
@@ -45,7 +45,7 @@ def test_the_multiplier_is_that_of_the_kink() -> None:
 
 def test_one_model_gives_the_step_of_gauss_and_newton() -> None:
     at = _side([0.3, 0.0], 1.0)
-    step, height = lowest_of_the_highest(_models(at), ANYWHERE, None, 1e-9)
+    step, height = minimise_max_model(_models(at), ANYWHERE, None, 1e-9)
     exact, left, _, _ = np.linalg.lstsq(at.jacobian, -at.residuals)
     np.testing.assert_allclose(step.step, exact, atol=1e-12)
     assert height == pytest.approx(float(left[0]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import linear, plain_parameters, sloppy_springs
 
-from identknee.calibrate.problem import WithPriors, restricted
+from identknee.calibrate.problem import ProblemWithPriors, restricted
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
@@ -45,7 +45,7 @@ def test_restricting_refuses_unknown_names_and_leaves_something_free() -> None:
 
 def test_prior_rows_and_their_derivatives() -> None:
     springs = sloppy_springs()
-    problem, theta = WithPriors(problem=springs), springs.start
+    problem, theta = ProblemWithPriors(problem=springs), springs.start
     rows = problem.residuals(theta)[-8:]
     center = problem.parameters.center
     np.testing.assert_allclose(rows[:4], np.log(theta[:4] / center[:4]) / 0.35, rtol=1e-14)
@@ -57,7 +57,7 @@ def test_prior_rows_and_their_derivatives() -> None:
 
 def test_lognormal_prior_excludes_zero() -> None:
     springs = sloppy_springs()
-    problem, theta = WithPriors(problem=springs), np.array(springs.start)
+    problem, theta = ProblemWithPriors(problem=springs), np.array(springs.start)
     theta[0] = 0.0
     assert np.all(np.isinf(problem.residuals(theta)))
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from problems import linear
 
-from identknee.calibrate.evaluation import Ended, Evaluator
+from identknee.calibrate.evaluation import Evaluator, SearchEnded
 from identknee.calibrate.search import run_search, uniform_box
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -42,7 +42,7 @@ def test_ends_when_nothing_is_asked() -> None:
 
 def test_budget_cuts_a_generation_short() -> None:
     evaluator = Evaluator(linear(), budget=3)
-    with pytest.raises(Ended):
+    with pytest.raises(SearchEnded):
         run_search(Shrinking(0.9), evaluator)
     assert evaluator.n_simulations == 3
 

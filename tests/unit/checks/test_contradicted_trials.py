@@ -11,7 +11,7 @@ from identknee.calibrate.fit import fit
 from identknee.checks.contradicted_trials import (
     contradicted_rows,
     end_point_findings,
-    left_out,
+    leave_one_out,
     row_findings,
     suspicious_end_points,
     suspicious_rows,
@@ -24,7 +24,7 @@ def test_a_value_left_out_is_one_predicted_by_a_fit_without_it() -> None:
     sd = np.where(np.arange(30) % 2, 2.0, 0.5)
     measured = design @ [1.0, 2.0, 3.0, 4.0] + sd * noise
     measured[7] += 40.0
-    found = left_out(measured / sd, design / sd[:, None], np.diag(1.0 / sd))
+    found = leave_one_out(measured / sd, design / sd[:, None], np.diag(1.0 / sd))
     (row,) = suspicious_rows(found, np.arange(30), np.zeros(30, int))
     others = np.delete(np.arange(30), 7)
     weights = 1.0 / sd[others]
@@ -44,7 +44,9 @@ def test_two_blunders_do_not_hide_one_another() -> None:
     design = np.column_stack([np.ones(60), np.linspace(-1.0, 1.0, 60)])
     left = generator.standard_normal(60)
     left[[10, 50]] += [9.0, 8.0]
-    found = suspicious_rows(left_out(left, design, np.eye(60)), np.arange(60), np.zeros(60, int))
+    found = suspicious_rows(
+        leave_one_out(left, design, np.eye(60)), np.arange(60), np.zeros(60, int)
+    )
     assert [x.trial for x in found] == [10, 50]
 
 
@@ -55,7 +57,7 @@ def test_clean_tables_are_seldom_accused() -> None:
     accused = sum(
         bool(
             suspicious_rows(
-                left_out(generator.standard_normal(100), design, np.eye(100)),
+                leave_one_out(generator.standard_normal(100), design, np.eye(100)),
                 trials,
                 coordinates,
                 level=0.05,
@@ -70,14 +72,14 @@ def test_clean_tables_are_seldom_accused() -> None:
 def test_where_many_stand_out_it_is_not_the_rows() -> None:
     left = np.random.default_rng(3).standard_normal(40)
     left[:12] += 30.0
-    fitted = left_out(left, np.zeros((40, 1)), np.eye(40))
+    fitted = leave_one_out(left, np.zeros((40, 1)), np.eye(40))
     assert suspicious_rows(fitted, np.arange(40), np.zeros(40, int)) == []
 
 
 def test_rounding_is_no_blunder() -> None:
     left = 1e-9 * np.random.default_rng(5).standard_normal(40)
     left[3] = 1e-7
-    fitted = left_out(left, np.zeros((40, 1)), np.eye(40))
+    fitted = leave_one_out(left, np.zeros((40, 1)), np.eye(40))
     assert suspicious_rows(fitted, np.arange(40), np.zeros(40, int)) == []
 
 
@@ -85,7 +87,7 @@ def test_a_value_that_no_other_checks_is_not_judged() -> None:
     left, design = np.random.default_rng(4).standard_normal(30), np.zeros((30, 1))
     design[5] = 1.0
     left[5] = 1000.0
-    fitted = left_out(left, design, np.eye(30))
+    fitted = leave_one_out(left, design, np.eye(30))
     assert suspicious_rows(fitted, np.arange(30), np.zeros(30, int)) == []
 
 
@@ -148,7 +150,7 @@ def test_a_diagnosis_leaves_out_the_row_that_cannot_be_right_and_doubts_the_forc
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # The second diagnosis, with the row, takes as long again.
-    monkeypatch.setattr("identknee.verbs.diagnosis_rows.investigate", lambda *_, **__: None)
+    monkeypatch.setattr("identknee.verbs.diagnosis.investigate", lambda *_, **__: None)
     # Of the beginnings that a table without equilibria is searched from, one is enough here.
     monkeypatch.setattr("identknee.checks.usable_trials.STRETCHES", (0.04,))
     few = [ik.effect_named(ik.example("s192803"), "moment_gain_VV")]

@@ -6,7 +6,7 @@ from problems import Cliff, linear
 from scipy.stats import norm
 
 from identknee.calibrate.evaluation import evaluate
-from identknee.checks.fit_warnings import feasibility_findings, share_without_prediction
+from identknee.checks.fit_warnings import feasibility_findings, infeasible_proportion
 from identknee.identify.posterior.density import newton_kernel
 from identknee.runs.findings import Severity
 
@@ -28,7 +28,7 @@ def test_a_straight_boundary_cuts_off_the_tail_of_a_normal_density(distance: flo
     kernel = newton_kernel(evaluate(problem, problem.minimum), problem.parameters)
     assert np.isfinite(kernel.log_density)
     n = 2000
-    found = share_without_prediction(cut, problem.minimum, n_draws=n, seed=3)
+    found = infeasible_proportion(cut, problem.minimum, n_draws=n, seed=3)
     expected = norm.sf(distance)
     assert found.value == pytest.approx(expected, abs=4.0 * np.sqrt(expected * (1 - expected) / n))
 
@@ -51,4 +51,4 @@ def test_a_boundary_far_away_is_not_mentioned() -> None:
 def test_without_a_prediction_at_the_fit_it_refuses() -> None:
     nowhere = Cliff(problem=linear(), beyond=lambda _: 1.0)
     with pytest.raises(ValueError, match="no prediction at these parameters"):
-        share_without_prediction(nowhere, np.zeros(3))
+        infeasible_proportion(nowhere, np.zeros(3))

@@ -9,18 +9,18 @@ from scipy import stats
 from identknee.calibrate.fit import Fit, fit
 from identknee.checks.fit_warnings import (
     IMPROBABLE,
-    SecondSearch,
-    at_zero,
+    AlternativeFit,
     bound_findings,
+    fit_from_alternative_start,
     misfit_findings,
-    second_search,
+    parameters_at_zero,
     start_findings,
     too_few_findings,
     unstated_misfit_findings,
 )
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.findings import Severity, finding_lines, gravest_first
+from identknee.runs.findings import Severity, by_severity, finding_lines
 from identknee.runs.plain_records import summary_of
 
 NAMES = ("ACL.stiffness_kN", "PCL.stiffness_kN", "ACL.reference_strain_pct")
@@ -94,9 +94,9 @@ def test_parameters_at_either_bound_are_named(parameters: Parameters) -> None:
 
 
 def test_what_stands_at_a_bound_of_zero_is_absent(parameters: Parameters) -> None:
-    assert at_zero(np.array([10.0, 0.0, 8.0]), parameters) == ("PCL.stiffness_kN",)
+    assert parameters_at_zero(np.array([10.0, 0.0, 8.0]), parameters) == ("PCL.stiffness_kN",)
     # Neither a value next to zero, nor one of zero within its bounds.
-    assert at_zero(np.array([10.0, 1e-3, 0.0]), parameters) == ()
+    assert parameters_at_zero(np.array([10.0, 1e-3, 0.0]), parameters) == ()
 
 
 def test_starts_that_fit_as_well_elsewhere_disagree(parameters: Parameters) -> None:
@@ -127,7 +127,7 @@ def test_terminal_and_file_show_the_gravest_first() -> None:
         *misfit_findings(9e3, 100, 10),
     )
     assert [x.split(":")[0] for x in finding_lines(findings)[:2]] == ["Error", "Warning"]
-    stored = [summary_of(x) for x in gravest_first(findings)]
+    stored = [summary_of(x) for x in by_severity(findings)]
     assert [x["code"] for x in stored] == ["misfit-gross", "misfit-improbable", "noise-unstated"]
     assert stored[1]["values"]["chi_square"] == 150.0
 
@@ -159,7 +159,7 @@ def test_a_second_search_says_whether_both_agree(
     parameters: Parameters, start: float, floor: float, code: str
 ) -> None:
     problem = TwoWells(parameters.select(NAMES[:1]), floor)
-    again = second_search(problem, fit(problem, [start]))
+    again = fit_from_alternative_start(problem, fit(problem, [start]))
     # The knee has no PCL, LCL and MCL, so no guess of the paper; its own value is left.
     assert again.name == "subject"
     found = again.finding
@@ -173,7 +173,7 @@ def test_a_second_search_that_ends_higher_is_a_disagreement(parameters: Paramete
     problem = TwoWells(parameters.select(NAMES[:1]), 0.0)
     first = fit(problem, [5.0])
     worse: Fit = replace(first, objective=2.0)
-    found = SecondSearch(name="IG1", first=replace(first, objective=1.0), second=worse).finding
+    found = AlternativeFit(name="IG1", first=replace(first, objective=1.0), second=worse).finding
     assert found.code == "starts-disagree"
     expected = {"start": "IG1", "objective": 1.0, "second_objective": 2.0}
     assert dict(found.values) == expected
@@ -188,7 +188,7 @@ def test_the_second_search_keeps_what_is_fixed_and_begins_elsewhere(
         [[(2.0 * theta[0] - 38.0) / 50.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     )
     first = fit(problem, parameters.center, fixed=["PCL.stiffness_kN"])
-    again = second_search(problem, first)
+    again = fit_from_alternative_start(problem, first)
     assert again.name == "the middle of the bounds"
     np.testing.assert_array_equal(again.second.start, [20.0, 18.0, 0.0])
     assert again.second.theta[1] == 18.0

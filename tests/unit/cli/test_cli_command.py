@@ -14,17 +14,17 @@ import typer
 from typer.testing import CliRunner
 
 import identknee as ik
-from identknee.cli.command import Verb, Verbs
-from identknee.runs import unforeseen
+from identknee.cli.command import Command, CommandGroup
+from identknee.runs import crash_report as unforeseen
 from identknee.runs.arrays import frozen
-from identknee.runs.errors import NotComputed
+from identknee.runs.errors import NotComputable
 from identknee.runs.files import digest
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 
 def _ended(error: BaseException) -> tuple[int, str]:
     """Exit code and standard error of a verb that raises `error`."""
-    app = typer.Typer(cls=Verbs, pretty_exceptions_enable=False)
+    app = typer.Typer(cls=CommandGroup, pretty_exceptions_enable=False)
 
     @app.command()
     def first() -> NoReturn:
@@ -46,7 +46,7 @@ def test_a_wrong_file_ends_with_its_sentence() -> None:
 
 
 def test_what_cannot_be_computed_ends_with_1() -> None:
-    assert _ended(NotComputed("the knee snaps")) == (1, "identknee: the knee snaps\n")
+    assert _ended(NotComputable("the knee snaps")) == (1, "identknee: the knee snaps\n")
 
 
 def test_a_missing_package_ends_with_1() -> None:
@@ -79,7 +79,7 @@ def test_ctrl_c_ends_with_130_and_a_sentence() -> None:
 
 
 def test_a_callers_mistake_ends_with_its_sentence() -> None:
-    app = typer.Typer(cls=Verbs)
+    app = typer.Typer(cls=CommandGroup)
 
     @app.command()
     def first() -> None:
@@ -103,7 +103,7 @@ def test_what_nobody_foresaw_ends_with_1_and_a_report(
     assert code == 1
     (path,) = (tmp_path / "log").iterdir()
     assert said == (
-        "identknee: this should not have happened (numpy.linalg.LinAlgError: 3-th leading "
+        "identknee: unexpected error (numpy.linalg.LinAlgError: 3-th leading "
         f"minor not positive). Please send {path} to the maintainers of identknee\n"
     )
     report = path.read_text(encoding="utf-8")
@@ -112,9 +112,9 @@ def test_what_nobody_foresaw_ends_with_1_and_a_report(
 
 
 def _verb(action: Callable[[Path], None]) -> typer.Typer:
-    app = typer.Typer(cls=Verbs, pretty_exceptions_enable=False)
+    app = typer.Typer(cls=CommandGroup, pretty_exceptions_enable=False)
 
-    @app.command(cls=Verb)
+    @app.command(cls=Command)
     def first(data: Path, out: Path = Path("out")) -> None:
         out.mkdir(exist_ok=True)
         action(out)
@@ -169,14 +169,14 @@ def test_warnings_go_to_the_log_and_not_to_the_terminal(
         logging.getLogger("some.library").error("cannot read this")
 
     monkeypatch.setattr(unforeseen, "log_folder", lambda: tmp_path / "log")
-    with unforeseen.warnings_logged():
+    with unforeseen.warnings_to_log():
         shown = warnings.showwarning
     result = CliRunner().invoke(_verb(warn), ["first", "x", "--out", str(tmp_path / "out")])
     assert (result.exit_code, result.output) == (0, "")
     log = (tmp_path / "log" / unforeseen.LOG).read_text(encoding="utf-8")
     assert "RuntimeWarning: divided by zero" in log
     assert "some.library: cannot read this" in log
-    assert not unforeseen.are_warnings_logged()
+    assert not unforeseen.are_warnings_redirected()
 
 
 def test_the_digest_of_a_knee_changes_with_any_number_of_it() -> None:

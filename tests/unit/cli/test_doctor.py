@@ -12,7 +12,7 @@ from cli_runs import run
 from typer.testing import Result
 
 import identknee as ik
-from identknee.verbs import installation, self_test
+from identknee.verbs import installation
 
 ROOT = Path(__file__).parents[3]
 
@@ -50,7 +50,7 @@ def test_all_is_sound_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     result = run("doctor")
     assert result.exit_code == 0, result.output
     assert "FAIL" not in result.stdout
-    assert result.stdout.endswith("All is as it should be.\n")
+    assert result.stdout.endswith("All checks passed.\n")
     for name in ("Python", "numpy", "cores", "folder", "poses", "derivatives", "fit"):
         assert _lines(result, name).startswith("ok")
 
@@ -133,10 +133,10 @@ def test_an_extra_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_wrong_poses_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     _installed(monkeypatch)
-    monkeypatch.setattr(self_test, "SAME_MM_OR_DEG", -1.0)
+    monkeypatch.setattr(installation, "SAME_MM_OR_DEG", -1.0)
     result = run("doctor")
     assert result.exit_code == 1
-    assert "Trust no result of this installation." in _lines(result, "poses")
+    assert "Do not use results of this installation." in _lines(result, "poses")
     assert _lines(result, "fit").startswith("ok")
 
 
@@ -146,7 +146,7 @@ def test_a_library_that_breaks_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> 
     def broken() -> ik.Knee:
         raise ImportError("numba needs numpy 2.2\nor less.")
 
-    monkeypatch.setattr(self_test, "reference_knee", broken)
+    monkeypatch.setattr(installation, "reference_knee", broken)
     result = run("doctor")
     assert result.exit_code == 1
     assert "ImportError: numba needs numpy 2.2 or less. Install" in _lines(result, "run")

@@ -17,10 +17,10 @@ from identknee.diagnosis.attribution import (
     MOST_CAUSES,
     Attribution,
     _is_better,
-    _with_flexible,
+    _with_flexible_effects,
     attribute,
     backward_elimination,
-    promising_refits,
+    refit_top_candidates,
 )
 from identknee.diagnosis.fitting import fit_base
 from identknee.diagnosis.refit import (
@@ -76,7 +76,7 @@ def test_the_cause_that_is_there_is_the_best_explanation(one: Attribution) -> No
     assert sd.max() < 0.2 * FRAME_DEG
     assert one.base.names == ()
     assert one.base is one.steps[0].at
-    assert not one.is_left_unexplained
+    assert not one.has_remaining_misfit
 
 
 def test_the_steps_end_at_the_best_explanation(one: Attribution) -> None:
@@ -95,8 +95,8 @@ def test_what_the_best_explanation_explains_is_not_left_unexplained(one: Attribu
     """Where all effects have joined, the last look is at an earlier fit, and tells of no rest."""
     before = replace(one, steps=one.steps[:1])
     assert before.steps[-1].is_significant
-    assert not before.is_left_unexplained
-    assert replace(before, best=one.base).is_left_unexplained
+    assert not before.has_remaining_misfit
+    assert replace(before, best=one.base).has_remaining_misfit
 
 
 @pytest.mark.parametrize(("p_value", "first", "further"), [
@@ -145,7 +145,7 @@ def test_noise_alone_has_no_cause() -> None:
     assert not found.steps[0].is_significant
     assert found.steps[0].refits == ()
     assert found.rivals == ()
-    assert not found.is_left_unexplained
+    assert not found.has_remaining_misfit
 
 
 def test_forced_it_tries_a_cause_and_still_demands_that_one_is_better() -> None:
@@ -294,7 +294,7 @@ def test_flexible_effects_are_not_swapped_in(monkeypatch: pytest.MonkeyPatch) ->
 
 def flexible(current: Made, rest: Sequence[Made], first: Sequence[Made]) -> tuple[Made, Any]:
     step: Any = SimpleNamespace(refits=tuple(first), at=Made())
-    return _with_flexible(current, tuple(rest), step)  # type: ignore[arg-type, return-value]
+    return _with_flexible_effects(current, tuple(rest), step)  # type: ignore[arg-type, return-value]
 
 
 def test_an_effect_of_many_amplitudes_wins_by_evidence_alone() -> None:
@@ -338,7 +338,7 @@ def test_no_more_than_three_causes_are_sought(monkeypatch: pytest.MonkeyPatch) -
         )
 
     monkeypatch.setattr(module, "score_candidates", look)
-    monkeypatch.setattr(module, "promising_refits", refits)
+    monkeypatch.setattr(module, "refit_top_candidates", refits)
     monkeypatch.setattr(
         module, "backward_elimination", lambda _base, current, rest, _steps: (current, rest)
     )
@@ -360,7 +360,7 @@ def test_only_what_scores_is_refitted(one: Attribution) -> None:
     )
     low = replace(nothing.scores.candidates[0], score=0.5)
     quiet = replace(nothing, scores=replace(nothing.scores, candidates=(low,)))
-    assert promising_refits(quiet, one.base) == ()
+    assert refit_top_candidates(quiet, one.base) == ()
 
 
 def evidence_of(columns: Array, data: Array, *, lower: float) -> float:
@@ -379,7 +379,9 @@ def evidence_of(columns: Array, data: Array, *, lower: float) -> float:
         is_log=np.zeros(n, bool),
     )
     fitted: Any = SimpleNamespace(
-        evaluation=evaluation, model=SimpleNamespace(parameters=parameters)
+        evaluation=evaluation,
+        model=SimpleNamespace(parameters=parameters),
+        constrained=SimpleNamespace(is_held=np.zeros(n, bool)),
     )
     return Refit(causes=(), fitted=fitted, smooth=np.zeros((0, 0)), noise_degrees=1e9).log_evidence
 

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.candidates import insertions_beyond
+from identknee.diagnosis.candidates import insertions_beyond_prior
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.noise import add_noise
@@ -82,5 +82,5 @@ def test_an_insertion_within_what_is_stated_is_no_cause() -> None:
     knee = reference_knee().with_uncertainty(STATED)
     found = investigate(knee, laxity_of(reference_knee()), effects=(compression(),))
     assert found is not None
-    assert insertions_beyond(found.base.fitted).causes == ()
+    assert insertions_beyond_prior(found.base.fitted).causes == ()
     assert found.conclusion.verdict is Verdict.ADEQUATE

@@ -58,7 +58,7 @@ def test_it_absorbs_what_a_cause_explains_but_loses_at_a_flexion_it_has_not_seen
     assert observations.rmse(left(base, observations)).noise > 3 * explained
     # As good as the cause where it has seen the data: it may bend to noise, or miss a kink.
     assert observations.rmse(found.errors).noise == pytest.approx(explained, rel=0.15)
-    assert found.absorbed > 0.8
+    assert found.process.absorbed > 0.8
     scored = held_out(after, observations, after.fitted(observations), folds)
     of_base = held_out(base, observations, theta, folds)
     of_process = held_out(base, found.observations, theta, folds)
@@ -77,8 +77,8 @@ def test_there_is_little_to_absorb_where_the_model_is_right() -> None:
     base = drawn(smooth_columns(3, 8), np.array([1.0, -1.0, 0.5]), observations, 1)
     found = absorb(base, observations)
     assert np.median(found.spread) < 0.3
-    assert found.absorbed < 0.15
-    assert found.degrees_of_freedom < 0.15 * N_VALUES
+    assert found.process.absorbed < 0.15
+    assert found.process.degrees_of_freedom < 0.15 * N_VALUES
 
 
 def test_it_leaves_the_fit_as_it_is() -> None:
@@ -105,8 +105,8 @@ def test_lengths_and_spreads_stay_within_their_limits() -> None:
     base = drawn(smooth_columns(3, 8), np.array([1.0, -1.0, 0.5]), observations, 1)
     rough = replace(base, measured=base.measured * np.tile([1.0, 5.0], N_VALUES)[:N_VALUES])
     found = absorb(rough, observations)
-    assert found.load_length >= LEAST_LENGTH * (1 - SOLVED)
-    assert found.flexion_length >= LEAST_LENGTH * (1 - SOLVED)
+    assert found.process.load_length >= LEAST_LENGTH * (1 - SOLVED)
+    assert found.process.flexion_length >= LEAST_LENGTH * (1 - SOLVED)
     assert found.spread.min() >= LEAST_SPREAD * (1 - SOLVED)
 
 

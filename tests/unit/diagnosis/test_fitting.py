@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_knee import small_protocol
 
-from identknee.diagnosis.fitting import Fitted, base_model, fit_from
+from identknee.diagnosis.fitting import FittedModel, base_model, best_fit_from
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -16,12 +16,12 @@ SAME_FIT = 1e-3
 
 
 @pytest.fixture(scope="module")
-def fitted(reference: Knee) -> Fitted:
+def fitted(reference: Knee) -> FittedModel:
     """The base model at its own laxity."""
     model = base_model(reference, small_protocol())
     laxity = model.simulate(model.parameters.center)
     noise = build_noise_model(np.full((laxity.n, 5), SD), laxity.is_measured, correlation=0.3)
-    return fit_from(model, laxity, noise, [_beside(model.parameters.center)])
+    return best_fit_from(model, laxity, noise, [_beside(model.parameters.center)])
 
 
 def _beside(theta: Array) -> Array:
@@ -30,19 +30,19 @@ def _beside(theta: Array) -> Array:
 
 
 def test_steps_that_know_how_a_valley_bends_end_at_the_same_minimum(
-    fitted: Fitted, monkeypatch: pytest.MonkeyPatch
+    fitted: FittedModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("identknee.diagnosis.fitting.STRAIGHT_STEPS", 1)
     start = _beside(fitted.model.parameters.center)
-    again = fit_from(fitted.model, fitted.laxity, fitted.noise, [start])
+    again = best_fit_from(fitted.model, fitted.laxity, fitted.noise, [start])
     assert fitted.outcome is again.outcome is Outcome.MINIMUM
     assert again.deviance == pytest.approx(fitted.deviance, abs=SAME_FIT)
     assert again.constrained.n_simulations > 2
 
 
-def test_a_fit_that_joins_another_is_not_continued(fitted: Fitted) -> None:
+def test_a_fit_that_joins_another_is_not_continued(fitted: FittedModel) -> None:
     start = _beside(fitted.model.parameters.center)
     ends = [fitted.evaluation]
-    again = fit_from(fitted.model, fitted.laxity, fitted.noise, [start], ends=ends)
+    again = best_fit_from(fitted.model, fitted.laxity, fitted.noise, [start], ends=ends)
     assert again.deviance > fitted.deviance
     assert again.constrained.n_simulations < fitted.constrained.n_simulations

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_knee import small_knee
 
-from identknee.diagnosis.fitting import Fitted, fit_from
+from identknee.diagnosis.fitting import FittedModel, best_fit_from
 from identknee.diagnosis.folds import FAMILIES, FLEXION
 from identknee.diagnosis.gain import Gain, ParameterChange, measure_gain
 from identknee.diagnosis.noise_model import build_noise_model
@@ -22,7 +22,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.files import plain
 from identknee.runs.plain_records import summary_of
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnosis_gain import gain_found
+from identknee.verbs.diagnosis import gain_found
 
 SD_MM, SD_DEG = 0.02, 0.1
 PLANTED = [0.08, 1.0]  # kN, %
@@ -58,15 +58,15 @@ def sds() -> Array:
 
 def fits(
     knee: Knee, effect: Effect, values: list[float], *, seed: int = 0
-) -> tuple[Fitted, Fitted]:
+) -> tuple[FittedModel, FittedModel]:
     """The base model and the one with the effect, fitted to data that hold it."""
     base = LaxityModel(knee=knee, protocol=protocol())
     extended = base.with_effects([effect])
     theta = np.r_[base.parameters.center, values]
     laxity = add_noise(extended.simulate(theta), sd_mm=SD_MM, sd_deg=SD_DEG, seed=seed)
     noise = build_noise_model(sds(), laxity.is_measured, correlation=0.0)
-    before = fit_from(base, laxity, noise, [base.parameters.center])
-    return before, fit_from(extended, laxity, noise, [theta])
+    before = best_fit_from(base, laxity, noise, [base.parameters.center])
+    return before, best_fit_from(extended, laxity, noise, [theta])
 
 
 @cache

@@ -13,7 +13,7 @@ from linear_data import (
 )
 
 from identknee.diagnosis.misfit import (
-    Check,
+    ResidualTest,
     cauchy_combination,
     nested_check,
     omnibus_check,
@@ -31,7 +31,7 @@ NOISE = unit_noise()
 SMOOTH = NOISE.whiten(smooth_patterns(LOADS, FLEXION, everything()))
 WIDER = FIT.projector.with_columns(SMOOTH)
 
-CHECKS: dict[str, Callable[[Array], Check]] = {
+CHECKS: dict[str, Callable[[Array], ResidualTest]] = {
     "omnibus": lambda r: omnibus_check(r, FIT.projector),
     "smooth": lambda r: nested_check(r, FIT.projector, WIDER),
 }

@@ -155,7 +155,6 @@ def test_a_fold_in_which_nothing_was_measured_is_not_scored() -> None:
     made = problem()
     found = held_out(made, wider, made.fitted(observations), [alone, *longer])
     assert [x.status for x in found.scores] == [FoldStatus.NOT_MEASURED, FoldStatus.SCORED]
-    assert found.scores[0].status.sentence.startswith("Nothing was measured")
 
 
 @dataclass(frozen=True)
@@ -213,7 +212,7 @@ def test_folds_that_say_nothing_of_the_difference_do_not_count() -> None:
     scored = [held_out(x, observations, x.fitted(observations), folds) for x in (before, after)]
     flexion, direction, extremes = elpd_difference(*scored).families
     assert [fold.name for fold, _ in flexion.not_scored] == ["0 deg"]
-    assert "only they show" in flexion.not_scored[0][1]
+    assert flexion.not_scored[0][1] == FoldStatus.NOT_IDENTIFIED.sentence
     assert set(flexion.folds).isdisjoint(flexion.without_signature)
     assert len(flexion.folds) + len(flexion.without_signature) == 2
     assert direction.difference > 2.0 * direction.se

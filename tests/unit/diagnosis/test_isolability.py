@@ -15,8 +15,8 @@ from identknee.diagnosis.isolability import (
     advise_trials,
     distances,
     groups,
-    visible_root,
-    worst_distances,
+    least_favourable_distances,
+    noncentrality_root,
 )
 from identknee.diagnosis.score import ProjectedSignature, project_signature
 from identknee.runs.arrays import Array
@@ -72,7 +72,7 @@ def test_a_distance_is_what_the_rival_cannot_fit(fit: LinearFit, k: int, prior_s
     assert found.values[0, 0] == 0.0
     expected = left_after(fit, columns @ amplitude, rival)
     assert found.values[0, 1] == pytest.approx(expected, rel=SOLVED)
-    assert found.values[0, 1] < visible_root(one, amplitude)
+    assert found.values[0, 1] < noncentrality_root(one, amplitude)
 
 
 def test_the_best_variant_of_a_rival_counts(fit: LinearFit) -> None:
@@ -92,15 +92,15 @@ def test_a_rival_of_the_other_sign_is_no_rival(fit: LinearFit) -> None:
         rival = effect(fit, "b", columns, sign=sign, prior_sd=100.0)
         found = distances([one], [amplitude], [rival]).values[0, 0]
         # What the prior of the rival holds back: 0.4 of 100.
-        assert found == pytest.approx(share * visible_root(one, amplitude), abs=0.0041)
+        assert found == pytest.approx(share * noncentrality_root(one, amplitude), abs=0.0041)
 
 
 def test_of_an_effect_with_one_amplitude_there_is_one_mix(fit: LinearFit) -> None:
     one = effect(fit, "a", random_columns(1))
     rival = effect(fit, "b", random_columns(1) + random_columns(2, 2))
     amplitude = np.array([8.0 / np.sqrt(one.gram[0, 0])])
-    assert visible_root(one, amplitude) == pytest.approx(8.0, rel=SOLVED)
-    worst = worst_distances([one], 8.0, [rival]).values[0, 0]
+    assert noncentrality_root(one, amplitude) == pytest.approx(8.0, rel=SOLVED)
+    worst = least_favourable_distances([one], 8.0, [rival]).values[0, 0]
     assert worst == pytest.approx(distances([one], [amplitude], [rival]).values[0, 0], rel=SOLVED)
 
 
@@ -108,10 +108,10 @@ def test_the_worst_mix_is_the_worst(fit: LinearFit) -> None:
     """Against a search over mixes that stand out alike."""
     one = effect(fit, "a", random_columns(1, 3), prior_sd=10.0)
     rival = effect(fit, "b", random_columns(1, 3)[:, :2] + 0.4 * random_columns(4, 2))
-    worst = worst_distances([one], 8.0, [rival]).values[0, 0]
+    worst = least_favourable_distances([one], 8.0, [rival]).values[0, 0]
 
     def distance(mix: Array) -> float:
-        amplitude = mix * 8.0 / visible_root(one, mix)
+        amplitude = mix * 8.0 / noncentrality_root(one, mix)
         return float(distances([one], [amplitude], [rival]).values[0, 0])
 
     starts = np.random.default_rng(0).standard_normal((5, 3))
@@ -125,14 +125,14 @@ def test_mixes_no_prior_allows_do_not_count(fit: LinearFit) -> None:
     columns = np.hstack([random_columns(1), random_columns(2)])
     rival = effect(fit, "b", random_columns(2), prior_sd=100.0)
     wide = effect(fit, "a", columns, prior_sd=10.0)
-    assert worst_distances([wide], 8.0, [rival]).values[0, 0] < 0.5
+    assert least_favourable_distances([wide], 8.0, [rival]).values[0, 0] < 0.5
     narrow = effect(fit, "a", columns * [1.0, 0.01], prior_sd=10.0)
-    assert worst_distances([narrow], 8.0, [rival]).values[0, 0] > 7.0
+    assert least_favourable_distances([narrow], 8.0, [rival]).values[0, 0] > 7.0
 
 
 def test_what_is_not_seen_is_taken_for_no_other(fit: LinearFit) -> None:
     dead, one = effect(fit, "dead", np.zeros((315, 1))), effect(fit, "a", random_columns(1))
-    found = worst_distances([dead, one], 8.0, [dead, one])
+    found = least_favourable_distances([dead, one], 8.0, [dead, one])
     assert groups(found) == (("dead",), ("a",))
 
 

@@ -6,7 +6,7 @@ from posed_knees import posed_reference
 from small_knee import small_protocol
 
 from identknee.diagnosis.candidates import _signs, library_variants
-from identknee.diagnosis.fitting import Fitted, base_model, fit_from
+from identknee.diagnosis.fitting import FittedModel, base_model, best_fit_from
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
@@ -44,7 +44,7 @@ def test_a_knee_of_many_ligaments_has_a_signature_of_its_bundles() -> None:
         sd=np.full(exact.coordinates.shape, SD),
     )
     noise = build_noise_model(np.full((laxity.n, 5), SD), laxity.is_measured, correlation=0.0)
-    fitted = fit_from(model, laxity, noise, [theta], most_steps=1)
+    fitted = best_fit_from(model, laxity, noise, [theta], most_steps=1)
     variants = library_variants(fitted, [bundles(knee), compression()])
     assert [x.signature.name for x in variants] == ["bundles", "compression"]
     # Insertions apart matter by the side of strains apart.
@@ -55,17 +55,17 @@ def test_a_knee_of_many_ligaments_has_a_signature_of_its_bundles() -> None:
 
 
 @pytest.fixture(scope="module")
-def fitted(reference: Knee) -> Fitted:
+def fitted(reference: Knee) -> FittedModel:
     """The reference knee at its own laxity, so that derivatives are all there is to see."""
     trials = load_protocol("seed63").select(np.arange(1, 63, 6))
     model = LaxityModel(knee=reference, protocol=trials)
     theta = model.parameters.center
     laxity = model.simulate(theta)
     noise = build_noise_model(np.full((laxity.n, 5), SD), laxity.is_measured, correlation=0.3)
-    return fit_from(model, laxity, noise, [theta])
+    return best_fit_from(model, laxity, noise, [theta])
 
 
-def test_amplitudes_of_one_sign_are_those_that_cannot_be_negative(fitted: Fitted) -> None:
+def test_amplitudes_of_one_sign_are_those_that_cannot_be_negative(fitted: FittedModel) -> None:
     """A structure cannot push, a rig cannot yield backwards; a moment can be either."""
     names = ("deep_mcl", "rig_compliance_IE", "meniscus", "moment_offset", "compression")
     effects = [effect_named(fitted.model.knee, x) for x in names]
@@ -79,7 +79,7 @@ def test_amplitudes_of_one_sign_are_those_that_cannot_be_negative(fitted: Fitted
     }
 
 
-def test_effects_at_rest_have_the_signatures_that_each_has_alone(fitted: Fitted) -> None:
+def test_effects_at_rest_have_the_signatures_that_each_has_alone(fitted: FittedModel) -> None:
     """They share one prediction, in which lines are split, moved and added."""
     names = ("bundles", "insertion", "posterior_capsule", "meniscus", "toe_strain", "tibia_frame")
     effects = [effect_named(fitted.model.knee, x) for x in names]
@@ -100,7 +100,9 @@ def test_amplitudes_that_cannot_be_positive_have_the_other_sign() -> None:
 
 
 @pytest.mark.parametrize("name", ["deep_mcl", "anterolateral", "moment_gain_IE", "compression"])
-def test_a_signature_is_what_the_effect_does_to_the_predictions(name: str, fitted: Fitted) -> None:
+def test_a_signature_is_what_the_effect_does_to_the_predictions(
+    name: str, fitted: FittedModel
+) -> None:
     """By a small amplitude of the effect, predicted anew: direction, sign and size."""
     effect = effect_named(fitted.model.knee, name)
     extended = fitted.model.with_effects([effect])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.diagnosis.fitting import Fitted, fit_from
+from identknee.diagnosis.fitting import FittedModel, best_fit_from
 from identknee.diagnosis.missing_line import (
     LENGTHS,
     MOST_LINES,
@@ -41,15 +41,15 @@ def model(reference: Knee) -> LaxityModel:
 
 
 @pytest.fixture(scope="module")
-def fitted(model: LaxityModel) -> Fitted:
+def fitted(model: LaxityModel) -> FittedModel:
     """The model at its own parameters and its own laxity."""
     theta = model.parameters.center
     laxity = model.simulate(theta)
     noise = build_noise_model(np.full((laxity.n, 5), 0.3), laxity.is_measured, correlation=0.3)
-    return fit_from(model, laxity, noise, [theta])
+    return best_fit_from(model, laxity, noise, [theta])
 
 
-def with_data(fitted: Fitted, coordinates: Array) -> Fitted:
+def with_data(fitted: FittedModel, coordinates: Array) -> FittedModel:
     return replace(fitted, laxity=replace(fitted.laxity, coordinates=coordinates))
 
 
@@ -110,14 +110,16 @@ def best_seen(scan: LineScan, k: int) -> int:
     return int(np.argmax(np.linalg.norm(scan.signatures[:, k], axis=0)))
 
 
-def with_effect_of(fitted: Fitted, lines: CandidateLines, line: int, k: int, size: float) -> Fitted:
+def with_effect_of(
+    fitted: FittedModel, lines: CandidateLines, line: int, k: int, size: float
+) -> FittedModel:
     """The model with data that a line changed, to first order."""
     model = fitted.model
     columns = line_columns(model, model.predict_once(fitted.theta), lines)
     return with_data(fitted, fitted.laxity.coordinates + size * columns[:, :, k, line])
 
 
-def test_the_scan_finds_the_line_that_pulls(fitted: Fitted, lines: CandidateLines) -> None:
+def test_the_scan_finds_the_line_that_pulls(fitted: FittedModel, lines: CandidateLines) -> None:
     theta = fitted.theta
     blank = scan_lines(fitted, theta, lines)
     assert blank is not None
@@ -134,7 +136,7 @@ def test_the_scan_finds_the_line_that_pulls(fitted: Fitted, lines: CandidateLine
     assert scan.p_value(0) == pytest.approx(1.0 / 1001.0)
 
 
-def test_a_line_that_would_push_scores_nothing(fitted: Fitted, lines: CandidateLines) -> None:
+def test_a_line_that_would_push_scores_nothing(fitted: FittedModel, lines: CandidateLines) -> None:
     theta = fitted.theta
     scan = scan_lines(with_effect_of(fitted, lines, 5, 2, -0.3), theta, lines)
     assert scan is not None
@@ -142,7 +144,7 @@ def test_a_line_that_would_push_scores_nothing(fitted: Fitted, lines: CandidateL
     assert scan.amplitudes[2, 5] == 0.0
 
 
-def test_what_parameters_explain_scores_nothing(fitted: Fitted, lines: CandidateLines) -> None:
+def test_what_parameters_explain_scores_nothing(fitted: FittedModel, lines: CandidateLines) -> None:
     theta = fitted.theta
     jacobian = fitted.model.predict_once(theta).jacobian
     assert jacobian is not None
@@ -156,7 +158,7 @@ def test_what_parameters_explain_scores_nothing(fitted: Fitted, lines: Candidate
 
 
 def test_a_line_in_the_model_is_taken_out(
-    fitted: Fitted, lines: CandidateLines, reference: Knee
+    fitted: FittedModel, lines: CandidateLines, reference: Knee
 ) -> None:
     k = 2
     blank = scan_lines(fitted, fitted.theta, lines)
@@ -175,7 +177,7 @@ def test_a_line_in_the_model_is_taken_out(
 
 
 def test_where_the_model_has_no_prediction_there_is_no_scan(
-    fitted: Fitted, lines: CandidateLines
+    fitted: FittedModel, lines: CandidateLines
 ) -> None:
     theta = np.array(fitted.theta)
     theta[: len(fitted.model.knee.ligaments)] = 0.0

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.fitting import fit_from
-from identknee.diagnosis.investigation import LOWER, investigate, lower_start
+from identknee.diagnosis.fitting import best_fit_from
+from identknee.diagnosis.investigation import LOWER, better_start, investigate
 from identknee.laxity.noise import add_noise
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
@@ -18,13 +18,13 @@ def test_a_better_minimum_of_the_base_model_is_a_start(reference: Knee) -> None:
     laxity = add_noise(model.simulate(model.parameters.center), sd_mm=SD, sd_deg=SD, seed=2)
     found = investigate(reference, laxity, effects=[compression()])
     assert found is not None
-    assert lower_start(found.attribution) is None
+    assert better_start(found.attribution) is None
     base = found.base.fitted
     beside = base.theta + np.where(np.arange(base.theta.size) % 2, 0.5, 0.0)
-    stuck = fit_from(base.model, base.laxity, base.noise, [beside], most_steps=1)
+    stuck = best_fit_from(base.model, base.laxity, base.noise, [beside], most_steps=1)
     assert stuck.evaluation.deviance > base.evaluation.deviance + LOWER
     (step, *_) = found.attribution.steps
     at = replace(step, at=replace(found.base, fitted=stuck))
-    start = lower_start(replace(found.attribution, steps=(at,), best=found.base))
+    start = better_start(replace(found.attribution, steps=(at,), best=found.base))
     assert start is not None
     np.testing.assert_allclose(start, base.theta[: base.model.n_ligament_parameters], rtol=0.01)

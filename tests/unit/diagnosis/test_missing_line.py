@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.diagnosis.fitting import fit_from
+from identknee.diagnosis.fitting import best_fit_from
 from identknee.diagnosis.misfit import smooth_patterns
 from identknee.diagnosis.missing_line import find_line
 from identknee.diagnosis.noise_model import build_noise_model
@@ -39,7 +39,7 @@ def fitted(model: LaxityModel, laxity: Laxity) -> Refit:
     patterns = smooth_patterns(protocol.loads, protocol.flexion_deg, measured)
     return Refit(
         causes=(),
-        fitted=fit_from(model, laxity, noise, [model.parameters.center]),
+        fitted=best_fit_from(model, laxity, noise, [model.parameters.center]),
         smooth=noise.whiten(patterns),
         noise_degrees=np.inf,
     )

@@ -17,7 +17,7 @@ from identknee.diagnosis.attribution import (
 )
 from identknee.diagnosis.refit import Rival, RivalState, could_matter
 from identknee.diagnosis.verdict import (
-    HANGS_ON_NOISE,
+    NOISE_DEPENDENT,
     SEVERAL,
     UNTESTED,
     Conclusion,
@@ -55,7 +55,7 @@ class Explanation:
         evaluation = SimpleNamespace(is_finite=self.is_finite)
         return SimpleNamespace(evaluation=evaluation, outcome=self.outcome)
 
-    def is_at_end(self, name: str) -> bool:
+    def is_at_range_end(self, name: str) -> bool:
         return name in self.ends
 
     def alarm_p_value(self, _score: float, factor: float = 1.0) -> float:
@@ -164,8 +164,8 @@ def test_open_rivals_leave_it_ambiguous() -> None:
 
 
 @pytest.mark.parametrize(("best", "rest", "doubt"), [
-    (replace(ONE, misfit_p_value=0.009), "", "it leaves more than noise would"),
-    (ONE, "third", "something else is left"),
+    (replace(ONE, misfit_p_value=0.009), "", "its residuals exceed the noise"),
+    (ONE, "third", "significant misfit remains"),
 ])  # fmt: skip
 def test_a_doubt_leaves_it_ambiguous(best: Explanation, rest: str, doubt: str) -> None:
     found = concluded(best, rest=rest)
@@ -204,7 +204,7 @@ def test_a_verdict_that_hangs_on_a_stated_noise_is_none(
     base = Explanation(misfit_p_value=0.0, noise_degrees=degrees, alarms=alarms)
     found = concluded(ONE, base=base)
     assert (found.verdict is Verdict.NOT_TESTABLE) is hangs
-    assert (found.reasons == (HANGS_ON_NOISE,)) is hangs
+    assert (found.reasons == (NOISE_DEPENDENT,)) is hangs
 
 
 @pytest.mark.parametrize(("degrees", "alarms", "said"), [
@@ -272,7 +272,7 @@ def searched(monkeypatch: pytest.MonkeyPatch, refits: Any, names: str) -> Any:
         return Step(at, tuple(x.name for x in effects))
 
     monkeypatch.setattr(naming, "score_candidates", step)
-    monkeypatch.setattr(naming, "promising_refits", lambda step, _base: refits(step))
+    monkeypatch.setattr(naming, "refit_top_candidates", lambda step, _base: refits(step))
     monkeypatch.setattr(naming, "rivals_of", lambda _best, rest, _looks: tuple(rest))
     effects: Any = [SimpleNamespace(name=x) for x in names]
     base: Any = Explanation()
@@ -299,4 +299,4 @@ def test_the_search_ends_where_no_effect_is_left(monkeypatch: pytest.MonkeyPatch
     one = Explanation(names=("a",), penalised_chi2=10.0, log_evidence=30.0)
     found = searched(monkeypatch, lambda _step: (one,), "a")
     assert (found.best, len(found.steps)) == (one, 1)
-    assert not found.is_left_unexplained
+    assert not found.has_remaining_misfit

@@ -8,8 +8,8 @@ import pytest
 from diagnoses import SD, short_trials
 
 from identknee.diagnosis import advice
-from identknee.diagnosis.advice import OfferedTrials, Rows
-from identknee.diagnosis.fitting import base_model, fit_from, plain_noise
+from identknee.diagnosis.advice import AdviceCandidates, WhitenedRows
+from identknee.diagnosis.fitting import base_model, best_fit_from, stated_noise
 from identknee.diagnosis.isolability import AdvisedTrials
 from identknee.laxity.candidates import candidate_trials
 from identknee.laxity.protocol import load_protocol
@@ -32,9 +32,9 @@ def test_a_trial_made_and_offered_has_the_same_rows(reference: Knee, zero: str) 
         laxity = Laxity(
             protocol=laxity.protocol, coordinates=laxity.coordinates, sd=sd, zero=laxity.zero
         )
-    fitted = fit_from(model, laxity, plain_noise(laxity), [theta], most_steps=1)
+    fitted = best_fit_from(model, laxity, stated_noise(laxity), [theta], most_steps=1)
     candidates = candidate_trials(laxity.protocol, flexion_deg=[30.0])
-    offer = OfferedTrials(laxity=laxity, candidates=candidates)
+    offer = AdviceCandidates(laxity=laxity, candidates=candidates)
     _, slopes = offer.predict(fitted.model, fitted.theta)
     for rows in (slopes, offer.nuisances(fitted)):
         n = laxity.n
@@ -65,11 +65,11 @@ def test_nothing_is_advised_where_no_offered_trial_has_an_equilibrium(
     laxity = Laxity(protocol=protocol, coordinates=np.zeros((protocol.n, 5)))
     distances = np.ones((1 + len(chosen), 1)) if chosen else np.full((1, 1), np.nan)
     found = AdvisedTrials(chosen=chosen, distances=distances, single=distances[:1])
-    rows = Rows(made=np.zeros((1, 1)), offered=np.zeros((1, 1, 1)))
+    rows = WhitenedRows(made=np.zeros((1, 1)), offered=np.zeros((1, 1, 1)))
     monkeypatch.setattr(advice, "_table", lambda *_: (rows, []))
     monkeypatch.setattr(advice, "measured_errors", lambda *_: {})
     monkeypatch.setattr(
-        OfferedTrials, "advise", lambda *_, **__: (protocol, found, np.zeros((0, 1)))
+        AdviceCandidates, "advise", lambda *_, **__: (protocol, found, np.zeros((0, 1)))
     )
     fitted = SimpleNamespace(model=SimpleNamespace(poses=None))
     best: Any = SimpleNamespace(names=("a",), fitted=fitted, n_base=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.fitting import fit_from
+from identknee.diagnosis.fitting import best_fit_from
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.refit import Refit, refit
 from identknee.diagnosis.verdict import FAR_OFF, Verdict, shift_mm, site_p_value
@@ -53,7 +53,7 @@ def test_a_structure_far_from_its_place_is_improbable(
     p_value = site_p_value(best, structure_of(reference))
     assert (p_value <= FAR_OFF) is is_rare
     assert (shift_mm(best, structure_of(reference)) > 0.5 * AWAY_MM) is is_rare
-    doubted = any("from where anatomy has them" in x for x in found.conclusion.reasons)
+    doubted = any("from their anatomical sites" in x for x in found.conclusion.reasons)
     assert doubted is is_rare
     if is_rare:
         assert found.conclusion.verdict is not Verdict.NAMED
@@ -72,7 +72,7 @@ def test_a_structure_without_stiffness_may_lie_anywhere(reference: Knee) -> None
     base = found.base
     extended = base.fitted.model.with_effects([*base.fitted.model.effects, structure_of(reference)])
     theta = np.r_[base.fitted.theta, structure_of(reference).parameters.center]
-    fitted = fit_from(extended, base.fitted.laxity, base.fitted.noise, [theta], most_steps=1)
+    fitted = best_fit_from(extended, base.fitted.laxity, base.fitted.noise, [theta], most_steps=1)
     slack = replace(base, causes=(structure_of(reference),), fitted=fitted)
     assert slack.amplitudes(NAME)[0] == 0.0
     assert site_p_value(slack, structure_of(reference)) == 1.0

@@ -8,9 +8,9 @@ from scipy.stats import norm
 from identknee.diagnosis.score import (
     Cell,
     ScoreTest,
+    classify_effect,
     detectable_amplitude,
     detection_power,
-    judge,
     project_signature,
     score_test,
 )
@@ -63,8 +63,8 @@ def test_an_effect_that_leaves_no_trace_is_never_found(maximum: ScoreTest) -> No
 
 
 def test_silence_means_something_only_where_the_test_has_power() -> None:
-    assert judge(is_significant=True, power=0.2) is Cell.MISSPECIFIED
-    assert judge(is_significant=True, power=0.9) is Cell.INSPECT
-    assert judge(is_significant=False, power=0.9) is Cell.EXCLUDED
-    assert judge(is_significant=False, power=0.2) is Cell.INCONCLUSIVE
+    assert classify_effect(is_significant=True, power=0.2) is Cell.MISSPECIFIED
+    assert classify_effect(is_significant=True, power=0.9) is Cell.INSPECT
+    assert classify_effect(is_significant=False, power=0.9) is Cell.EXCLUDED
+    assert classify_effect(is_significant=False, power=0.2) is Cell.INCONCLUSIVE
     assert len({x.sentence for x in Cell}) == 4

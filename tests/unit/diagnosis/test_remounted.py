@@ -66,7 +66,7 @@ def test_copies_and_angles_elsewhere() -> None:
     effect = remounting([0.0, 30.0])
     flexion = np.array([30.0, 0.0, 90.0])
     loads = np.zeros((3, 5))
-    tests = effects.Tests(flexion_deg=flexion, loads=loads)
+    tests = effects.TrialRecord(flexion_deg=flexion, loads=loads)
     values = np.arange(20.0).reshape(2, 10)
     alone = [effect.observe(np.ones((3, 5)), x, tests) for x in values]
     both = effect.observe_copies(np.ones((6, 5)), values, tests.repeated(2))

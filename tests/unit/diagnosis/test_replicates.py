@@ -83,8 +83,8 @@ def test_it_is_weighed_with_what_is_stated() -> None:
     stated = found(measured(4, seed=3, stated=1.25))
     assert stated.factors is not None
     assert silent.sd[0, 0] < stated.sd[0, 0] < 1.25 * SD[0]
-    assert "Repeated trials imply a noise" in stated.sentence
-    assert "times what the data state" in stated.sentence
+    assert stated.source is NoiseSource.REPLICATES
+    assert f"{stated.factors[0]:.2f} and {stated.factors[1]:.2f} times" in stated.sentence
     # Five times too much cannot be meant.
     mistaken = found(measured(4, seed=3, stated=5.0))
     np.testing.assert_allclose(mistaken.sd, silent.sd, rtol=ROUNDING)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.mechanics.contact_places import distances
+from identknee.mechanics.contact_points import distances
 from identknee.mechanics.distance_field import build_field
+from identknee.model.contact_geometry import ContactGeometry
 from identknee.model.effects.contact_law import Cartilage
-from identknee.model.joint import Joint
 from identknee.model.laxity_model import LaxityModel, trial_contacts
 from identknee.model.shared_errors import (
     ROUGHNESS_LENGTH,
@@ -88,7 +88,7 @@ def test_columns_are_what_a_changed_surface_does(
     chosen = columns[:, :, :n] if bone == "tibia" else columns[:, :, n:]
     heights = np.random.default_rng(2).standard_normal(chosen.shape[2])
 
-    def changed(size: float) -> Joint:
+    def changed(size: float) -> ContactGeometry:
         if bone == "tibia":
             return raised_tibia(used, on_tibia, np.asarray(size * heights))
         return raised_femur(used, on_femur, np.asarray(size * heights))
@@ -101,7 +101,7 @@ def test_columns_are_what_a_changed_surface_does(
     assert error.max() < CLOSE[bone]
 
 
-def raised_tibia(model: LaxityModel, bumps: SurfaceBumps, heights: Array) -> Joint:
+def raised_tibia(model: LaxityModel, bumps: SurfaceBumps, heights: Array) -> ContactGeometry:
     """The joint with contact points of the tibia moved along the normals of its dishes."""
     contact = model.joint.contact
     normals = np.zeros((len(contact.points), 3))
@@ -118,7 +118,7 @@ def raised_tibia(model: LaxityModel, bumps: SurfaceBumps, heights: Array) -> Joi
     return replace(model.joint, contact=replace(contact, points=contact.points + shift))
 
 
-def raised_femur(model: LaxityModel, bumps: SurfaceBumps, heights: Array) -> Joint:
+def raised_femur(model: LaxityModel, bumps: SurfaceBumps, heights: Array) -> ContactGeometry:
     """The joint with a femur whose signed distance is less by the heights."""
     field = model.joint.field
 
@@ -132,7 +132,7 @@ def raised_femur(model: LaxityModel, bumps: SurfaceBumps, heights: Array) -> Joi
     )
 
 
-def with_joint(model: LaxityModel, joint: Joint) -> LaxityModel:
+def with_joint(model: LaxityModel, joint: ContactGeometry) -> LaxityModel:
     other = replace(model)
     object.__setattr__(other, "joint", joint)
     return other

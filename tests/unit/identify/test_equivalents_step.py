@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import NonlinearConstraint, minimize
 
-from identknee.identify.extremum import Model, best_step
+from identknee.identify.extremum import LocalModel, best_step
 from identknee.identify.region import Blocks
 
 # The barriers end with a gap of 1e-10 of a gain of about 1.
@@ -12,7 +12,7 @@ GAIN = 1e-8
 PENALTY = 100.0
 
 
-def random_model(n_blocks: int, n: int, seed: int) -> Model:
+def random_model(n_blocks: int, n: int, seed: int) -> LocalModel:
     """Sloppy blocks that hold the origin, and bounds of which some are at it."""
     generator = np.random.default_rng(seed)
     slopes = generator.normal(size=(n_blocks, n + 1, n))
@@ -23,7 +23,7 @@ def random_model(n_blocks: int, n: int, seed: int) -> Model:
     information = np.einsum("bki,bkj->ij", slopes, slopes)
     gain /= np.sqrt(n_blocks * gain @ np.linalg.solve(information, gain))
     at_bound = generator.uniform(size=n) < 0.3
-    return Model(
+    return LocalModel(
         gain=gain,
         blocks=Blocks(offsets=offsets, slopes=slopes),
         low=np.where(at_bound, 0.0, -generator.uniform(0.1, 2.0, n)),
@@ -38,7 +38,7 @@ def test_an_ellipsoid_has_a_formula() -> None:
     covariance = np.linalg.inv(matrix.T @ matrix)
     best = np.sqrt(gain @ covariance @ gain)
     wide = np.full(2, 50.0)
-    found = best_step(Model(gain=gain, blocks=blocks, low=-wide, high=wide), penalty=PENALTY)
+    found = best_step(LocalModel(gain=gain, blocks=blocks, low=-wide, high=wide), penalty=PENALTY)
     assert found.step == pytest.approx(covariance @ gain / best, rel=1e-5)
     assert gain @ found.step == pytest.approx(best, rel=GAIN)
     assert found.excess == pytest.approx(0.0, abs=GAIN)
@@ -81,7 +81,7 @@ def test_an_empty_region_costs_an_excess() -> None:
         offsets=np.array([[2.0, 0.0], [-2.0, 0.0]]), slopes=np.array([np.eye(2), np.eye(2)])
     )
     wide = np.full(2, 10.0)
-    model = Model(gain=np.array([0.0, 0.1]), blocks=blocks, low=-wide, high=wide)
+    model = LocalModel(gain=np.array([0.0, 0.1]), blocks=blocks, low=-wide, high=wide)
     found = best_step(model, penalty=PENALTY)
     # A little sideways is worth it: 0.1 y - 100 y^2 is largest at 5e-4.
     assert found.step == pytest.approx([0.0, 5e-4], abs=1e-6)

@@ -8,7 +8,7 @@ import pytest
 from problems import Linear, linear, plain_parameters, sloppy_springs
 from tolerances import CLOSED_FORM
 
-from identknee.calibrate.problem import Problem, WithPriors
+from identknee.calibrate.problem import Problem, ProblemWithPriors
 from identknee.identify.information import (
     Information,
     combination,
@@ -165,7 +165,7 @@ def test_at_a_bound_differences_go_inward() -> None:
 
 def test_prior_units_count_what_the_prior_says() -> None:
     problem = sloppy_springs()
-    priors = WithPriors(problem=problem)
+    priors = ProblemWithPriors(problem=problem)
     at_center = problem.parameters.center
     both = information(priors, at_center, scaling="prior")
     data = information(problem, at_center, scaling="prior")

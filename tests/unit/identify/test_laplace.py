@@ -10,12 +10,13 @@ from tolerances import CLOSED_FORM
 
 from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.problem import WithPriors
+from identknee.calibrate.problem import ProblemWithPriors
 from identknee.identify.laplace import (
     Laplace,
     box_intervals,
     laplace,
     log_box_probability,
+    log_evidence,
     log_interval_mass,
 )
 from identknee.model.parameters import Parameters
@@ -71,7 +72,7 @@ def line(
 
 def posterior(made: Line) -> Laplace:
     n = made.parameters.n
-    found = minimise(Evaluator(WithPriors(problem=made)), np.full(n, 0.5))
+    found = minimise(Evaluator(ProblemWithPriors(problem=made)), np.full(n, 0.5))
     return laplace(found.evaluation, made.parameters, SD * np.eye(N_DATA))
 
 
@@ -102,6 +103,27 @@ def test_one_bound_is_exact(truth: float) -> None:
     assert found.log_evidence == pytest.approx(np.log(exact), rel=SOLVED)
     assert found.lower[0] >= 0
     assert found.lower[0] <= found.theta[0] <= found.upper[0]
+
+
+@pytest.mark.parametrize("truth", [[2.0, 0.5], [-1.0, 0.5]])
+def test_fits_are_ranked_by_the_evidence_that_is_reported(truth: list[float]) -> None:
+    made = line(truth, lower=[0.0, -np.inf])
+    found = minimise(Evaluator(ProblemWithPriors(problem=made)), np.full(2, 0.5))
+    is_active = np.array([truth[0] < 0.0, False])
+    assert found.is_held.tolist() == is_active.tolist()
+    constant = N_DATA * np.log(SD * np.sqrt(2.0 * np.pi))
+    ranked = log_evidence(found.evaluation, made.parameters, found.is_held)
+    assert ranked - constant == pytest.approx(posterior(made).log_evidence, rel=SOLVED)
+
+
+def test_a_fit_stopped_short_is_ranked_as_it_is() -> None:
+    made = line([2.0, -0.5])
+    problem = Evaluator(ProblemWithPriors(problem=made))
+    theta = posterior(made).theta
+    at, short = problem(theta), problem(theta + np.array([0.5, 0.0]))
+    free = np.zeros(2, bool)
+    lost = log_evidence(at, made.parameters, free) - log_evidence(short, made.parameters, free)
+    assert lost == pytest.approx(0.5 * (short.deviance - at.deviance), rel=SOLVED)
 
 
 @pytest.mark.parametrize("truth", [[1.0, 0.2], [-1.0, -1.0], [0.0, 2.0]])
@@ -215,7 +237,7 @@ def test_a_bound_moves_the_intervals_of_the_others(mean: list[float]) -> None:
 def test_a_fit_stopped_short_has_no_end_at_its_estimate() -> None:
     made = line([2.0, -0.5])
     made = replace(made, columns=4 * made.columns, measured=4 * made.measured)
-    problem = Evaluator(WithPriors(problem=made))
+    problem = Evaluator(ProblemWithPriors(problem=made))
     whole = posterior(made)
     stopped = np.array(whole.theta)
     stopped[0] -= 3.0 * whole.sd[0]

@@ -9,8 +9,8 @@ from problems import Linear, plain_parameters
 from identknee.identify.posterior.convergence import (
     ConvergenceCheck,
     StopRule,
+    expected_end,
     expected_steps,
-    outlook,
 )
 from identknee.identify.posterior.sample import sample
 
@@ -59,7 +59,7 @@ def test_every_other_sample_ends_before_its_drift_is_expected_to(
 def test_the_budget_ends_it_in_any_case(checks: tuple[ConvergenceCheck, ...]) -> None:
     last = checks[-1]
     slow = replace(last, tau=np.full_like(last.tau, 1e6))
-    steps, words = outlook([slow], 0.5)
+    steps, words = expected_end([slow], 0.5)
     assert steps == pytest.approx(2.0 * last.steps)
     assert "50% of the budget" in words
     assert "R-hat 1.0" in words

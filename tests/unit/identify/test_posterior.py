@@ -11,7 +11,7 @@ from scipy.stats import lognorm, norm
 from identknee.calibrate.evaluation import evaluate
 from identknee.identify.posterior.density import (
     LogPosterior,
-    excluded_mass,
+    infeasible_prior_mass,
     log_prior,
     mass_within_bounds,
     newton_kernel,
@@ -127,11 +127,11 @@ def test_a_kernel_without_prediction_has_no_density() -> None:
 
 def test_excluded_mass_has_confidence_limits() -> None:
     parameters = plain_parameters(2)
-    some = excluded_mass(parameters, np.array([True] * 90 + [False] * 10))
+    some = infeasible_prior_mass(parameters, np.array([True] * 90 + [False] * 10))
     assert some.without_prediction == pytest.approx(0.1)
     # Clopper and Pearson, 10 of 100.
     assert (some.low, some.high) == pytest.approx((0.04900469, 0.1762226), rel=1e-6)
-    none = excluded_mass(parameters, np.ones(100, bool))
+    none = infeasible_prior_mass(parameters, np.ones(100, bool))
     assert (none.without_prediction, none.low) == (0.0, 0.0)
     assert none.high == pytest.approx(1 - 0.025 ** (1 / 100), rel=1e-9)
     assert "has no prediction" in str(some)

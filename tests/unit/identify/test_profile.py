@@ -13,7 +13,7 @@ from identknee.calibrate.problem import Problem, with_bounds
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
 from identknee.identify.profile.profile import curve_slopes, profile
 from identknee.identify.profile.result import Profile, ProfileVerdict, SideStatus
-from identknee.identify.profile.walk import Walk
+from identknee.identify.profile.walk import ProfileContext
 from identknee.runs.arrays import Array
 
 Z_95 = 1.959963984540054
@@ -269,7 +269,7 @@ def test_an_end_that_only_the_boundary_raises_is_no_limit() -> None:
 def test_a_fit_stopped_at_the_boundary_lends_the_curve_no_slope() -> None:
     problem = linear()
     evaluator = Evaluator(problem)
-    walk = Walk(evaluator, _first(problem), 3.84, evaluator(problem.minimum))
+    walk = ProfileContext(evaluator, _first(problem), 3.84, evaluator(problem.minimum))
     sd, best = _first_sd(problem), float(problem.minimum[0])
     points = [walk.point(walk.solve(best + x * sd, problem.minimum)) for x in (0.0, 0.5, 1.5)]
     stopped = replace(points[1], slope=-99.0, promise=walk.threshold)
@@ -308,7 +308,7 @@ def test_a_fit_that_the_budget_did_not_allow_is_a_point_without_a_promise() -> N
     """A better optimum met with the last simulation starts a profile over without any left."""
     problem = linear()
     evaluator = Evaluator(problem, budget=1)
-    walk = Walk(evaluator, _first(problem), 3.84, evaluator(problem.minimum))
+    walk = ProfileContext(evaluator, _first(problem), 3.84, evaluator(problem.minimum))
     point = walk.point(walk.solve(1.0, problem.minimum + 1.0))
     assert point.evaluation.deviance == np.inf
     assert not walk.is_settled(point)

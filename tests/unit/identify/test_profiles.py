@@ -9,18 +9,18 @@ from problems import Cliff, ClosedForm, Linear, linear, plain_parameters, rosenb
 from identknee.calibrate.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
 from identknee.identify.profile.profile import (
     other_optima,
+    polish_optimum,
     profile,
     profile_parameters,
     profile_quantities,
-    settled,
 )
 from identknee.identify.profile.result import Profile
 from identknee.runs.plain_records import from_plain, to_plain
-from identknee.runs.store import as_stored, open_work
+from identknee.runs.store import json_round_trip, open_work
 
 
 def _same(one: Profile, other: Profile) -> bool:
-    return bool(as_stored(to_plain(one)) == as_stored(to_plain(other)))
+    return bool(json_round_trip(to_plain(one)) == json_round_trip(to_plain(other)))
 
 
 def test_profiles_come_in_the_order_of_their_names() -> None:
@@ -38,7 +38,7 @@ def test_a_profile_survives_json() -> None:
     problem = linear()
     first = ParameterQuantity(parameters=problem.parameters, name="x0.value_pct")
     found = profile(problem, problem.minimum, first)
-    again = from_plain(Profile, as_stored(to_plain(found)))
+    again = from_plain(Profile, json_round_trip(to_plain(found)))
     assert _same(found, again)
     assert again.verdict is found.verdict
     assert again.upper_status is found.upper_status
@@ -89,7 +89,7 @@ def test_the_optimum_is_polished_once_for_all() -> None:
     """Each goes on from there, as one alone does that is given the polished optimum."""
     bent = rosenbrock()
     found = profile_parameters(bent, bent.start, starts=())
-    optimum = settled(bent, bent.start, threshold=found[0].threshold)
+    optimum = polish_optimum(bent, bent.start, threshold=found[0].threshold)
     np.testing.assert_allclose(optimum.theta, bent.minimum, atol=1e-3)
     for one in found:
         quantity = ParameterQuantity(parameters=bent.parameters, name=one.name)

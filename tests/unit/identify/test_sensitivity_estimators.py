@@ -12,8 +12,8 @@ from identknee.identify.sensitivity import (
     saltelli_blocks,
 )
 from identknee.identify.sensitivity_estimators import (
-    levels_of,
     morris_indices,
+    sample_sizes,
     sobol_indices,
 )
 from identknee.runs.arrays import Array
@@ -129,7 +129,7 @@ def test_indices_are_shown_at_growing_numbers_and_half_widths_shrink() -> None:
     )["ST"]
     # The first blocks of a longer design are the shorter design; only the mean taken off differs.
     assert found.values[0] == pytest.approx(shorter.final, abs=0.01)
-    assert levels_of(5).tolist() == [5]
+    assert sample_sizes(5).tolist() == [5]
 
 
 def with_holes(y: Array, points: Array) -> Array:

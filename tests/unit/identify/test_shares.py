@@ -5,7 +5,7 @@ import math
 import pytest
 from scipy.stats import binom
 
-from identknee.identify.shares import share
+from identknee.identify.binomial_interval import share
 
 ROOT = 1e-9
 

@@ -10,7 +10,7 @@ from scipy.optimize import check_grad
 from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.density import LogPosterior
 from identknee.identify.posterior.sample import Ensembles, sample
-from identknee.identify.posterior.surrogate import Surrogate, trained
+from identknee.identify.posterior.surrogate import Surrogate, trained_surrogate
 from identknee.runs.arrays import Array
 
 N = 5
@@ -39,7 +39,7 @@ def bowl(*, ripple: float = 0.0, waves: float = 5.0) -> ClosedForm:
 
 def learned(problem: ClosedForm) -> Surrogate | None:
     origin = np.zeros(N)
-    return trained(LogPosterior(problem=problem), [origin], np.random.default_rng(1))[0]
+    return trained_surrogate(LogPosterior(problem=problem), [origin], np.random.default_rng(1))[0]
 
 
 def test_quadratic_residuals_are_learned_to_the_last_digits() -> None:
@@ -110,7 +110,9 @@ def test_it_is_learned_inside_the_bounds() -> None:
     narrow = LogPosterior(problem=replace(bowl(), parameters=replace(wide, lower=lower)))
     counts = []
     for density in (whole, narrow):
-        surrogate, n_simulations = trained(density, [np.zeros(N)], np.random.default_rng(1))
+        surrogate, n_simulations = trained_surrogate(
+            density, [np.zeros(N)], np.random.default_rng(1)
+        )
         assert surrogate is not None
         counts.append(n_simulations)
     assert counts[1] < counts[0] == 1 + 2 * N + 6 * 64

@@ -19,8 +19,8 @@ from identknee.calibrate.fit import METHODS, fit
 from identknee.calibrate.problem import Problem
 from identknee.identify import sweep as module
 from identknee.identify.sweep import (
-    Searches,
-    kind_of_end,
+    SweepSearches,
+    classify_end,
     search_seed,
     shell_starts,
     sobol_starts,
@@ -31,10 +31,12 @@ from identknee.runs.outcome import Outcome
 from identknee.runs.store import open_work
 
 LEAST_SQUARES = 1e-5
-REPEATED = tuple(x for x in Searches.__dataclass_fields__ if x not in {"seconds", "parameters"})
+REPEATED = tuple(
+    x for x in SweepSearches.__dataclass_fields__ if x not in {"seconds", "parameters"}
+)
 
 
-def assert_equal(first: Searches, second: Searches) -> None:
+def assert_equal(first: SweepSearches, second: SweepSearches) -> None:
     for name in REPEATED:
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
 
@@ -71,8 +73,8 @@ def test_an_end_next_to_the_minimum_is_called_that_minimum() -> None:
     far, near = (
         fit(problem, problem.minimum, method="complex", budget=n, seed=1) for n in (40, 2500)
     )
-    assert kind_of_end(problem, far) is Outcome.VALLEY
-    assert kind_of_end(problem, near) is Outcome.MINIMUM
+    assert classify_end(problem, far) is Outcome.VALLEY
+    assert classify_end(problem, near) is Outcome.MINIMUM
     assert near.outcome is Outcome.SPREAD
 
 
@@ -84,7 +86,7 @@ def test_a_wall_in_the_way_is_a_cliff() -> None:
     assert np.allclose(found.polished, found.ends, atol=0.01)
     assert np.all(found.polished_objectives <= found.objectives)
     ended = fit(wall, wall.problem.start, method="cma-es", seed=1)
-    assert kind_of_end(wall, ended) is Outcome.CLIFF
+    assert classify_end(wall, ended) is Outcome.CLIFF
 
 
 def test_a_jump_in_the_way_is_a_cliff() -> None:
@@ -102,7 +104,7 @@ def test_a_jump_in_the_way_is_a_cliff() -> None:
     )
     ended = fit(jump, jump.start, method="cma-es", seed=2)
     assert ended.theta == pytest.approx(jump.minimum, abs=1e-2)
-    assert kind_of_end(jump, ended) is Outcome.CLIFF
+    assert classify_end(jump, ended) is Outcome.CLIFF
 
 
 def test_starts_without_a_prediction_are_kept() -> None:

@@ -2,7 +2,13 @@
 
 import numpy as np
 
-from identknee.laxity.candidates import COMBINED, FLEXION_DEG, SINGLE, candidate_trials, repeated
+from identknee.laxity.candidates import (
+    COMBINED,
+    FLEXION_DEG,
+    SINGLE,
+    candidate_trials,
+    unique_names,
+)
 from identknee.laxity.protocol import LOADS, Protocol, load_protocol
 
 
@@ -50,5 +56,5 @@ def test_a_name_taken_by_other_loads_is_not_used_again() -> None:
 
 
 def test_repeats_get_numbers() -> None:
-    assert repeated(["a", "a", "b"], ["a"]) == ("a_repeat2", "a_repeat3", "b")
-    assert repeated(["a"], ["a", "a_repeat2"]) == ("a_repeat3",)
+    assert unique_names(["a", "a", "b"], ["a"]) == ("a_repeat2", "a_repeat3", "b")
+    assert unique_names(["a"], ["a", "a_repeat2"]) == ("a_repeat3",)

@@ -2,28 +2,28 @@
 
 import numpy as np
 
-from identknee.diagnosis.investigation import layout_of
-from identknee.laxity.dominant import (
+from identknee.diagnosis.investigation import trial_layout
+from identknee.laxity.dominant_load import (
     dominant_loads,
-    load_words,
     nominal_flexion,
+    nominal_loads,
     opposite_pairs,
-    told_loads,
 )
 from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.protocol import concatenate, load_protocol
 from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.trial_words import load_words
 
 
 def test_stray_and_constant_loads_do_not_tell_trials_apart() -> None:
     laxity = example_laxity("s192803")
-    sides = layout_of(laxity).sides()
+    sides = trial_layout(laxity).sides()
     for i, trial in enumerate(laxity.protocol.trials):
         kind = trial.split("_")[0]
         unit = "force" if kind in {"Anterior", "Posterior"} else "moment"
         expected = "no load" if kind == "FullExt" else f"{kind.lower()} {unit}"
         assert [name for name, side in sides.items() if side[i]] == [expected]
-    assert set(layout_of(laxity).flexion_deg) == {5.0, 36.0, 57.0, 87.0}
+    assert set(trial_layout(laxity).flexion_deg) == {5.0, 36.0, 57.0, 87.0}
 
 
 def test_a_load_is_said_in_words() -> None:
@@ -43,7 +43,7 @@ def test_a_load_that_all_trials_hold_is_their_load_where_there_is_no_other() -> 
 
 def test_exact_protocols_are_told_apart_as_they_are() -> None:
     protocol = concatenate([load_protocol("seed63"), load_protocol("drawer")])
-    np.testing.assert_array_equal(told_loads(protocol), protocol.loads)
+    np.testing.assert_array_equal(nominal_loads(protocol), protocol.loads)
     np.testing.assert_array_equal(nominal_flexion(protocol), protocol.flexion_deg)
 
 
@@ -62,7 +62,7 @@ def test_a_ramp_under_constant_compression_is_about_its_own_load() -> None:
         name="held", trials=protocol.trials, flexion_deg=protocol.flexion_deg, loads=loads
     )
     np.testing.assert_array_equal(dominant_loads(held).axis, dominant_loads(protocol).axis)
-    np.testing.assert_array_equal(told_loads(held)[:, :3], protocol.loads[:, :3])
-    assert not told_loads(held)[:, 3].any()
+    np.testing.assert_array_equal(nominal_loads(held)[:, :3], protocol.loads[:, :3])
+    assert not nominal_loads(held)[:, 3].any()
     blank = np.full((held.n, len(COORDINATES)), np.nan)
-    assert layout_of(Laxity(protocol=held, coordinates=blank)).sides()["no load"].any()
+    assert trial_layout(Laxity(protocol=held, coordinates=blank)).sides()["no load"].any()

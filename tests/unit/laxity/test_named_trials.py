@@ -6,8 +6,8 @@ import pytest
 
 from identknee.laxity.named_trials import read_tests, read_trials
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.scenarios import laxity_groups
 from identknee.laxity.table import Laxity
+from identknee.laxity.trial_words import laxity_groups
 from identknee.runs.errors import InputError
 
 TABLE = "trial,flexion_deg,varus_moment_Nm,varus_deg\na,30,5,\nb,30,-5,\n"

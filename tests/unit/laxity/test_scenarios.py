@@ -1,7 +1,7 @@
 """Coordinates of trials are grouped by what they are, where and under which load."""
 
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.scenarios import laxity_groups
+from identknee.laxity.trial_words import laxity_groups
 
 
 def test_groups_name_coordinate_angle_and_load() -> None:

@@ -6,7 +6,7 @@ import pytest
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import Laxity
-from identknee.laxity.zeros import from_zero, unloaded_trials
+from identknee.laxity.zero_conventions import from_zero, unloaded_trials
 
 
 def example() -> Laxity:

@@ -9,7 +9,7 @@ import identknee as ik
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.rmse import laxity_rmse
 from identknee.laxity.table import Laxity, read_laxity, write_laxity
-from identknee.laxity.zeros import from_zero, zero_of_more, zero_trials
+from identknee.laxity.zero_conventions import from_zero, zero_of_added_trials, zero_trials
 from identknee.runs.errors import InputError
 
 HEADER = "trial,flexion_deg,anterior_force_N,anterior_drawer_mm\n"
@@ -93,7 +93,7 @@ def test_a_fit_finds_the_parameters_from_differences_alone() -> None:
 
 
 def test_trials_to_add_are_counted_from_what_can_be_measured_beside_them() -> None:
-    assert [zero_of_more(x) for x in ("absolute", "unloaded", "opposite", "rest")] == [
+    assert [zero_of_added_trials(x) for x in ("absolute", "unloaded", "opposite", "rest")] == [
         "absolute",
         *3 * ["unloaded"],
     ]

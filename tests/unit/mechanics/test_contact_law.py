@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from identknee.mechanics.contact_elements import felt_depth
+from identknee.mechanics.contact_elements import effective_depth
 from identknee.mechanics.contact_law import (
     MOST_ROUNDING,
     PRESSURE_MODULUS,
@@ -39,7 +39,7 @@ def test_slope_and_energy_are_those_of_the_pressure(exponent: float, rounding: f
         return float(law.pressure(np.array([depth]))[0][0])
 
     for depth in DEPTHS[np.abs(np.abs(DEPTHS) - rounding) > 1e-3]:
-        felt, steepness, stored = felt_depth(depth, exponent, rounding)
+        felt, steepness, stored = effective_depth(depth, exponent, rounding)
         spring = PRESSURE_MODULUS * (felt / REFERENCE_DEPTH) ** (exponent - 1.0) if felt else 0.0
         assert spring * felt == pytest.approx(pressure(depth), rel=1e-12, abs=1e-15)
         slope = (pressure(depth + 1e-7) - pressure(depth - 1e-7)) / 2e-7

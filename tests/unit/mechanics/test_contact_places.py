@@ -9,15 +9,15 @@ from small_knee import small_knee, small_protocol
 from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.mechanics.contact_law import MOST_ROUNDING, ContactLaw
-from identknee.mechanics.contact_places import contact_places, distances
-from identknee.model.joint import Joint, joint_of
+from identknee.mechanics.contact_points import contact_places, distances
+from identknee.model.contact_geometry import ContactGeometry, contact_geometry
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 
 
 @pytest.fixture(scope="module")
-def joint() -> Joint:
-    return joint_of(small_knee())
+def joint() -> ContactGeometry:
+    return contact_geometry(small_knee())
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def pose() -> Array:
     return first
 
 
-def test_distances_are_those_of_the_spline(joint: Joint) -> None:
+def test_distances_are_those_of_the_spline(joint: ContactGeometry) -> None:
     field = joint.field
     size = field.spacing * (np.array(field.coefficients.shape) - 1)
     places = field.origin + size * np.random.default_rng(0).uniform(0.2, 0.8, (50, 3))
@@ -50,7 +50,9 @@ def test_distances_are_those_of_the_spline(joint: Joint) -> None:
         ContactLaw(exponent=1.3, rounding=0.05),
     ],
 )
-def test_forces_are_those_of_the_kernel(law: ContactLaw, joint: Joint, pose: Array) -> None:
+def test_forces_are_those_of_the_kernel(
+    law: ContactLaw, joint: ContactGeometry, pose: Array
+) -> None:
     contact = replace(joint.contact, law=law)
     evaluator = Evaluator(replace(joint, contact=contact))
     slack = joint.lines.arrays(np.zeros(4), np.zeros(4))
@@ -61,7 +63,7 @@ def test_forces_are_those_of_the_kernel(law: ContactLaw, joint: Joint, pose: Arr
     np.testing.assert_allclose(gradient, kernel.gradient, atol=1e-9 * np.abs(gradient).max())
 
 
-def test_slopes_are_those_of_force_and_place(joint: Joint, pose: Array) -> None:
+def test_slopes_are_those_of_force_and_place(joint: ContactGeometry, pose: Array) -> None:
     contact = replace(joint.contact, law=ContactLaw(exponent=1.3))
     here = contact_places(contact, joint.field, 0.1, pose)
     middle = int(np.argmax(here.force))
@@ -77,6 +79,6 @@ def test_slopes_are_those_of_force_and_place(joint: Joint, pose: Array) -> None:
         assert force == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
-def test_far_away_nothing_touches(joint: Joint, pose: Array) -> None:
+def test_far_away_nothing_touches(joint: ContactGeometry, pose: Array) -> None:
     away = pose - np.array([0.0, 0.0, 0.0, 500.0, 0.0])
     assert contact_places(joint.contact, joint.field, 0.0, away).index.size == 0

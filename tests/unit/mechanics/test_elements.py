@@ -12,7 +12,7 @@ from evaluation import (
 )
 from tolerances import DERIVATIVE
 
-from identknee.mechanics.contact_elements import contact_centres, write_pushes
+from identknee.mechanics.contact_elements import contact_centres, write_contact_forces
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
@@ -100,7 +100,7 @@ def test_centres_are_the_means_of_the_forces(
     evaluate = Evaluator(joint)
     evaluate(flexion, pose, ligaments_of(reference_model, reference_model.parameters.center))
     centres = np.zeros((2, 7))
-    write_pushes(joint.contact.arrays().law, evaluate.work)
+    write_contact_forces(joint.contact.arrays().law, evaluate.work)
     contact_centres(joint.contact.arrays(), evaluate.work, centres)
     assert centres == pytest.approx(reference_prediction.centres[trial], rel=1e-6)
     places = femoral_places(flexion, pose, joint.contact.points)
@@ -126,6 +126,6 @@ def test_a_compartment_without_contact_has_no_force(
     apart = np.array(reference_prediction.poses[5]) - [0.0, 0.0, 0.0, 20.0, 0.0]
     evaluate(0.0, apart, ligaments_of(reference_model, reference_model.parameters.center))
     centres = np.ones((2, 7))
-    write_pushes(joint.contact.arrays().law, evaluate.work)
+    write_contact_forces(joint.contact.arrays().law, evaluate.work)
     contact_centres(joint.contact.arrays(), evaluate.work, centres)
     assert not centres.any()

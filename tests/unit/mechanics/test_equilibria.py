@@ -11,7 +11,7 @@ from identknee.mechanics.contact_law import PRESSURE_MODULUS
 from identknee.mechanics.equilibria import (
     TRANSITION_STRAIN,
     ContactPoints,
-    Lines,
+    LineLigaments,
     solve,
     stability_margins,
 )
@@ -113,7 +113,7 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
     assert stiffness.tolist() == [2.0 * PRESSURE_MODULUS, 0.5 * PRESSURE_MODULUS]
     assert compartment.tolist() == [0, 1]
     assert contact.n_compartments == 2
-    lines = Lines(
+    lines = LineLigaments(
         femoral=np.zeros((1, 3)), tibial=np.ones((1, 3)), reference_length=np.array([3.0**0.5])
     )
     (line,) = lines.arrays(np.array([8000.0]), np.array([0.02])).tolist()

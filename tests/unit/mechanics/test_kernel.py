@@ -17,7 +17,8 @@ from evaluation import (
 from tolerances import RESIDUAL_N, SAME_POSE
 
 from identknee.mechanics import kernel
-from identknee.mechanics.kernel import off_branch, sensitivities, tangent
+from identknee.mechanics.equilibria import workspace
+from identknee.mechanics.kernel import find_minimum, leaves_branch, sensitivities, tangent
 from identknee.mechanics.memory import (
     CONVERGED,
     FOLD,
@@ -25,8 +26,6 @@ from identknee.mechanics.memory import (
     UNCONSTRAINED,
     Segment,
 )
-from identknee.mechanics.minimum import find_minimum
-from identknee.mechanics.workspace import workspace
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
@@ -235,20 +234,20 @@ def test_a_tangent_where_there_is_none_is_zero() -> None:
 @pytest.mark.parametrize("bend", [0.0, 0.05])
 def test_a_step_along_its_tangents_is_on_the_branch(bend: float) -> None:
     after = _state(SLOPE * (1.0 + bend), SLOPE * (1.0 + 2 * bend))
-    assert not off_branch(BEFORE, after, 1.0, 1.0)
+    assert not leaves_branch(BEFORE, after, 1.0, 1.0)
 
 
 def test_a_jump_is_off_the_branch() -> None:
     jump = np.array([0.0, 0.2, 0.0, 0.0, 0.0])
-    assert off_branch(BEFORE, _state(SLOPE + jump, SLOPE), 1.0, 1.0)
+    assert leaves_branch(BEFORE, _state(SLOPE + jump, SLOPE), 1.0, 1.0)
     # However small the step, the jump stays.
-    assert off_branch(BEFORE, _state(0.001 * SLOPE + jump, SLOPE), 0.001, 1.0)
+    assert leaves_branch(BEFORE, _state(0.001 * SLOPE + jump, SLOPE), 0.001, 1.0)
 
 
 def test_a_guess_must_agree_better_than_a_step_of_the_search() -> None:
     beside = _state(SLOPE + np.array([0.0, 0.01, 0.0, 0.0, 0.0]), SLOPE)
-    assert not off_branch(BEFORE, beside, 1.0, 1.0)
-    assert off_branch(BEFORE, beside, 1.0, kernel.GUESS_TOLERANCE)
+    assert not leaves_branch(BEFORE, beside, 1.0, 1.0)
+    assert leaves_branch(BEFORE, beside, 1.0, kernel.GUESS_TOLERANCE)
 
 
 def test_children_of_a_lost_state_are_lost_with_it(reference_model: LaxityModel) -> None:

@@ -5,7 +5,7 @@ import oracle
 import pytest
 from tolerances import CLOSED_FORM
 
-from identknee.mechanics.ligament_law import tension
+from identknee.mechanics.elements import tension
 
 
 @pytest.mark.parametrize("strain", [-0.3, -1e-9, 0.0])

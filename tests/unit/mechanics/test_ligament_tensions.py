@@ -5,10 +5,13 @@ import pytest
 from evaluation import central_difference
 from tolerances import CLOSED_FORM
 
-from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
-from identknee.mechanics.ligament_wrench import ligament_wrench
-from identknee.mechanics.placement import place
+from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.ligament_tensions import (
+    LigamentTensions,
+    ligament_tensions,
+    ligament_wrench,
+)
+from identknee.mechanics.pose import place
 from identknee.runs.arrays import Array
 
 M, N, WITHOUT = 5, 7, 3
@@ -29,9 +32,9 @@ def case() -> dict[str, Array]:
     }
 
 
-def _lines(case: dict[str, Array]) -> Lines:
+def _lines(case: dict[str, Array]) -> LineLigaments:
     offset = case["tibial"] - case["femoral"]
-    return Lines(
+    return LineLigaments(
         femoral=case["femoral"],
         tibial=case["tibial"],
         reference_length=np.linalg.norm(offset, axis=1),

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_wrench import ligament_wrench, line_tensions
-from identknee.mechanics.placement import place
+from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.ligament_tensions import ligament_wrench, line_tensions
+from identknee.mechanics.pose import place
 
 FEMORAL = np.array([[0.0, 5.0, -10.0], [3.0, -4.0, 12.0], [1.0, 8.0, 40.0]])
 TIBIAL = np.array([[10.0, -20.0, 2.0], [-15.0, -25.0, 0.0], [-9.0, -45.0, 44.0]])
-LINES = Lines(
+LINES = LineLigaments(
     femoral=FEMORAL, tibial=TIBIAL, reference_length=np.linalg.norm(FEMORAL - TIBIAL, axis=1)
 )
 STIFFNESS = np.array([10000.0, 18000.0, 6000.0])
@@ -31,7 +31,7 @@ def test_reference_pose_strains_to_the_reference_strain() -> None:
 
 
 def test_one_vertical_line_pulls_up() -> None:
-    lines = Lines(
+    lines = LineLigaments(
         femoral=np.array([[0.0, 10.0, 0.0]]),
         tibial=np.array([[0.0, -10.0, 0.0]]),
         reference_length=np.array([20.0]),

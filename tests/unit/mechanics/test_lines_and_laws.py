@@ -7,9 +7,8 @@ from evaluation import SCALE, Evaluator, ligaments_of
 from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.mechanics.contact_law import MOST_ROUNDING
-from identknee.mechanics.elements import line_force, line_shape
-from identknee.mechanics.ligament_law import tension
-from identknee.mechanics.ligament_wrench import line_tensions
+from identknee.mechanics.elements import line_force, line_shape, tension
+from identknee.mechanics.ligament_tensions import line_tensions
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 

@@ -13,7 +13,7 @@ from identknee.mechanics.mesh_contact import (
     mesh_contact,
     penetrations,
 )
-from identknee.mechanics.placement import place
+from identknee.mechanics.pose import place
 from identknee.runs.arrays import Array, IntArray
 from identknee.subject.folder import example
 

@@ -3,22 +3,23 @@
 import numpy as np
 import pytest
 
-from identknee.mechanics.equilibria import Lines
-from identknee.mechanics.ligament_wrench import ligament_wrench
+from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.ligament_tensions import ligament_wrench
 from identknee.mechanics.load_paths import LoadPaths, load_paths
-from identknee.mechanics.mesh_contact import MeshContact, mesh_contact
-from identknee.mechanics.mesh_equilibrium import (
+from identknee.mechanics.mesh_contact import (
     RESIDUAL_TOLERANCE,
+    MeshContact,
     MeshEquilibria,
+    mesh_contact,
     mesh_equilibria,
 )
-from identknee.mechanics.placement import place
+from identknee.mechanics.pose import place
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.outcome import Outcome
 
 FEMORAL = np.array([[3.0, 5.0, 8.0], [-3.0, 5.0, -8.0], [0.0, 12.0, 38.0], [0.0, 12.0, -38.0]])
 TIBIAL = np.array([[-12.0, -20.0, 2.0], [12.0, -20.0, -2.0], [4.0, -40.0, 40.0], [4.0, -50.0, -36]])
-LINES = Lines(
+LINES = LineLigaments(
     femoral=FEMORAL, tibial=TIBIAL, reference_length=np.linalg.norm(FEMORAL - TIBIAL, axis=1)
 )
 STIFFNESS = np.array([9000.0, 12000.0, 6000.0, 8000.0])

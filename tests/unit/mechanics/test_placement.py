@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identknee.mechanics.placement import place
+from identknee.mechanics.pose import place
 from identknee.runs.arrays import Array
 
 FLEXION = 0.6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from identknee.mechanics.rims import rim_distance
+from identknee.mechanics.contact_points import rim_distance
 from identknee.runs.arrays import Array, IntArray
 
 HALF, EDGE = 10.0, 0.5

@@ -5,7 +5,7 @@ import pytest
 from evaluation import SCALE
 from tolerances import CLOSED_FORM
 
-from identknee.mechanics.small_matrices import (
+from identknee.mechanics.energy import (
     factorise,
     residual_norm,
     scaled_norm,

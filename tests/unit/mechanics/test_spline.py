@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 from tolerances import DERIVATIVE
 
-from identknee.mechanics.spline import spline_at
+from identknee.mechanics.contact_elements import spline_at
 from identknee.runs.arrays import Array
 
 SHAPE = (9, 8, 7)

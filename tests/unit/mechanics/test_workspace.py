@@ -6,8 +6,8 @@ import numpy as np
 from evaluation import ligaments_of
 
 from identknee.mechanics.energy import evaluate
+from identknee.mechanics.equilibria import kept_workspace
 from identknee.mechanics.memory import N_LISTED, Workspace
-from identknee.mechanics.workspace import kept_workspace
 from identknee.model.laxity_model import LaxityModel
 
 
@@ -27,7 +27,7 @@ def _list_nothing(model: LaxityModel, work: Workspace) -> None:
     """A list of no points that claims to hold where the first search begins, as of another knee."""
     point = work.solver.trial
     joint, theta = model.joint, model.parameters.center
-    point.pose[:] = model.setting(theta).first_pose
+    point.pose[:] = model.setting(theta).start_pose_of_search
     knee = joint.contact.arrays(), joint.field.arrays(), ligaments_of(model, theta)
     work.evaluation.placed.counts[N_LISTED] = -1
     evaluate(joint.start_flexion, np.zeros(5), *knee, work.evaluation, point)

@@ -16,7 +16,7 @@ from tolerances import DIFFERENCE, RESIDUAL_N, SAME_MARGIN, SAME_POSE
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.mechanics.grood_suntay import coordinates_from_pose
 from identknee.mechanics.pose import rotation_matrix
-from identknee.model import joint
+from identknee.model import contact_geometry as joint
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import OUTCOMES, Prediction

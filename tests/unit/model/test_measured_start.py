@@ -9,7 +9,7 @@ from small_knee import small_knee, small_protocol
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import Laxity, read_laxity
 from identknee.mechanics.grood_suntay import coordinates_from_pose
-from identknee.model.candidate_laxity import CandidateLaxity, offered_trials
+from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import measured_poses, poses_of, strains_as_measured
 from identknee.runs.outcome import Outcome
@@ -111,7 +111,7 @@ def test_offered_trials_have_the_equilibria_of_paths_from_the_scanned_pose() -> 
         protocol=concatenate([made, new]),
         sd=np.ones(5),
         free=model.parameters.with_fixed((), theta),
-    ).begun_at(theta)
+    ).with_start_poses(theta)
     scanned = LaxityModel(knee=small_knee(), protocol=small_protocol())
     assert offered.model.poses is not None
     np.testing.assert_array_equal(offered.model.poses[: made.n], model.poses)
@@ -122,11 +122,11 @@ def test_offered_trials_have_the_equilibria_of_paths_from_the_scanned_pose() -> 
 def test_angles_away_from_those_measured_are_not_offered() -> None:
     laxity = as_measured()
     model = begun(laxity)
-    new = offered_trials(model, laxity.protocol).flexion_deg[laxity.n :]
+    new = offered_laxity(model, laxity.protocol).flexion_deg[laxity.n :]
     assert laxity.protocol.flexion_deg.max() < 15.0
     assert set(new.tolist()) == {0.0, 15.0}
     scanned = replace(model, poses=None)
-    assert offered_trials(scanned, laxity.protocol).flexion_deg.max() == 120.0
+    assert offered_laxity(scanned, laxity.protocol).flexion_deg.max() == 120.0
 
 
 def test_a_cell_not_measured_is_that_of_the_trial_nearest_in_flexion() -> None:

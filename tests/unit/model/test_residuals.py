@@ -11,7 +11,7 @@ from tolerances import DIFFERENCE
 from identknee.laxity.noise import add_noise
 from identknee.laxity.rmse import relative_to_unloaded
 from identknee.laxity.table import Laxity
-from identknee.model import joint
+from identknee.model import contact_geometry as joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array

@@ -3,9 +3,9 @@ import pytest
 from common.largest import largest_by
 
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.scenarios import load_scenarios
-from identknee.model.parameter_error import parameter_error
-from identknee.report.comparison import spread
+from identknee.laxity.trial_words import load_scenarios
+from identknee.report.tables import spread
+from identknee.verbs.demo import parameter_error
 
 REFERENCE = [10.0, 18.0, 6.0, 8.3, 8.0, -4.0, 2.0, 4.0]
 IG4 = [8.0, 8.0, 8.0, 8.0, 4.0, 4.0, 4.0, 4.0]

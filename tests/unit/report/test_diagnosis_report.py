@@ -26,7 +26,7 @@ from identknee.report.diagnosis_figures import (
     residual_curves_figure,
     residuals_figure,
 )
-from identknee.report.picture import png
+from identknee.report.figures import png
 from identknee.runs.array_groups import groups_of
 from identknee.runs.plain_records import summary_of
 from identknee.subject.insertion_sites import name_of_place

@@ -3,7 +3,7 @@
 import numpy as np
 
 from identknee.report.equivalents_figures import ranges_figure, sets_figure
-from identknee.report.picture import png
+from identknee.report.figures import png
 
 
 def test_figures_are_drawn() -> None:

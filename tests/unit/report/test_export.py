@@ -15,9 +15,7 @@ import pytest
 
 import identknee as ik
 from identknee.model.laxity_model import LaxityModel
-from identknee.report.export import export_knee
-from identknee.report.vtk_poses import write_poses
-from identknee.runs.vtk_files import TYPES
+from identknee.report.export import TYPES, export_knee, write_poses
 from identknee.subject.knee import Knee
 
 # Of a compartment's force, that of its triangles against that of the contact points.

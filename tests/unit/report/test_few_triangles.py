@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from identknee.report.page.few_triangles import few_triangles
+from identknee.report.page.viewer import few_triangles
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface
 

@@ -16,7 +16,7 @@ from figure_checks import (
 )
 from matplotlib.figure import Figure
 
-from identknee.report.page.drawing import Drawing
+from identknee.report.drawing import Drawing
 from identknee.report.page.page import report_drawings
 from identknee.report.page.results import found_results
 from identknee.report.page.svg import inline_svg

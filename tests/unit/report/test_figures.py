@@ -13,7 +13,7 @@ from common.paper_figures import (
 from common.published import TABLE2
 from matplotlib.figure import Figure
 
-from identknee.report.picture import png, vector
+from identknee.report.figures import png, vector
 
 TRUTH = np.array([10.0, 18.0, 8.0, -4.0])
 STARTS = ("IG1", "IG4")

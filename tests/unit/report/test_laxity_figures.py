@@ -8,13 +8,13 @@ from report_folders import few_trials
 from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
+from identknee.report.figures import vector
 from identknee.report.laxity_figures import (
     LaxityCurves,
     all_coordinates_figure,
     along_load_figure,
     by_flexion_figure,
 )
-from identknee.report.picture import vector
 
 INTERNAL = COORDINATES.index("internal_deg")
 

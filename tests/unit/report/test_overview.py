@@ -10,11 +10,20 @@ from diagnoses import FRAME, answered
 from report_folders import few_trials, profile_folder, straight_profiles
 
 from identknee.identify.profile.result import ProfileVerdict
-from identknee.report.overview.agreement import Relation, agreement, reasons, relation
-from identknee.report.overview.overview import Tone, overview
-from identknee.report.overview.ranges import Range, Source, ranges_of
-from identknee.report.overview.searches import disagreement, is_beaten, searches_sentences
+from identknee.report.overview import (
+    Relation,
+    Tone,
+    agreement,
+    disagreement,
+    has_better_fit,
+    overview,
+    ranges_of,
+    reasons,
+    relation,
+    searches_sentences,
+)
 from identknee.report.page.results import by_subject, found_results
+from identknee.report.range import Range, Source
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnose import untestable
@@ -190,15 +199,15 @@ def test_a_fit_is_beaten_by_one_of_the_same_data_that_leaves_less(fitted: Calibr
         return replace(fitted, rmse=rmse)
 
     one = left(0.5, 0.8)
-    assert is_beaten(one, [left(0.5, 0.8), left(0.4, 0.7)])
-    assert not is_beaten(one, [one, left(0.4, 0.9), left(0.49999, 0.79999)])
+    assert has_better_fit(one, [left(0.5, 0.8), left(0.4, 0.7)])
+    assert not has_better_fit(one, [one, left(0.4, 0.9), left(0.49999, 0.79999)])
     # Angles alone were measured.
-    assert is_beaten(left(np.nan, 0.8), [left(np.nan, 0.7)])
+    assert has_better_fit(left(np.nan, 0.8), [left(np.nan, 0.7)])
     # It rests on fewer trials, or on none.
-    assert not is_beaten(one, [left(0.4, 0.7, n_compared=3)])
-    assert not is_beaten(left(np.nan, np.nan, n_compared=0), [one])
+    assert not has_better_fit(one, [left(0.4, 0.7, n_compared=3)])
+    assert not has_better_fit(left(np.nan, np.nan, n_compared=0), [one])
     others = replace(fitted.data, coordinates=fitted.data.coordinates + 0.1)
-    assert not is_beaten(one, [replace(left(0.4, 0.7), data=others)])
+    assert not has_better_fit(one, [replace(left(0.4, 0.7), data=others)])
 
 
 def test_many_fits_are_one_paragraph(fitted: Calibration) -> None:

@@ -22,7 +22,7 @@ from report_folders import (
 
 from identknee.report.page.page import report_drawings, report_html
 from identknee.report.page.results import by_subject, found_results
-from identknee.report.page.scenes import scene_of
+from identknee.report.page.viewer import scene_of
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnose import untestable
@@ -275,4 +275,4 @@ def test_a_result_that_could_not_be_had_is_still_reported(tmp_path: Path) -> Non
     page = report_html(found_results(tmp_path))
     assert 'class="verdict open"' in page
     assert "Why the model could not be tested" in page
-    assert "The data cannot say whether the model gets anything wrong. The data state no" in page
+    assert "The data cannot decide whether the model misfits. The data state no" in page

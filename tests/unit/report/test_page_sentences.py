@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from report_folders import straight_profiles, write_given
 
-from identknee.diagnosis.candidates import Visibility
+from identknee.diagnosis.candidates import Detectability
 from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
 from identknee.report.answers.fit import fit_statements
 from identknee.report.answers.isolability import isolability_statements
 from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
-from identknee.report.page.warnings import warnings
+from identknee.report.page.subject_part import warnings
 from identknee.report.statement import Question
 from identknee.runs.findings import finding
 from identknee.subject.reference import reference_knee
 from identknee.verbs.fit import fit
-from identknee.verbs.isolability import Confused, Isolability
+from identknee.verbs.isolability import ConfusableCauses, Isolability
 from identknee.verbs.simulate import simulate
-from identknee.verbs.trials import AdvisedTrial
+from identknee.verbs.values import AdvisedTrial
 
 
 def profile(
@@ -80,8 +80,8 @@ def test_known_and_unknown_stand_in_one_sentence() -> None:
     assert said == (
         "At 95 % confidence the data bound 1 of the 3 ligament parameters on both "
         "sides. The ACL's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN). "
-        "The band's has no upper limit (at least 6 kN). The LCL's is not known: "
-        "these data bound it on neither side."
+        "The band's has no upper limit (at least 6 kN). The LCL's is not determined: the data "
+        "bound it on neither side."
     )
 
 
@@ -93,10 +93,13 @@ def test_an_end_that_only_the_model_makes_is_said_to_be_open() -> None:
         upper=(SideStatus.OPEN_AT_FEASIBILITY, 25.438),
     )
     (statement,) = parameter_statements([cut])
-    assert "has no upper limit (at least 14.9 kN; the model ends at 25.4 kN)" in statement.sentence
+    assert (
+        "has no upper limit (at least 14.9 kN; the model has no equilibrium beyond 25.4 kN)"
+        in statement.sentence
+    )
     assert "do not bound the PCL's stiffness on both sides" in statement.sentence
     (table,) = statement.tables
-    assert table.rows[0][3] == "open, the model ends at 25.44"
+    assert table.rows[0][3] == "open, no equilibrium beyond 25.44"
 
 
 def test_of_many_the_best_and_all_open_ones_are_named() -> None:
@@ -166,12 +169,12 @@ def test_a_start_that_failed_is_not_called_a_fit() -> None:
 def test_a_plan_says_what_it_could_not_tell_apart() -> None:
     trial = AdvisedTrial(trial="a", flexion_deg=90.0, anterior_force_N=-134.0)
     seen = {
-        name: Visibility(
+        name: Detectability(
             name=name, parameter="k", unit="kN", detectable=np.inf, relevant=0.2, power=0.05
         )
         for name in "ab"
     }
-    group = Confused(
+    group = ConfusableCauses(
         effects=("a", "b"), distance=2.0, distance_with_advised_trials=7.0, advised_trials=(trial,)
     )
     answer = Isolability(
@@ -187,10 +190,11 @@ def test_a_plan_says_what_it_could_not_tell_apart() -> None:
     )
     plan, advice = isolability_statements(answer)
     assert plan.sentence == (
-        "The 63 trials of seed63 could not tell all causes apart. These look alike: a and b."
+        "The 63 trials of seed63 could not distinguish all causes. These are confounded: a and b."
     )
     assert plan.tables[0].texts()[0] == ["a", "not detectable", "0.2 kN", "b"]
     assert advice.sentence == (
-        "One more trial (posterior force of 134 N at 90 deg of flexion) would help to tell them "
-        "apart. The two most alike would then be 7.0 and not 2.0 units of noise apart."
+        "One more trial (posterior force of 134 N at 90 deg of flexion) would help to distinguish "
+        "them "
+        "apart. The two closest would then be 7.0 and not 2.0 units of noise apart."
     )

@@ -7,7 +7,7 @@ from problems import ClosedForm, linear, plain_parameters
 from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile
-from identknee.report.picture import png
+from identknee.report.figures import png
 from identknee.report.profile_figures import (
     LEVELS,
     intervals_figure,

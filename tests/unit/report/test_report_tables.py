@@ -3,12 +3,12 @@ import pytest
 from common.published import TABLE2, TABLE5
 from common.rows_of_paper import error_table, laxity_table, start_table
 
-from identknee.report.comparison import spread
 from identknee.report.tables import (
     Column,
     Table,
     filled,
     median_range,
+    spread,
 )
 
 SMALL = Table(

@@ -3,7 +3,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from identknee.report.picture import png
+from identknee.report.figures import png
 from identknee.report.scene import PIECES, scene, view_from
 from identknee.runs.arrays import Array
 from identknee.subject.frames import Frame

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from identknee.report.picture import png
+from identknee.report.figures import png
 from identknee.report.sweep_figures import start_end_figure, waterfall_figure
 
 NAMES = ("A.stiffness_kN", "B.stiffness_kN", "A.reference_strain_pct", "B.reference_strain_pct")

@@ -10,13 +10,13 @@ import pytest
 from posed_knees import NAMES, posed_reference
 
 from identknee.laxity.protocol import Protocol, load_protocol
+from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.contact_places import contact_places
+from identknee.mechanics.contact_points import contact_places
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
-from identknee.report.page.knee_scene import load_words
 from identknee.report.page.viewer import KneeScene, model_scene, viewer_html
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
@@ -188,6 +188,6 @@ def test_fragment_asks_for_nothing_from_elsewhere(scene: KneeScene) -> None:
 
 
 def test_loads_in_words() -> None:
-    assert load_words(90.0, np.zeros(5)) == "Flexion 90°, unloaded"
-    both = load_words(12.5, np.array([5.0, 0.0, -100.0, 0.0, 0.0]))
+    assert setting_words(90.0, np.zeros(5)) == "Flexion 90°, unloaded"
+    both = setting_words(12.5, np.array([5.0, 0.0, -100.0, 0.0, 0.0]))
     assert both == "Flexion 12.5°, internal moment 5 N·m and posterior force 100 N"

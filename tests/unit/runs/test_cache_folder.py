@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from identknee.runs.cache_folder import cache_folder
+from identknee.runs.files import cache_folder
 
 
 def test_the_cache_is_where_the_environment_says(

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from identknee.mechanics.ligament_law import tension
+from identknee.mechanics.elements import tension
 from identknee.runs.compiling import compiled, compiled_folder
 
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.runs.dask_executor import dask_cluster
-from identknee.runs.executors import Executor, WorkerDied, spawn_seeds
+from identknee.runs.executors import Executor, WorkerTerminated, dask_cluster, spawn_seeds
 from identknee.runs.store import resumable_map
 
 WHY = "the extra `cluster` is not installed"
@@ -63,7 +62,7 @@ def test_an_error_comes_back_as_it_was(cluster: Executor) -> None:
 def test_a_dead_worker_is_a_sentence() -> None:
     with (
         dask_cluster(1) as executor,
-        pytest.raises(WorkerDied, match=r"worker of the dask cluster died .* memory"),
+        pytest.raises(WorkerTerminated, match=r"worker of the dask cluster died .* memory"),
     ):
         resumable_map(die, [1], executor=executor)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from killed import is_running
 
+from identknee.runs.crash_report import are_warnings_redirected, warnings_to_log
 from identknee.runs.executors import process_pool, serial, spawn_seeds, threads
-from identknee.runs.unforeseen import are_warnings_logged, warnings_logged
 
 
 def draw(seed: np.random.SeedSequence) -> tuple[float, ...]:
@@ -34,13 +34,13 @@ def test_every_executor_gives_the_same_bits_in_the_same_order() -> None:
 
 
 def has_log(_: int) -> bool:
-    return are_warnings_logged()
+    return are_warnings_redirected()
 
 
 def test_warnings_of_workers_go_where_those_of_the_parent_go() -> None:
     with process_pool(2) as executor:
         assert list(executor.map(has_log, [0])) == [False]
-    with warnings_logged(), process_pool(2) as executor:
+    with warnings_to_log(), process_pool(2) as executor:
         assert list(executor.map(has_log, [0])) == [True]
 
 

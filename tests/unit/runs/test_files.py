@@ -12,9 +12,9 @@ from identknee.runs.errors import InputError
 from identknee.runs.files import (
     check_readable,
     digest,
-    part_beside,
     plain,
     prepare_folder,
+    temporary_path_beside,
     write_atomically,
     write_json,
 )
@@ -154,7 +154,7 @@ def test_parts_of_a_killed_process_go_and_those_of_a_living_one_stay(tmp_path: P
         process.wait()
     dead = tmp_path / f".result.nc.{process.pid}-0123abcd.part"
     folder = tmp_path / f".subject.{process.pid}-0123abc_.part"
-    living = part_beside(tmp_path / "result.nc")
+    living = temporary_path_beside(tmp_path / "result.nc")
     other = tmp_path / ".something.part"
     folder.mkdir()
     for path in (dead, folder / "a.ply", living, other):

@@ -12,8 +12,8 @@ from identknee.runs.finding_kinds import KINDS
 from identknee.runs.findings import (
     Finding,
     Severity,
+    by_severity,
     finding,
-    gravest_first,
     invalidating,
     without_repeats,
 )
@@ -116,6 +116,6 @@ def test_severity_then_the_order_of_kinds_decides_and_repeats_go() -> None:
     again = finding("too-few-values", "data", {"n_values": 2}, sentence="Few, too.")
     sign = finding("moves-against-load", "data", {"coordinate": "varus_deg"}, sentence="Wrong.")
     given = (rim, few, again, bound, other, sign)
-    assert gravest_first(given) == [sign, bound, other, few, again, rim]
+    assert by_severity(given) == [sign, bound, other, few, again, rim]
     assert without_repeats(given) == (sign, bound, other, few, rim)
     assert invalidating(given) == "Wrong."

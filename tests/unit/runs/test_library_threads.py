@@ -7,8 +7,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import identknee as ik
-from identknee.runs.executors import process_pool
-from identknee.runs.library_threads import LIBRARY_THREADS, one_library_thread
+from identknee.runs.executors import LIBRARY_THREADS, one_library_thread, process_pool
 
 
 def blas_threads(_: int = 0) -> int:

@@ -162,6 +162,6 @@ def test_a_part_may_know_its_costs_better_than_the_plan(monkeypatch: pytest.Monk
 def test_time_left_goes_down_within_an_item(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    left = module._Left(50.0)
+    left = module._TimeLeftColumn(50.0)
     now[0] = 20.0
     assert str(left) == "about 30 s left"

@@ -16,7 +16,7 @@ import pytest
 
 from identknee.runs import store as resume
 from identknee.runs.errors import InputError
-from identknee.runs.executors import WorkerDied, process_pool, threads
+from identknee.runs.executors import WorkerTerminated, process_pool, threads
 from identknee.runs.outcome import Outcome
 from identknee.runs.store import finish_work, open_work, resumable_map
 
@@ -129,7 +129,9 @@ def test_a_dead_worker_is_a_sentence_and_what_was_done_is_kept(tmp_path: Path) -
     with open_work(tmp_path / "work.sqlite", ABOUT) as store:
         with (
             process_pool(2) as executor,
-            pytest.raises(WorkerDied, match=r"fewer workers\. What .* kept .* same command") as e,
+            pytest.raises(
+                WorkerTerminated, match=r"fewer workers\. What .* kept .* same command"
+            ) as e,
         ):
             resumable_map(die, list(range(6)), executor=executor, store=store, name="s")
         assert "memory" in str(e.value)

@@ -11,8 +11,8 @@ from identknee.runs.schema import (
     Fault,
     Number,
     Part,
+    custom_message,
     number,
-    otherwise,
     read_json,
     read_toml,
     refusal,
@@ -24,7 +24,7 @@ from identknee.runs.schema import (
 
 class Inner(Part):
     size: Number
-    names: Annotated[list[str], otherwise("{} is no list of names", "Write a list.")] = []  # noqa: RUF012
+    names: Annotated[list[str], custom_message("{} is no list of names", "Write a list.")] = []  # noqa: RUF012
 
 
 class Outer(Part):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from identknee.runs.arrays import IntArray
 from identknee.runs.errors import InputError
 from identknee.runs.findings import Severity
-from identknee.subject.check import GeometryFinding, check_geometry, unusable
+from identknee.subject.check import GeometryFinding, check_geometry, fatal_geometry_findings
 from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.frames import Frame
 from identknee.subject.knee import Knee, Landmark, Side
@@ -173,12 +173,14 @@ def test_errors_come_first_and_forbid_use(knee: Knee) -> None:
     wrong = replace(knee, femur=femur, ligaments=(odd,))
     findings = check_geometry(wrong)
     assert [x.severity for x in findings[:2]] == [Severity.ERROR, Severity.WARNING]
-    assert [x.line for x in unusable(wrong)] == [findings[0].line]
+    assert [x.line for x in fatal_geometry_findings(wrong)] == [findings[0].line]
     assert findings[0].where == "femur"
 
 
 def test_exchanged_plateaus(knee: Knee) -> None:
-    assert [x.where for x in unusable(replace(knee, tibia=knee.tibia[::-1]))] == ["side"]
+    assert [x.where for x in fatal_geometry_findings(replace(knee, tibia=knee.tibia[::-1]))] == [
+        "side"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -190,7 +192,7 @@ def test_exchanged_plateaus(knee: Knee) -> None:
 )
 def test_impossible_ligament(knee: Knee, changes: dict[str, object], code: str) -> None:
     odd = replace(knee.ligaments[0], **changes)  # type: ignore[arg-type]
-    (finding,) = unusable(knee.with_ligaments([odd, *knee.ligaments[1:]]))
+    (finding,) = fatal_geometry_findings(knee.with_ligaments([odd, *knee.ligaments[1:]]))
     assert finding.code == code
     assert dict(finding.values) == changes
     assert finding.remedy
@@ -213,7 +215,7 @@ def test_exchanged_epicondyles_are_named_as_such(tmp_path: Path, side: Side) -> 
         path.write_text(changed, encoding="utf-8")
         return read_subject(tmp_path)
 
-    assert unusable(read("medial", "lateral")) == ()
+    assert fatal_geometry_findings(read("medial", "lateral")) == ()
     with pytest.raises(InputError, match="Exchange medial_epicondyle and lateral_epicondyle"):
         read("lateral", "medial")
     with pytest.raises(InputError, match="Write side = "):

@@ -12,7 +12,7 @@ from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Landmark, Side
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import Surface, read_surface, write_surface
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 PLACE = 1e-9  # mm; roundings of coordinates of several hundred mm
 AXES = """[frames.femur]

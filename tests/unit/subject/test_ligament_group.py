@@ -11,7 +11,7 @@ from identknee.runs.errors import InputError
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import KnownPose
 from identknee.subject.ligament import LigamentGroup
-from identknee.verbs.knee_digest import knee_digest
+from identknee.verbs.verb import knee_digest
 
 FRONT = LigamentGroup(name="cruciates", members=("front", "back"))
 

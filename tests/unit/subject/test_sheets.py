@@ -12,7 +12,7 @@ SQUARE = Surface(
 
 
 def test_a_sound_sheet() -> None:
-    assert sheets.count_turned_edges(SQUARE) == 0
+    assert sheets.count_inconsistent_edges(SQUARE) == 0
     assert sheets.count_shared_edges(SQUARE) == 0
     assert sheets.count_near_duplicates(SQUARE, 1e-3) == 0
     assert sheets.count_slivers(SQUARE, 1e-3) == 0
@@ -21,7 +21,7 @@ def test_a_sound_sheet() -> None:
 
 def test_turned_triangle() -> None:
     turned = Surface(vertices=SQUARE.vertices, faces=np.array([[0, 1, 2], [0, 3, 2]]))
-    assert sheets.count_turned_edges(turned) == 1
+    assert sheets.count_inconsistent_edges(turned) == 1
 
 
 def test_third_triangle_at_an_edge() -> None:

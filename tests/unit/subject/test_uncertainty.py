@@ -9,8 +9,8 @@ from small_knee import small_knee
 
 from identknee.runs.errors import InputError
 from identknee.subject.folder import read_subject, write_subject
-from identknee.subject.uncertainty import EXACTLY, StatedPrior, Uncertainty, with_stated
-from identknee.verbs.knee_digest import knee_digest
+from identknee.subject.uncertainty import EXACTLY, StatedPrior, Uncertainty, with_stated_uncertainty
+from identknee.verbs.verb import knee_digest
 
 TILTED = ((4.0, 1.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -43,11 +43,11 @@ def test_an_insertion_has_the_covariance_stated_for_it() -> None:
 
 def test_options_override_part_by_part() -> None:
     own = Uncertainty(insertions_mm=4.0, load_gain=0.1)
-    stated = with_stated(own, ["insertions=2mm,registration=2deg", "registration=3mm"])
+    stated = with_stated_uncertainty(own, ["insertions=2mm,registration=2deg", "registration=3mm"])
     assert stated == replace(own, insertions_mm=2.0, registration_deg=2.0, registration_mm=3.0)
-    assert with_stated(own, "none,load_gain=3%") == Uncertainty(load_gain=0.03)
-    assert with_stated(own, {"zero_mm": 0.3}) == replace(own, zero_mm=0.3)
-    assert with_stated(own, None) is with_stated(own, []) is own
+    assert with_stated_uncertainty(own, "none,load_gain=3%") == Uncertainty(load_gain=0.03)
+    assert with_stated_uncertainty(own, {"zero_mm": 0.3}) == replace(own, zero_mm=0.3)
+    assert with_stated_uncertainty(own, None) is with_stated_uncertainty(own, []) is own
 
 
 def test_every_part_is_told_as_uncertain_or_exact() -> None:
@@ -74,7 +74,7 @@ def test_every_part_is_told_as_uncertain_or_exact() -> None:
 )
 def test_what_cannot_be_meant_is_refused_with_the_remedy(text: str, why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        with_stated(EXACTLY, text)
+        with_stated_uncertainty(EXACTLY, text)
 
 
 @pytest.mark.parametrize(

@@ -2,40 +2,42 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
-from unittest.mock import patch
 
 import pytest
 from report_folders import KNEE, straight_profiles
 
+import identknee as ik
 from identknee.runs.array_groups import groups_of
 from identknee.runs.declare import declared, derived_entries, entries, entry
 from identknee.runs.errors import InputError
-from identknee.runs.plain_records import hints_of, record_within, summary_of
+from identknee.runs.plain_records import record_within, summary_of, type_hints_of
 from identknee.runs.record import record
-from identknee.verbs.documented import page_of_answers
-from identknee.verbs.files import ANSWERS, answer_class, load, write_answer
+from identknee.verbs import registry
+from identknee.verbs.files import load, write_answer
 from identknee.verbs.profile import Profiles
+from identknee.verbs.registry import Verb, verbs
 
 
 def classes(cls: type) -> Iterator[type]:
     yield cls
-    for hint in hints_of(cls).values():
+    for hint in type_hints_of(cls).values():
         kind, _ = record_within(hint)
         if kind is not None:
             yield from classes(kind)
 
 
-@pytest.mark.parametrize("verb", ANSWERS)
-def test_every_field_says_what_it_holds(verb: str) -> None:
-    for cls in classes(answer_class(verb)):
+@pytest.mark.parametrize("verb", verbs(), ids=lambda x: x.name)
+def test_every_field_says_what_it_holds(verb: Verb) -> None:
+    for cls in classes(verb.answer_class):
         known = entries(cls)
         assert set(known) == set(cls.__dataclass_fields__)  # type: ignore[attr-defined]
         for name, about in (known | derived_entries(cls)).items():
             where = f"{cls.__name__}.{name}"
             assert len(about.meaning) > 5, where
             assert not about.meaning.endswith("."), where
-            if hints_of(cls).get(name) in (float, float | None):
+            if type_hints_of(cls).get(name) in (float, float | None):
                 assert about.unit, f"{where} has no unit"
 
 
@@ -46,16 +48,20 @@ class Longer(Profiles):
     temperature: float = entry("Temperature of the laboratory", unit="deg C", default=21.5)
 
 
-def test_a_new_field_is_stored_loaded_and_documented(tmp_path: Path) -> None:
+def test_a_new_field_is_stored_loaded_and_documented(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Nothing but its declaration is needed."""
     made = straight_profiles()
     fields = {name: getattr(made, name) for name in entries(Profiles)}
     given = record("longer", {}, {"subject": KNEE}, 0).finish()
     answer = Longer(**{**fields, "temperature": 18.25, "record": given})
-    with patch.dict(ANSWERS, {"longer": f"{__name__}:Longer"}):
-        write_answer(tmp_path, answer)
-        again = load(tmp_path)
-        page = page_of_answers()
+    longer = Verb(name="longer", module=__name__, function="", answer="Longer")
+    monkeypatch.setattr(registry, "_VERBS", [*verbs(), longer])
+    monkeypatch.syspath_prepend(str(Path(ik.__file__).parents[1] / "docs"))
+    write_answer(tmp_path, answer)
+    again = load(tmp_path)
+    page = import_module("pages.answers").answer_reference_page()
     assert isinstance(again, Longer)
     assert again.temperature == 18.25
     assert "| `temperature` | deg C |  | json | Temperature of the laboratory |" in page

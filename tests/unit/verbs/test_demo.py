@@ -9,9 +9,9 @@ from identknee.calibrate.fit import Fit
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.report.answers.demo import exact_fit
-from identknee.report.picture import png
-from identknee.report.starts_figure import starts_figure
+from identknee.report.answers.demo import least_squares_sentence
+from identknee.report.figures import png
+from identknee.report.sweep_figures import starts_figure
 from identknee.runs.arrays import Array
 from identknee.runs.outcome import Outcome
 from identknee.subject.reference import reference_knee
@@ -79,6 +79,6 @@ def test_the_figure_has_a_dot_for_every_run(model: LaxityModel) -> None:
 
 def test_least_squares_that_missed_says_by_how_much(model: LaxityModel) -> None:
     missed, exact = (rows(model, [x])[1] for x in (0.5, 0.0))
-    said = exact_fit([exact, missed])
+    said = least_squares_sentence([exact, missed])
     assert said == "Least squares ends up to 0.5 kN from the true parameters."
-    assert "finds the true parameters from all 2 starts" in exact_fit([exact, exact])
+    assert "finds the true parameters from all 2 starts" in least_squares_sentence([exact, exact])

@@ -6,7 +6,7 @@ import numpy as np
 from diagnoses import FRAME, diagnosed
 
 from identknee.diagnosis.verdict import Verdict
-from identknee.verbs.diagnosis_rows import advice_findings
+from identknee.verbs.diagnosis import advice_findings
 
 
 def test_where_nothing_explains_the_misfit_repeats_are_asked_for() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 import identknee as ik
 from identknee.subject.effect_choice import EffectChoice
-from identknee.verbs.fitted_knee import as_fitted, fitted_knee
+from identknee.verbs.fitted_knee import fitted_knee, knee_as_fitted
 
 SAME = 1e-9  # mm and deg; the same simulation of the same numbers
 
@@ -30,14 +30,14 @@ def test_the_folder_that_a_fit_leaves_is_the_fitted_knee(tmp_path: Path) -> None
     knee = ik.example("reference")
     data = ik.simulate(knee, "drawer", {"ACL.stiffness_kN": 8.0}).laxity
     fit = ik.fit(knee, data, uncertain="insertions=2mm", priors=True, budget=20, out=tmp_path)
-    left, wanted = as_fitted(ik.read_subject(tmp_path / "fitted")), fitted_knee(knee, fit)
+    left, wanted = knee_as_fitted(ik.read_subject(tmp_path / "fitted")), fitted_knee(knee, fit)
     assert not left.effects
     for one, other in zip(left.ligaments, wanted.ligaments, strict=True):
         assert one.stiffness_kN == pytest.approx(other.stiffness_kN, rel=1e-12)
         assert one.reference_strain_pct == pytest.approx(other.reference_strain_pct, rel=1e-9)
         np.testing.assert_allclose(one.femur, other.femur, atol=SAME)
         np.testing.assert_allclose(one.tibia, other.tibia, atol=SAME)
-    assert as_fitted(knee) is knee
+    assert knee_as_fitted(knee) is knee
 
 
 def test_an_effect_of_the_knee_gets_its_amplitude() -> None:

@@ -9,7 +9,7 @@ from small_knee import as_read, small_knee
 import identknee as ik
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity
-from identknee.verbs.held_out import split
+from identknee.verbs.fit import split
 
 HELD = ["trial 2", "trial 7", "trial 9"]
 

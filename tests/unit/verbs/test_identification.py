@@ -10,7 +10,7 @@ import pytest
 from identknee.laxity.noise import add_noise
 from identknee.laxity.table import Laxity, read_laxity, write_laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.errors import NotComputed
+from identknee.runs.errors import NotComputable
 from identknee.runs.executors import serial
 from identknee.runs.findings import Severity
 from identknee.subject.reference import reference_knee
@@ -150,7 +150,7 @@ def test_no_prediction_names_the_trials(measured: Laxity, tmp_path: Path) -> Non
     start.write_text(slack, encoding="utf-8")
     bounds = [f"{x}.reference_strain_pct=-15:-14.9" for x in ("ACL", "PCL", "LCL", "MCL")]
     setup = identified(written(measured, tmp_path), start=str(start), bounds=bounds)
-    with pytest.raises(NotComputed, match="63 of 63 trials have none; flexion0_"):
+    with pytest.raises(NotComputable, match="63 of 63 trials have none; flexion0_"):
         best_fits(setup, seed=0, executor=serial)
 
 
@@ -161,7 +161,7 @@ def test_noise_to_be_estimated_without_a_prediction_is_no_mistake_of_the_input(
     start = tmp_path / "slack.toml"
     start.write_text(slack, encoding="utf-8")
     silent = written(replace(measured, sd=None), tmp_path)
-    with pytest.raises(NotComputed, match="63 of 63 trials have none; flexion0_"):
+    with pytest.raises(NotComputable, match="63 of 63 trials have none; flexion0_"):
         identified(silent, start=str(start))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray
 
-from identknee.verbs.posterior_draws import posterior_draws
+from identknee.verbs.sensitivity import posterior_draws
 
 
 def draws_file(folder: Path, group: xarray.Dataset, name: str = "posterior") -> Path:

@@ -13,9 +13,10 @@ import pytest
 import identknee as ik
 from identknee.runs.errors import InputError
 from identknee.verbs import diagnose
+from identknee.verbs import subject as subject_facts
 from identknee.verbs import verb as scaffold
 from identknee.verbs.answer import Answer
-from identknee.verbs.files import ANSWERS
+from identknee.verbs.registry import verb_named, verbs
 
 DRAWER = ik.load_protocol("drawer")
 LAXITY = ik.Laxity(protocol=DRAWER, coordinates=np.zeros((DRAWER.n, 5)))
@@ -24,7 +25,9 @@ OTHER = replace(LAXITY, coordinates=LAXITY.coordinates + 1.0)
 
 def function_of(verb: str) -> Callable[..., Answer]:
     """The function of the library that leaves results of this verb."""
-    places = (ik, diagnose, import_module(ANSWERS[verb].partition(":")[0]))
+    known = verb_named(verb)
+    assert known is not None
+    places = (import_module(known.module), diagnose, subject_facts)
     for x in (y for place in places for name in dir(place) if callable(y := getattr(place, name))):
         inner = getattr(x, "__wrapped__", None)
         if inner and getattr(inner, scaffold.RECORDED, (inner.__name__,))[0] == verb:
@@ -62,7 +65,7 @@ def changed(name: str, value: Any) -> Any:
 
 
 def cases() -> Iterator[tuple[str, str]]:
-    for verb in ANSWERS:
+    for verb in (x.name for x in verbs()):
         for name in inspect.signature(function_of(verb)).parameters:
             yield verb, name
 
@@ -76,10 +79,10 @@ def test_another_value_of_an_option_is_another_work(verb: str, option: str, tmp_
     if option == "out":
         after = before
     for arguments in (before, before):
-        with scaffold._run(function, arguments) as (run, _):
+        with scaffold._run(function, arguments) as (run, _, _):
             assert run.store is not None
     beside = {"out", "workers"} | getattr(function, scaffold.BESIDE, frozenset())
-    with scaffold._run(function, after) as (run, _):
+    with scaffold._run(function, after) as (run, _, _):
         if option in beside:
             assert run.store is not None
             return
@@ -94,6 +97,7 @@ def test_data_under_another_name_are_the_same_data(tmp_path: Path) -> None:
     for data in (first, second):
         with scaffold._run(function, arguments_of("profile") | {"data": data, "out": tmp_path}) as (
             run,
+            _,
             _,
         ):
             assert run.store is not None

@@ -12,13 +12,12 @@ from report_folders import write_given
 from identknee.identify.posterior.convergence import SampleOutcome, StopRule
 from identknee.identify.posterior.posterior import Posterior
 from identknee.identify.posterior.sample import sample
-from identknee.report.terminal import terminal_lines
+from identknee.report.printer import terminal_lines
 from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
 from identknee.runs.plain_records import summary_of, to_plain
 from identknee.verbs.files import load
-from identknee.verbs.sample import Sample, as_answer
-from identknee.verbs.sample_records import Nested
+from identknee.verbs.sample import Nested, Sample, as_answer
 
 LOST = finding("no-prediction", "trials", sentence="no prediction")
 

@@ -10,9 +10,9 @@ from report_folders import write_given
 
 from identknee.identify.sensitivity import FAILURE, Box, Sensitivity
 from identknee.identify.sensitivity_estimators import Index
-from identknee.laxity.scenarios import LaxityGroup
+from identknee.laxity.trial_words import LaxityGroup
 from identknee.model.parameters import ligament_parameters
-from identknee.report.terminal import terminal_lines
+from identknee.report.printer import terminal_lines
 from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
 from identknee.runs.plain_records import summary_of, to_plain

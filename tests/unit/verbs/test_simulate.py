@@ -55,7 +55,7 @@ def test_another_labs_trials_without_values_are_predicted_from_the_poses_of_the_
     np.testing.assert_allclose(found.coordinates[:2], model.simulate(found.theta).coordinates[:2])
     assert found.rmse is None
     assert found.assumptions[-1] == (
-        "These poses lie at 5 to 10 deg of flexion: what is said of trials far beyond (far) is "
+        "These poses lie at 5 to 10 deg of flexion: predictions of trials far beyond (far) is "
         "extrapolated."
     )
     with pytest.raises(InputError, match="no column holds a coordinate"):

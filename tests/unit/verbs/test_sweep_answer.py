@@ -13,7 +13,7 @@ from identknee.identify.cliffs import map_cliffs
 from identknee.identify.sweep import sobol_starts, sweep
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
-from identknee.report.terminal import terminal_lines
+from identknee.report.printer import terminal_lines
 from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
 from identknee.runs.plain_records import summary_of, to_plain

@@ -1,0 +1,336 @@
+"""Options of the verbs, each said once: command line, defaults and docstrings follow from it.
+
+An option is written as ``Annotated[type, option("What it does.")]`` on the parameter of a verb.
+Those that several verbs share stand here under a name.
+"""
+
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_origin, get_type_hints
+
+from identknee.laxity.named_trials import TrialsLike
+from identknee.laxity.table import Laxity
+from identknee.model.effects.effect import Effect
+from identknee.runs import executors as workers
+from identknee.runs.files import PathLike
+from identknee.subject.knee import Knee
+from identknee.subject.uncertainty import UncertainLike
+from identknee.verbs.values import BoundsLike, NoiseLike
+
+SubjectLike = Knee | PathLike
+LaxityLike = Laxity | PathLike
+REFERENCE = "reference"
+# The attribute of a function that holds its parameters with all that is said of them.
+IN_FULL = "__parameters_in_full__"
+ERRORS = "\n\nRaises\n------\n"
+ABOUT = "__description__"
+WIDTH = 92
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """What is said of a parameter of a verb.
+
+    Attributes
+    ----------
+    text
+        What it does, as the help of the command says it.
+    in_python
+        What only callers of the library need to know beside that.
+    flag
+        Its name on the command line, if that is not the one of the parameter.
+    metavar
+        What stands for its value in the help.
+    least
+        Smallest value.
+    typed
+        Type on the command line, if a function takes more.
+    given
+        What callers may give, if the verb gets what was read from it.
+    is_argument
+        Whether the command line takes it by its place.
+    is_typed
+        Whether the command line has it.
+    default
+        Its default, if it is declared by a `TypedDict`.
+    """
+
+    text: str
+    in_python: str = ""
+    flag: str = ""
+    metavar: str | None = None
+    least: float | None = None
+    typed: Any = None
+    given: Any = None
+    is_argument: bool = False
+    is_typed: bool = True
+    default: Any = None
+
+
+def option(text: str, flag: str = "", **more: Any) -> Option:
+    """An option of the command line with its dashes; see `Option`."""
+    return Option(text=text, flag=flag, **more)
+
+
+def argument(text: str, metavar: str, **more: Any) -> Option:
+    """An argument that the command line takes by its place; see `Option`."""
+    return Option(text=text, metavar=metavar, is_argument=True, **more)
+
+
+PROTOCOLS = (
+    "seed63, table2, drawer, a protocol (TOML file), or a laxity table (CSV file, or a subject "
+    "that has one)"
+)
+_A_PROTOCOL = "Or a `Protocol`."
+_A_TABLE = "The table of measured laxity, or the name of a subject that comes with one."
+
+Subject = Annotated[
+    Knee,
+    argument(
+        "A subject folder, or a name from: identknee subject list.",
+        "SUBJECT",
+        in_python="Or a `Knee`.",
+        typed=str,
+        given=SubjectLike,
+    ),
+]
+Data = Annotated[
+    Laxity,
+    argument(_A_TABLE, "DATA.csv", in_python="Or a `Laxity`.", typed=str, given=LaxityLike),
+]
+MaybeData = Annotated[
+    Laxity | None,
+    argument(
+        f"{_A_TABLE} Leave it out with --protocol.",
+        "DATA.csv",
+        in_python="Or a `Laxity`.",
+        typed=str | None,
+        given=LaxityLike | None,
+    ),
+]
+# What the laxity of a diagnosis is before it is read.
+GivenData = Annotated[LaxityLike | None, get_args(MaybeData)[1]]
+GivenSubject = Annotated[SubjectLike, get_args(Subject)[1]]
+Noise = Annotated[
+    NoiseLike,
+    option(
+        "Standard deviations of lengths and angles, such as 0.5mm,0.5deg. They replace the sd_ "
+        "columns of the data.",
+        in_python="A text, or two numbers in mm and deg.",
+        metavar="MM,DEG",
+        typed=str | None,
+    ),
+]
+Uncertain = Annotated[
+    UncertainLike,
+    option(
+        "How well the knee and the tests are known, as in insertions=2mm,registration=2deg, in "
+        "place of what the subject states; none if known exactly.",
+        in_python="A text, several, or sizes by name.",
+        metavar="NAME=SIZE,...",
+        typed=list[str] | None,
+    ),
+]
+Start = Annotated[
+    str,
+    option(
+        "Where fits start, and the values of parameters held by --fix: subject (its own values), "
+        "IG1 to IG4 of the paper, or a file ending in .toml."
+    ),
+]
+ExtraStart = Annotated[
+    str,
+    option(
+        "Where an extra fit of the plain model starts: IG1 to IG4 of the paper or a file ending in "
+        ".toml; subject for no extra fit."
+    ),
+]
+Candidates = Annotated[
+    Sequence[Effect] | None,
+    option("Causes to consider; the whole library if None.", is_typed=False),
+]
+Fixed = Annotated[
+    Sequence[str] | None,
+    option(
+        "Hold this parameter at its start, such as ACL.stiffness_kN.",
+        "--fix",
+        in_python="A list of names.",
+        metavar="NAME",
+    ),
+]
+Bounds = Annotated[
+    BoundsLike,
+    option(
+        "Bounds of a parameter, such as ACL.stiffness_kN=5:15, in place of the subject's own or "
+        "of 0 to 40 kN and -15 to 15 %.",
+        in_python="A list of texts, or pairs of numbers by name.",
+        metavar="NAME=LOW:HIGH",
+        typed=list[str] | None,
+    ),
+]
+Level = Annotated[float, option("Confidence level of the intervals, such as 0.95.")]
+Method = Annotated[
+    str,
+    option("The optimizer: least-squares, complex, genetic, particle-swarm, cma-es or annealing."),
+]
+LOAD_STEPS = option("Apply the load in small steps, or all at once as in the paper.")
+ProtocolName = Annotated[
+    TrialsLike,
+    option(f"The trials: {PROTOCOLS}.", in_python=_A_PROTOCOL, metavar="PROTOCOL", typed=str),
+]
+Within = Annotated[
+    float,
+    option(
+        "Uncertainty of the insertions, up to 8 mm. They are moved within it if trials have no "
+        "stable pose.",
+        metavar="MM",
+    ),
+]
+Seed = Annotated[int, option("Seed of all random numbers. It is stored with the result.", least=0)]
+Out = Annotated[
+    PathLike | None,
+    option(
+        "Folder for the results.",
+        in_python="Nothing is written if None.",
+        metavar="DIR",
+        typed=Path,
+    ),
+]
+Workers = Annotated[
+    workers.Workers,
+    option(
+        "Number of processor cores to work on, or the address of a dask scheduler such as "
+        "tcp://10.0.0.5:8786. The results do not depend on it.",
+        metavar="N",
+        typed=str,
+        default=1,
+    ),
+]
+
+
+class OutOption(TypedDict, total=False):
+    """Where results go: `Run.out`."""
+
+    out: Out
+
+
+class RunOptions(OutOption, total=False):
+    """Where results go and who computes them: `Run.out` and `Run.executor`."""
+
+    workers: Workers
+
+
+class KneeOptions(RunOptions, total=False):
+    """The same, and how well the subject is known, which its uncertainty then says."""
+
+    uncertain: Uncertain
+
+
+def trials_option(text: str, flag: str = "") -> Option:
+    """An option that names trials; the text ends where their kinds are listed."""
+    return option(
+        text.format(PROTOCOLS),
+        flag,
+        in_python=_A_PROTOCOL,
+        metavar="PROTOCOL",
+        typed=str | None,
+    )
+
+
+def parameters_in_full(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """All parameters of a verb that users give, annotated with their options, by name."""
+    known: dict[str, inspect.Parameter] | None = getattr(function, IN_FULL, None)
+    return known if known is not None else dict(_expanded(inspect.signature(function)))
+
+
+def _expanded(signature: inspect.Signature) -> Iterator[tuple[str, inspect.Parameter]]:
+    """The parameters; in place of ``**_: Unpack[...]`` those that its `TypedDict` declares."""
+    for name, own in signature.parameters.items():
+        if own.kind is not inspect.Parameter.VAR_KEYWORD:
+            yield name, own
+            continue
+        (declared,) = get_args(own.annotation)
+        for key, annotation in get_type_hints(declared, include_extras=True).items():
+            yield (
+                key,
+                inspect.Parameter(
+                    key,
+                    inspect.Parameter.KEYWORD_ONLY,
+                    default=option_of(annotation).default,
+                    annotation=annotation,
+                ),
+            )
+
+
+def option_of(annotation: Any) -> Option:
+    """What is said of a parameter with this annotation.
+
+    Raises
+    ------
+    TypeError
+        If nothing is.
+    """
+    found = [x for x in get_args(annotation)[1:] if isinstance(x, Option)]
+    if get_origin(annotation) is not Annotated or not found:
+        raise TypeError(f"nothing is said of an option of type {annotation}")
+    return found[0]
+
+
+def documented(function: Function) -> Function:
+    """The function with its options in signature and docstring, as users of the library see it."""
+    return explained(function, dict(_expanded(inspect.signature(function))))
+
+
+def explained(function: Function, parameters: Mapping[str, inspect.Parameter]) -> Function:
+    """The function with these parameters in signature and docstring."""
+    plain = [x.replace(annotation=_plain(x.annotation)) for x in parameters.values()]
+    back = inspect.signature(function).return_annotation
+    setattr(function, IN_FULL, parameters)
+    # Readers of a docstring are told plain types; those of the command line ask for the options.
+    function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        plain, return_annotation=back
+    )
+    function.__annotations__ = {x.name: x.annotation for x in plain} | {"return": back}
+    doc = inspect.cleandoc(function.__doc__ or "")
+    setattr(function, ABOUT, doc.partition(ERRORS)[0].partition("\n\n")[2])
+    function.__doc__ = _with_parameters(doc, parameters)
+    return function
+
+
+def description_of(function: Callable[..., Any]) -> str:
+    """What the docstring of a verb says beside its first line, in the words of the help."""
+    return str(getattr(function, ABOUT))
+
+
+def _plain(annotation: Any) -> Any:
+    said = option_of(annotation)
+    return get_args(annotation)[0] if said.given is None else said.given
+
+
+def _with_parameters(doc: str, parameters: Mapping[str, inspect.Parameter]) -> str:
+    """A docstring with its section of parameters, before that of errors."""
+    names = {
+        option_of(x.annotation).flag or f"--{name.replace('_', '-')}": name
+        for name, x in parameters.items()
+    }
+
+    def in_python(text: str) -> str:
+        """Options of the command line as parameters."""
+        text = re.sub(r"--[a-z][a-z-]*", lambda x: f"`{names.get(x[0], x[0])}`", text)
+        return re.sub(r"\bDATA\.csv", "`data`", re.sub(r"\bSUBJECT\b", "`subject`", text))
+
+    entries = []
+    for name, x in parameters.items():
+        said = option_of(x.annotation)
+        # Marks that reStructuredText would read as its own.
+        text = f"{said.text} {said.in_python}".strip().replace("*", "\\*")
+        text = in_python(re.sub(r"\b(\w+_)(?=\s)", r"``\1``", text))
+        entries.append(f"{name}\n{textwrap.indent(textwrap.fill(text, WIDTH), '    ')}")
+    section = "\n".join(["Parameters\n----------", *entries])
+    head, line, rest = doc.partition(ERRORS)
+    return f"{in_python(head)}\n\n{section}{line}{rest}\n"

@@ -1,0 +1,36 @@
+"""Who prints and draws answers: what stands above the verbs, given to them by the root package."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Printer(Protocol):
+    """What an answer is shown by."""
+
+    def full_text(self, answer: Any) -> str:
+        """All that the answer says."""
+
+    def short_text(self, answer: Any) -> str:
+        """What fits on a screen."""
+
+    def html(self, answer: Any) -> str:
+        """What a notebook shows."""
+
+    def figure(self, answer: Any, name: str | None) -> "Figure":
+        """A figure of that name, or the most telling one."""
+
+
+_given: list[Callable[[], Printer]] = []
+
+
+def set_printer(load: Callable[[], Printer]) -> None:
+    """Show answers by what `load` gives back, called when the first is to be seen."""
+    _given[:] = [load]
+
+
+def printer() -> Printer | None:
+    """What was given; None if nothing was."""
+    return _given[0]() if _given else None

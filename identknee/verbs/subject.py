@@ -1,0 +1,414 @@
+"""Whether a subject is sound, and whether its trials are stable."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Unpack
+
+from typing_extensions import override
+
+from identknee.checks.subject_checks import StabilityReport, check_stability
+from identknee.laxity.named_tables import TABLES
+from identknee.laxity.named_trials import TrialsLike, example_laxity, read_tests
+from identknee.model.insertion_moves import WITHIN, MovedInsertion, settle
+from identknee.model.model_for_tests import model_for_tests
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, derived, entry
+from identknee.runs.executors import executor_of, threads
+from identknee.runs.files import PathLike
+from identknee.runs.findings import Severity
+from identknee.subject.check import GeometryFinding, check_geometry
+from identknee.subject.examples import NAMED_SUBJECTS, opensim_file
+from identknee.subject.folder import example, write_subject
+from identknee.subject.knee import Knee
+from identknee.subject.opensim import import_opensim
+from identknee.verbs.answer import Answer
+from identknee.verbs.options import (
+    Out,
+    OutOption,
+    ProtocolName,
+    Seed,
+    Subject,
+    Within,
+    Workers,
+    argument,
+    documented,
+    option,
+    trials_option,
+)
+from identknee.verbs.verb import Run, recorded_as, verb, warm_up
+
+Bundles = Literal["separate", "merged"]
+ExportFitted = Annotated[
+    PathLike | None,
+    option(
+        "A result of fit, profile or simulate for SUBJECT, whose parameters the knee gets, or a "
+        "folder with several results.",
+        in_python="The latest fit counts most.",
+        metavar="DIR",
+        typed=Path | None,
+    ),
+]
+ExportOsim = Annotated[bool, option("Also write an OpenSim 4 model.")]
+ExportSource = Annotated[
+    PathLike | None,
+    option(
+        "The OpenSim model that SUBJECT was imported from: write a copy of it with the knee's "
+        "ligaments. Give lenhart2015 for the one that comes with identknee.",
+        metavar="FILE.osim",
+        typed=str | None,
+    ),
+]
+ExportVtk = Annotated[bool, option("Also write the knee in every trial, for ParaView and PyVista.")]
+ExportTrials = Annotated[
+    TrialsLike | None,
+    trials_option("The trials of --vtk: {}. If not given: those of the result, or drawer."),
+]
+
+
+class ExportOptions(OutOption, total=False):
+    """What an export was asked for, which the record of the call keeps."""
+
+    fitted: ExportFitted
+    osim: ExportOsim
+    source: ExportSource
+    vtk: ExportVtk
+    protocol: ExportTrials
+
+
+class ImportOptions(OutOption, total=False):
+    """What an import was asked for, which the record of the call keeps."""
+
+    osim: Annotated[Path, option("The model.")]
+    bundles: Annotated[str, option("How bundles are kept.")]
+
+
+@declared
+class LigamentFacts:
+    """A ligament as the subject has it."""
+
+    name: str = entry("Name of the ligament")
+    femur_mm: Array = array("Femoral insertion in the scanned pose", "axis", unit="mm")
+    tibia_mm: Array = array("Tibial insertion in the scanned pose", "axis", unit="mm")
+    reference_length_mm: float = entry("Length in the scanned pose", unit="mm")
+    stiffness_kN: float = entry("Stiffness per unit strain", unit="kN")  # noqa: N815 - the unit
+    reference_strain_pct: float = entry("Strain in the scanned pose", unit="%")
+
+
+@declared
+class VertexCounts:
+    """How finely the surfaces are drawn."""
+
+    femur: int = entry("Vertices of the femoral surface", unit="1")
+    tibia: tuple[int, ...] = entry("Vertices of the medial and the lateral tibial surface")
+
+
+@declared
+class SubjectFacts(Answer):
+    """A subject's surfaces and ligaments."""
+
+    subject: str = entry("Name of the subject")
+    side: str = entry("right or left")
+    n_vertices: VertexCounts = entry("Vertices of each surface")
+    ligaments: tuple[LigamentFacts, ...] = entry("The ligaments", rows="ligament", group="subject")
+
+    written: tuple[str, ...] = entry("Files written for other tools", default=())
+
+
+def subject_facts_of(knee: Knee) -> dict[str, Any]:
+    """The fields of `SubjectFacts` by name."""
+    return {
+        "subject": knee.name,
+        "side": knee.side,
+        "n_vertices": VertexCounts(
+            femur=len(knee.femur.vertices), tibia=tuple(len(x.vertices) for x in knee.tibia)
+        ),
+        "ligaments": tuple(
+            LigamentFacts(
+                name=x.name,
+                femur_mm=x.femur,
+                tibia_mm=x.tibia,
+                reference_length_mm=x.length,
+                stiffness_kN=x.stiffness_kN,
+                reference_strain_pct=x.reference_strain_pct,
+            )
+            for x in knee.ligaments
+        ),
+    }
+
+
+@verb
+@recorded_as("subject show")
+def describe_subject(_run: Run, subject: Subject, **_: Unpack[OutOption]) -> SubjectFacts:
+    """What a subject is made of."""
+    return SubjectFacts(**subject_facts_of(subject))
+
+
+@verb
+@recorded_as("subject export", secret=("written",))
+def exported_subject(
+    _run: Run,
+    subject: Subject,
+    *,
+    written: Annotated[Sequence[PathLike], option("Files for other tools.", is_typed=False)] = (),
+    **_: Unpack[ExportOptions],
+) -> SubjectFacts:
+    """What a subject is made of that was written to a folder, and the files for other tools."""
+    return SubjectFacts(**subject_facts_of(subject), written=tuple(map(str, written)))
+
+
+@documented
+def import_subject(
+    file: Annotated[
+        PathLike,
+        argument(
+            "An OpenSim/JAM model, or lenhart2015 for the one that comes with identknee.",
+            "FILE.osim",
+            typed=str,
+        ),
+    ],
+    *,
+    bundles: Annotated[
+        Bundles, option("Keep the bundles separate, or merge them to four single lines.")
+    ] = "separate",
+    out: Out = None,
+) -> SubjectFacts:
+    """The knee of an OpenSim model, written as a subject folder."""
+    knee = import_opensim(file, bundles=bundles)
+    return _import(knee, osim=opensim_file(file), bundles=bundles, out=out)
+
+
+@verb
+@recorded_as("subject import-osim")
+def _import(run: Run, subject: Subject, **_: Unpack[ImportOptions]) -> SubjectFacts:
+    if run.out is not None:
+        write_subject(subject, run.out)
+    return SubjectFacts(**subject_facts_of(subject))
+
+
+PROPOSAL = (
+    "The subject does not state how well it is known, so it is treated as exact. If you have no "
+    "better information"
+    "better, add to subject.toml: [uncertainty] insertions_mm = 2.0 (segmentation repeats to 1 to "
+    "4 mm), contact_modulus = 0.3, contact_exponent = 0.2 and toe_region = 0.2 (estimates: no law "
+    "of contact or of a toe region is exact)."
+)
+
+
+@declared
+class SubjectCheck(SubjectFacts):
+    """What is wrong with a subject, and how stable its trials are."""
+
+    findings: tuple[GeometryFinding, ...] = entry("What was found, the gravest first", default=())
+    stability: StabilityReport | None = entry(
+        "How stable the trials are; null where an error forbids to simulate them",
+        group="stability",
+        default=None,
+    )
+
+    @property
+    @derived("Findings that forbid any use", unit="1")
+    def n_errors(self) -> int:
+        """How many findings forbid any use."""
+        return self._count(Severity.ERROR)
+
+    @property
+    @derived("Findings that should be looked at", unit="1")
+    def n_warnings(self) -> int:
+        """How many findings should be looked at."""
+        return self._count(Severity.WARNING)
+
+    @property
+    @override
+    def refuses_input(self) -> bool:
+        """Whether a finding forbids any use."""
+        return self.n_errors > 0
+
+    def _count(self, severity: Severity) -> int:
+        return sum(x.severity is severity for x in self.findings)
+
+
+@verb
+@recorded_as("subject check")
+def check_subject(
+    run: Run,
+    subject: Subject,
+    *,
+    protocol: ProtocolName = "seed63",
+    samples: Annotated[
+        int, option("Number of parameter sets to draw from the ranges; 0 for none.", least=0)
+    ] = 200,
+    within: Within = WITHIN,
+    seed: Seed = 0,
+    workers: Workers = 1,
+    **_: Unpack[OutOption],
+) -> SubjectCheck:
+    """What is wrong with a subject, and how stable its trials are.
+
+    Checks surfaces, frames and ligaments, then the stability of the model under a protocol. It
+    does so at the parameters of the subject and in a range around them: stiffness by +-50 %,
+    reference strain by +-3 %. If trials have no stable pose, it says which insertions to move,
+    within their uncertainty. The exit code is 2 if there is an error.
+
+    Raises
+    ------
+    InputError
+        If subject or protocol cannot be read. What can be read but is wrong is a finding.
+    """
+    tests = read_tests(protocol)
+    findings, stability = check_geometry(subject), None
+    if not any(x.severity is Severity.ERROR for x in findings):
+        model = model_for_tests(subject, tests)
+        warm_up(subject, model.protocol)
+        run.start_clock()
+        with executor_of(workers, threads) as executor:
+            stability = check_stability(
+                model, n_samples=samples, within_mm=within, seed=seed, executor=executor
+            )
+        findings += stability.findings
+    return SubjectCheck(
+        **subject_facts_of(subject),
+        findings=findings,
+        stability=stability,
+        assumptions=(PROPOSAL,) if subject.uncertainty.is_exact else (),
+    )
+
+
+@declared
+class SettledSubject(Answer):
+    """A subject with insertions moved, and what that gained."""
+
+    subject: str = entry("Name of the subject")
+    n_trials: int = entry("Trials of the protocol", unit="1")
+    n_before: int = entry(
+        "Trials that converge with the insertions as given", unit="1", key="n_converged_before"
+    )
+    n_after: int = entry(
+        "Trials that converge with the insertions moved", unit="1", key="n_converged_after"
+    )
+    lowest_margin: float = entry(
+        "Lowest margin of the trials that converge then", unit="N/mm", key="lowest_margin_N_per_mm"
+    )
+    moved: tuple[MovedInsertion, ...] = entry("The insertions that moved")
+    ligaments: tuple[LigamentFacts, ...] = entry(
+        "The ligaments with the insertions moved", rows="ligament", group="subject"
+    )
+    knee: Knee | None = entry(
+        "The subject with its insertions moved; None where the answer was read from files",
+        is_in_json=False,
+        default=None,
+    )
+
+    @property
+    @override
+    def failure(self) -> str:
+        """Why the knee did not settle; empty where it did."""
+        if self.n_after == self.n_trials:
+            return ""
+        return (
+            f"{self.n_trials - self.n_after} of {self.n_trials} trials still do not converge; "
+            "allow more with --within, up to 8 mm, or correct the ligament parameters"
+        )
+
+
+@verb
+@recorded_as("subject settle")
+def settle_subject(
+    run: Run,
+    subject: Subject,
+    *,
+    protocol: ProtocolName = "seed63",
+    within: Within = WITHIN,
+    workers: Workers = 1,
+    **_: Unpack[OutOption],
+) -> SettledSubject:
+    """The subject with its insertions moved, within their uncertainty, until all trials converge.
+
+    They stay within their uncertainty. Writes a subject folder with the moved insertions, and says
+    how far each one moved. A moved insertion is no longer the one that was segmented. The exit
+    code is 1 if some trials still have no stable pose. Nothing is random.
+
+    Raises
+    ------
+    ValueError
+        If the distance is not between 0 and 8 mm.
+    """
+    model = model_for_tests(subject, read_tests(protocol))
+    warm_up(subject, model.protocol)
+    run.start_clock()
+    with executor_of(workers, threads) as executor:
+        found = settle(model, within_mm=within, executor=executor)
+    settled = replace(found.knee, name=f"{subject.name}_settled")
+    if run.out is not None:
+        write_subject(settled, run.out)
+    return SettledSubject(
+        subject=subject.name,
+        n_trials=found.n_trials,
+        n_before=found.n_before,
+        n_after=found.n_after,
+        lowest_margin=found.lowest_margin,
+        moved=found.moved,
+        ligaments=subject_facts_of(settled)["ligaments"],
+        knee=settled,
+    )
+
+
+@declared
+class NamedSubjectFacts:
+    """A knee that comes with identknee."""
+
+    name: str = entry("Word that stands for the knee wherever a subject is wanted")
+    side: str = entry("right or left")
+    ligaments: tuple[str, ...] = entry("Names of the ligaments")
+    source: str = entry("Where the knee comes from, as it is to be cited")
+    licence: str = entry("Licence, as an SPDX expression")
+    n_measured_trials: int = entry("Trials of measured laxity; 0 without", unit="1")
+    has_opensim_model: bool = entry("Whether the OpenSim model of the knee is there too")
+    description: str = entry("What the knee is")
+
+    @property
+    @derived("Whether the name also stands for a table of measured laxity")
+    def has_measured_laxity(self) -> bool:
+        """Whether the name also stands for a table of measured laxity."""
+        return self.n_measured_trials > 0
+
+
+@declared
+class NamedSubjects:
+    """The knees that come with identknee."""
+
+    subjects: tuple[NamedSubjectFacts, ...] = entry("The knees")
+
+    @override
+    def __str__(self) -> str:
+        """Each knee with its ligaments and its source."""
+        lines = []
+        for x in self.subjects:
+            n = x.n_measured_trials
+            laxity = f"{n} measured trials" if n else "no measured laxity"
+            lines += [
+                f"{x.name}: {x.side} knee, {laxity}, licence {x.licence}",
+                f"  {len(x.ligaments)} ligaments: {', '.join(x.ligaments)}",
+                f"  {x.source}",
+            ]
+        return "\n".join(lines)
+
+
+def list_subjects() -> NamedSubjects:
+    """The knees that come with identknee, with their sources and licences."""
+    found = []
+    for subject in NAMED_SUBJECTS:
+        knee = example(subject.name)
+        found.append(
+            NamedSubjectFacts(
+                name=subject.name,
+                side=knee.side,
+                ligaments=tuple(x.name for x in knee.ligaments),
+                source=subject.source,
+                licence=subject.licence,
+                n_measured_trials=example_laxity(subject.name).n if subject.name in TABLES else 0,
+                has_opensim_model=subject.opensim is not None,
+                description=knee.description,
+            )
+        )
+    return NamedSubjects(subjects=tuple(found))
