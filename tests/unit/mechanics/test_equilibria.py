@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evaluation import SCALE, Evaluator, random_parameters
+from energy_evaluation import SCALE, Evaluator, random_parameters
 from tolerances import CLOSED_FORM, DIFFERENCE, RESIDUAL_N
 
 from identknee.mechanics.contact_law import PRESSURE_MODULUS

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import oracle
 import pytest
-from evaluation import SCALE, Evaluator, ligaments_of, random_parameters
+from energy_evaluation import SCALE, Evaluator, ligaments_of, random_parameters
 from narrow_knee import narrow_knee
 from small_knee import small_knee, small_protocol
 from tolerances import DIFFERENCE, RESIDUAL_N, SAME_MARGIN, SAME_POSE

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from killed import is_running
+from killed_commands import is_running
 
 from identknee.runs.crash_report import are_warnings_redirected, warnings_to_log
 from identknee.runs.executors import process_pool, serial, spawn_seeds, threads
