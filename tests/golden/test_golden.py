@@ -4,7 +4,9 @@ After a change of words: `python -m pytest tests/golden tests/unit --golden` wri
 and the difference is read in the commit. Any test can keep a text with the fixture `golden`.
 """
 
+import re
 from collections.abc import Iterator
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,8 @@ from golden_texts import Golden
 
 from identknee.cli.app import app
 from identknee.cli.verb_command import WaitingCommand, command_of
+from identknee.report.page.page import report_html
+from identknee.report.page.results import found_results
 from identknee.report.printer import terminal_lines
 from identknee.verbs.files import load
 
@@ -35,6 +39,19 @@ COMMANDS = dict(_commands(typer.main.get_command(app)))  # type: ignore[arg-type
 @pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir()))
 def test_a_stored_result_says_what_it_said(verb: str, golden: Golden) -> None:
     golden(f"results/{verb}", "\n".join(terminal_lines(load(RESULTS / verb))))
+
+
+def _words(page: str) -> str:
+    """What a page says, one line an element; the record of how it was computed left out."""
+    said = re.sub(r"<(head|style|script|svg|pre)\b.*?</\1>", " ", page, flags=re.DOTALL)
+    said = re.sub(r"</?(span|a|em|b|strong|code|td|th|sup|sub)\b[^>]*>", " ", said)
+    lines = (" ".join(unescape(x).split()) for x in re.split(r"<[^>]+>", said))
+    return "\n".join(x for x in lines if x and "identknee 0." not in x)
+
+
+@pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir() if x.name != "check"))
+def test_the_page_of_a_stored_result_says_what_it_said(verb: str, golden: Golden) -> None:
+    golden(f"pages/{verb}", _words(report_html(found_results(RESULTS / verb))))
 
 
 @pytest.mark.parametrize("name", COMMANDS)
