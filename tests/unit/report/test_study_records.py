@@ -87,5 +87,5 @@ def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
 
 def test_unwritable_folder_is_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"file: a file stands"):
+    with pytest.raises(ValueError, match=r"file: a file"):
         write_record(tmp_path / "file" / "r.json", {})

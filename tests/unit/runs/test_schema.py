@@ -114,5 +114,5 @@ def test_toml_may_begin_with_the_mark_of_its_encoding(tmp_path: Path) -> None:
     path = tmp_path / "x.toml"
     path.write_bytes(b"\xef\xbb\xbfa = 1\n")
     assert read_toml(path) == {"a": 1}
-    with pytest.raises(InputError, match="more than the 1e-06 MB allowed"):
+    with pytest.raises(InputError, match="1e-06 MB"):
         read_toml(path, 1e-6)
