@@ -43,7 +43,7 @@ def test_order_and_further_ligaments_do_not_matter() -> None:
 
 def test_a_knee_without_the_four_is_told_what_is_missing() -> None:
     knee = ligament_parameters(["front", "ACL", "MCL"], [1.0] * 3, [0.0] * 3)
-    with pytest.raises(ValueError, match=r"IG1.*PCL, LCL") as error:
+    with pytest.raises(ValueError, match=r"IG1.*PCL.*LCL") as error:
         named_start("IG1", knee)
     assert "[front]\nstiffness_kN = 9.5" in str(error.value)
 
@@ -116,5 +116,5 @@ def test_bad_files_are_named_with_place_and_remedy(
 
 
 def test_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.toml.*no such"):
+    with pytest.raises(InputError, match=r"none\.toml.*such"):
         load_start(tmp_path / "none.toml", KNEE)

@@ -318,7 +318,7 @@ def _jacobian_with_prior(problem: Problem, prior_sd: Array) -> Array:
 def test_without_a_parameter_of_interest_there_is_nothing_to_design() -> None:
     problem = _linear()
     only = replace(problem, parameters=problem.parameters.as_nuisances())
-    with pytest.raises(ValueError, match="interest are fixed"):
+    with pytest.raises(ValueError, match="are fixed"):
         design(only, np.zeros(3), linear_trials(BLOCKS), n_trials=1)
 
 

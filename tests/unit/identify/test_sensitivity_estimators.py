@@ -188,5 +188,5 @@ def test_bad_designs_are_refused() -> None:
         saltelli_blocks(CUBE, 1000, seed=0)
     with pytest.raises(ValueError, match="2 trajectories, got 1"):
         morris_trajectories(CUBE, 1, seed=0)
-    with pytest.raises(ValueError, match="parameter 2 is 1 to 1"):
+    with pytest.raises(ValueError, match=r"parameter 2 .*1 to 1"):
         Box(lower=np.array([0.0, 1.0]), upper=np.array([1.0, 1.0]))

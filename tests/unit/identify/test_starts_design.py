@@ -65,7 +65,7 @@ def test_parameters_of_other_units_count_in_typical_steps() -> None:
 
 
 def test_bounds_without_room_are_named() -> None:
-    with pytest.raises(ValueError, match=r"x0\.value_pct.*x1\.value_pct.* 9"):
+    with pytest.raises(ValueError, match=r"x0\.value_pct.*x1\.value_pct.*\b9"):
         shell_starts(plain_parameters(2, -1.0, 1.0), 1, center=np.zeros(2), distances=[9.0])
 
 

@@ -203,7 +203,7 @@ def test_text_that_is_not_toml(tmp_path: Path) -> None:
 def test_unknown_names_get_the_closest_one() -> None:
     with pytest.raises(InputError, match=r"seed36: .* seed63\?"):
         load_protocol("seed36")
-    with pytest.raises(InputError, match=r"mine\.toml.*no such"):
+    with pytest.raises(InputError, match=r"mine\.toml.*such"):
         load_protocol("nowhere/mine.toml")
 
 
@@ -247,7 +247,7 @@ def test_protocol_checks_its_values(flexion: float, load: float, words: str) -> 
 
 @pytest.mark.parametrize("name", ["", " a", "a\nb"])
 def test_protocol_checks_its_names(name: str) -> None:
-    with pytest.raises(ValueError, match=r"a name|visible characters"):
+    with pytest.raises(ValueError, match=r"a name|visible"):
         protocol(name)
 
 

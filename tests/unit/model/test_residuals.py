@@ -135,7 +135,7 @@ def test_data_relative_to_the_unloaded_pose_ignore_a_shift(model: LaxityModel) -
 
 def test_data_relative_to_a_pose_they_lack_are_refused(model: LaxityModel, laxity: Laxity) -> None:
     relative = replace(laxity, zero="unloaded")
-    with pytest.raises(ValueError, match=r"'small'.*unloaded.*8 deg"):
+    with pytest.raises(ValueError, match=r"'small'.*unloaded.*8"):
         LaxityResiduals(model=model, laxity=relative)
 
 

@@ -112,7 +112,7 @@ def test_arrays_that_are_not_those_that_were_written(tmp_path: Path) -> None:
     content = bytearray((tmp_path / "result.nc").read_bytes())
     content[-1] ^= 1
     (tmp_path / "result.nc").write_bytes(content)
-    assert re.match(r"result\.nc: .*result\.json", refused(tmp_path))
+    assert re.match(r"result\.nc.*result\.json", refused(tmp_path))
 
 
 @pytest.mark.parametrize("verb", STORED)
@@ -166,7 +166,7 @@ def test_an_answer_with_a_code_that_means_nothing(tmp_path: Path) -> None:
         tree["optimization"] = data.assign(kind=data["kind"] + 99)
 
     folder = damaged(tmp_path, "sweep", change)
-    assert re.search(r"kind_codes: .*minimum, valley", refused(folder))
+    assert re.search(r"kind_codes.*minimum.*valley", refused(folder))
 
 
 @pytest.mark.parametrize(

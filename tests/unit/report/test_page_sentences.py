@@ -131,20 +131,20 @@ def test_what_was_taken_for_granted_is_on_the_page(tmp_path: Path) -> None:
 
 def test_stored_findings_stand_where_they_belong_and_lead(tmp_path: Path) -> None:
     findings = (
-        finding("moves-against-load", "data", sentence="A sign is wrong."),
-        finding("at-bound", "parameters", sentence="A bound decided."),
+        finding("moves-against-load", "data", sentence="Wrong sign."),
+        finding("at-bound", "parameters", sentence="At bounds."),
         finding("start-confirmed", "starts", sentence="Tried again."),
     )
     answer = replace(straight_profiles(), findings=findings)
     (found,) = found_results(write_given(tmp_path, "profile", answer))
     said = [(x.question, x.sentence, x.warning is not None) for x in warnings(found)]
     assert said == [
-        (Question.WRONG, "Error: A sign is wrong.", True),
-        (Question.WRONG, "Warning: A bound decided.", True),
+        (Question.WRONG, "Error: Wrong sign.", True),
+        (Question.WRONG, "Warning: At bounds.", True),
         (Question.SEARCH, "Tried again.", False),
     ]
     page = report_html([found])
-    assert page.index("A sign is wrong.") < page.index("Tried again.")
+    assert page.index("Wrong sign.") < page.index("Tried again.")
 
 
 def test_a_start_that_failed_is_not_called_a_fit() -> None:

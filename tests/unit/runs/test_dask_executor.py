@@ -62,7 +62,7 @@ def test_an_error_comes_back_as_it_was(cluster: Executor) -> None:
 def test_a_dead_worker_is_a_sentence() -> None:
     with (
         dask_cluster(1) as executor,
-        pytest.raises(WorkerTerminated, match=r"dask cluster died"),
+        pytest.raises(WorkerTerminated, match=r"dask.*died"),
     ):
         resumable_map(die, [1], executor=executor)
 

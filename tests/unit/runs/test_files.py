@@ -87,7 +87,7 @@ def test_prepare_folder_that_may_not_be_written(
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(Path, "touch", refuse)
-    with pytest.raises(InputError, match=r"\(permission denied\).*--out"):
+    with pytest.raises(InputError, match=r"permission denied.*--out"):
         prepare_folder(tmp_path)
 
 

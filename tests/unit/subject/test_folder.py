@@ -145,7 +145,7 @@ def test_an_unwritable_place(tmp_path: Path) -> None:
 def test_missing_subject(tmp_path: Path, name: str) -> None:
     assert "such subject" in refused(tmp_path / "subject")
     (tmp_path / "subject").mkdir()
-    assert "no subject.toml" in refused(tmp_path / name)
+    assert "subject.toml" in refused(tmp_path / name).removeprefix(str(tmp_path / name))
 
 
 def test_landmarks_instead_of_frames(edited: Callable[..., Path]) -> None:

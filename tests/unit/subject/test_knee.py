@@ -20,7 +20,7 @@ def knee() -> Knee:
 def test_lengths_and_names(knee: Knee) -> None:
     assert knee.reference_lengths.tolist() == [x.length for x in knee.ligaments]
     assert knee.ligament("PCL") is knee.ligaments[1]
-    with pytest.raises(ValueError, match=r"PLC.*ACL, PCL, LCL, MCL"):
+    with pytest.raises(ValueError, match=r"PLC.*ACL.*PCL.*LCL.*MCL"):
         knee.ligament("PLC")
 
 
@@ -33,7 +33,7 @@ def test_refuses(knee: Knee) -> None:
         replace(knee, tibia=knee.tibia[:1])
     with pytest.raises(ValueError, match=r"hip_centre.*finite"):
         Landmark(name="hip_centre", position=np.array([0.0, np.nan, 0.0]))
-    with pytest.raises(ValueError, match=r"contact_rounding_mm.*0\.15 mm, got 0\.2"):
+    with pytest.raises(ValueError, match=r"contact_rounding_mm.*0\.15.*0\.2"):
         replace(knee, contact_rounding_mm=0.2)
     assert MOST_CONTACT_ROUNDING == MOST_ROUNDING
 

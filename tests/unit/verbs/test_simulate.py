@@ -68,7 +68,7 @@ def test_the_trials_of_a_table_that_comes_with_identknee_go_by_its_name() -> Non
 
 
 def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"parameter 'ACL\.stiffness'"):
+    with pytest.raises(ValueError, match=r"'ACL\.stiffness'"):
         simulate(reference_knee(), load_protocol("drawer"), {"ACL.stiffness": 9.0})
 
 
