@@ -19,6 +19,7 @@ from identknee.runs import store as resume
 from identknee.runs.errors import InputError
 from identknee.runs.executors import WorkerTerminated, process_pool, threads
 from identknee.runs.outcome import Outcome
+from identknee.runs.record import versions
 from identknee.runs.store import finish_work, open_work, resumable_map
 
 ABOUT = {
@@ -228,7 +229,7 @@ def test_a_store_of_another_version_is_refused(
     with monkeypatch.context() as context:
         context.setattr(resume, "versions", lambda: {"identknee": "0.0.9"})
         open_work(path, ABOUT).close()
-    with pytest.raises(InputError, match=rf"0\.0\.9.*{re.escape(resume.versions()['identknee'])}"):
+    with pytest.raises(InputError, match=rf"0\.0\.9.*{re.escape(versions()['identknee'])}"):
         open_work(path, ABOUT)
 
 
