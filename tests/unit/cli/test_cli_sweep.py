@@ -83,6 +83,8 @@ def test_a_sweep_that_finds_nothing_is_not_computed(data: Path, tmp_path: Path) 
     words = ("--n-starts", 2, "--noise", "0.5mm,0.5deg", "--start", _slack_start(tmp_path))
     result = run("sweep", "reference", data, *words, *slack, "--out", tmp_path)
     assert result.exit_code == 1, result.output
+    found = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert "no-prediction" in {x["code"] for x in found["findings"]}
     assert "the start" in result.stderr
     assert summary(tmp_path)["kinds"] == {"start_failed": 2}
 
