@@ -158,7 +158,8 @@ def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
             distance = float(np.linalg.norm(getattr(new, bone) - getattr(old, bone)))
             assert distance == pytest.approx(distances.get((old.name, bone), 0.0), abs=1e-5)
             assert distance < 5.001
-    again = run("subject", "check", out, "--protocol", protocol, "--samples", "0")
+    words = ["--protocol", protocol, "--samples", "0", "--out", tmp_path / "again"]
+    again = run("subject", "check", out, *words)
     assert again.exit_code == 0, again.output
 
 
