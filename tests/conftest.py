@@ -9,6 +9,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from golden_texts import Golden, kept_text
 from hypothesis import HealthCheck, settings
 
 from identknee.laxity.protocol import load_protocol
@@ -62,6 +63,16 @@ def pytest_collection() -> Iterator[None]:
         gc.enable()
         gc.collect()
         gc.freeze()
+
+
+@pytest.fixture
+def golden(request: pytest.FixtureRequest) -> Golden:
+    """Called with a name and a text, which must be the one kept; ``--golden`` keeps it anew."""
+
+    def compare(name: str, text: str) -> None:
+        assert f"{text}\n" == kept_text(name, text if request.config.getoption("--golden") else "")
+
+    return compare
 
 
 @pytest.fixture(scope="session")

@@ -54,7 +54,7 @@ ON_PROTOCOL: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
 def found() -> dict[str, Any]:
     """What each verb says alone and on the cluster."""
     tests = Path(__file__).parents[1]
-    path = os.pathsep.join([str(tests.parent), str(tests)])
+    path = os.pathsep.join(str(x) for x in (tests.parent, tests, tests / "support"))
     done = subprocess.run(
         [sys.executable, __file__],
         env={**os.environ, "PYTHONPATH": path},

@@ -26,9 +26,10 @@ HAS_DASK = importlib.util.find_spec("distributed") is not None
 
 def test_every_executor_gives_the_same_fits_of_a_knee() -> None:
     tests = Path(__file__).parents[1]
+    path = os.pathsep.join(str(x) for x in (tests.parent, tests / "support"))
     done = subprocess.run(
         [sys.executable, __file__],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tests.parent), str(tests)])},
+        env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,
         check=False,

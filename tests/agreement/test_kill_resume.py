@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from killed import run_for
+from killed_commands import run_for
 from problems import Linear, plain_parameters
 
 from identknee.calibrate.fit import fit
@@ -49,7 +49,7 @@ def sweep(folder: Path, workers: int) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is of POSIX systems")
 def test_kills_at_random_moments_change_no_bit(tmp_path: Path) -> None:
     tests = Path(__file__).parents[1]
-    path = os.pathsep.join([str(tests.parent), str(tests)])
+    path = os.pathsep.join(str(x) for x in (tests.parent, tests, tests / "support"))
     environment = {**os.environ, "PYTHONPATH": path, "TMPDIR": str(tmp_path)}
     rng = np.random.default_rng(1)
     kept: list[int] = []

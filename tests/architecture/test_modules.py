@@ -1,9 +1,8 @@
-"""Modules are small, documented, and import no more than their part needs."""
+"""Modules are small and import no more than their part needs."""
 
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,18 +29,6 @@ def _tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
-
-
-def _public(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tuple[str, Definition]]:
-    """Public functions, classes and methods."""
-    for node in tree.body:
-        if isinstance(node, Definition) and not node.name.startswith("_"):
-            yield prefix + node.name, node
-            if isinstance(node, ast.ClassDef):
-                yield from _public(node, f"{prefix}{node.name}.")
-
-
 def test_no_module_is_long_without_a_reason() -> None:
     lengths = {_name(x): len(x.read_text(encoding="utf-8").splitlines()) for x in MODULES}
     long = {name for name, length in lengths.items() if length > MOST_LINES}
@@ -58,24 +45,6 @@ def test_no_function_is_long_without_a_reason() -> None:
                 if (node.end_lineno or 0) - first.lineno + 1 > MOST_LINES_OF_FUNCTION:
                     long.add(f"{_name(path)}:{node.name}")
     assert long == set(LONG_FUNCTIONS)
-
-
-@pytest.mark.parametrize("path", MODULES, ids=_name)
-def test_everything_public_has_a_docstring(path: Path) -> None:
-    tree = _tree(path)
-    assert ast.get_docstring(tree)
-    bare = [
-        name
-        for name, node in _public(tree)
-        if not ast.get_docstring(node) and not _is_overload_or_override(node)
-    ]
-    assert bare == []
-
-
-def _is_overload_or_override(node: Definition) -> bool:
-    return any(
-        isinstance(x, ast.Name) and x.id in ("overload", "override") for x in node.decorator_list
-    )
 
 
 @pytest.mark.parametrize("path", [x for x in MODULES if x.name == "__init__.py"], ids=_name)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from sentences import long_sentences
+from sentence_lengths import long_sentences
 
 from identknee.cli.app import app
 from identknee.cli.verb_command import WaitingCommand, command_of

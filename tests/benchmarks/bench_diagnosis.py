@@ -4,7 +4,7 @@ import argparse
 import time
 
 from knees import knee
-from rows import Measure, Row, median_of
+from requirement_rows import Measure, Row, median_of
 
 from identknee.blind.case import blind_case
 from identknee.diagnosis.investigation import investigate

@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 from fresh_process import run_fresh
-from rows import Row, median_of
+from requirement_rows import Row, median_of
 
 REPEATS = 3
 BUILD = """

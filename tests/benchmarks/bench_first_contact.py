@@ -8,7 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from rows import Row, median_of
+from requirement_rows import Row, median_of
 
 ROOT = Path(__file__).parents[2]
 REPEATS = 2

@@ -7,7 +7,7 @@ from unittest import mock
 
 import numpy as np
 from knees import DEFAULT, model
-from rows import Measure, Row, median_of
+from requirement_rows import Measure, Row, median_of
 
 from identknee.mechanics import kernel
 from identknee.mechanics.memory import N_EVALUATIONS, N_LISTINGS

@@ -4,7 +4,7 @@ import argparse
 import time
 
 from knees import model, noise_free
-from rows import Row, median_of
+from requirement_rows import Row, median_of
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.starts import named_start

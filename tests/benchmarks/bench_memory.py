@@ -3,7 +3,7 @@
 import argparse
 
 from fresh_process import run_fresh
-from rows import Row, median_of
+from requirement_rows import Row, median_of
 
 REPEATS = 3
 # Linux counts the peak in kB of 1024 bytes.

@@ -4,7 +4,7 @@ import argparse
 from dataclasses import replace
 
 from beside_peer import agreement, compared, peer_record
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 BAR = 35_000.0
 FLEXION_DEG = 0.0

@@ -4,7 +4,7 @@ import argparse
 import time
 
 from noisy_knees import NOISE, noisy
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 from identknee.identify.posterior.sample import sample
 from identknee.runs.executors import process_pool

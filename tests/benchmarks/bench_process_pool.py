@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from knees import model
-from rows import Row, median_of
+from requirement_rows import Row, median_of
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem

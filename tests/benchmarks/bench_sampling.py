@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from noisy_knees import noisy
 from problems import sloppy_springs
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
 from identknee.identify.posterior.convergence import StopRule

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 from knees import model, noise_free
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
 from identknee.identify.sweep import SweepSearches, shell_starts, split_into_tenths, sweep

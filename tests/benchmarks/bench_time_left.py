@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 import identknee as ik
 from identknee.runs import progress

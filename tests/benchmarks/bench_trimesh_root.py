@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from beside_peer import agreement, compared, peer_record
-from rows import Row
+from requirement_rows import Row
 
 BAR = 20_000.0
 TRIALS = 3

@@ -5,7 +5,7 @@ import time
 
 from knees import model, own_laxity
 from noisy_knees import NOISE, SEED
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 import identknee as ik
 from identknee.identify.posterior.sample import sample

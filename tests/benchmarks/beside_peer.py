@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from knees import knee
-from rows import Measure, median_of
+from requirement_rows import Measure, median_of
 
 from identknee.laxity.protocol import LOADS, Protocol, trial_name
 from identknee.model.laxity_model import LaxityModel

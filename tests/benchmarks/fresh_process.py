@@ -19,7 +19,7 @@ def run_fresh(code: str, cache: Path | None = None) -> tuple[dict[str, Any], flo
     environment = dict(os.environ)
     # Nobody compiles the sources at every start.
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    paths = [str(ROOT), str(ROOT / "tests"), environment.get("PYTHONPATH", "")]
+    paths = [str(ROOT), str(ROOT / "tests" / "support"), environment.get("PYTHONPATH", "")]
     environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
     if cache is not None:
         environment["IDENTKNEE_CACHE"] = str(cache)

@@ -3,9 +3,9 @@
 import sys
 from pathlib import Path
 
-sys.path += [str(Path(__file__).parents[1]), str(Path(__file__).parents[2] / "studies")]
+sys.path += [str(Path(__file__).parents[2] / x) for x in ("tests", "tests/support", "studies")]
 
-from rows import run
+from requirement_rows import run
 
 MODULES = {
     "kernel": "bench_kernel",

@@ -1,22 +1,26 @@
 """What stored results and the help of every command say, word by word.
 
-After a change of words: `python -m pytest tests/golden --golden` writes the texts anew, and the
-difference is read in the commit.
+After a change of words: `python -m pytest tests/golden tests/unit --golden` writes the texts anew,
+and the difference is read in the commit. Any test can keep a text with the fixture `golden`.
 """
 
+import re
 from collections.abc import Iterator
+from html import unescape
 from pathlib import Path
 
 import pytest
 import typer
+from golden_texts import Golden
 
 from identknee.cli.app import app
 from identknee.cli.verb_command import WaitingCommand, command_of
+from identknee.report.page.page import report_html
+from identknee.report.page.results import found_results
 from identknee.report.printer import terminal_lines
 from identknee.verbs.files import load
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "fuzz" / "results"
+RESULTS = Path(__file__).parents[1] / "fuzz" / "results"
 
 
 def _commands(
@@ -32,28 +36,27 @@ def _commands(
 COMMANDS = dict(_commands(typer.main.get_command(app)))  # type: ignore[arg-type]
 
 
-@pytest.fixture
-def compare(request: pytest.FixtureRequest) -> Iterator[list[tuple[Path, str]]]:
-    """Texts put into the list are those kept in files, or become them with ``--golden``."""
-    found: list[tuple[Path, str]] = []
-    yield found
-    for path, text in found:
-        if request.config.getoption("--golden"):
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        assert path.read_text(encoding="utf-8") == text
-
-
 @pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir()))
-def test_a_stored_result_says_what_it_said(verb: str, compare: list[tuple[Path, str]]) -> None:
-    text = "\n".join(terminal_lines(load(RESULTS / verb)))
-    compare.append((HERE / "results" / f"{verb}.txt", f"{text}\n"))
+def test_a_stored_result_says_what_it_said(verb: str, golden: Golden) -> None:
+    golden(f"results/{verb}", "\n".join(terminal_lines(load(RESULTS / verb))))
+
+
+def _words(page: str) -> str:
+    """What a page says, one line an element; the record of how it was computed left out."""
+    said = re.sub(r"<(head|style|script|svg|pre)\b.*?</\1>", " ", page, flags=re.DOTALL)
+    said = re.sub(r"</?(span|a|em|b|strong|code|td|th|sup|sub)\b[^>]*>", " ", said)
+    lines = (" ".join(unescape(x).split()) for x in re.split(r"<[^>]+>", said))
+    return "\n".join(x for x in lines if x and "identknee 0." not in x)
+
+
+@pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir() if x.name != "check"))
+def test_the_page_of_a_stored_result_says_what_it_said(verb: str, golden: Golden) -> None:
+    page = report_html(found_results(RESULTS / verb))
+    golden(f"pages/{verb}", _words(page).replace(str(RESULTS), "results"))
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_help_of_a_command_says_what_it_said(
-    name: str, compare: list[tuple[Path, str]]
-) -> None:
+def test_the_help_of_a_command_says_what_it_said(name: str, golden: Golden) -> None:
     """Its words, whatever the library that prints them makes of their places."""
     command = COMMANDS[name]
     lines = [command.help or "", command.epilog or ""]
@@ -62,4 +65,4 @@ def test_the_help_of_a_command_says_what_it_said(
         given = "" if option.default is None else f" [{option.default}]"
         names = ", ".join((*option.opts, *option.secondary_opts))
         lines.append(f"{names}{given}: {' '.join(words)}")
-    compare.append((HERE / "help" / f"{name.replace(' ', '-')}.txt", "\n".join(lines) + "\n"))
+    golden(f"help/{name.replace(' ', '-')}", "\n".join(lines))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from evaluation import central_difference
+from energy_evaluation import central_difference
 from hypothesis import given
 from hypothesis import strategies as st
 

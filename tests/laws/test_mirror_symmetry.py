@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluation import SCALE, Evaluator, ligaments_of, random_parameters
+from energy_evaluation import SCALE, Evaluator, ligaments_of, random_parameters
 from hypothesis import given
 from hypothesis import strategies as st
 from small_knee import small_knee, small_protocol

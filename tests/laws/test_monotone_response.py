@@ -1,7 +1,7 @@
 """More load, more displacement its way, as long as no branch ends."""
 
 import numpy as np
-from evaluation import SCALE, random_parameters
+from energy_evaluation import SCALE, random_parameters
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from evaluation import SCALE, ligaments_of
+from energy_evaluation import SCALE, ligaments_of
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from evaluation import SCALE
+from energy_evaluation import SCALE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tolerances import SAME_POSE

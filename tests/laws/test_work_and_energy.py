@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from evaluation import (
+from energy_evaluation import (
     SCALE,
     Evaluator,
     depths,

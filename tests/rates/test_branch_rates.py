@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from evaluation import SCALE, random_parameters
+from energy_evaluation import SCALE, random_parameters
 from tolerances import ORDER
 
 from identknee.laxity.protocol import Protocol

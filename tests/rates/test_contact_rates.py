@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evaluation import contact_energy, depths
+from energy_evaluation import contact_energy, depths
 from tolerances import ORDER
 
 from identknee.mechanics.contact_points import contact_points

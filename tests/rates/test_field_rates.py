@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from evaluation import field_values
+from energy_evaluation import field_values
 from tolerances import ORDER
 
 from identknee.mechanics.distance_field import DistanceField, build_field

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from blind_diagnoses import BlindTask, outcome_of
 from knees import knee
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 from work_store import work_store
 
 from identknee.blind.effects import LISTED, UNLISTED

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from blind_axes import AXES, PRIOR, TWICE
 from blind_diagnoses import BlindTask, outcome_of
-from rows import Measure, Row, commit
+from requirement_rows import Measure, Row, commit
 from verify_blind import (
     REAL,
     REFERENCE,

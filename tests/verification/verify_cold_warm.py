@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 from knees import model
-from rows import Measure, Row, largest_of
+from requirement_rows import Measure, Row, largest_of
 
 from identknee.checks.subject_checks import box_sample
 from identknee.model.laxity_model import LaxityModel

@@ -14,7 +14,7 @@ from complex_errors import (
     values,
 )
 from knees import model
-from rows import Measure, Row, largest_of, median_of
+from requirement_rows import Measure, Row, largest_of, median_of
 
 SEEDS = range(10)
 

@@ -9,7 +9,7 @@ from conformance.case import Tool
 from conformance.score import Grade, conformance_cases, run_conformance
 from conformance.tool import identknee_tool
 from conformance_tools import iminuit_tool, pypesto_tool
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 from transformed_cases import SHIFTABLE, transformed
 
 TOOLS: dict[str, Tool] = {

@@ -4,7 +4,7 @@ import argparse
 import time
 
 from planted_conventions import PLANTED, clean_table
-from rows import Measure, Row, median_of
+from requirement_rows import Measure, Row, median_of
 
 from identknee.checks.conventions import find_broken_convention
 

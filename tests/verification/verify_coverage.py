@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from coverage_replicates import DESIGNS, Design, design_model, noisy_problem, replicate
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 from scipy.stats import binomtest, chi2
 from work_store import work_store
 

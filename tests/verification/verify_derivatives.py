@@ -6,7 +6,7 @@ import numpy as np
 import oracle
 from knees import SCALE, anywhere, model, oracle_knee, trial_energy
 from oracle import State
-from rows import Row, largest_of
+from requirement_rows import Row, largest_of
 
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array

@@ -9,7 +9,7 @@ import argparse
 from collections import Counter
 
 from edge_replicates import edge_model, edge_replicate
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 from scipy.stats import binomtest
 from work_store import work_store
 

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 from knees import model, own_laxity
-from rows import Measure, Row, largest_of
+from requirement_rows import Measure, Row, largest_of
 from scipy.spatial.distance import pdist
 
 from identknee.calibrate.bounded_least_squares import solve_constrained

@@ -5,7 +5,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 sys.path.append(str(Path(__file__).parents[1] / "fuzz"))
 

@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 from knees import model
-from rows import Row, largest_of
+from requirement_rows import Row, largest_of
 
 from identknee.calibrate.problem import typical_steps
 from identknee.checks.subject_checks import box_sample

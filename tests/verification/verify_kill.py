@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import xarray
-from killed import run_for
-from rows import Measure, Row
+from killed_commands import run_for
+from requirement_rows import Measure, Row
 from work_store import work_store
 
 from identknee.runs.store import json_round_trip, resumable_map

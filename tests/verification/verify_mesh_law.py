@@ -3,7 +3,7 @@
 import argparse
 
 import numpy as np
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS

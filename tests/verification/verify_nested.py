@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 from noisy_knees import noisy
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 from identknee.identify.posterior.nested import nested_posterior, quantile_differences
 from identknee.identify.posterior.sample import sample

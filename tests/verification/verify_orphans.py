@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from killed import descendants, is_running, run_for
-from rows import Measure, Row, largest_of
+from killed_commands import descendants, is_running, run_for
+from requirement_rows import Measure, Row, largest_of
 
 KILLS, SEED, LIMIT_S = 20, 0, 5.0
 # Between the start of the first process and the midst of the work [s].

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from knees import SCALE, anywhere, model, trial_energy
-from rows import Measure, Row, largest_of
+from requirement_rows import Measure, Row, largest_of
 from slow_path import follow_slowly
 
 from identknee.checks.subject_checks import box_sample

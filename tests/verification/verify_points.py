@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 from knees import model
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from brute_force import BruteForceProfile
 from coverage_replicates import DESIGNS, design_model, noisy_problem
-from rows import Measure, Row, largest_of
+from requirement_rows import Measure, Row, largest_of
 from scipy.stats import chi2
 from work_store import work_store
 

@@ -3,7 +3,7 @@
 import argparse
 
 from knees import model, noise_free
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.starts import named_start

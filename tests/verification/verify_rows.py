@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from planted_conventions import NOISE, clean_table
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 from scipy.stats import beta
 
 from identknee.calibrate.fit import fit

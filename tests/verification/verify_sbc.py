@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from knees import model
-from rows import Measure, Row
+from requirement_rows import Measure, Row
 from sbc_replicates import N_DRAWS, NOISE, RULE, Replicate, ranks_of, simultaneous_level
 from work_store import work_store
 

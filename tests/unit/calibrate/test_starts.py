@@ -43,13 +43,13 @@ def test_order_and_further_ligaments_do_not_matter() -> None:
 
 def test_a_knee_without_the_four_is_told_what_is_missing() -> None:
     knee = ligament_parameters(["front", "ACL", "MCL"], [1.0] * 3, [0.0] * 3)
-    with pytest.raises(ValueError, match=r"speaks of PCL, LCL, which .* TOML file") as error:
+    with pytest.raises(ValueError, match=r"IG1.*PCL.*LCL") as error:
         named_start("IG1", knee)
     assert "[front]\nstiffness_kN = 9.5" in str(error.value)
 
 
 def test_an_unknown_name_is_told_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"no start 'IG5'; the starts are subject, IG1, .* \.toml"):
+    with pytest.raises(ValueError, match=r"'IG5'.*subject.*IG1.*\.toml"):
         named_start("IG5", KNEE)
 
 
@@ -80,7 +80,7 @@ def test_a_file_may_name_parameters_that_are_no_ligaments(tmp_path: Path) -> Non
     )
     path = written(tmp_path, "gain = 1.5\n[toe]\nstrain = 0.02\n")
     np.testing.assert_array_equal(read_start(path, parameters), [0.02, 1.5])
-    with pytest.raises(InputError, match=r"gain: 5 is out of bounds. Give a number from 0.5 to 2"):
+    with pytest.raises(InputError, match=r"gain: 5 .*0\.5 to 2"):
         read_start(written(tmp_path, "gain = 5"), parameters)
 
 
@@ -116,5 +116,5 @@ def test_bad_files_are_named_with_place_and_remedy(
 
 
 def test_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no such file"):
+    with pytest.raises(InputError, match=r"none\.toml.*such"):
         load_start(tmp_path / "none.toml", KNEE)

@@ -44,15 +44,15 @@ def test_other_parameters_keep_their_bounds() -> None:
 
 
 def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"there is no parameter 'PCL\.stiffness_kN'"):
+    with pytest.raises(ValueError, match=r"'PCL\.stiffness_kN'"):
         with_bounds(a_pull(), {"PCL.stiffness_kN": (0.0, 1.0)})
 
 
 def test_bounds_the_wrong_way_round_are_refused() -> None:
-    with pytest.raises(ValueError, match="must be lower < upper, got 11 and 5"):
+    with pytest.raises(ValueError, match=r"ACL\.stiffness_kN.*11.*5"):
         with_bounds(a_pull(), {"ACL.stiffness_kN": (11.0, 5.0)})
 
 
 def test_a_stiffness_cannot_be_allowed_to_be_negative() -> None:
-    with pytest.raises(ValueError, match=r"lower bound of ACL\.stiffness_kN must be 0 or more"):
+    with pytest.raises(ValueError, match=r"lower.*ACL\.stiffness_kN.*0"):
         with_bounds(a_pull(), {"ACL.stiffness_kN": (-1.0, 5.0)})

@@ -50,9 +50,8 @@ def test_what_was_not_measured_is_said_by_a_fit() -> None:
     sd[:, 3] = 1.0
     found = ik.fit(small_knee(), replace(laxity, coordinates=coordinates, sd=sd), budget=3)
     said = " ".join(found.assumptions)
-    assert "distraction_mm was not measured." in said
-    assert "No value was measured in trial 3: it is only predicted." in said
-    assert "Errors are stated of varus_deg only" in said
+    for part in ("distraction_mm was not", "in trial 3: ", "of varus_deg only"):
+        assert part in said
 
 
 def test_a_start_outside_the_bounds_is_said_to_be_the_reason() -> None:

@@ -84,7 +84,7 @@ def test_a_knee_without_ligament_forces_is_an_error() -> None:
     assert (first.code, first.severity) == ("trials-not-converging", Severity.ERROR)
     assert (first.values["n_lost"], first.values["n"]) == (2, 2)
     assert first.values["trials"] == ["flexion0_varus-10Nm", "flexion0_varus-8Nm"]
-    assert "No single insertion moved by 3 mm restores a trial" in first.remedy
+    assert not any(x.n_restored for x in report.moves)
     assert len(report.moves) == 4 * 2 * 6
     assert (last.code, last.severity) == ("contact-points-coarse", Severity.WARNING)
 
@@ -118,7 +118,7 @@ def test_amplitudes_of_effects_vary_over_their_own_plausible_ranges() -> None:
 
 
 def test_a_negative_number_of_samples_is_refused(model: LaxityModel) -> None:
-    with pytest.raises(ValueError, match="number of samples must be 0 or more, got -1"):
+    with pytest.raises(ValueError, match=r"samples.* 0 .*-1"):
         check_stability(model, n_samples=-1)
 
 

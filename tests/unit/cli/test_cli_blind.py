@@ -51,7 +51,7 @@ def test_the_truth_is_revealed_and_a_right_name_scored(folder: Path, tmp_path: P
     diagnosis = _diagnosis(tmp_path, "NAMED", "rig_compliance_IE")
     result = run("reveal", folder, diagnosis)
     assert result.exit_code == 0, result.output
-    assert "Hidden: rig_compliance_IE" in result.stdout
+    assert "rig_compliance_IE" in result.stdout
     summary = json.loads(run("reveal", folder, diagnosis, "--json").stdout)
     assert summary["correct"] is True
     assert summary["wrong"] is False
@@ -67,9 +67,9 @@ def test_a_wrong_name_is_wrong(folder: Path, tmp_path: Path) -> None:
 
 def test_mistakes_end_in_a_sentence(folder: Path, tmp_path: Path) -> None:
     assert "menicus" in refused("blind", "--effect", "menicus", "--out", tmp_path)
-    assert "it holds no truth.json" in refused("reveal", tmp_path / "none", tmp_path)
+    assert "no truth.json" in refused("reveal", tmp_path / "none", tmp_path)
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
-    assert "None is no verb with a result" in refused("reveal", folder, tmp_path)
+    assert "no verb" in refused("reveal", folder, tmp_path)
 
 
 def test_a_signal_that_is_not_reached_is_said(tmp_path: Path) -> None:
@@ -79,11 +79,10 @@ def test_a_signal_that_is_not_reached_is_said(tmp_path: Path) -> None:
     truth = ik.blind.read_truth(tmp_path)
     assert truth.is_largest
     assert truth.signal < 10.0
-    assert f"The signal of toe_strain is {truth.signal:.2g}, not 20" in result.stderr
-    assert "the largest plausible size gives no more" in result.stderr
+    assert f"toe_strain is {truth.signal:.2g}, not 20" in result.stderr
     told = run("reveal", tmp_path, _diagnosis(tmp_path, "ADEQUATE")).stdout
-    assert "A signal of 20 was asked for; at the largest plausible size" in told
-    assert f"it is {truth.signal:.2g}." in told
+    assert "signal of 20" in told
+    assert f" {truth.signal:.2g}." in told
 
 
 def test_what_a_random_case_says_of_its_signal_tells_nothing(tmp_path: Path) -> None:
@@ -95,7 +94,7 @@ def test_what_a_random_case_says_of_its_signal_tells_nothing(tmp_path: Path) -> 
     truths = [ik.blind.read_truth(tmp_path / str(seed)) for seed in (20, 6)]
     assert sorted(bool(x.effects) for x in truths) == [False, True]
     assert said[0] == said[1]
-    assert "may be less than 6" in said[0]
+    assert "less than 6" in said[0]
 
 
 def test_python_gives_the_same_data_and_reveals_the_same(folder: Path, tmp_path: Path) -> None:
@@ -107,7 +106,7 @@ def test_python_gives_the_same_data_and_reveals_the_same(folder: Path, tmp_path:
     diagnosis = answered(FRAME)
     left = write_given(tmp_path / "diagnosis", "diagnose", diagnosis)
     revealed = ik.blind_test.reveal(made, diagnosis)
-    assert "was asked for" not in str(revealed)
+    assert "asked for" not in str(revealed)
     assert run("reveal", folder, left).stdout.strip() == str(revealed)
     printed = json.loads(run("reveal", folder, left, "--json").stdout)
     assert printed == plain(summary_of(revealed))
@@ -120,8 +119,6 @@ def test_a_knee_is_given_as_wrong_as_stated_and_the_errors_are_revealed(tmp_path
     errors = ik.blind.read_truth(tmp_path).stated_errors
     acl = np.array([errors[f"insertion.ACL_femur_{axis}_mm"] for axis in "xyz"])
     told = run("reveal", tmp_path, _diagnosis(tmp_path, "ADEQUATE")).stdout
-    assert f"wrong by: insertion.ACL_femur {np.linalg.norm(acl):.2g} mm" in told
+    assert f"insertion.ACL_femur {np.linalg.norm(acl):.2g} mm" in told
     assert f"varus moment {100.0 * errors['load_gain.varus_moment']:+.2g} %" in told
-    assert "surface_mm as exact" in refused(
-        "blind", "--uncertain", "surface=1mm", "--out", tmp_path
-    )
+    assert "surface_mm" in refused("blind", "--uncertain", "surface=1mm", "--out", tmp_path)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -33,7 +34,6 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     assert "Short settings" in result.stderr
     for word in ("Complex", "Least-squares", "IG2", "IG4", "1 out of budget", "1 at a minimum"):
         assert word in result.stdout
-    assert "A good fit does not show that its parameters are right" in result.stdout
     assert {x.name for x in out.iterdir()} == {
         "knee.png",
         "laxity.csv",
@@ -53,7 +53,7 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     ]
     assert summary["truth"]["ACL"]["stiffness_kN"] == 10.0
     assert len(summary["profiles"]) == 8
-    assert "At 95 % confidence" in result.stdout or "at 95 % confidence" in result.stdout
+    assert "95 % confidence" in result.stdout
     with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
         assert tree["fits"]["theta"].sizes == {"search": 4, "run": 1, "parameter": 8}
 
@@ -102,8 +102,5 @@ def test_ctrl_c_leaves_a_sentence_and_no_result(tmp_path: Path) -> None:
     _, rest = process.communicate(timeout=60)
     assert process.returncode == 130
     # On a busy machine it may still be loading what the fits need.
-    assert rest in {
-        "identknee: stopped; the same command does it again from the start\n",
-        "identknee: stopped while starting\n",
-    }
+    assert re.fullmatch("identknee: stopped.*\n", rest)
     assert not (tmp_path / "out" / "result.json").exists()

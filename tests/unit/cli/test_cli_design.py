@@ -1,6 +1,7 @@
 """`identknee design`, from its words to its files and sentences."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -79,9 +80,9 @@ def test_noise_that_is_not_stated_is_estimated(noisy: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--target", "LCL.stifness"), "there is no parameter 'LCL.stifness'"),
-        (("--target", "LCL.tension_N@nowhere"), "there is no trial 'nowhere'"),
-        (("--candidates", "table3"), "no protocol and no file of this name"),
+        (("--target", "LCL.stifness"), "parameter 'LCL.stifness'"),
+        (("--target", "LCL.tension_N@nowhere"), "trial 'nowhere'"),
+        (("--candidates", "table3"), "table3"),
     ],
 )
 def test_wrong_words_are_refused(
@@ -95,7 +96,7 @@ def test_an_insertion_known_better_is_ranked_beside_the_trials(noisy: Path, tmp_
     words = (*words, "--candidates", short_protocol(tmp_path))
     result = run("design", "reference", *words, "--uncertain", "insertions=2mm", "--out", tmp_path)
     assert result.exit_code == 0, result.output
-    assert "twice as well (to 1 mm instead of 2 mm) narrows" in result.stdout
+    assert re.search(r"\(.*1 mm .* 2 mm\)", result.stdout)
     summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     ranking = {x["name"]: x["narrowing"] for x in summary["ranking"]}
     insertions = {

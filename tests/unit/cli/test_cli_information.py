@@ -40,9 +40,9 @@ def test_what_is_known_is_said_in_words_and_files(noisy: Path, tmp_path: Path) -
 
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
     words = ("information", "reference", tmp_path / "none.csv", "--out", tmp_path)
-    assert "there is no such file" in refused(*words)
+    assert "none.csv: there" in refused(*words)
 
 
 def test_a_scaling_that_is_none_is_refused(noisy: Path) -> None:
-    with pytest.raises(ValueError, match="no scaling 'steps'; the scalings are typical, prior"):
+    with pytest.raises(ValueError, match=r"'steps'.* typical, prior"):
         ik.information("reference", noisy, scaling="steps")  # type: ignore[arg-type]

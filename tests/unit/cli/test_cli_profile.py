@@ -68,16 +68,13 @@ def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path)
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--parameter", "LCL.stifness"), "there is no parameter 'LCL.stifness'"),
-        (("--pair", "LCL.stiffness_kN"), "there is no second name"),
-        (("--quantity", "varus"), "is not the name of a predicted quantity"),
-        (("--level", "1.5"), "the level must be between 0 and 1, got 1.5"),
-        (("--pair", "LCL.stiffness_kN,LCL.stiffness_kN"), "needs two different parameters"),
-        (("--workers", "0"), "Invalid value for '--workers'"),
-        (
-            ("--parameter", "LCL.stiffness_kN", "--fix", "LCL.stiffness_kN"),
-            "--fix holds this parameter",
-        ),
+        (("--parameter", "LCL.stifness"), "parameter 'LCL.stifness'"),
+        (("--pair", "LCL.stiffness_kN"), "second name"),
+        (("--quantity", "varus"), "'varus'"),
+        (("--level", "1.5"), "0 and 1, got 1.5"),
+        (("--pair", "LCL.stiffness_kN,LCL.stiffness_kN"), "different parameters"),
+        (("--workers", "0"), "'--workers'"),
+        (("--parameter", "LCL.stiffness_kN", "--fix", "LCL.stiffness_kN"), "--fix holds"),
     ],
 )
 def test_wrong_words_are_refused(

@@ -55,33 +55,22 @@ def test_a_short_sample_and_its_files(table: Path, tmp_path: Path) -> None:
     assert repeated["parameters"] == summary["parameters"]
 
 
-def test_a_person_reads_the_gate(table: Path, tmp_path: Path) -> None:
-    words = ("--budget", 600, "--out", tmp_path, "--moves", "difference", "--workers", 2)
-    result = run("sample", "reference", table, *HELD, *words)
-    assert result.exit_code == 0, result.output
-    for part in (
-        "not met",
-        "Conditions of convergence",
-        "The bounds exclude",
-        "budget",
-        "97.5 %",
-    ):
-        assert part in result.stdout
-
-
 def test_basins_of_a_sweep_are_where_it_starts(table: Path, tmp_path: Path) -> None:
     theta = {"ACL.stiffness_kN": 9.0, "ACL.reference_strain_pct": 7.5}
     theta |= {f"{x}.reference_strain_pct": 1.0 for x in NAMES}
     path = tmp_path / "sweep.json"
     path.write_text(json.dumps({"basins": [{"parameters": theta}]}), encoding="utf-8")
     words = ("sample", "reference", table, *HELD, "--budget", 500, "--out", tmp_path / "out")
-    result = run(*words, "--basins", path, "--json")
+    moves = ("--moves", "difference", "--workers", 2)
+    result = run(*words, *moves, "--basins", path, "--json")
     assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["optima"] == [list(theta.values())]
+    summary = json.loads(result.stdout)
+    assert summary["optima"] == [list(theta.values())]
+    assert summary["record"]["settings"]["moves"] == "difference"
     path.write_text(json.dumps({"basins": []}), encoding="utf-8")
-    assert "it lists no basin" in refused(*words, "--basins", path)
+    assert "no basin" in refused(*words, "--basins", path)
     path.write_text(json.dumps({"fit": []}), encoding="utf-8")
-    assert "it does not list basins" in refused(*words, "--basins", path)
+    assert "list basins" in refused(*words, "--basins", path)
 
 
 def test_other_data_in_the_folder_of_an_unfinished_run_are_refused(
@@ -100,9 +89,9 @@ def test_other_data_in_the_folder_of_an_unfinished_run_are_refused(
         ),
         tmp_path / "other.csv",
     )
-    assert "inputs.data has changed" in refused("sample", "reference", other, *words)
+    assert "inputs.data" in refused("sample", "reference", other, *words)
 
 
 def test_wrong_moves_are_refused(table: Path, tmp_path: Path) -> None:
     words = ("--moves", "walk", "--out", tmp_path)
-    assert "no moves 'walk'" in refused("sample", "reference", table, *words)
+    assert "moves 'walk'" in refused("sample", "reference", table, *words)

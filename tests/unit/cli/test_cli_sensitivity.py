@@ -1,6 +1,7 @@
 """`identknee sensitivity`, from its words to its files and sentences."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def test_sobol_indices_of_the_laxity(tmp_path: Path) -> None:
     grown = run(*WORDS, PROTOCOL, tmp_path / "short.toml", "--samples", 8, "--out", tmp_path)
     assert grown.exit_code == 0, grown.output
     assert "index ST" in grown.stdout
-    assert "Half-widths of 0.02" in grown.stdout
+    assert "of 0.02" in grown.stdout
 
 
 def test_trials_of_a_table_and_fixed_parameters(tmp_path: Path) -> None:
@@ -73,22 +74,23 @@ def test_over_a_posterior(tmp_path: Path) -> None:
 
 def test_mistakes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     short = (PROTOCOL, short_protocol(tmp_path), "--out", tmp_path / "out")
-    assert "a power of 2 of blocks, got 3" in refused(*WORDS, *short, "--samples", 3)
+    assert "blocks, got 3" in refused(*WORDS, *short, "--samples", 3)
     names = [x.name for x in ik.reference_knee().ligaments]
     all_but_one = [
         f"{x}.{kind}" for x in names for kind in ("stiffness_kN", "reference_strain_pct")
     ]
     held = [x for name in all_but_one[1:] for x in ("--fix", name)]
-    assert "at least two parameters that vary; fix fewer" in refused(*WORDS, *short, *held)
-    assert "there are no results to read" in refused(
-        *WORDS, *short, "--method", "delta", "--posterior", tmp_path
-    )
+    assert "two parameters" in refused(*WORDS, *short, *held)
+    none = refused(*WORDS, *short, "--method", "delta", "--posterior", tmp_path)
+    assert str(tmp_path) in none
+    assert "no results" in none
     data = ik.write_laxity(
         ik.simulate(ik.reference_knee(), ik.load_protocol("table2")).laxity, tmp_path / "data.csv"
     )
     both = (*WORDS, data, *short)
-    assert "those of DATA.csv or those of --protocol; give one" in refused(*both)
+    assert re.search(r"DATA\.csv .*--protocol", refused(*both))
     # As a run that was killed leaves it.
     monkeypatch.setattr("identknee.verbs.verb.finish_work", lambda _: None)
     run(*WORDS, *short, "--samples", 2)
-    assert "seed was 0 and is 5 now" in refused(*WORDS, *short, "--samples", 2, "--seed", 5)
+    other = refused(*WORDS, *short, "--samples", 2, "--seed", 5)
+    assert re.search("seed was 0 .* 5 now", other)

@@ -22,8 +22,6 @@ def test_the_reference_knee_passes_its_check(tmp_path: Path) -> None:
     words = ["--protocol", short_protocol(tmp_path), "--samples", "5", "--workers", "2"]
     result = run("subject", "check", "reference", *words, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert "All 10 trials of short converge" in result.stdout
-    assert "Between the default contact points and all vertices" in result.stdout
     summary = summary_of(tmp_path / "out")
     assert summary["n_errors"] == 0
     assert summary["stability"]["n_converged"] == 10
@@ -39,9 +37,12 @@ def test_a_knee_that_cannot_be_held_ends_with_2_and_a_remedy(tmp_path: Path) -> 
     words = ["--protocol", short_protocol(tmp_path), "--samples", "0", "--out", tmp_path / "out"]
     result = run("subject", "check", tmp_path / "slack", *words)
     assert result.exit_code == 2
-    assert "Error: stability: 10 of the 10 trials of short do not converge" in result.stdout
-    assert "No single insertion moved by 3 mm restores a trial" in result.stdout
-    assert summary_of(tmp_path / "out")["n_errors"] == 1
+    summary = summary_of(tmp_path / "out")
+    assert summary["n_errors"] == 1
+    (error,) = [x for x in summary["findings"] if x["severity"] == "error"]
+    assert error["code"] == "trials-not-converging"
+    assert (error["values"]["n_lost"], error["values"]["n"]) == (10, 10)
+    assert error["sentence"] in result.stdout
 
 
 def test_a_knee_in_metres_is_not_simulated(tmp_path: Path) -> None:
@@ -71,7 +72,7 @@ def test_a_picture_is_drawn(tmp_path: Path) -> None:
 def test_an_exported_subject_reads_back_as_the_same_knee(tmp_path: Path) -> None:
     result = run("subject", "export", "reference", "--out", tmp_path / "copy")
     assert result.exit_code == 0, result.output
-    assert f"Next: identknee subject check {tmp_path / 'copy'}" in result.stdout
+    assert f"subject check {tmp_path / 'copy'}" in result.stdout
     knee, copy = ik.reference_knee(), ik.read_subject(tmp_path / "copy")
     assert [x.name for x in copy.ligaments] == [x.name for x in knee.ligaments]
     # Surface files hold single precision: 1e-7 of 100 mm.
@@ -100,14 +101,6 @@ def test_an_opensim_model_becomes_a_subject(tmp_path: Path) -> None:
     names = {x["name"] for x in json.loads(result.stdout)["ligaments"]}
     assert {"ACL", "PCL", "LCL", "MCL"} <= names
     assert len(ik.read_subject(tmp_path / "subject").ligaments) == len(names)
-
-
-def test_raw_centroids_fold_and_that_is_said(tmp_path: Path) -> None:
-    words = ["--samples", "0", "--out", tmp_path]
-    result = run("subject", "check", "lenhart2015", *words)
-    assert result.exit_code == 2
-    assert "do not converge at the subject's own parameters" in result.stdout
-    assert "fold" in result.stdout
 
 
 def test_wrong_words_are_refused(tmp_path: Path) -> None:
@@ -149,9 +142,10 @@ def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
     checked = run("subject", "check", *words, "--samples", "0", "--out", tmp_path / "check")
     assert checked.exit_code == 2
     assert "(flexion0_internal4Nm, flexion0_internal6Nm" in checked.stdout
-    assert "No stable pose at full load" in checked.stdout
-    assert "identknee subject settle" in checked.stdout
-    assert len(summary_of(tmp_path / "check")["stability"]["moves"]) == 48
+    assert "subject settle" in checked.stdout
+    found = summary_of(tmp_path / "check")
+    assert "trials-not-converging" in {x["code"] for x in found["findings"]}
+    assert len(found["stability"]["moves"]) == 48
     out = tmp_path / "settled"
     settled = run("subject", "settle", *words, "--within", "5", "--out", out)
     assert settled.exit_code == 0, settled.output
@@ -164,15 +158,15 @@ def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
             distance = float(np.linalg.norm(getattr(new, bone) - getattr(old, bone)))
             assert distance == pytest.approx(distances.get((old.name, bone), 0.0), abs=1e-5)
             assert distance < 5.001
-    again = run("subject", "check", out, "--protocol", protocol, "--samples", "0")
-    assert "trials of internal converge" in again.stdout
+    words = ["--protocol", protocol, "--samples", "0", "--out", tmp_path / "again"]
+    again = run("subject", "check", out, *words)
+    assert again.exit_code == 0, again.output
 
 
 def test_a_knee_that_does_not_settle_ends_with_1(tmp_path: Path) -> None:
     words = ["--protocol", internal(tmp_path), "--within", "0.1", "--out", tmp_path / "out"]
     result = run("subject", "settle", "lenhart2015", *words)
     assert result.exit_code == 1
-    assert "trials still do not converge; allow more with --within" in result.stderr
-    assert "at most 8 mm, got 9 mm" in refused(
-        "subject", "settle", "lenhart2015", "--within", "9", "--out", tmp_path
-    )
+    assert "with --within" in result.stderr
+    far = refused("subject", "settle", "lenhart2015", "--within", "9", "--out", tmp_path)
+    assert "8 mm, got 9 mm" in far

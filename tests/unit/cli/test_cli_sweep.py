@@ -32,10 +32,7 @@ def test_a_sweep_tells_its_ends_apart(data: Path, tmp_path: Path) -> None:
     shells = ("--design", "shells", "--distances", "0,1,3")
     result = run("sweep", "reference", data, *SHORT, *shells, "--out", tmp_path)
     assert result.exit_code == 0, result.output
-    assert "Of 12 least-squares searches from different starts, " in result.stdout
-    assert "Where searches ended" in result.stdout
-    assert "Nine in ten starts within" in result.stdout
-    assert "straight paths to the best fit the" in result.stdout
+    assert "Of 12 least-squares" in result.stdout
     found = summary(tmp_path)
     assert sum(found["kinds"].values()) == found["n_starts"] == 12
     assert found["design"] == "shells"
@@ -71,15 +68,14 @@ def test_another_question_in_the_same_folder_is_a_new_run(data: Path, tmp_path: 
     assert summary(tmp_path) != first
 
 
-def test_fixed_parameters_are_not_swept(data: Path, tmp_path: Path) -> None:
-    fixed = ("--fix", "PCL.stiffness_kN", "--fix", "PCL.reference_strain_pct")
-    assert run("sweep", "reference", data, *SHORT, *fixed, "--out", tmp_path).exit_code == 0
-    assert len(summary(tmp_path)["basins"][0]["parameters"]) == 6
-
-
-def test_json_is_all_that_is_printed(data: Path, tmp_path: Path) -> None:
-    result = run("sweep", "reference", data, *SHORT, "--json", "--out", tmp_path)
+def test_fixed_parameters_are_not_swept_and_json_is_all_that_is_printed(
+    data: Path, tmp_path: Path
+) -> None:
+    fixed = ("--fix", "PCL.stiffness_kN", "--fix", "PCL.reference_strain_pct", "--json")
+    result = run("sweep", "reference", data, *SHORT, *fixed, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["n_starts"] == 12
+    assert len(summary(tmp_path)["basins"][0]["parameters"]) == 6
 
 
 def test_a_sweep_that_finds_nothing_is_not_computed(data: Path, tmp_path: Path) -> None:
@@ -87,7 +83,9 @@ def test_a_sweep_that_finds_nothing_is_not_computed(data: Path, tmp_path: Path) 
     words = ("--n-starts", 2, "--noise", "0.5mm,0.5deg", "--start", _slack_start(tmp_path))
     result = run("sweep", "reference", data, *words, *slack, "--out", tmp_path)
     assert result.exit_code == 1, result.output
-    assert "no parameters near the start have a prediction" in result.stderr
+    found = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert "no-prediction" in {x["code"] for x in found["findings"]}
+    assert "the start" in result.stderr
     assert summary(tmp_path)["kinds"] == {"start_failed": 2}
 
 
@@ -104,7 +102,7 @@ def _slack_start(folder: Path) -> Path:
 
 def test_mistakes_are_refused_in_a_sentence(data: Path, tmp_path: Path) -> None:
     words = ("sweep", "reference", data, "--out", tmp_path)
-    assert "no method 'best'" in refused(*words, *SHORT, "--method", "best")
+    assert "method 'best'" in refused(*words, *SHORT, "--method", "best")
     shells = ("--design", "shells", "--distances", "near")
-    assert "these are not numbers" in refused(*words, *SHORT, *shells)
-    assert "both must be more than 0" in refused(*words, "--noise", "0mm,0deg")
+    assert "--distances near" in refused(*words, *SHORT, *shells)
+    assert "more than 0" in refused(*words, "--noise", "0mm,0deg")

@@ -20,12 +20,12 @@ def test_noise_comes_in_either_order() -> None:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("ACL.stiffness_kN", "this is not NAME=VALUE. Write for example --set ACL"),
-        ("=3", "this is not NAME=VALUE"),
-        ("A.x=stiff", "'stiff' is not a number. Write a number such as 9.5"),
-        ("A.x=", "'' is not a number"),
-        ("A.x=nan", "'nan' is not a number"),
-        ("A.x=inf", "'inf' is not a number"),
+        ("ACL.stiffness_kN", "NAME=VALUE"),
+        ("=3", "NAME=VALUE"),
+        ("A.x=stiff", "'stiff'"),
+        ("A.x=", "''"),
+        ("A.x=nan", "'nan'"),
+        ("A.x=inf", "'inf'"),
     ],
 )
 def test_a_value_that_is_none_is_refused(text: str, sentence: str) -> None:
@@ -35,18 +35,18 @@ def test_a_value_that_is_none_is_refused(text: str, sentence: str) -> None:
 
 
 def test_a_name_given_twice_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"--set gives A\.x twice; give it once"):
+    with pytest.raises(ValueError, match=r"--set .*A\.x twice"):
         named_values(["A.x=1", "A.x=2"], "--set")
-    with pytest.raises(ValueError, match=r"--bounds gives A\.x twice; give it once"):
+    with pytest.raises(ValueError, match=r"--bounds .*A\.x twice"):
         named_bounds(["A.x=1:2", "A.x=2:3"], "--bounds")
 
 
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("A.x=3", "there is no upper bound. Write LOWER:UPPER"),
-        ("A.x=a:3", "'a' is not a number"),
-        ("A.x", "this is not NAME=VALUE"),
+        ("A.x=3", "LOWER:UPPER"),
+        ("A.x=a:3", "'a'"),
+        ("A.x", "NAME=VALUE"),
     ],
 )
 def test_a_bound_that_is_none_is_refused(text: str, sentence: str) -> None:
@@ -59,17 +59,16 @@ def test_a_bound_that_is_none_is_refused(text: str, sentence: str) -> None:
     "text", ["", "0.3", "0.3mm", "0.3mm,0.3mm", "0.3mm,0.3rad", "mm,deg", "0.3mm;0.3deg", "0.3,0.3"]
 )
 def test_a_noise_that_is_none_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="this is not a size of noise") as caught:
+    with pytest.raises(ValueError, match=r"--noise 0\.3mm,0\.3deg"):
         noise_sizes(text)
-    assert "for example --noise 0.3mm,0.3deg" in str(caught.value)
 
 
 def test_a_size_of_noise_is_a_number() -> None:
-    with pytest.raises(ValueError, match="'3e' is not a number"):
+    with pytest.raises(ValueError, match="'3e'"):
         noise_sizes("3emm,1deg")
 
 
 def test_a_stiffness_in_newtons_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"If this is N per unit strain, divide it by 1000"):
+    with pytest.raises(ValueError, match=r"ACL\.stiffness_kN.*by 1000"):
         values_of(["ACL.stiffness_kN=9500"])
     assert values_of({"ACL.stiffness_kN": 9.5}) == {"ACL.stiffness_kN": 9.5}

@@ -4,32 +4,30 @@ from pathlib import Path
 
 import pytest
 from cli_runs import refused
+from golden_texts import Golden
 
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("simulate reference --noise 0.3mm,-0.3deg", "both must be more than 0"),
-        ("simulate reference --noise-correlation 0.3", "say how large with --noise"),
-        ("simulate reference --noise-student 5", "say how large with --noise"),
-        ("simulate reference --contact filed", "'filed' is not one of 'field', 'mesh'. See: "),
-        ("simulate reference --workers -2", "Invalid value for '--workers'"),
-        ("simulate reference --workers ten", "neither a number of processes nor the address"),
-        ("simulate reference --seed 99999999999999999999", "--seed is too large; give at most"),
-        ("sweep reference x.csv --n-starts 1000000000", "--n-starts is too large; give at most"),
-        ("simulate reference --protocol seed36", "Did you mean seed63?"),
-        ("fit reference nothere.csv", "nothere.csv: there is no such file."),
-        ("reveal nothere nowhere", "Give the folder of blind first and that of diagnose second."),
-        ("subject check nothere", "Named subjects are reference, lenhart2015, lenhart2015_stable,"),
-    ],
+MISTAKES = (
+    "simulate reference --noise 0.3mm,-0.3deg",
+    "simulate reference --noise-correlation 0.3",
+    "simulate reference --noise-student 5",
+    "simulate reference --contact filed",
+    "simulate reference --workers -2",
+    "simulate reference --workers ten",
+    "simulate reference --seed 99999999999999999999",
+    "sweep reference x.csv --n-starts 1000000000",
+    "simulate reference --protocol seed36",
+    "fit reference nothere.csv",
+    "reveal nothere nowhere",
+    "subject check nothere",
 )
+
+
 def test_one_sentence_names_what_is_wrong_and_the_remedy(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, golden: Golden
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    sentence = refused(*words.split())
-    assert said in sentence
-    assert "Value error" not in sentence
+    said = [f"$ identknee {words}\n{refused(*words.split())}" for words in MISTAKES]
+    golden("said/refusals", "\n\n".join(said))
 
 
 def test_a_file_that_is_no_text_leaves_the_terminal_alone(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """`identknee doctor`, on a sound installation and on broken ones."""
 
 import json
+import re
 from importlib.metadata import PackageNotFoundError
 from importlib.resources import files
 from pathlib import Path
@@ -50,7 +51,7 @@ def test_all_is_sound_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     result = run("doctor")
     assert result.exit_code == 0, result.output
     assert "FAIL" not in result.stdout
-    assert result.stdout.endswith("All checks passed.\n")
+    assert result.stdout.endswith(" passed.\n")
     for name in ("Python", "numpy", "cores", "folder", "poses", "derivatives", "fit"):
         assert _lines(result, name).startswith("ok")
 
@@ -93,7 +94,7 @@ def test_another_python_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     _installed(monkeypatch, python=">=99")
     result = run("doctor")
     assert result.exit_code == 1
-    assert _lines(result, "Python").endswith("Python >=99 and install there.")
+    assert "Python >=99" in _lines(result, "Python")
 
 
 def test_sources_that_are_not_installed_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +104,7 @@ def test_sources_that_are_not_installed_are_told(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(installation, "distribution", missing)
     result = run("doctor")
     assert result.exit_code == 1
-    assert _lines(result, "identknee").endswith("Install it: pip install .")
+    assert _lines(result, "identknee").endswith(": pip install .")
 
 
 def test_a_cache_that_cannot_be_written_is_told(
@@ -117,7 +118,7 @@ def test_a_cache_that_cannot_be_written_is_told(
     assert result.exit_code == 1
     line = _lines(result, "folder")
     assert line.startswith("FAIL")
-    assert "a file stands where the folder should be" in line
+    assert str(place) in line
     assert "IDENTKNEE_CACHE" in line
 
 
@@ -125,9 +126,8 @@ def test_an_extra_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     _installed(monkeypatch, "no-such-package>=2; extra == 'cluster'", "ruff; extra == 'lint'")
     result = run("doctor")
     assert result.exit_code == 0, result.output
-    assert _lines(result, "cluster") == (
-        "ok    cluster: not there: no-such-package. To add it: pip install 'identknee[cluster]'"
-    )
+    line = _lines(result, "cluster")
+    assert re.match(r"ok +cluster: .*no-such-package.*'identknee\[cluster\]'$", line)
     assert "lint" not in result.stdout
 
 
@@ -136,20 +136,22 @@ def test_wrong_poses_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installation, "SAME_MM_OR_DEG", -1.0)
     result = run("doctor")
     assert result.exit_code == 1
-    assert "Do not use results of this installation." in _lines(result, "poses")
+    assert _lines(result, "poses").startswith("FAIL")
     assert _lines(result, "fit").startswith("ok")
 
 
 def test_a_library_that_breaks_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     _installed(monkeypatch)
 
+    fault = "numba needs numpy 2.2\nor less."
+
     def broken() -> ik.Knee:
-        raise ImportError("numba needs numpy 2.2\nor less.")
+        raise ImportError(fault)
 
     monkeypatch.setattr(installation, "reference_knee", broken)
     result = run("doctor")
     assert result.exit_code == 1
-    assert "ImportError: numba needs numpy 2.2 or less. Install" in _lines(result, "run")
+    assert f"ImportError: {' '.join(fault.split())}" in _lines(result, "run")
 
 
 def test_the_stored_poses_are_the_pinned_ones() -> None:

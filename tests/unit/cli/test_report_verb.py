@@ -28,7 +28,7 @@ def test_it_takes_what_it_finds(folder: Path) -> None:
     assert summary["remarks"] == summary["figures"] == []
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert summary["report"] == str(folder / "report.html")
-    assert "The best fit reproduces the measured laxity" in page
+    assert "best fit" in page
     # The library of the three-dimensional knee, once.
     assert page.count("plotly.js v") == 1
     assert page.count('class="knee-viewer"') == 1
@@ -52,7 +52,7 @@ def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_p
         (tmp_path / "result.json").write_text(json.dumps(kept), encoding="utf-8")
         result = run("report", tmp_path)
         assert result.exit_code == 0, result.output
-        assert "The knee itself is not shown" in result.stdout
+        assert "not shown" in result.stdout
         assert why in result.stdout
         assert "Plotly" not in (tmp_path / "report.html").read_text(encoding="utf-8")
 
@@ -67,5 +67,5 @@ def test_a_subject_called_uncertain_is_the_same_subject(folder: Path, tmp_path: 
 
 
 def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
-    assert "there are no results in it. Give the folder" in refused("report", tmp_path)
-    assert "there is no such folder" in refused("report", tmp_path / "nowhere")
+    assert "no results" in refused("report", tmp_path)
+    assert "nowhere: there" in refused("report", tmp_path / "nowhere")

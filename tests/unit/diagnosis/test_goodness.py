@@ -95,7 +95,7 @@ def test_patterns_cover_smooth_misfit_of_any_load_and_no_missing_rows() -> None:
 
 def test_patterns_that_cannot_be_tested_are_refused() -> None:
     residuals = FIT.residuals(np.random.default_rng(8), 1)[0]
-    with pytest.raises(ValueError, match="explain every pattern"):
+    with pytest.raises(ValueError, match="every pattern"):
         nested_check(residuals, WIDER, WIDER.with_columns(SMOOTH))
 
 

@@ -41,7 +41,7 @@ def test_one_cell_is_found_and_said() -> None:
     assert 0.8 < found.share <= 1.0
     start = "internal rotation under internal moment at 60 deg, "
     assert found.sentence.startswith(start)
-    assert found.sentence.endswith(" % of the excess")
+    assert f"{100 * found.share:.0f} %" in found.sentence
 
 
 def test_a_region_grows_over_angles_and_to_the_opposite_load() -> None:
@@ -110,7 +110,7 @@ def test_noise_points_nowhere_as_often_as_stated() -> None:
     # Each variance over 300 draws is good to 8 %; the mean of 75 of them to 1 % or so.
     assert np.mean(scores**2) == pytest.approx(1.0, abs=0.05)
     silent = next(x for x in found if not x.region)
-    assert silent.sentence == "No region stands out."
+    assert silent.sentence.startswith("No region")
 
 
 def test_which_near_equivalent_fit_was_found_does_not_matter() -> None:
@@ -139,7 +139,7 @@ def test_cells_without_data_are_left_out() -> None:
     residuals = fit.residuals(np.random.default_rng(4), 1)[0]
     found = localise(residuals, fit.projector, noise, layout, seed=1)
     assert len(found.cells) == 4 * 3 * 5
-    with pytest.raises(ValueError, match="is_measured must have shape"):
+    with pytest.raises(ValueError, match=r"is_measured.*shape"):
         TrialLayout(
             flexion_deg=FLEXION,
             loads=LOADS,

@@ -89,4 +89,4 @@ def test_errors_without_pattern_are_not_a_line_force(model: LaxityModel) -> None
     found = find_line(fitted(model, replace(laxity, coordinates=coordinates)))
     assert found is not None
     assert not found.is_line
-    assert found.sentence.startswith("Not a line force")
+    assert found.sentence.startswith("Not a line")

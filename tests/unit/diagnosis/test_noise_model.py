@@ -144,9 +144,9 @@ def test_too_few_points_give_no_size_of_the_noise() -> None:
 
 def test_wrong_settings_are_refused() -> None:
     sd = np.ones((63, 5))
-    with pytest.raises(ValueError, match="correlation must lie"):
+    with pytest.raises(ValueError, match=r"correlation.* 1"):
         build_noise_model(sd, everything(), correlation=1.0)
-    with pytest.raises(ValueError, match="standard deviation greater than 0"):
+    with pytest.raises(ValueError, match=r"deviation.* 0"):
         build_noise_model(0 * sd, everything(), correlation=0.0)
     with pytest.raises(ValueError, match="must increase"):
         Curve(trials=np.array([0, 1]), load=np.array([1.0, 1.0]))

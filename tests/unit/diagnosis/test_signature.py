@@ -102,9 +102,9 @@ def test_what_the_parameters_explain_scores_nothing() -> None:
 
 def test_wrong_signatures_are_refused() -> None:
     columns = np.ones((4, 1))
-    with pytest.raises(ValueError, match="a: sign must be -1, 0 or 1"):
+    with pytest.raises(ValueError, match=r"a: sign.*-1, 0 or 1"):
         Signature(name="a", variant="", columns=columns, prior_sd=np.ones(1), sign=np.array([2]))
-    with pytest.raises(ValueError, match="a: every prior_sd"):
+    with pytest.raises(ValueError, match=r"a: .*prior_sd"):
         Signature(name="a", variant="", columns=columns, prior_sd=np.zeros(1), sign=np.array([0]))
-    with pytest.raises(ValueError, match="at most 6 amplitudes"):
+    with pytest.raises(ValueError, match="6 amplitudes"):
         signature(np.ones((10, 7)), "a", sign=1)

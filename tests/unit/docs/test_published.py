@@ -70,5 +70,5 @@ def test_responses_are_positive_the_way_the_load_pushes() -> None:
 def test_a_missing_trial_is_named() -> None:
     drawer = load_protocol("drawer")
     laxity = Laxity(protocol=drawer, coordinates=np.zeros((drawer.n, 5)))
-    with pytest.raises(ValueError, match=r"no trial with internal moment 5 at 30 deg\. Simulate"):
+    with pytest.raises(ValueError, match=r"internal.*5.*30"):
         table2_laxity(laxity)

@@ -150,10 +150,10 @@ def test_candidates_without_prediction_are_excluded_and_said() -> None:
     found = design(problem, best, linear_trials(BLOCKS, beyond=beyond), n_trials=4)
     assert [x.name for x in found.excluded] == ["trial 2", "trial 5"]
     assert [x.at_fit for x in found.excluded] == [True, False]
-    assert found.excluded[0].sentence == "trial 2 has no prediction at the best fit."
+    assert found.excluded[0].sentence.startswith("trial 2 ")
     some = found.excluded[1]
     assert 0 < some.failures < some.tried
-    assert "parameter sets that the data allow" in some.sentence
+    assert f"{some.failures} of {some.tried} " in some.sentence
     assert not {"trial 2", "trial 5"} & set(found.trials)
     assert np.isnan(found.alone[[2, 5]]).all()
 
@@ -184,12 +184,12 @@ def test_the_executor_does_not_matter() -> None:
 def test_bad_input_is_refused() -> None:
     problem = _linear()
     args = (problem, _best(problem), linear_trials(BLOCKS))
-    with pytest.raises(ValueError, match="trials to add must be at least 1, got 0"):
+    with pytest.raises(ValueError, match=r"trials.* 1, got 0"):
         design(*args, n_trials=0)
-    with pytest.raises(ValueError, match="no criterion 'F'; there are D, A, E, c, width"):
+    with pytest.raises(ValueError, match=r"'F'.* D, A, E, c, width"):
         design(*args, n_trials=1, criterion="F")  # type: ignore[arg-type]
     nothing = linear_trials(BLOCKS, beyond=lambda _, __: 1.0)
-    with pytest.raises(ValueError, match="no candidate has a prediction"):
+    with pytest.raises(ValueError, match="no candidate"):
         design(problem, _best(problem), nothing, n_trials=1)
 
 
@@ -318,7 +318,7 @@ def _jacobian_with_prior(problem: Problem, prior_sd: Array) -> Array:
 def test_without_a_parameter_of_interest_there_is_nothing_to_design() -> None:
     problem = _linear()
     only = replace(problem, parameters=problem.parameters.as_nuisances())
-    with pytest.raises(ValueError, match="all parameters of interest are fixed"):
+    with pytest.raises(ValueError, match="are fixed"):
         design(only, np.zeros(3), linear_trials(BLOCKS), n_trials=1)
 
 

@@ -113,7 +113,7 @@ def test_a_region_without_prediction_is_outside() -> None:
 def test_a_quantity_without_prediction_at_the_fit_is_named() -> None:
     problem = linear()
     nothing = UserQuantity(name="nothing", unit="", function=lambda _: np.nan)
-    with pytest.raises(ValueError, match="nothing has no prediction at the fit"):
+    with pytest.raises(ValueError, match=r"nothing.*prediction"):
         equivalents(noise_region(problem, problem.minimum), quantities=[nothing], n_sets=N_SETS)
 
 
@@ -204,16 +204,16 @@ class StopsAfter:
 
 def test_what_cannot_be_asked_is_said() -> None:
     region, _ = ellipsoid()
-    with pytest.raises(ValueError, match="at least 2, got 1"):
+    with pytest.raises(ValueError, match="2, got 1"):
         equivalents(region, n_sets=1)
-    with pytest.raises(ValueError, match="greater than 0 and finite, got 0"):
+    with pytest.raises(ValueError, match=r"limit.* got 0"):
         noise_region(region.problem, region.center, limit=0.0)
     with pytest.raises(ValueError, match="no block"):
         Region(problem=region.problem, center=region.center, blocks={})
-    with pytest.raises(ValueError, match="weights of x must have shape 3"):
+    with pytest.raises(ValueError, match=r"x.* shape 3"):
         equivalents(Region(problem=region.problem, center=region.center, blocks={"x": np.ones(2)}))
     nowhere = Cliff(problem=linear(), beyond=lambda _: 1.0)
-    with pytest.raises(ValueError, match="no prediction at the parameter set"):
+    with pytest.raises(ValueError, match=r"prediction.*set"):
         equivalents(noise_region(nowhere, np.zeros(3)))
 
 

@@ -38,11 +38,11 @@ def test_two_groups_find_their_own_noise() -> None:
 
 def test_too_few_values_are_refused() -> None:
     problem, _ = linear(2, (0.3, 0.3), 8)
-    with pytest.raises(ValueError, match="too few measured values"):
+    with pytest.raises(ValueError, match="too few"):
         with_estimated_noise(problem, np.zeros(8, int), np.full(8, 4.0))
 
 
 def test_exact_data_are_refused() -> None:
     problem, _ = linear(3, (0.0, 0.0), 40)
-    with pytest.raises(ValueError, match="no noise to estimate"):
+    with pytest.raises(ValueError, match="no noise"):
         with_estimated_noise(problem, np.zeros(40, int), np.full(8, 4.0))

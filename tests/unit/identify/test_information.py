@@ -144,7 +144,7 @@ def test_collinearity_is_that_of_the_angle_between_columns() -> None:
     assert most.parameters == names[:2]
     assert most.collinearity == pytest.approx(10.0)
     assert [x.parameters for x in found.collinear_sets(3)] == [names]
-    with pytest.raises(ValueError, match="a set must hold 2 to 3 parameters, got 4"):
+    with pytest.raises(ValueError, match=r"2 to 3 .*4"):
         found.collinear_sets(4)
 
 
@@ -188,10 +188,10 @@ def test_the_spectrum_keeps_the_digits_of_small_eigenvalues() -> None:
 
 def test_bad_input_is_refused() -> None:
     problem = linear()
-    with pytest.raises(ValueError, match=r"x0\.value_pct is 11, outside its bounds -10 to 10"):
+    with pytest.raises(ValueError, match=r"x0\.value_pct.*11.*-10.*10"):
         information(problem, problem.minimum * 0 + 11.0)
-    with pytest.raises(ValueError, match="there is no scaling 'box'"):
+    with pytest.raises(ValueError, match="scaling 'box'"):
         information(problem, problem.minimum, scaling="box")  # type: ignore[arg-type]
     silent = replace(problem, residuals_at=lambda theta: np.full(3, np.inf))
-    with pytest.raises(ValueError, match="no prediction at this theta"):
+    with pytest.raises(ValueError, match=r"prediction.*theta"):
         information(silent, problem.minimum)

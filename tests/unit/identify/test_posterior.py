@@ -134,14 +134,14 @@ def test_excluded_mass_has_confidence_limits() -> None:
     none = infeasible_prior_mass(parameters, np.ones(100, bool))
     assert (none.without_prediction, none.low) == (0.0, 0.0)
     assert none.high == pytest.approx(1 - 0.025 ** (1 / 100), rel=1e-9)
-    assert "has no prediction" in str(some)
+    assert f"{100 * some.without_prediction:.3g}" in str(some)
 
 
 def test_impossible_priors_are_refused() -> None:
     problem = linear(n=2)
     flat = replace(problem, parameters=replace(problem.parameters, prior_sd=np.zeros(2)))
-    with pytest.raises(ValueError, match="standard deviation above 0"):
+    with pytest.raises(ValueError, match=r"deviation.* 0"):
         LogPosterior(problem=flat)
     far = replace(plain_parameters(2), center=np.array([1e6, 0.0]))
-    with pytest.raises(ValueError, match="no mass within the bounds"):
+    with pytest.raises(ValueError, match=r"mass.*bounds"):
         LogPosterior(problem=replace(problem, parameters=far))

@@ -334,7 +334,7 @@ def test_lower_levels_are_read_off_the_curve() -> None:
     # A cubic through a parabola is that parabola.
     assert high - low == pytest.approx(2.0 * sd, rel=1e-4)
     assert found.intervals_at(0.95) == found.intervals
-    with pytest.raises(ValueError, match="the level must be above 0 and at most"):
+    with pytest.raises(ValueError, match=r"level.* 0 .*0.95.*0.99"):
         found.intervals_at(0.99)
 
 
@@ -364,7 +364,7 @@ def test_a_look_that_joins_the_optimum_ends_with_its_first_simulation() -> None:
 
 def test_an_optimum_without_a_prediction_is_refused() -> None:
     nowhere = Cliff(problem=linear(), beyond=lambda _: 1.0)
-    with pytest.raises(ValueError, match="no prediction at the optimum"):
+    with pytest.raises(ValueError, match=r"prediction.*optimum"):
         profile(nowhere, np.zeros(3), _first(nowhere))
 
 

@@ -53,7 +53,7 @@ def test_a_better_fit_starts_it_over() -> None:
 
 def test_the_wrong_pair_is_refused() -> None:
     problem = linear()
-    with pytest.raises(ValueError, match=r"two different parameters, got .* twice"):
+    with pytest.raises(ValueError, match=r"x0\.value_pct.*twice"):
         profile_pair(problem, problem.minimum, ("x0.value_pct", "x0.value_pct"))
-    with pytest.raises(ValueError, match="there is no parameter 'x9'"):
+    with pytest.raises(ValueError, match="parameter 'x9'"):
         profile_pair(problem, problem.minimum, ("x0.value_pct", "x9"))

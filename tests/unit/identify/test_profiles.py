@@ -101,7 +101,7 @@ def test_the_optimum_is_polished_once_for_all() -> None:
 
 def test_an_optimum_without_a_prediction_is_refused() -> None:
     nowhere = Cliff(problem=linear(), beyond=lambda _: 1.0)
-    with pytest.raises(ValueError, match="no prediction at the optimum"):
+    with pytest.raises(ValueError, match=r"prediction.*optimum"):
         profile_parameters(nowhere, np.zeros(3), starts=())
 
 

@@ -81,5 +81,5 @@ def test_polished_ends_recover_where_raw_ones_stopped() -> None:
 
 
 def test_a_mistake_is_named() -> None:
-    with pytest.raises(ValueError, match="between 0 and 1, got 1"):
+    with pytest.raises(ValueError, match="0 and 1, got 1"):
         radius(recovery(SHELLS, SHELLS < 1.0), probability=1.0)

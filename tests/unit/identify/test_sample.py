@@ -150,7 +150,7 @@ def test_without_any_prediction_there_is_no_sample_and_no_traceback() -> None:
     assert found.outcome is SampleOutcome.START_FAILED
     assert found.excluded.without_prediction == 1.0
     assert "no prediction" in str(found)
-    with pytest.raises(ValueError, match="there is no sample"):
+    with pytest.raises(ValueError, match="no sample"):
         _ = found.last_check
 
 
@@ -228,7 +228,7 @@ def test_independent_draws_lie_apart() -> None:
     assert places.shape == (100, 3)
     assert len(np.unique(places, axis=0)) == 100
     assert set(places[:, 0]) == {0, 1, 2, 3}
-    with pytest.raises(ValueError, match="fewer than the"):
+    with pytest.raises(ValueError, match=r"fewer.*1000000"):
         found.independent(10**6)
 
 

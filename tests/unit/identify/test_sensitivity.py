@@ -75,7 +75,7 @@ def test_failures_are_an_output_with_indices_of_its_own() -> None:
     assert found.complete_share[at("far")] == pytest.approx(0.75**2, abs=0.02)
     assert found.indices["ST"].final[at(FAILURE)] == pytest.approx([0.0, 1.0, 0.0], abs=0.05)
     assert np.isfinite(found.indices["S1"].final).all()
-    assert "takes its mean" in found.rule
+    assert "mean" in found.rule
 
 
 def test_morris_by_group() -> None:
@@ -86,7 +86,7 @@ def test_morris_by_group() -> None:
     assert star[3, 1] > 0.3
     assert star[3, [0, 2]] == pytest.approx([0.0, 0.0], abs=SAME)
     assert found.n_simulations == 32 * 4
-    assert "pair of neighbours" in found.rule
+    assert "neighbours" in found.rule
 
 
 @pytest.mark.parametrize("method", ["delta", "pawn", "hdmr", "shapley"])
@@ -118,7 +118,7 @@ def test_what_is_missing_to_a_half_width() -> None:
     width = found.largest_half_width[0]
     assert found.more_simulations(float(width))[0] == 0
     assert found.more_simulations(float(width) / 2)[0] == 3 * found.n_simulations
-    with pytest.raises(ValueError, match="must be above 0, got 0"):
+    with pytest.raises(ValueError, match=" 0, got 0"):
         found.more_simulations(0.0)
     lost = sensitivity(Linear(end=-2.0), BOX, n_samples=64)
     assert lost.failed_share[1] == 1.0
@@ -191,13 +191,13 @@ def test_the_usual_box() -> None:
 
 
 def test_mistakes_are_named() -> None:
-    with pytest.raises(ValueError, match="no method 'sobl'; the methods are sobol, morris, delta"):
+    with pytest.raises(ValueError, match=r"'sobl'.*sobol.*morris.*delta"):
         sensitivity(Linear(), BOX, method="sobl")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match='"morris" varies parameters independently'):
+    with pytest.raises(ValueError, match=r'"morris".*independently'):
         sensitivity(Linear(), DRAWS, method="morris")
-    with pytest.raises(ValueError, match="the box has 2 parameters, the model 3"):
+    with pytest.raises(ValueError, match=r"2 parameters.* 3"):
         sensitivity(Linear(), Box(lower=np.zeros(2), upper=np.ones(2)))
-    with pytest.raises(ValueError, match="12 draws are too few"):
+    with pytest.raises(ValueError, match="12 draws"):
         sensitivity(Linear(), DRAWS[:12], method="delta")
-    with pytest.raises(ValueError, match="draws must have shape any x 3"):
+    with pytest.raises(ValueError, match=r"draws.* x 3"):
         sensitivity(Linear(), DRAWS[:, :2], method="delta")

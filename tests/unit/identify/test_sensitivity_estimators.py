@@ -184,9 +184,9 @@ def test_designs_grow_at_their_end() -> None:
 
 
 def test_bad_designs_are_refused() -> None:
-    with pytest.raises(ValueError, match="a power of 2 of blocks, got 1000; ask for 1024"):
+    with pytest.raises(ValueError, match=r"blocks.*1000.*1024"):
         saltelli_blocks(CUBE, 1000, seed=0)
-    with pytest.raises(ValueError, match="at least 2 trajectories, got 1"):
+    with pytest.raises(ValueError, match="2 trajectories, got 1"):
         morris_trajectories(CUBE, 1, seed=0)
-    with pytest.raises(ValueError, match="range of parameter 2 is 1 to 1"):
+    with pytest.raises(ValueError, match=r"parameter 2 .*1 to 1"):
         Box(lower=np.array([0.0, 1.0]), upper=np.array([1.0, 1.0]))

@@ -65,15 +65,15 @@ def test_parameters_of_other_units_count_in_typical_steps() -> None:
 
 
 def test_bounds_without_room_are_named() -> None:
-    with pytest.raises(ValueError, match=r"x0.value_pct, x1.value_pct leave no room .* of 9"):
+    with pytest.raises(ValueError, match=r"x0\.value_pct.*x1\.value_pct.*\b9"):
         shell_starts(plain_parameters(2, -1.0, 1.0), 1, center=np.zeros(2), distances=[9.0])
 
 
 def test_mistakes_are_named() -> None:
-    with pytest.raises(ValueError, match="at least 1, got 0"):
+    with pytest.raises(ValueError, match=" 1, got 0"):
         sobol_starts(KNEE, 0)
-    with pytest.raises(ValueError, match="must be 0 or more"):
+    with pytest.raises(ValueError, match="0 or more"):
         shell_starts(KNEE, 3, center=REFERENCE, distances=[-1.0])
     open_ended = plain_parameters(1, -np.inf, 1.0)
-    with pytest.raises(ValueError, match="give finite ones"):
+    with pytest.raises(ValueError, match=r"x0\.value_pct.*finite"):
         sobol_starts(open_ended, 4)

@@ -82,11 +82,11 @@ def test_the_seed_repeats_the_points() -> None:
 
 
 def test_bad_input_is_refused() -> None:
-    with pytest.raises(ValueError, match="the number of points must be at least 1, got 0"):
+    with pytest.raises(ValueError, match=r"points.* 1, got 0"):
         check_structure(_product(), n_points=0)
     problem = _product()
     open_box = replace(
         problem, parameters=replace(problem.parameters, upper=np.array([np.inf, 1.0, 1.0]))
     )
-    with pytest.raises(ValueError, match=r"x0\.value_pct has no finite bounds"):
+    with pytest.raises(ValueError, match=r"x0\.value_pct.*bounds"):
         check_structure(open_box)

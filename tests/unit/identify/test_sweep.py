@@ -116,10 +116,8 @@ def test_starts_without_a_prediction_are_kept() -> None:
     assert np.isinf(found.objectives[1])
     assert np.isinf(found.polished_objectives[1])
     assert found.best != 1
-    assert str(found) == (
-        "3 searches by least-squares: 2 minimum, 1 start_failed; "
-        "polished: 2 minimum, 1 start_failed"
-    )
+    assert str(found).startswith("3 searches")
+    assert str(found).count("2 minimum, 1 start_failed") == 2
 
 
 def test_a_search_depends_on_its_number_alone() -> None:

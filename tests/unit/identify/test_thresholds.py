@@ -64,18 +64,18 @@ def test_data_sets_without_a_fit_are_counted_and_left_out() -> None:
 
 @pytest.mark.parametrize("level", [0.0, 1.0])
 def test_impossible_levels_are_refused(level: float) -> None:
-    with pytest.raises(ValueError, match="the level must be between 0 and 1"):
+    with pytest.raises(ValueError, match=r"level.* 0 and 1"):
         chi2_threshold(level)
 
 
 def test_no_degrees_of_freedom_are_refused() -> None:
-    with pytest.raises(ValueError, match="at least 1 degree of freedom, got 0"):
+    with pytest.raises(ValueError, match=r"1 degree.*got 0"):
         f_threshold(0.95, 0)
 
 
 def test_too_few_data_sets_are_refused() -> None:
     few = BootstrapStatistics(names=("x",), statistics=np.zeros((10, 1)))
-    with pytest.raises(ValueError, match=r"10 data sets do not determine a quantile at 0\.95"):
+    with pytest.raises(ValueError, match=r"10 data sets.*0\.95"):
         few.thresholds(0.95)
 
 

@@ -73,10 +73,10 @@ def test_a_path_stands_for_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_mistyped_name_is_answered_with_the_names() -> None:
-    with pytest.raises(InputError, match="no laxity of this name") as caught:
+    with pytest.raises(InputError, match="s192830") as caught:
         read_laxity("s192830")
-    assert caught.value.remedy == "Did you mean s192803? Or give the path of a table."
-    with pytest.raises(ValueError, match=r"no laxity of 'reference' comes with identknee\. Known"):
+    assert "s192803?" in caught.value.remedy
+    with pytest.raises(ValueError, match=r"'reference'.*s192803"):
         example_laxity("reference")
     # What reads like a file is missed like a file.
     assert laxity_file("s192830.csv") == Path("s192830.csv")

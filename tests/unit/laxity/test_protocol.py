@@ -192,18 +192,18 @@ def test_odd_files_end_in_a_sentence(tmp_path: Path, text: str) -> None:
 
 
 def test_text_that_is_not_toml(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"this is not TOML: .*line 1.*\. Correct that line\."):
+    with pytest.raises(InputError, match=r"TOML: .*line 1"):
         load_protocol(written(tmp_path, "format : 1"))
     path = tmp_path / "mine.toml"
     path.write_bytes(b"name = '\xff'")
-    with pytest.raises(InputError, match=r"the text is not UTF-8\. Save it as UTF-8\."):
+    with pytest.raises(InputError, match=r"UTF-8"):
         load_protocol(path)
 
 
 def test_unknown_names_get_the_closest_one() -> None:
-    with pytest.raises(InputError, match=r"seed36: there is no built-in .* Did you mean seed63\?"):
+    with pytest.raises(InputError, match=r"seed36: .* seed63\?"):
         load_protocol("seed36")
-    with pytest.raises(InputError, match="there is no such file"):
+    with pytest.raises(InputError, match=r"mine\.toml.*such"):
         load_protocol("nowhere/mine.toml")
 
 
@@ -216,11 +216,11 @@ def test_select_takes_numbers_and_masks() -> None:
     assert masked.n == 3
     assert not masked.loads.any()
     assert seed63.select([]).n == 0
-    with pytest.raises(ValueError, match="there is no trial 63"):
+    with pytest.raises(ValueError, match="trial 63"):
         seed63.select([63])
     with pytest.raises(ValueError, match="mask of 63"):
         seed63.select([True])
-    with pytest.raises(ValueError, match="two trials are called"):
+    with pytest.raises(ValueError, match=f"two trials.*{seed63.trials[1]}"):
         seed63.select([1, 1])
 
 
@@ -228,7 +228,7 @@ def test_concatenate_keeps_shared_trials_once() -> None:
     both = concatenate([load_protocol("seed63"), load_protocol("drawer")], name="both")
     assert both.n == 63 + 6
     assert both.name == "both"
-    with pytest.raises(ValueError, match="two different trials are called 'a'"):
+    with pytest.raises(ValueError, match=r"trials.*'a'"):
         concatenate([protocol("a"), protocol("a", load=6)])
 
 
@@ -247,7 +247,7 @@ def test_protocol_checks_its_values(flexion: float, load: float, words: str) -> 
 
 @pytest.mark.parametrize("name", ["", " a", "a\nb"])
 def test_protocol_checks_its_names(name: str) -> None:
-    with pytest.raises(ValueError, match=r"Give every trial a name|visible characters"):
+    with pytest.raises(ValueError, match=r"a name|visible"):
         protocol(name)
 
 

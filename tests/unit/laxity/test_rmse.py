@@ -42,11 +42,11 @@ def test_simulation_is_made_relative_where_the_measurement_is() -> None:
     rows = absolute.protocol.flexion_deg[:, None] / 30 * 15 + np.arange(5) + 5
     relative = replace(drawer(absolute.coordinates - rows), zero="unloaded")
     assert laxity_rmse(absolute, relative).mm == 0
-    with pytest.raises(ValueError, match=r"the measured one absolute\. Give the simulated one"):
+    with pytest.raises(ValueError, match=r"measured.*absolute"):
         laxity_rmse(relative, absolute)
 
 
 def test_other_trials_are_a_mistake() -> None:
     whole = drawer(np.zeros((9, 5)))
-    with pytest.raises(ValueError, match=r"different trials\. Simulate the protocol"):
+    with pytest.raises(ValueError, match=r"different trials"):
         laxity_rmse(whole, whole.select([0, 1]))

@@ -221,9 +221,7 @@ def test_messages_about_rows(tmp_path: Path, rows: str, message: str) -> None:
 def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
     header = "trial,flexion_deg,lateral_shift_mm\n"
     assert read_laxity(written(tmp_path, header + "a,30,-200")).coordinates[0, 0] == -200.0
-    with pytest.raises(
-        InputError, match="row 2, column lateral_shift_mm: a translation of -201 mm"
-    ):
+    with pytest.raises(InputError, match=r"row.2.*lateral_shift_mm.*-201"):
         read_laxity(written(tmp_path, header + "a,30,-201"))
 
 
@@ -346,7 +344,7 @@ def test_messages_about_columns_and_files(tmp_path: Path, text: str | bytes, mes
 def test_a_column_of_another_name_may_be_told_what_it_is(tmp_path: Path) -> None:
     path = tmp_path / "laxity.csv"
     path.write_text("trial,flexion_deg,knob,varus_deg\na,30,1,2", encoding="utf-8")
-    with pytest.raises(InputError, match=r"begin the file: # column: ONE = 1 \* knob$"):
+    with pytest.raises(InputError, match=r"# column: ONE = 1 \* knob$"):
         read_laxity(path)
 
 
@@ -354,12 +352,12 @@ def test_a_file_over_512_megabytes_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "laxity.csv"
     with path.open("wb") as file:
         file.truncate(600 * 10**6)
-    with pytest.raises(InputError, match="the file has 600 MB, more than the 512 MB allowed"):
+    with pytest.raises(InputError, match=r"600 MB.*512 MB"):
         read_laxity(path)
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"there is no such file\. Check the spelling"):
+    with pytest.raises(InputError, match=r"none\.csv.*such"):
         read_laxity(tmp_path / "none.csv")
 
 

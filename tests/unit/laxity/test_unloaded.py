@@ -62,8 +62,5 @@ def test_spread_of_a_difference_adds_up() -> None:
 def test_an_angle_without_an_unloaded_trial_is_named() -> None:
     seed63 = load_protocol("seed63")
     lacking = seed63.select(~seed63.is_unloaded | (seed63.flexion_deg != 30))
-    with pytest.raises(
-        ValueError,
-        match=r"no trial of 'seed63' is unloaded at 30 deg flexion\. Add one with all loads zero",
-    ):
+    with pytest.raises(ValueError, match=r"'seed63'.*unloaded.*30"):
         unloaded_trials(lacking)

@@ -30,7 +30,7 @@ def test_changes_are_counted_from_the_opposite_load_or_from_a_trial(tmp_path: Pa
     assert from_zero(values, protocol, "rest").tolist() == [0.0, 4.0, -5.0, 29.0]
     deep = np.stack([values, 2.0 * values], axis=1)
     assert from_zero(deep, protocol, "rest")[:, 1].tolist() == [0.0, 8.0, -10.0, 58.0]
-    with pytest.raises(ValueError, match=r"is called rest.* Keep it in the table"):
+    with pytest.raises(ValueError, match=r"called rest"):
         zero_trials(protocol.select([1, 2]), "rest")
 
 
@@ -78,7 +78,7 @@ def test_a_model_is_compared_as_the_table_counts(zero: str) -> None:
     ahead = problem.residuals(theta + step) - problem.residuals(theta - step)
     np.testing.assert_allclose(slopes, ahead / 2e-4, atol=1e-5)
     assert laxity_rmse(simulated, table).mm < 1e-9
-    with pytest.raises(ValueError, match="Give the simulated one in absolute coordinates"):
+    with pytest.raises(ValueError, match="absolute coordinates"):
         laxity_rmse(table, simulated)
 
 
@@ -88,7 +88,7 @@ def test_a_fit_finds_the_parameters_from_differences_alone() -> None:
     found = ik.fit("reference", table, start="IG3")
     np.testing.assert_allclose(found.search.theta, model.parameters.center, rtol=1e-4)
     assert len(found.trials_used) == int(table.is_measured.any(axis=1).sum())
-    with pytest.raises(ValueError, match="--hold-out predicts absolute coordinates"):
+    with pytest.raises(ValueError, match=r"--hold-out.*absolute"):
         ik.fit("reference", table, hold_out=["flexion0*"])
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from evaluation import NO_LOAD, SCALE, Evaluator, ligaments_of, point_at
+from energy_evaluation import NO_LOAD, SCALE, Evaluator, ligaments_of, point_at
 
 from identknee.mechanics.energy import evaluate_near
 from identknee.model.laxity_model import LaxityModel

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evaluation import NO_LOAD, Evaluator, field_values
+from energy_evaluation import NO_LOAD, Evaluator, field_values
 from small_knee import small_knee, small_protocol
 from tolerances import CLOSED_FORM, DIFFERENCE
 

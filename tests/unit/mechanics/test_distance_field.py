@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from evaluation import field_values
+from energy_evaluation import field_values
 
 from identknee.mechanics.contact_law import MOST_ROUNDING
 from identknee.mechanics.distance_field import PADDING, DistanceField, build_field

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import oracle
 import pytest
-from evaluation import (
+from energy_evaluation import (
     SCALE,
     Evaluator,
     contact_energy,

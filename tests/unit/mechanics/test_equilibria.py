@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evaluation import SCALE, Evaluator, random_parameters
+from energy_evaluation import SCALE, Evaluator, random_parameters
 from tolerances import CLOSED_FORM, DIFFERENCE, RESIDUAL_N
 
 from identknee.mechanics.contact_law import PRESSURE_MODULUS
@@ -123,7 +123,7 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
 
 
 def test_points_of_the_wrong_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match="areas must have shape 2"):
+    with pytest.raises(ValueError, match=r"areas.* 2"):
         ContactPoints(points=np.zeros((2, 3)), areas=np.zeros(3), compartment=np.zeros(2, np.int64))
 
 

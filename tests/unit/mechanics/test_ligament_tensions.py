@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from evaluation import central_difference
+from energy_evaluation import central_difference
 from tolerances import CLOSED_FORM
 
 from identknee.mechanics.equilibria import LineLigaments

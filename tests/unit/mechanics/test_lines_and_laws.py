@@ -3,7 +3,7 @@
 import numpy as np
 import oracle
 import pytest
-from evaluation import SCALE, Evaluator, ligaments_of
+from energy_evaluation import SCALE, Evaluator, ligaments_of
 from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.mechanics.contact_law import MOST_ROUNDING

@@ -222,13 +222,13 @@ def test_apart_there_is_no_force() -> None:
 
 def test_mistakes_are_named() -> None:
     good = _plane_and_dome("both")
-    with pytest.raises(ValueError, match="convention must be one of tibia, femur, both"):
+    with pytest.raises(ValueError, match=r"convention.*tibia.*femur.*both"):
         MeshContact(femur=good.femur, tibia=good.tibia, convention="all")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="pressure_modulus must be positive"):
+    with pytest.raises(ValueError, match="pressure_modulus"):
         MeshContact(femur=good.femur, tibia=good.tibia, pressure_modulus=0.0)
     vertices, faces = _grid(2.0, 1.0)
     faces[3] = faces[3, [0, 0, 1]]
-    with pytest.raises(ValueError, match="triangle 3 of 32 has no area"):
+    with pytest.raises(ValueError, match="triangle 3 of 32"):
         Sheet(vertices=vertices, faces=faces)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from evaluation import SCALE
+from energy_evaluation import SCALE
 from tolerances import CLOSED_FORM
 
 from identknee.mechanics.energy import (

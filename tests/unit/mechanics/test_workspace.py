@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from evaluation import ligaments_of
+from energy_evaluation import ligaments_of
 
 from identknee.mechanics.energy import evaluate
 from identknee.mechanics.equilibria import kept_workspace

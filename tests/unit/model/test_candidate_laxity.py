@@ -137,15 +137,15 @@ def test_one_trial_that_fails_leaves_the_others(small: LaxityModel) -> None:
 def test_errors_are_medians_of_those_stated(small: LaxityModel) -> None:
     laxity = _data(small)
     np.testing.assert_array_equal(typical_errors(laxity), [0.4, 0.4, 0.4, 0.6, 0.6])
-    with pytest.raises(ValueError, match="states no standard deviations"):
+    with pytest.raises(ValueError, match="standard deviations"):
         typical_errors(small.simulate(small.parameters.center))
 
 
 def test_bad_input_is_refused(small: LaxityModel) -> None:
     laxity = _data(small)
-    with pytest.raises(ValueError, match="at least one coordinate"):
+    with pytest.raises(ValueError, match="one coordinate"):
         _candidates(small, laxity, sd=np.full(5, np.nan))
-    with pytest.raises(ValueError, match="must be greater than 0, got 0"):
+    with pytest.raises(ValueError, match=r"deviation.* 0, got 0"):
         _candidates(small, laxity, sd=np.array([0.0, 1, 1, 1, 1]))
 
 

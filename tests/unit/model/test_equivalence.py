@@ -45,9 +45,9 @@ def test_only_what_was_measured_counts(reference_model: LaxityModel) -> None:
 def test_what_cannot_be_meant_is_refused(reference_model: LaxityModel) -> None:
     laxity = reference_model.simulate(reference_model.parameters.center)
     problem = LaxityResiduals(model=reference_model, laxity=laxity)
-    with pytest.raises(ValueError, match="limits are greater than 0"):
+    with pytest.raises(ValueError, match="varus_deg is 0"):
         rms_blocks(problem, {"varus_deg": 0.0})
-    with pytest.raises(ValueError, match="limits are greater than 0"):
+    with pytest.raises(ValueError, match="varus is 1"):
         rms_blocks(problem, {"varus": 1.0})
     noisy = replace(laxity, sd=np.ones_like(laxity.coordinates))
     with pytest.raises(ValueError, match='weighting="unit"'):
@@ -55,5 +55,5 @@ def test_what_cannot_be_meant_is_refused(reference_model: LaxityModel) -> None:
     coordinates = np.full_like(laxity.coordinates, np.nan)
     coordinates[:, 0] = laxity.coordinates[:, 0]
     shifts = LaxityResiduals(model=reference_model, laxity=replace(laxity, coordinates=coordinates))
-    with pytest.raises(ValueError, match="use the noise criterion"):
+    with pytest.raises(ValueError, match="noise criterion"):
         rms_blocks(shifts)

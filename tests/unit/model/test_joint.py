@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluation import field_values
+from energy_evaluation import field_values
 from small_knee import BOTTOM, CENTRES, RADII, small_knee
 from tolerances import CLOSED_FORM
 

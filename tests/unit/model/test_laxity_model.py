@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import oracle
 import pytest
-from evaluation import SCALE, Evaluator, ligaments_of, random_parameters
+from energy_evaluation import SCALE, Evaluator, ligaments_of, random_parameters
 from narrow_knee import narrow_knee
 from small_knee import small_knee, small_protocol
 from tolerances import DIFFERENCE, RESIDUAL_N, SAME_MARGIN, SAME_POSE
@@ -378,7 +378,7 @@ def test_predictions_can_not_be_written_to(small: LaxityModel) -> None:
 
 
 def test_a_theta_of_the_wrong_length_is_refused(small: LaxityModel) -> None:
-    with pytest.raises(ValueError, match=r"theta must have 8 values, one for each of front\.sti"):
+    with pytest.raises(ValueError, match=r"theta.*\b8\b.*front\.sti"):
         small.predict(np.ones(7))
 
 
@@ -395,7 +395,7 @@ def test_values_out_of_range_are_refused_by_name(
 
 def test_mesh_contact_has_no_derivatives(small: LaxityModel) -> None:
     mesh = replace(small, contact="mesh")
-    with pytest.raises(ValueError, match="mesh contact has no derivatives"):
+    with pytest.raises(ValueError, match=r"mesh.*derivatives"):
         mesh.predict(small.parameters.center)
 
 

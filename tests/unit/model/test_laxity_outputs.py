@@ -47,7 +47,7 @@ def test_outputs_may_be_changes_from_the_unloaded_pose(model: LaxityModel) -> No
     expected = from_zero(near.predict(theta).coordinates, protocol, "unloaded")
     assert np.array_equal(outputs.evaluate(theta), expected.ravel())
     assert np.all(outputs.evaluate(theta)[:5] == 0.0)
-    with pytest.raises(ValueError, match="is unloaded at 8 deg"):
+    with pytest.raises(ValueError, match=r"unloaded.*8 deg"):
         LaxityOutputs(model=model, groups=names(6), free=free(model, (0,)), zero="unloaded")
 
 
@@ -69,5 +69,5 @@ def test_a_trial_without_equilibrium_is_nan(model: LaxityModel) -> None:
 
 
 def test_every_output_needs_a_group(model: LaxityModel) -> None:
-    with pytest.raises(ValueError, match="30 outputs need as many names of groups, got 2"):
+    with pytest.raises(ValueError, match=r"30 outputs.* 2"):
         LaxityOutputs(model=model, groups=("a", "b"), free=free(model, (0,)))

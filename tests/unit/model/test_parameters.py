@@ -47,17 +47,17 @@ def test_bounds_can_be_narrowed(parameters: Parameters) -> None:
     narrow = parameters.with_bounds({"ACL.stiffness_kN": (5.0, 15.0)})
     assert (narrow.lower[0], narrow.upper[0]) == (5.0, 15.0)
     np.testing.assert_array_equal(narrow.lower[1:], parameters.lower[1:])
-    with pytest.raises(ValueError, match=r"ACL\.stiffness_kN must be lower < upper, got 5 and 5"):
+    with pytest.raises(ValueError, match=r"ACL\.stiffness_kN.*5.*5"):
         parameters.with_bounds({"ACL.stiffness_kN": (5.0, 5.0)})
 
 
 def test_an_unknown_name_lists_the_known(parameters: Parameters) -> None:
-    with pytest.raises(ValueError, match=r"no parameter 'PCL'\. Known are ACL\.stiff"):
+    with pytest.raises(ValueError, match=r"'PCL'.*ACL\.stiff"):
         parameters.index("PCL")
 
 
 def test_names_must_differ() -> None:
-    with pytest.raises(ValueError, match="parameter names must differ"):
+    with pytest.raises(ValueError, match=r"names.*differ"):
         ligament_parameters(["ACL", "ACL"], [1.0, 2.0], [0.0, 0.0])
 
 

@@ -206,5 +206,5 @@ def test_residuals_and_quantities_share_their_simulation(
 
 def test_derivatives_of_tensions_need_those_of_the_prediction(small: LaxityModel) -> None:
     found = small.predict(small.parameters.center, derivatives=False)
-    with pytest.raises(ValueError, match="only where the prediction has them"):
+    with pytest.raises(ValueError, match="prediction has"):
         tension_jacobian(small, found)

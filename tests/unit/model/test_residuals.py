@@ -1,5 +1,6 @@
 """Residuals: predicted less measured, weighted, and their slopes."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -134,12 +135,12 @@ def test_data_relative_to_the_unloaded_pose_ignore_a_shift(model: LaxityModel) -
 
 def test_data_relative_to_a_pose_they_lack_are_refused(model: LaxityModel, laxity: Laxity) -> None:
     relative = replace(laxity, zero="unloaded")
-    with pytest.raises(ValueError, match="no trial of 'small' is unloaded at 8 deg"):
+    with pytest.raises(ValueError, match=r"'small'.*unloaded.*8"):
         LaxityResiduals(model=model, laxity=relative)
 
 
 def test_noise_weights_need_stated_errors(model: LaxityModel, laxity: Laxity) -> None:
-    with pytest.raises(ValueError, match="needs a standard deviation for every measured"):
+    with pytest.raises(ValueError, match="standard deviation"):
         LaxityResiduals(model=model, laxity=laxity, weighting="noise")
 
 
@@ -181,7 +182,7 @@ def test_noise_without_an_inverse_is_told(model: LaxityModel, laxity: Laxity) ->
     # The largest number below 1: rounding leaves one of these covariances without a root.
     sd = np.random.default_rng(0).uniform(0.1, 1.0, laxity.coordinates.shape)
     stated = replace(laxity, sd=sd, within_trial_correlation=float(np.nextafter(1.0, 0.0)))
-    with pytest.raises(ValueError, match=r"of trial .* has no inverse: .*; give a correlation"):
+    with pytest.raises(ValueError, match=r"trial .*inverse"):
         LaxityResiduals(model=model, laxity=stated, weighting="noise")
 
 
@@ -190,5 +191,5 @@ def test_noise_that_no_measurement_has_is_refused(
     model: LaxityModel, laxity: Laxity, sd: float
 ) -> None:
     stated = replace(laxity, sd=np.full(laxity.coordinates.shape, sd))
-    with pytest.raises(ValueError, match=r"standard deviation of 1e[-+]300 is beyond 1e-09 to"):
+    with pytest.raises(ValueError, match=rf"{re.escape(f'{sd:g}')} .*1e-09 to"):
         LaxityResiduals(model=model, laxity=stated, weighting="noise")

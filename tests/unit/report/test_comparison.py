@@ -22,7 +22,7 @@ def test_distance_of_ig4_is_what_table_1_of_the_paper_prints() -> None:
 
 @pytest.mark.parametrize("theta", [[1.0, 2.0, 3.0], [[1.0, 2.0], [3.0, 4.0]]])
 def test_parameters_must_come_in_pairs(theta: list[float] | list[list[float]]) -> None:
-    with pytest.raises(ValueError, match="stiffness and a reference strain for every ligament"):
+    with pytest.raises(ValueError, match=r"stiffness.*strain"):
         parameter_error(theta, theta)
 
 

@@ -122,8 +122,8 @@ def test_results_of_one_folder_become_a_table(tmp_path: Path, knee: Knee) -> Non
     assert [x["estimate"] for x in rows.values()].count("0") == 1
     assert rows["LCL.stiffness_kN"]["estimate"] == "0"
     assert rows["PCL.stiffness_kN"]["lower95"] == ""
-    with pytest.raises(ValueError, match="not of lenhart2015_stable as it is now"):
+    with pytest.raises(ValueError, match="lenhart2015_stable"):
         export_knee(ik.example("lenhart2015_stable"), tmp_path / "no", fitted=results)
     ik.information(knee, data, out=tmp_path / "information")
-    with pytest.raises(ValueError, match="holds no parameter set"):
+    with pytest.raises(ValueError, match="parameter set"):
         export_knee(knee, tmp_path / "no", fitted=tmp_path / "information")

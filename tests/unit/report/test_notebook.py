@@ -62,7 +62,7 @@ def test_every_answer_is_short_to_see(verb: str, data: ik.Laxity) -> None:
     assert len(html.encode()) <= 200_000
     assert '<img src="data:image/png' in html
     assert isinstance(answer.plot(), Figure)
-    with pytest.raises(ValueError, match="there is no figure 'none'; choose from"):
+    with pytest.raises(ValueError, match="figure 'none'"):
         answer.plot("none")
 
 
@@ -89,7 +89,7 @@ def test_the_report_takes_answers_folders_or_both(data: ik.Laxity, tmp_path: Pat
     made = ik.fit(knee, data, start="IG2")
     page = ik.report([tmp_path / "one", made], tmp_path / "new" / "report.html")  # type: ignore[operator]
     text = page.read_text("utf-8")
-    assert "From simulate, fit" in text
+    assert "simulate, fit" in text
     assert "knee-viewer" in text
 
 
@@ -102,7 +102,7 @@ def test_an_answer_of_no_call_is_shown_as_that_of_its_verb() -> None:
 
 
 def test_a_knee_to_turn_needs_poses(data: ik.Laxity) -> None:
-    with pytest.raises(ValueError, match="Profiles holds no poses of this knee"):
+    with pytest.raises(ValueError, match=r"Profiles.*poses"):
         ik.scene_3d(ik.reference_knee(), straight_profiles())
 
 
@@ -116,7 +116,7 @@ def test_a_notebook_runs_and_shows_pictures(tmp_path: Path) -> None:
     asyncio.run(client.async_execute())
     shown = {x.source: [y.get("data", {}) for y in x.outputs] for x in notebook.cells}
     (answer,) = shown["answer"]
-    assert "The best fit reproduces" in answer["text/html"]
+    assert "best fit" in answer["text/html"]
     assert answer["text/plain"].startswith("Calibration:")
     assert any("image/png" in x for x in shown["answer.plot()"])
     assert any("image/png" in x for x in shown["ik.scene(knee)"])

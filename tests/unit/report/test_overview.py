@@ -1,5 +1,6 @@
 """The head of the report: what methods say together, and whether fits agree."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnoses import FRAME, answered
+from golden_texts import Golden
 from report_folders import few_trials, profile_folder, straight_profiles
 
 from identknee.identify.profile.result import ProfileVerdict
@@ -89,20 +91,18 @@ def test_equivalent_sets_are_scaled_to_the_limit_of_the_profile() -> None:
     assert relation(MAIN, replace(narrow, reach=1.0)) is Relation.NARROWER
     found = agreement([MAIN, narrow])
     assert found.sentence("kN") == "both agree"
-    assert "0.25 times the squared misfit" in reasons([found])
+    assert "0.25 times" in reasons([found])
 
 
-def test_methods_that_differ_are_named_with_their_range_and_reason() -> None:
+def test_methods_that_differ_are_named_with_their_range_and_reason(golden: Golden) -> None:
     found = agreement([MAIN, a_range(9.9, 10.1), a_range(8.0, 12.0, Source.DIAGNOSIS)])
-    assert found.sentence("kN") == "2 of 3 agree; posterior is narrower (9.9 to 10.1 kN)"
-    assert "The posterior adds the prior" in reasons([found])
-    assert "The diagnosis takes" not in reasons([found])
+    golden("said/methods-that-differ", f"{found.sentence('kN')}\n{reasons([found])}")
 
 
-def test_what_has_not_converged_is_said_so() -> None:
+def test_what_has_not_converged_is_said_so(golden: Golden) -> None:
     answer = load(Path(__file__).parents[2] / "fuzz" / "results" / "sample")
-    assert overview([answer]).verdict.startswith("None of 2 parameters is known within limits")
-    assert overview([answer]).verdict.endswith("has not converged yet.")
+    assert overview([answer]).tone is Tone.OPEN
+    golden("said/not-converged", overview([answer]).verdict)
 
 
 def with_profiles(verdicts: Mapping[str, tuple[float | None, float | None]]) -> Profiles:
@@ -128,17 +128,13 @@ def with_profiles(verdicts: Mapping[str, tuple[float | None, float | None]]) -> 
     return replace(whole, parameters=made)
 
 
-def test_the_verdict_counts_what_is_known_and_names_what_is_open() -> None:
+def test_the_verdict_counts_what_is_known_and_names_what_is_open(golden: Golden) -> None:
     known = with_profiles({"ACL.stiffness_kN": (8.0, 12.0), "PCL.stiffness_kN": (15.0, 22.0)})
-    said = overview([known])
-    assert said.verdict == (
-        "Both parameters are known within limits, if the model is right (not tested)."
-    )
-    assert said.tone is Tone.GOOD
+    both = overview([known])
+    assert both.tone is Tone.GOOD
     cut = with_profiles({"ACL.stiffness_kN": (8.0, 12.0), "PCL.stiffness_kN": (15.0, None)})
     said = overview([cut])
-    assert said.verdict.startswith("1 of 2 parameters is known within limits")
-    assert "the PCL's stiffness is open above" in said.verdict
+    golden("said/known-and-open", f"{both.verdict}\n{said.verdict}")
     assert said.tone is Tone.OPEN
     assert [x.limits for x in said.rows] == ["8 to 12 kN", "15 kN upwards"]
 
@@ -147,7 +143,7 @@ def test_a_cause_found_is_in_the_verdict_and_alarms() -> None:
     said = overview([answered(FRAME)])
     assert said.tone is Tone.WRONG
     assert said.rows
-    assert overview([untestable("No noise is stated.")]).tone is Tone.OPEN
+    assert overview([untestable("Why.")]).tone is Tone.OPEN
 
 
 def test_methods_that_contradict_each_other_are_in_the_verdict() -> None:
@@ -157,8 +153,8 @@ def test_methods_that_contradict_each_other_are_in_the_verdict() -> None:
     assert main.high is not None
     far = with_profiles({name: (main.high + 10.0, main.high + 11.0)})
     said = overview([far, diagnosis])
-    assert "methods contradict one another" in said.verdict
-    assert "with the cause" in said.verdict
+    assert "one another" in said.verdict
+    assert "the cause" in said.verdict
     assert "contradicts" in said.rows[0].agreement
 
 
@@ -182,15 +178,15 @@ def test_fits_that_end_elsewhere_are_said_to_disagree(fitted: Calibration) -> No
     agreeing = [one, moved(fitted, near, "IG2")]
     assert disagreement(agreeing) == ""
     told = " ".join(searches_sentences(agreeing))
-    assert "They end at the same parameters" in told
     # Alike in all that is said of them: one clause for both.
-    assert told.startswith("The 2 fits from IG1 and IG2 by least squares all reproduce")
-    said = disagreement([one, moved(fitted, far, "IG2")])
+    assert re.match("The 2 fits .*IG1.*IG2", told)
+    assert told.count("IG2") == 1
+    apart = moved(fitted, far, "IG2")
+    said = disagreement([one, apart])
     value = float(fitted.search.theta[1])
-    assert f"is {value:.3g} kN from IG1 but {value - 3.0:.3g} kN from IG2" in said
-    assert (
-        "fits from different starts" in overview([one, moved(fitted, far, "IG2")]).verdict.lower()
-    )
+    assert re.search(f"{value:.3g} kN .*IG1.* {value - 3.0:.3g} kN .*IG2", said)
+    disagreeing, agreed = (overview(x).verdict for x in ([one, apart], agreeing))
+    assert disagreeing != agreed
 
 
 def test_a_fit_is_beaten_by_one_of_the_same_data_that_leaves_less(fitted: Calibration) -> None:
@@ -223,9 +219,8 @@ def test_profiles_of_one_table_are_told_once_and_other_tables_apart(tmp_path: Pa
     assert len(findings.of_main_data) == 2
 
 
-def test_a_demonstration_is_answered_first() -> None:
+def test_a_demonstration_is_answered_first(golden: Golden) -> None:
     demo = load(Path(__file__).parents[2] / "fuzz" / "results" / "demo")
     found = overview([demo])
-    assert found.verdict.startswith("A good fit does not show that its parameters are right.")
-    assert found.verdict.endswith("known within limits, if the model is right (not tested).")
+    golden("said/demonstration", found.verdict)
     assert not found.searches

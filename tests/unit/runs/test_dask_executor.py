@@ -53,7 +53,7 @@ def test_a_running_scheduler_is_found_by_its_address(cluster: Any) -> None:
 
 
 def test_an_error_comes_back_as_it_was(cluster: Executor) -> None:
-    with pytest.raises(ValueError, match="item 1 is refused"):
+    with pytest.raises(ValueError, match="item 1"):
         resumable_map(refuse, [1, 2], executor=cluster)
     assert resumable_map(math.sqrt, [4.0], executor=cluster) == [2.0]
 
@@ -62,7 +62,7 @@ def test_an_error_comes_back_as_it_was(cluster: Executor) -> None:
 def test_a_dead_worker_is_a_sentence() -> None:
     with (
         dask_cluster(1) as executor,
-        pytest.raises(WorkerTerminated, match=r"worker of the dask cluster died .* memory"),
+        pytest.raises(WorkerTerminated, match=r"dask.*died"),
     ):
         resumable_map(die, [1], executor=executor)
 
@@ -70,7 +70,7 @@ def test_a_dead_worker_is_a_sentence() -> None:
 def test_an_address_without_a_scheduler_is_said() -> None:
     with (
         dask.config.set({"distributed.comm.timeouts.connect": "0.2s"}),
-        pytest.raises(ValueError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9 "),
+        pytest.raises(ValueError, match=r"scheduler.*tcp://127\.0\.0\.1:9"),
         dask_cluster("tcp://127.0.0.1:9"),
     ):
         pass
@@ -79,7 +79,7 @@ def test_an_address_without_a_scheduler_is_said() -> None:
 def test_without_dask_the_remedy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(ModuleNotFoundError, match=r"pip install 'identknee\[cluster\]'"),
+        pytest.raises(ModuleNotFoundError, match=r"identknee\[cluster\]"),
         dask_cluster(2),
     ):
         pass

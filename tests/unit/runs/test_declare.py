@@ -124,17 +124,17 @@ def test_arrays_and_mappings_are_read_only(whole: Whole) -> None:
 
 
 def test_arrays_along_one_axis_have_one_length() -> None:
-    with pytest.raises(ValueError, match="steps must have shape 2"):
+    with pytest.raises(ValueError, match=r"steps.* 2"):
         Part(size=1.0, colour=Colour.RED, path=[0.0, 1.0], steps=[0])  # type: ignore[arg-type]
 
 
 def test_names_and_arrays_along_one_axis_have_one_length(whole: Whole) -> None:
-    with pytest.raises(ValueError, match="weights must have shape 3"):
+    with pytest.raises(ValueError, match=r"weights.* 3"):
         replace(whole, names=("a", "b", "c"))
 
 
 def test_a_code_that_means_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="kinds: a code stands for none of minimum, valley"):
+    with pytest.raises(ValueError, match=r"kinds.*minimum.*valley"):
         Search(method="newton", kinds=np.array([0, 2]), ends=())
 
 

@@ -85,19 +85,19 @@ def test_every_kind_says_what_it_means_and_what_to_do(code: str) -> None:
 
 
 def test_an_unregistered_code_is_refused() -> None:
-    with pytest.raises(ValueError, match="there is no finding 'misfit'"):
+    with pytest.raises(ValueError, match="finding 'misfit'"):
         finding("misfit", "data", sentence="So.")
-    with pytest.raises(ValueError, match="there is no finding 'misfit'"):
+    with pytest.raises(ValueError, match="finding 'misfit'"):
         Finding(code="misfit", severity=Severity.INFO, sentence="So.", where="data")
 
 
 def test_values_that_do_not_fill_the_sentence_are_refused() -> None:
     made = finding("sets-without-prediction", "model", {"n": 100, "n_lost": 7})
-    assert "Of 100 parameter sets" in made.sentence
+    assert re.search(r"\b100\b.*\b7\b", made.sentence)
     stored = summary_of(made)
     again = from_plain(Finding, stored)
     assert summary_of(again) == stored
-    with pytest.raises(ValueError, match="the values do not fill the sentence"):
+    with pytest.raises(ValueError, match=r"values.*'sets-without-prediction'"):
         from_plain(Finding, stored | {"values": {"n": 100}})
 
 

@@ -1,6 +1,7 @@
 import json
 import math
 import os
+import re
 import signal
 import sqlite3
 import subprocess
@@ -18,6 +19,7 @@ from identknee.runs import store as resume
 from identknee.runs.errors import InputError
 from identknee.runs.executors import WorkerTerminated, process_pool, threads
 from identknee.runs.outcome import Outcome
+from identknee.runs.record import versions
 from identknee.runs.store import finish_work, open_work, resumable_map
 
 ABOUT = {
@@ -129,9 +131,7 @@ def test_a_dead_worker_is_a_sentence_and_what_was_done_is_kept(tmp_path: Path) -
     with open_work(tmp_path / "work.sqlite", ABOUT) as store:
         with (
             process_pool(2) as executor,
-            pytest.raises(
-                WorkerTerminated, match=r"fewer workers\. What .* kept .* same command"
-            ) as e,
+            pytest.raises(WorkerTerminated, match=r"fewer workers") as e,
         ):
             resumable_map(die, list(range(6)), executor=executor, store=store, name="s")
         assert "memory" in str(e.value)
@@ -176,7 +176,7 @@ def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> No
     with open_work(path, ABOUT) as store:
         resumable_map(str, items[:2], store=store, name="s")
         store._connection.execute("PRAGMA max_page_count = 20")
-        with pytest.raises(InputError, match=r"work\.sqlite: the disk is full\. .* to resume"):
+        with pytest.raises(InputError, match=r"work\.sqlite.*full"):
             resumable_map(str, items, store=store, name="s")
     with open_work(path, ABOUT) as store:
         counting = Counting()
@@ -229,9 +229,7 @@ def test_a_store_of_another_version_is_refused(
     with monkeypatch.context() as context:
         context.setattr(resume, "versions", lambda: {"identknee": "0.0.9"})
         open_work(path, ABOUT).close()
-    with pytest.raises(
-        InputError, match=r"work of identknee 0\.0\.9, this is .* with that version"
-    ):
+    with pytest.raises(InputError, match=rf"0\.0\.9.*{re.escape(versions()['identknee'])}"):
         open_work(path, ABOUT)
 
 
@@ -242,7 +240,7 @@ def test_a_store_of_another_format_is_refused(
     with monkeypatch.context() as context:
         context.setattr(resume, "STORE_FORMAT", 2)
         open_work(path, ABOUT).close()
-    with pytest.raises(InputError, match=r"format 2, this version .* format 1\. Remove"):
+    with pytest.raises(InputError, match=r"format 2.* format 1"):
         open_work(path, ABOUT)
     with sqlite3.connect(path) as other:
         other.execute("UPDATE rows SET key = 'something'")
@@ -300,7 +298,7 @@ def test_finished_work_makes_room_for_other_work(tmp_path: Path) -> None:
     path = tmp_path / "work.sqlite"
     with open_work(path, {"seed": 1}) as store:
         resumable_map(abs, [-1, -2], store=store, name="first")
-    with pytest.raises(InputError, match="seed was 1 and is 2 now"):
+    with pytest.raises(InputError, match=r"seed was 1.* 2 "):
         open_work(path, {"seed": 2})
     finish_work(path)
     with open_work(path, {"seed": 1}) as store:
@@ -308,7 +306,7 @@ def test_finished_work_makes_room_for_other_work(tmp_path: Path) -> None:
     finish_work(path)
     with open_work(path, {"seed": 2}) as store:
         assert "first/0" not in store.keys()  # noqa: SIM118
-    with pytest.raises(InputError, match="seed was 2 and is 1 now"):
+    with pytest.raises(InputError, match=r"seed was 2.* 1 "):
         open_work(path, {"seed": 1})
 
 

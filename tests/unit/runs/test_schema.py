@@ -107,12 +107,12 @@ def test_what_is_no_json_is_told(tmp_path: Path, content: bytes, why: str) -> No
     with pytest.raises(InputError, match=why):
         read_json(path, "Correct the file.")
     path.write_text(json.dumps({"a": [1.5, None]}), encoding="utf-8")
-    assert read_json(path, "Correct the file.") == {"a": [1.5, None]}
+    assert read_json(path, "Mend.") == {"a": [1.5, None]}
 
 
 def test_toml_may_begin_with_the_mark_of_its_encoding(tmp_path: Path) -> None:
     path = tmp_path / "x.toml"
     path.write_bytes(b"\xef\xbb\xbfa = 1\n")
     assert read_toml(path) == {"a": 1}
-    with pytest.raises(InputError, match="more than the 1e-06 MB allowed"):
+    with pytest.raises(InputError, match="1e-06 MB"):
         read_toml(path, 1e-6)

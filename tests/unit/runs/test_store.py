@@ -61,13 +61,13 @@ def test_a_kill_loses_only_the_batch_under_way(tmp_path: Path) -> None:
 def test_another_file_is_refused_and_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "laxity.csv"
     path.write_text("trial,flexion_deg\n" * 100)
-    with pytest.raises(InputError, match=r"laxity\.csv: this is not a store .* start again"):
+    with pytest.raises(InputError, match=r"laxity\.csv.*store"):
         Store(path)
     assert path.read_text() == "trial,flexion_deg\n" * 100
 
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"it may not be written to .* --out"):
+    with pytest.raises(InputError, match=r"written.*--out"):
         Store(tmp_path)
 
 
@@ -77,7 +77,7 @@ def test_a_second_writer_is_told_to_wait(tmp_path: Path, monkeypatch: pytest.Mon
     with Store(path) as store:
         other = sqlite3.connect(path)
         other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(InputError, match=r"another run is writing to this file\. Wait"):
+        with pytest.raises(InputError, match=r"runs\.sqlite.*another"):
             store.put_many({"a": 1})
         other.rollback()
         other.close()
@@ -87,7 +87,7 @@ def test_a_second_writer_is_told_to_wait(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_full_disk_is_named(tmp_path: Path) -> None:
     with Store(tmp_path / "runs.sqlite") as store:
         store._connection.execute("PRAGMA max_page_count=3")
-        with pytest.raises(InputError, match=r"the disk is full\. Free some space"):
+        with pytest.raises(InputError, match=r"runs\.sqlite.*full"):
             store.put_many({"a": "x" * 100_000})
         assert store.keys() == set()
 
@@ -113,7 +113,7 @@ def test_what_is_damaged_never_comes_back(tmp_path: Path, change: str) -> None:
         store.put_many({"a": [1.5, 2.5]})
     with closing(sqlite3.connect(path)) as other:
         other.executescript(change)
-    with pytest.raises(InputError, match=r"(Remove the file|choose another folder)"):
+    with pytest.raises(InputError, match=r"Remove|another folder"):
         use(path)
 
 

@@ -137,15 +137,15 @@ def test_no_trace_of_the_writing(example: Path) -> None:
 
 def test_an_unwritable_place(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="a file stands where the folder should be"):
+    with pytest.raises(InputError, match="file: a file"):
         write_subject(posed_reference(), tmp_path / "file")
 
 
 @pytest.mark.parametrize("name", ["subject", "subject/subject.toml"])
 def test_missing_subject(tmp_path: Path, name: str) -> None:
-    assert "there is no such subject folder" in refused(tmp_path / "subject")
+    assert "such subject" in refused(tmp_path / "subject")
     (tmp_path / "subject").mkdir()
-    assert "the folder holds no subject.toml" in refused(tmp_path / name)
+    assert "subject.toml" in refused(tmp_path / name).removeprefix(str(tmp_path / name))
 
 
 def test_landmarks_instead_of_frames(edited: Callable[..., Path]) -> None:
@@ -232,7 +232,7 @@ def test_no_ligaments(edited: Callable[..., Path], ligaments: str, said: str) ->
 def test_text_of_another_encoding(edited: Callable[..., Path]) -> None:
     folder = edited()
     (folder / "subject.toml").write_bytes('name = "\u00e9"'.encode("latin-1"))
-    assert "Save it as UTF-8" in refused(folder)
+    assert "UTF-8" in refused(folder)
 
 
 @pytest.mark.parametrize("name", ["femur", "tibia_medial", "tibia_lateral"])
@@ -243,11 +243,11 @@ def test_metres_and_flipped_normals(edited: Callable[..., Path], name: str) -> N
     write_surface(surface.scaled(1e-3), path)
     message = refused(folder)
     assert name in message
-    assert "If these are metres, multiply by 1000." in message
+    assert "multiply by 1000" in message
     write_surface(Surface(vertices=surface.vertices, faces=surface.faces[:, ::-1]), path)
     message = refused(folder)
     assert name in message
-    assert "Flip the normals" in message
+    assert "the normals" in message
 
 
 def test_landmarks_in_metres(edited: Callable[..., Path]) -> None:
@@ -284,5 +284,4 @@ def test_the_wrong_side_with_landmarks(tmp_path: Path, side: Side, other: Side) 
     np.testing.assert_allclose(back.femur_frame.axes, knee.femur_frame.axes, atol=PLACE)
     file.write_text(file.read_text().replace(f'side = "{side}"', f'side = "{other}"'))
     message = refused(folder)
-    assert "the rounded back of the femoral condyles points forwards" in message
     assert f'Write side = "{side}"' in message

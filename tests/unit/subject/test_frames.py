@@ -111,7 +111,7 @@ def test_frames_follow_the_leg() -> None:
 def test_missing_landmark() -> None:
     places = landmarks()
     del places["lateral_epicondyle"]
-    with pytest.raises(ValueError, match="define no frames; give hip_centre"):
+    with pytest.raises(ValueError, match="hip_centre"):
         frames_from_landmarks(places)
 
 
@@ -120,7 +120,7 @@ def test_landmarks_that_define_no_frame(lateral: list[float]) -> None:
     places = {**landmarks(), "lateral_epicondyle": np.array(lateral)}
     if lateral[1] > 1.0:
         places["hip_centre"] = np.array([8.0, 801.0, -100.0])
-    with pytest.raises(ValueError, match="the landmarks define no frame"):
+    with pytest.raises(ValueError, match="no frame"):
         frames_from_landmarks(places)
 
 

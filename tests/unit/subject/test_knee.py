@@ -20,20 +20,20 @@ def knee() -> Knee:
 def test_lengths_and_names(knee: Knee) -> None:
     assert knee.reference_lengths.tolist() == [x.length for x in knee.ligaments]
     assert knee.ligament("PCL") is knee.ligaments[1]
-    with pytest.raises(ValueError, match="the ligaments are ACL, PCL, LCL, MCL"):
+    with pytest.raises(ValueError, match=r"PLC.*ACL.*PCL.*LCL.*MCL"):
         knee.ligament("PLC")
 
 
 def test_refuses(knee: Knee) -> None:
-    with pytest.raises(ValueError, match="two ligaments are called ACL"):
+    with pytest.raises(ValueError, match="called ACL"):
         knee.with_ligaments([*knee.ligaments, knee.ligaments[0]])
     with pytest.raises(ValueError, match="right"):
         replace(knee, side="both")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="medial and a lateral"):
+    with pytest.raises(ValueError, match="a lateral"):
         replace(knee, tibia=knee.tibia[:1])
-    with pytest.raises(ValueError, match="hip_centre must be finite"):
+    with pytest.raises(ValueError, match=r"hip_centre.*finite"):
         Landmark(name="hip_centre", position=np.array([0.0, np.nan, 0.0]))
-    with pytest.raises(ValueError, match=r"contact_rounding_mm must be 0 to 0.15 mm, got 0.2"):
+    with pytest.raises(ValueError, match=r"contact_rounding_mm.*0\.15.*0\.2"):
         replace(knee, contact_rounding_mm=0.2)
     assert MOST_CONTACT_ROUNDING == MOST_ROUNDING
 

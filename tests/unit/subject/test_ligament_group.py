@@ -43,11 +43,11 @@ def test_groups_that_the_ligaments_do_not_allow(groups: list[LigamentGroup], sai
 
 
 def test_a_group_of_one_and_one_without_stiffness() -> None:
-    with pytest.raises(ValueError, match="must name two or more ligaments, each once; got front"):
+    with pytest.raises(ValueError, match=r"ligaments.*front"):
         LigamentGroup(name="a", members=("front",))
     knee = small_knee()
     weak = tuple(replace(x, stiffness_kN=0.0) for x in knee.ligaments)
-    with pytest.raises(ValueError, match="no ligament of the group cruciates has a stiffness"):
+    with pytest.raises(ValueError, match=f"{FRONT.name} .*stiffness"):
         replace(knee, ligaments=weak, groups=(FRONT,))
 
 
@@ -70,5 +70,5 @@ def test_mistakes_in_the_file(tmp_path: Path, text: str, said: str) -> None:
 def test_a_fitted_value_that_is_no_number(tmp_path: Path) -> None:
     write_subject(replace(small_knee(), fitted={"front.stiffness_kN": 3.0}), tmp_path)
     (tmp_path / "fitted.toml").write_text('[front]\nstiffness_kN = "much"\n')
-    with pytest.raises(InputError, match=r"front\.stiffness_kN: this is no finite number"):
+    with pytest.raises(InputError, match=r"front\.stiffness_kN.*number"):
         read_subject(tmp_path)

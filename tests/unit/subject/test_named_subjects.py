@@ -134,13 +134,13 @@ def test_a_mistyped_name_is_answered_with_the_list() -> None:
         "lenhart2015_stable, s192803, s192803_bundles."
     )
     assert known_names("lenhart2015_stabel") == said
-    with pytest.raises(InputError, match="there is no such subject folder") as caught:
+    with pytest.raises(InputError, match="lenhart2015_stabel") as caught:
         read_subject("lenhart2015_stabel")
     assert caught.value.remedy.startswith(said)
-    with pytest.raises(ValueError, match=r"there is no named subject 'me'\. Named subjects are"):
+    with pytest.raises(ValueError, match=r"'me'.*lenhart2015"):
         example("me")
 
 
 def test_a_name_is_text() -> None:
-    with pytest.raises(ValueError, match="there is no named subject"):
+    with pytest.raises(ValueError, match=r"named subject.*s192803"):
         example(Path("s192803"))  # type: ignore[arg-type]

@@ -145,9 +145,9 @@ def test_tibia_in_one_piece(tmp_path: Path, knee: Knee) -> None:
 
 def test_merging_needs_all_four(tmp_path: Path, knee: Knee) -> None:
     path = write_model(tmp_path, knee.with_ligaments(knee.ligaments[:3]))
-    with pytest.raises(InputError, match="no ligament's name begins with MCLs or sMCL or MCL"):
+    with pytest.raises(InputError, match=r"MCLs.*sMCL.*MCL"):
         import_opensim(path, bundles="merged")
-    with pytest.raises(ValueError, match='"separate" or "merged"'):
+    with pytest.raises(ValueError, match=r'"separate".*"merged"'):
         import_opensim(path, bundles="all")  # type: ignore[arg-type]
 
 

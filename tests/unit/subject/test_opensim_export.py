@@ -103,12 +103,12 @@ def test_bundles_share_what_their_merged_line_gets(tmp_path: Path) -> None:
 def test_models_of_something_else_are_refused(tmp_path: Path, knee: Knee) -> None:
     source = write_model(tmp_path, knee)
     own = import_opensim(source)
-    with pytest.raises(InputError, match="femur and tibia are not those of reference"):
+    with pytest.raises(InputError, match=r"femur.*tibia.*reference"):
         write_opensim(example("reference"), tmp_path / "a", source="lenhart2015")
     other: list[Ligament] = [replace(x, name=f"my {x.name}") for x in own.ligaments]
-    with pytest.raises(InputError, match="it has no ligament my ACL"):
+    with pytest.raises(InputError, match="my ACL"):
         write_opensim(own.with_ligaments(other), tmp_path / "b", source=source)
-    with pytest.raises(InputError, match="this is the source itself"):
+    with pytest.raises(InputError, match="source itself"):
         write_opensim(replace(own, name="small"), tmp_path, source=source)
     with pytest.raises(InputError, match="no such"):
         write_opensim(own, tmp_path / "c", source=tmp_path / "none.osim")

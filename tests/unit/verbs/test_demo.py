@@ -80,5 +80,5 @@ def test_the_figure_has_a_dot_for_every_run(model: LaxityModel) -> None:
 def test_least_squares_that_missed_says_by_how_much(model: LaxityModel) -> None:
     missed, exact = (rows(model, [x])[1] for x in (0.5, 0.0))
     said = least_squares_sentence([exact, missed])
-    assert said == "Least squares ends up to 0.5 kN from the true parameters."
-    assert "finds the true parameters from all 2 starts" in least_squares_sentence([exact, exact])
+    assert "0.5 kN" in said
+    assert "all 2 starts" in least_squares_sentence([exact, exact])

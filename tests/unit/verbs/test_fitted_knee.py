@@ -53,7 +53,7 @@ def test_results_of_another_knee_or_without_parameters_are_refused() -> None:
     knee = ik.example("reference")
     simulated = ik.simulate(knee, "drawer")
     softer = fitted_knee(knee, ik.simulate(knee, "drawer", {"ACL.stiffness_kN": 7.0}))
-    with pytest.raises(ValueError, match="not of reference as it is now"):
+    with pytest.raises(ValueError, match="of reference"):
         fitted_knee(softer, simulated)
-    with pytest.raises(ValueError, match="holds no parameter set"):
+    with pytest.raises(ValueError, match="parameter set"):
         fitted_knee(knee, ik.information(knee, simulated.laxity, noise="0.3mm,0.3deg"))

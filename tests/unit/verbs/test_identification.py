@@ -1,5 +1,6 @@
 """The set-up of the verbs of identifiability: noise stated or estimated, and what is said of it."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ def test_unstated_noise_is_estimated_and_said(measured: Laxity, tmp_path: Path) 
     setup = identified(written(replace(measured, sd=None), tmp_path))
     assert setup.degrees_of_freedom == 315 - 8
     _, sentence = setup.assumptions
-    assert "state no noise" in sentence
+    assert "no noise" in sentence
     residuals = setup.problem.residuals(setup.problem.parameters.center)
     assert np.mean(residuals**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 315))
 
@@ -78,8 +79,8 @@ def test_blank_columns_and_few_values_are_said(measured: Laxity, tmp_path: Path)
     few = replace(measured, coordinates=coordinates)
     setup = identified(written(few, tmp_path))
     said = " ".join(setup.assumptions)
-    assert "varus_deg was not measured" in said
-    assert "5 measured values cannot determine 8 parameters" in said
+    assert "varus_deg was" in said
+    assert re.search(r"\b5 .*\b8 parameters", said)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +100,7 @@ def test_wrong_options_are_refused(
 
 def test_data_without_a_value_are_refused(measured: Laxity, tmp_path: Path) -> None:
     blank = replace(measured, coordinates=np.full_like(measured.coordinates, np.nan), sd=None)
-    with pytest.raises(ValueError, match="no coordinate was measured"):
+    with pytest.raises(ValueError, match="no coordinate"):
         identified(written(blank, tmp_path))
 
 
@@ -109,7 +110,7 @@ def test_noise_stated_of_some_coordinates_only_is_refused(measured: Laxity, tmp_
     column = rows[0].index("sd_varus_deg")
     kept = [",".join(row[:column] + row[column + 1 :]) for row in rows]
     path.write_text("\n".join(kept) + "\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"sd_varus_deg is missing\..*--noise 0\.5mm,0\.5deg"):
+    with pytest.raises(ValueError, match=r"sd_varus_deg.*--noise"):
         identified(path)
     stated = identified(path, noise="0.2mm,0.4deg")
     assert stated.assumptions == (stated.knee.uncertainty.sentence,)
@@ -120,8 +121,9 @@ def test_a_misfit_beyond_the_noise_is_said(measured: Laxity, tmp_path: Path) -> 
     # 315 values, 8 parameters: noise leaves 307, with a standard deviation of 25.
     assert setup.findings_at(setup.start, 307.0) == ()
     (found,) = setup.findings_at(setup.start, 614.0)
-    assert (found.severity, found.where) == (Severity.WARNING, "data")
-    assert "leaves 2 times the misfit" in found.sentence
+    assert (found.code, found.severity) == ("misfit-improbable", Severity.WARNING)
+    assert found.where == "data"
+    assert found.values["ratio"] == pytest.approx(2.0)
 
 
 def test_an_estimated_noise_that_no_instrument_has_is_said(
@@ -140,7 +142,7 @@ def test_an_estimated_noise_that_no_instrument_has_is_said(
 def test_a_parameter_held_is_no_choice(measured: Laxity, tmp_path: Path) -> None:
     setup = identified(written(measured, tmp_path), fixed=["ACL.stiffness_kN"])
     assert setup.free_index("PCL.stiffness_kN", "--pair") == 0
-    with pytest.raises(ValueError, match=r"--pair ACL\.stiffness_kN: --fix holds this parameter"):
+    with pytest.raises(ValueError, match=r"--pair.*ACL\.stiffness_kN.*--fix"):
         setup.free_index("ACL.stiffness_kN", "--pair")
 
 
@@ -150,7 +152,7 @@ def test_no_prediction_names_the_trials(measured: Laxity, tmp_path: Path) -> Non
     start.write_text(slack, encoding="utf-8")
     bounds = [f"{x}.reference_strain_pct=-15:-14.9" for x in ("ACL", "PCL", "LCL", "MCL")]
     setup = identified(written(measured, tmp_path), start=str(start), bounds=bounds)
-    with pytest.raises(NotComputable, match="63 of 63 trials have none; flexion0_"):
+    with pytest.raises(NotComputable, match=r"63 of 63 .*flexion0_"):
         best_fits(setup, seed=0, executor=serial)
 
 
@@ -161,12 +163,12 @@ def test_noise_to_be_estimated_without_a_prediction_is_no_mistake_of_the_input(
     start = tmp_path / "slack.toml"
     start.write_text(slack, encoding="utf-8")
     silent = written(replace(measured, sd=None), tmp_path)
-    with pytest.raises(NotComputable, match="63 of 63 trials have none; flexion0_"):
+    with pytest.raises(NotComputable, match=r"63 of 63 .*flexion0_"):
         identified(silent, start=str(start))
 
 
 def test_a_start_outside_the_bounds_is_refused(measured: Laxity, tmp_path: Path) -> None:
     bounds = ["ACL.stiffness_kN=20:30"]
     setup = identified(written(measured, tmp_path), bounds=bounds)
-    with pytest.raises(ValueError, match="stiffness_kN is 10, outside its bounds 20 to 30"):
+    with pytest.raises(ValueError, match=r"ACL\.stiffness_kN.*10.*20.*30"):
         best_fits(setup, seed=0, executor=serial)

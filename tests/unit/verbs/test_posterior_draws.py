@@ -29,15 +29,15 @@ def test_draws_of_a_posterior_are_read_in_the_order_asked_for(tmp_path: Path) ->
 
 
 def test_what_is_no_posterior_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="there are no results to read"):
+    with pytest.raises(ValueError, match=r"none.*results"):
         posterior_draws(tmp_path / "none", ("a",), 10)
     other = draws_file(tmp_path / "other", xarray.Dataset({"a": ("draw", [1.0])}), "prior")
-    with pytest.raises(ValueError, match="there is no posterior in these results"):
+    with pytest.raises(ValueError, match="no posterior"):
         posterior_draws(other, ("a",), 10)
     one = draws_file(tmp_path / "one", xarray.Dataset({"a": ("draw", [1.0])}))
-    with pytest.raises(ValueError, match="its posterior is not one of a, b"):
+    with pytest.raises(ValueError, match="one of a, b"):
         posterior_draws(one, ("a", "b"), 10)
     theta = xarray.Dataset({"theta": (("draw", "parameter"), np.ones((3, 1)))})
     bare = draws_file(tmp_path / "bare", theta)
-    with pytest.raises(ValueError, match="its posterior is not one of a"):
+    with pytest.raises(ValueError, match="one of a"):
         posterior_draws(bare, ("a",), 10)

@@ -44,11 +44,11 @@ def test_nothing_else_is_left_in_the_folder(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"result\.nc: it cannot be written"):
+    with pytest.raises(InputError, match=r"result\.nc.*written"):
         write_answer(tmp_path / "none", an_answer())
 
 
 def test_what_no_verb_gave_back_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="only what a verb gave back"):
+    with pytest.raises(ValueError, match="a verb"):
         write_answer(tmp_path, replace(an_answer(), record=None))
     assert list(tmp_path.iterdir()) == []

@@ -84,8 +84,7 @@ def test_the_summary_names_the_largest_index() -> None:
         "value": made.analysis.indices["ST"].final[0, 1],
         "group": GROUPS[0],
     }
-    assert "laxity depends most on" in terminal_lines(made)[0]
-    assert "varus angulation at 0 deg of flexion without load" in terminal_lines(made)[0]
+    assert "varus angulation" in terminal_lines(made)[0]
     # Results of earlier versions have the name of the group alone.
     assert GROUP.name in terminal_lines(replace(made, laxity_groups=()))[0]
 

@@ -118,12 +118,12 @@ def test_a_structure_that_a_subject_has_is_not_missing(reference: Knee) -> None:
 def test_wrapping_needs_a_ligament_that_wraps(reference: Knee) -> None:
     cruciates = reference.with_ligaments([x for x in reference.ligaments if abs(x.femur[2]) < 20.0])
     assert "mcl_wrapping" not in [x.name for x in library(cruciates)]
-    with pytest.raises(ValueError, match="needs a medial collateral ligament"):
+    with pytest.raises(ValueError, match="medial collateral"):
         effect_named(cruciates, "mcl_wrapping")
 
 
 def test_an_unknown_name_is_refused(reference: Knee) -> None:
-    with pytest.raises(ValueError, match="Did you mean anterolateral"):
+    with pytest.raises(ValueError, match=r"anterolatteral.*anterolateral"):
         effect_named(reference, "anterolatteral")
 
 

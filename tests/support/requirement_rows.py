@@ -19,7 +19,7 @@ from common.records import processor
 
 from identknee.runs.files import write_atomically, write_json
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 RECORDS = {
     "benchmarks": TESTS / "benchmarks" / "record.json",
     "verification": TESTS / "verification" / "verdict.json",

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from evaluation import point_at
+from energy_evaluation import point_at
 from oracle import OracleKnee
 
 from identknee.laxity.protocol import load_protocol
