@@ -154,13 +154,14 @@ LOADS = (
     "distraction_force_N",
     "lateral_force_N",
 )
-DIRECTIONS = (
-    ("internal moment", "external moment"),
-    ("varus moment", "valgus moment"),
-    ("anterior force", "posterior force"),
-    ("distraction force", "compression force"),
-    ("lateral force", "medial force"),
+WAYS = (
+    ("internal", "external", "moment"),
+    ("varus", "valgus", "moment"),
+    ("anterior", "posterior", "force"),
+    ("distraction", "compression", "force"),
+    ("lateral", "medial", "force"),
 )
+DIRECTIONS = tuple((f"{one} {kind}", f"{other} {kind}") for one, other, kind in WAYS)
 """Name of each load where it is positive and where it is negative."""
 name_axis("load", LOADS)
 FLEXION = "flexion_deg"

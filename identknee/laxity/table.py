@@ -263,12 +263,28 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
     order: list[int] = []
     phase: list[str] = []
     for row in file.rows():
-        _add_name(row, names)
+        name = row.text("trial")
+        if fault := name_fault(name):
+            row.refuse("trial", *fault)
+        if name in names:
+            row.refuse(
+                "trial",
+                f"{name!r} already names the trial of row {names[name]}",
+                "Give each trial its own name; replicates of one load are welcome.",
+            )
+        names[name] = row.line
         numbers.append((*_setting(row), *_measured(row)))
         if "order" in file.columns:
-            order.append(_order(row))
+            value = row.required("order")
+            if value != int(value) or abs(value) > LARGEST_ORDER:
+                why = f"{value:g} is no whole number"
+                row.refuse("order", why, "Count the trials 1, 2, 3 and so on.")
+            order.append(int(value))
         if "phase" in file.columns:
-            phase.append(_phase(row))
+            phase.append(row.text("phase").lower())
+            if phase[-1] not in {*PHASES, ""}:
+                why = f"the phase {phase[-1]!r} is unknown"
+                row.refuse("phase", why, "Write loading or unloading, or leave it blank.")
     if not names:
         raise InputError(
             file.path, "", "there is no trial below the header", "Add one row per trial."
@@ -324,21 +340,7 @@ def _check_coordinates(file: CellFile) -> None:
             )
 
 
-def _add_name(row: TableRow, names: dict[str, int]) -> None:
-    name = row.text("trial")
-    if fault := name_fault(name):
-        row.refuse("trial", *fault)
-    if name in names:
-        row.refuse(
-            "trial",
-            f"{name!r} already names the trial of row {names[name]}",
-            "Give each trial its own name; replicates of one load are welcome.",
-        )
-    names[name] = row.line
-
-
 def _setting(row: TableRow) -> list[float]:
-    """Flexion and loads."""
     values = []
     for column in (FLEXION, *LOADS):
         value = row.required(column) if column in row.file.columns else 0.0
@@ -384,21 +386,3 @@ def _coordinate_fault(column: str, value: float) -> tuple[str, str] | None:
         return None
     why = f"a translation of {value:g} mm is beyond {LENGTH_LIMIT_MM:g} mm either way"
     return why, "Give lengths in mm, from the femoral to the tibial origin."
-
-
-def _order(row: TableRow) -> int:
-    value = row.required("order")
-    if value != int(value) or abs(value) > LARGEST_ORDER:
-        row.refuse("order", f"{value:g} is no whole number", "Count the trials 1, 2, 3 and so on.")
-    return int(value)
-
-
-def _phase(row: TableRow) -> str:
-    phase = row.text("phase").lower()
-    if phase not in {*PHASES, ""}:
-        row.refuse(
-            "phase",
-            f"the phase {phase!r} is unknown",
-            "Write loading or unloading, or leave it blank.",
-        )
-    return phase

@@ -4,7 +4,7 @@ import numpy as np
 
 from identknee.laxity.dominant_load import opposite_pairs
 from identknee.laxity.protocol import Protocol
-from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.arrays import Array, IntArray
 
 SAME_ANGLE_DEG = 0.5
 """Trials whose flexion angles differ by no more [deg] share their unloaded pose: a rig set to 30
@@ -99,7 +99,22 @@ def zero_fault(zero: str, protocol: Protocol, coordinates: Array) -> tuple[str, 
     """
     measured = ~np.isnan(coordinates)
     if zero == OPPOSITE:
-        return _opposite_fault(protocol, measured)
+        pairs = opposite_pairs(protocol)
+        alone = np.array(measured.any(axis=1))
+        alone[pairs.ravel()] = False
+        if alone.any():
+            trial = protocol.trials[int(np.argmax(alone))]
+            return (
+                f"{trial} has coordinates, and no trial at its flexion angle has the opposite load",
+                "Add that trial with blank cells, or leave the cells of this one blank",
+            )
+        twice = [pair for pair in pairs.tolist() if measured[pair].all(axis=0).any()]
+        if twice:
+            first, second = (protocol.trials[i] for i in twice[0])
+            why = f"{first} and {second} both have coordinates, which would count their difference"
+            remedy = "Give it in the row of one of them, and leave the cells of the other blank"
+            return f"{why} twice", remedy
+        return None
     if zero in ZEROS:
         return None
     if zero not in protocol.trials:
@@ -112,25 +127,5 @@ def zero_fault(zero: str, protocol: Protocol, coordinates: Array) -> tuple[str, 
         return (
             f"{zero} is the zero of the table and has coordinates other than 0",
             "Leave its cells blank",
-        )
-    return None
-
-
-def _opposite_fault(protocol: Protocol, measured: BoolArray) -> tuple[str, str] | None:
-    pairs = opposite_pairs(protocol)
-    alone = np.array(measured.any(axis=1))
-    alone[pairs.ravel()] = False
-    if alone.any():
-        trial = protocol.trials[int(np.argmax(alone))]
-        return (
-            f"{trial} has coordinates, and no trial at its flexion angle has the opposite load",
-            "Add that trial with blank cells, or leave the cells of this one blank",
-        )
-    twice = [pair for pair in pairs.tolist() if measured[pair].all(axis=0).any()]
-    if twice:
-        first, second = (protocol.trials[i] for i in twice[0])
-        return (
-            f"{first} and {second} both have coordinates, which would count their difference twice",
-            "Give it in the row of one of them, and leave the cells of the other blank",
         )
     return None

@@ -20,7 +20,6 @@ from identknee.mechanics.memory import (
     ContactArrays,
     Equilibria,
     EvaluationMemory,
-    FieldArrays,
     NodeArrays,
     Workspace,
     read_only,
@@ -216,14 +215,8 @@ def _node_arrays(paths: LoadPaths) -> NodeArrays:
     return read_only(NodeArrays(paths.flexion, paths.loads, paths.parent, float(paths.farthest)))
 
 
-@lru_cache(maxsize=8)
-def _contact_arrays(contact: ContactPoints) -> ContactArrays:
-    return contact.arrays()
-
-
-@lru_cache(maxsize=4)
-def _field_arrays(field: DistanceField) -> FieldArrays:
-    return field.arrays()
+_contact_arrays = lru_cache(maxsize=8)(ContactPoints.arrays)
+_field_arrays = lru_cache(maxsize=4)(DistanceField.arrays)
 
 
 def stability_margins(hessians: Array) -> Array:

@@ -63,8 +63,13 @@ def _load_paths(
         if continuation == "single-step":
             trial_node.append(tree.node(-1, float(angle), load))
         else:
-            unloaded = _add_flexion_nodes(tree, start_flexion, float(angle))
-            trial_node.append(_load(tree, unloaded, float(angle), load))
+            node, goal = tree.node(-1, start_flexion, np.zeros(5)), float(angle)
+            for turned in _steps(goal - start_flexion, FLEXION_STEP):
+                node = tree.node(node, start_flexion + turned, np.zeros(5))
+            size = float(np.linalg.norm(load / _SCALE))
+            for reached in _steps(size, LOAD_STEP):
+                node = tree.node(node, goal, load * (reached / size))
+            trial_node.append(node)
     return LoadPaths(
         flexion=frozen(tree.flexion, None, name="flexion"),
         loads=frozen(np.reshape(tree.loads, (-1, 5)), None, 5, name="loads"),
@@ -105,20 +110,6 @@ class _Tree:
             self.loads.append(np.asarray(load, float))
             self.parent.append(parent)
         return self._known[key]
-
-
-def _add_flexion_nodes(tree: _Tree, start: float, goal: float) -> int:
-    node = tree.node(-1, start, np.zeros(5))
-    for angle in _steps(goal - start, FLEXION_STEP):
-        node = tree.node(node, start + angle, np.zeros(5))
-    return node
-
-
-def _load(tree: _Tree, node: int, flexion: float, load: Array) -> int:
-    size = float(np.linalg.norm(load / _SCALE))
-    for reached in _steps(size, LOAD_STEP):
-        node = tree.node(node, flexion, load * (reached / size))
-    return node
 
 
 def _steps(whole: float, step: float) -> list[float]:

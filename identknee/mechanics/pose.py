@@ -12,14 +12,15 @@ def rotation_matrix(flexion: ArrayLike, varus: ArrayLike, internal: ArrayLike) -
     ca, sa = np.cos(flexion), np.sin(flexion)
     cv, sv = np.cos(varus), np.sin(varus)
     ci, si = np.cos(internal), np.sin(internal)
-    rotation: Array = np.array(
-        [
-            [ca * ci + sa * sv * si, sa * cv, ca * si - sa * sv * ci],
-            [ca * sv * si - sa * ci, ca * cv, -sa * si - ca * sv * ci],
-            [-cv * si, sv, cv * ci],
-        ]
+    return np.asarray(
+        np.array(
+            [
+                [ca * ci + sa * sv * si, sa * cv, ca * si - sa * sv * ci],
+                [ca * sv * si - sa * ci, ca * cv, -sa * si - ca * sv * ci],
+                [-cv * si, sv, cv * ci],
+            ]
+        )
     )
-    return rotation
 
 
 def angles_of(rotation: Array) -> tuple[Array, Array, Array]:
@@ -67,13 +68,11 @@ class Placement:
 
     def to_femur(self, points: Array) -> Array:
         """Tibial `points` (n, 3) [mm] in femoral axes."""
-        moved: Array = points @ self.rotation.T + self.translation
-        return moved
+        return np.asarray(points @ self.rotation.T + self.translation)
 
     def to_tibia(self, points: Array) -> Array:
         """Femoral `points` (n, 3) [mm] in tibial axes."""
-        moved: Array = (points - self.translation) @ self.rotation
-        return moved
+        return np.asarray((points - self.translation) @ self.rotation)
 
     def jacobian(self, points: Array) -> Array:
         """Derivatives of the femoral position of tibial `points` (n, 3), shape ``(n, 5, 3)``."""

@@ -18,7 +18,6 @@ from identknee.mechanics.grood_suntay import pose_from_coordinates
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.measured_start import POSE_EVERY_DEG
 from identknee.model.parameters import FreeParameters
-from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array, frozen
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
@@ -42,16 +41,10 @@ def continued_from_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
     for share in SHARES:
         part = model.protocol.under(np.full(model.protocol.n, share))
         found = replace(model, protocol=part).predict(theta, derivatives=False)
-        model = replace(model, poses=_moved(model.poses, found))
+        has_pose = found.is_converged[:, None]
+        poses = pose_from_coordinates(np.where(has_pose, found.coordinates, 0.0))
+        model = replace(model, poses=np.where(has_pose, poses, model.poses))
     return model
-
-
-def _moved(poses: Array, prediction: Prediction) -> Array:
-    """Poses between the measured frames, those of trials without equilibrium as they were."""
-    found = prediction.is_converged[:, None]
-    return np.where(
-        found, pose_from_coordinates(np.where(found, prediction.coordinates, 0.0)), poses
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

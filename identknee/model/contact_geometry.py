@@ -6,7 +6,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
@@ -100,43 +99,20 @@ def _field(knee: Knee, femoral: Array) -> DistanceField:
     else:
         digest.update(knee.femur.faces.tobytes())
     path = cache_folder() / "fields" / f"{digest.hexdigest()[:24]}.npz"
-    cached = _read_field(path)
-    if cached is not None:
-        return cached
+    arrays = ("coefficients", "reach", "near", "origin", "spacing")
+    # There is none, or it is damaged.
+    missing = suppress(OSError, KeyError, ValueError, EOFError, BadZipFile)
+    with missing, path.open("rb") as file, np.load(file) as kept:
+        values = {x: kept[x] for x in arrays}
+        return DistanceField(**{**values, "spacing": float(values["spacing"])})
     field = build_field(
         distance or mesh_distance(femoral, knee.femur.faces),
         femoral.min(axis=0),
         femoral.max(axis=0),
     )
-    _keep_field(path, field)
-    return field
-
-
-def _read_field(path: Path) -> DistanceField | None:
-    """The field kept at `path`; None where there is none or it is damaged."""
-    try:
-        with path.open("rb") as file, np.load(file) as stored:
-            return DistanceField(
-                coefficients=stored["coefficients"],
-                reach=stored["reach"],
-                near=stored["near"],
-                origin=stored["origin"],
-                spacing=float(stored["spacing"]),
-            )
-    except (OSError, KeyError, ValueError, EOFError, BadZipFile):
-        return None
-
-
-def _keep_field(path: Path, field: DistanceField) -> None:
-    """Write the field to the cache; a cache that cannot be written is no failure."""
     stored = io.BytesIO()
-    np.savez(
-        stored,
-        coefficients=field.coefficients,
-        reach=field.reach,
-        near=field.near,
-        origin=field.origin,
-        spacing=field.spacing,
-    )
+    np.savez(stored, **{x: getattr(field, x) for x in arrays})
+    # A cache that cannot be written is no failure.
     with suppress(InputError):
         write_atomically(prepare_folder(path.parent) / path.name, stored.getvalue())
+    return field

@@ -78,7 +78,11 @@ def gradient_columns(
         each = central_difference_values(values[part], steps[part])
         if moves_frames(effect):
             turns, shifts = effect.placements(each)
-            moves[part] = _frame_differences(turns, shifts, settings[-1])
+            unmoved = _table(replace(settings[-1], frames=None))
+            for bone in range(2):
+                place = slice(3 * bone, 3 * bone + 3)
+                moved = to_measured(unmoved[:, place], turns[:, bone], shifts[:, bone])
+                moves[part, :, place] = moved[1::2] - moved[::2]
             surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
             columns[:, :, part] = surfaces @ motions(turns, shifts).T / (2.0 * steps[part])
         else:
@@ -195,17 +199,6 @@ class _Replicas:
         line = np.arange(len(order)) - np.searchsorted(copy, copy)
         moves[copy[low] // 2, line[low]] = table[high] - table[low]
         return moves
-
-
-def _frame_differences(turns: Array, shifts: Array, setting: MechanicsInputs) -> Array:
-    """Differences of the table of lines between frames in turn, as `placements` gives them."""
-    unmoved = _table(replace(setting, frames=None))
-    moves = np.zeros((len(turns) // 2, *unmoved.shape))
-    for bone in range(2):
-        place = slice(3 * bone, 3 * bone + 3)
-        moved = to_measured(unmoved[:, place], turns[:, bone], shifts[:, bone])
-        moves[:, :, place] = moved[1::2] - moved[::2]
-    return moves
 
 
 def _gradient_differences(table: Array, moves: Array, flexion: Array, poses: Array) -> Array:
@@ -335,7 +328,13 @@ class EffectStack:
         for effect, part in self._observed:
             stack = effect.observe(stack, values[part], tests.repeated(len(stack) // n))
             each = central_difference_values(values[part], self._steps[part])
-            stack = np.concatenate([stack, _readings(effect, coordinates, each, tests)])
+            k = len(each)
+            if k and reads_replicas(effect):
+                again = tests.repeated(k)
+                read = [effect.observe_copies(np.tile(coordinates, (k, 1)), each, again)]
+            else:
+                read = [effect.observe(coordinates, x, tests) for x in each]
+            stack = np.concatenate([stack, *read])
             coordinates = effect.observe(coordinates, values[part], tests)
             moved += range(5 + part.start, 5 + part.stop)
         low, high = np.moveaxis(stack.reshape(-1, 2, n, 5), 1, 0)
@@ -346,16 +345,6 @@ class EffectStack:
     def moves(self) -> Array:
         """A small change of each amplitude alone, shape ``(a, a)``."""
         return np.diag(self._steps)
-
-
-def _readings(
-    effect: ObservationEffect, coordinates: Array, each: Array, tests: TrialRecord
-) -> Array:
-    """What is measured at amplitudes of `each` row (k, a), below each other, ``(k n, 5)``."""
-    k = len(each)
-    if k and reads_replicas(effect):
-        return effect.observe_copies(np.tile(coordinates, (k, 1)), each, tests.repeated(k))
-    return np.concatenate([coordinates[:0], *(effect.observe(coordinates, x, tests) for x in each)])
 
 
 def joined(parts: Sequence[Parameters]) -> Parameters:

@@ -163,11 +163,9 @@ class LaxityModel:
             raise ValueError('effects need contact="field": mesh contact has no derivatives')
         units = tied(self.knee)
         parameters = knee_parameters(self.knee, units, extension.parameters)
-        object.__setattr__(self, "tied", units)
-        object.__setattr__(self, "joint", joint)
-        object.__setattr__(self, "paths", paths)
-        object.__setattr__(self, "parameters", parameters)
-        object.__setattr__(self, "extension", extension)
+        derived = {"tied": units, "joint": joint, "paths": paths, "extension": extension}
+        for name, value in {**derived, "parameters": parameters}.items():
+            object.__setattr__(self, name, value)
 
     @property
     def n_ligament_parameters(self) -> int:
@@ -236,10 +234,8 @@ class LaxityModel:
                     "mesh contact has no derivatives, its force jumps; ask for derivatives=False, "
                     'or use contact="field"'
                 )
-            # It loads a library for collisions and most of scipy.
-
-            its_own = (self.knee, self.paths, self.poses)
-            return predict_on_meshes(*its_own, self._unpacked(theta), theta)
+            ligaments = self._unpacked(theta)
+            return predict_on_meshes(self.knee, self.paths, self.poses, ligaments, theta)
         unchanged = self.setting(theta, is_changed=False)
         settings = self.extension.changes(unchanged, self.amplitudes(theta))
         setting = settings[-1]
@@ -365,12 +361,25 @@ class LaxityModel:
         poses, reached = found.poses[nodes], found.reached[nodes]
         converged = codes == CONVERGED
         actual = coordinates_from_pose(poses)
-        measured = self.extension.observe(actual, self.amplitudes(theta), self.tests)
+        amplitudes = self.amplitudes(theta)
+        measured = self.extension.observe(actual, amplitudes, self.tests)
         coordinates = np.where(converged[:, None], measured, np.nan)
         pose_jacobian = jacobian = None
         if derivatives:
-            pose_jacobian = self._pose_jacobian(theta, settings, found)
-            jacobian = self._jacobian(theta, actual, poses, pose_jacobian)
+            # By lines first: a ligament moves every line that takes a share of it.
+            pose_jacobian = found.sensitivities[nodes][:, :, : 2 * setting.stiffness.size]
+            if self.effects:
+                owned = setting.owned(len(self.knee.ligaments))
+                by_amplitude = self.extension.pose_columns(settings, amplitudes, found, nodes)
+                by_ligament = pose_jacobian @ _units(owned, setting.share, self.tied)
+                pose_jacobian = np.concatenate([by_ligament, by_amplitude], axis=2)
+                seen, read = self.extension.observed_slopes(actual, amplitudes, self.tests)
+                jacobian = seen @ (coordinate_jacobian(poses) @ pose_jacobian)
+                jacobian[:, :, self.n_ligament_parameters :] += read
+            else:
+                m = len(self.tied.member)
+                pose_jacobian = np.asarray(pose_jacobian @ _units(np.eye(m), np.ones(m), self.tied))
+                jacobian = np.asarray(coordinate_jacobian(poses) @ pose_jacobian)
             jacobian[~converged] = np.nan
         return Prediction(
             theta=theta,
@@ -385,35 +394,6 @@ class LaxityModel:
             rims=(self.joint.femoral_rim, self.joint.tibial_rims),
             node_poses=found.poses,
         )
-
-    def _pose_jacobian(
-        self, theta: Array, settings: Sequence[MechanicsInputs], found: Equilibria
-    ) -> Array:
-        """D pose [rad, mm] / d theta in its units, shape ``(n, 5, p)``."""
-        nodes, setting = self.paths.trial_node, settings[-1]
-        n_lines = setting.stiffness.size
-        by_line = found.sensitivities[nodes][:, :, : 2 * n_lines]
-        if not self.effects:
-            # Each ligament is one line.
-            m = len(self.tied.member)
-            return np.asarray(by_line @ _units(np.eye(m), np.ones(m), self.tied))
-        # A ligament moves every line that takes a share of it.
-        owned = setting.owned(len(self.knee.ligaments))
-        by_ligament = by_line @ _units(owned, setting.share, self.tied)
-        by_amplitude = self.extension.pose_columns(settings, self.amplitudes(theta), found, nodes)
-        return np.concatenate([by_ligament, by_amplitude], axis=2)
-
-    def _jacobian(self, theta: Array, actual: Array, poses: Array, pose_jacobian: Array) -> Array:
-        """D measured coordinates / d theta in their units, shape ``(n, 5, p)``."""
-        jacobian: Array = coordinate_jacobian(poses) @ pose_jacobian
-        if not self.effects:
-            return jacobian
-        by_coordinate, by_amplitude = self.extension.observed_slopes(
-            actual, self.amplitudes(theta), self.tests
-        )
-        jacobian = by_coordinate @ jacobian
-        jacobian[:, :, self.n_ligament_parameters :] += by_amplitude
-        return jacobian
 
     def amplitudes(self, theta: Array) -> Array:
         """The amplitudes of the effects in theta."""

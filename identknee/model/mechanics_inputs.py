@@ -183,8 +183,7 @@ class MechanicsInputs:
 
     def owned(self, n_ligaments: int) -> Array:
         """Which line belongs to which ligament, 1 or 0, shape ``(m, n_ligaments)``."""
-        owned: Array = (self.owner[:, None] == np.arange(n_ligaments)).astype(float)
-        return owned
+        return np.asarray((self.owner[:, None] == np.arange(n_ligaments)).astype(float))
 
     def as_replica(self, number: int) -> "MechanicsInputs":
         """The same inputs as one replica of a batch."""

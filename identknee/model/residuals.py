@@ -55,7 +55,7 @@ class LaxityResiduals:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self.model.with_tests(self.laxity))
-        self._relative(self.laxity.coordinates)
+        self.as_measured(self.laxity.coordinates)
         object.__setattr__(self, "_whitening", _by_trial(self.laxity, self.weighting))
         object.__setattr__(self, "_left", None)
         if self.shared is not None:
@@ -102,7 +102,7 @@ class LaxityResiduals:
         jacobian = self.model.predict_once(theta).jacobian
         if jacobian is None:  # pragma: no cover - it was asked for
             raise AssertionError
-        return self.weighted(self._relative(jacobian))
+        return self.weighted(self.as_measured(jacobian))
 
     def differences(self, theta: Array) -> Array:
         """Measured less predicted coordinates, shape ``(n, 5)``; NaN where either is missing."""
@@ -113,7 +113,7 @@ class LaxityResiduals:
 
         Shape ``(m, ...)``, weighted as the residuals are.
         """
-        return self.weighted(self._relative(values))
+        return self.weighted(self.as_measured(values))
 
     def log_density(self, coordinates: Array) -> Array:
         """Log density of each measured value where the model predicts `coordinates`, ``(m,)``.
@@ -133,16 +133,13 @@ class LaxityResiduals:
         density = np.log(scale) - 0.5 * (errors**2 + np.log(2.0 * np.pi))
         return np.where(np.isnan(density), -np.inf, density)
 
-    def as_measured(self, coordinates: Array) -> Array:
-        """Predicted coordinates ``(n, 5)`` from the zero of the data [mm, deg]."""
-        return self._relative(coordinates)
+    def as_measured(self, values: Array) -> Array:
+        """Predicted coordinates, or changes of them ``(n, 5, ...)``, from the zero of the data."""
+        return from_zero(values, self.laxity.protocol, self.laxity.zero)
 
     def _difference(self, predicted: Array) -> Array:
         shown = predicted if self.offset is None else predicted + self.offset
-        return np.asarray(self.laxity.coordinates - self._relative(shown))
-
-    def _relative(self, values: Array) -> Array:
-        return from_zero(values, self.laxity.protocol, self.laxity.zero)
+        return np.asarray(self.laxity.coordinates - self.as_measured(shown))
 
     def weighted(self, values: Array) -> Array:
         """Rows of errors of the measured coordinates, whitened as the residuals are.

@@ -135,8 +135,7 @@ def _apart(places: Array, length: float) -> Array:
         if is_free[i]:
             chosen.append(i)
             is_free[tree.query_ball_point(places[i], length)] = False
-    kept: Array = places[chosen]
-    return kept
+    return np.asarray(places[chosen])
 
 
 # mm; the offset of a cartilage sheet is the same within about this distance.
@@ -197,33 +196,25 @@ def shared_errors(model: LaxityModel, theta: Array) -> Array:
     linear at `theta`; NaN in trials that have no equilibrium there.
     """
     stated = model.knee.uncertainty
-    parts = [_zeros(model, stated.zero_mm, stated.zero_deg)]
-    if stated.trial_flexion_deg > 0.0:
-        parts.append(_flexions(model, theta, stated.trial_flexion_deg))
-    if stated.surface_mm > 0.0:
-        changes = surface_changes(model, model.predict(theta), SURFACE_LENGTH)
-        parts.append(stated.surface_mm * changes)
-    return np.concatenate(parts, axis=2)
-
-
-def _zeros(model: LaxityModel, sd_mm: float, sd_deg: float) -> Array:
-    sizes = [sd_deg if name.endswith("_deg") else sd_mm for name in COORDINATES]
+    sizes = [stated.zero_deg if x.endswith("_deg") else stated.zero_mm for x in COORDINATES]
     angles, group = np.unique(model.protocol.flexion_deg, return_inverse=True)
     columns = np.zeros((model.protocol.n, len(COORDINATES), len(angles), len(COORDINATES)))
     for trial, place in enumerate(group):
         columns[trial, :, place, :] = np.diag(sizes)
     flat = columns.reshape(*columns.shape[:2], -1)
-    return flat[:, :, np.tile(np.array(sizes) > 0.0, len(angles))]
-
-
-def _flexions(model: LaxityModel, theta: Array, sd_deg: float) -> Array:
-    offset = flexion(sd_deg)
-    extended = model.with_effects([*(x for x in model.effects if x.name != offset.name), offset])
-    names = extended.parameters.names
-    values = dict(zip(model.parameters.names, theta, strict=True))
-    here = np.array([values.get(name, 0.0) for name in names])
-    jacobian = extended.predict(here).jacobian
-    if jacobian is None:  # pragma: no cover - it was asked for
-        raise AssertionError
-    slopes = sd_deg * jacobian[:, :, -1]
-    return np.asarray(np.eye(len(slopes))[:, None, :] * slopes[:, :, None])
+    parts = [flat[:, :, np.tile(np.array(sizes) > 0.0, len(angles))]]
+    if stated.trial_flexion_deg > 0.0:
+        offset = flexion(stated.trial_flexion_deg)
+        others = [x for x in model.effects if x.name != offset.name]
+        extended = model.with_effects([*others, offset])
+        known = dict(zip(model.parameters.names, theta, strict=True))
+        here = np.array([known.get(name, 0.0) for name in extended.parameters.names])
+        jacobian = extended.predict(here).jacobian
+        if jacobian is None:  # pragma: no cover - it was asked for
+            raise AssertionError
+        slopes = stated.trial_flexion_deg * jacobian[:, :, -1]
+        parts.append(np.asarray(np.eye(len(slopes))[:, None, :] * slopes[:, :, None]))
+    if stated.surface_mm > 0.0:
+        changes = surface_changes(model, model.predict(theta), SURFACE_LENGTH)
+        parts.append(stated.surface_mm * changes)
+    return np.concatenate(parts, axis=2)

@@ -79,7 +79,15 @@ def prepare_folder(path: PathLike) -> Path:
         ) from error
     except OSError as error:
         raise _unwritable(folder, error) from error
-    _remove_stale_parts(folder)
+    for part in folder.glob(".*.part"):
+        found = _PART.search(part.name)
+        if found is None or is_running(int(found[1])):
+            continue
+        with suppress(OSError):
+            if part.is_dir():
+                shutil.rmtree(part)
+            else:
+                part.unlink()
     return folder
 
 
@@ -211,18 +219,6 @@ def plain(value: Any, *, keep_nonfinite: bool = False) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item, keep_nonfinite=keep_nonfinite) for item in value]
     raise TypeError(f"{value!r} of type {type(value).__name__} has no JSON form")
-
-
-def _remove_stale_parts(folder: Path) -> None:
-    for path in folder.glob(".*.part"):
-        found = _PART.search(path.name)
-        if found is None or is_running(int(found[1])):
-            continue
-        with suppress(OSError):
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
 
 
 def is_running(process: int) -> bool:

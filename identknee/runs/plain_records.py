@@ -110,18 +110,16 @@ def _plain(value: Any, of_record: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {_key(k): _plain(v, of_record) for k, v in value.items()}
+        return {
+            str(k.value if isinstance(k, Enum) else k): _plain(v, of_record)
+            for k, v in value.items()
+        }
     if isinstance(value, tuple | list):
         return [_plain(x, of_record) for x in value]
     return value
 
 
-def _key(key: Any) -> str:
-    return str(key.value if isinstance(key, Enum) else key)
-
-
 def _model(cls: Any) -> type[BaseModel]:
-    """The schema of a declared class."""
     if cls in _MODELS:
         return _MODELS[cls]
     hints = type_hints_of(cls)
@@ -142,7 +140,7 @@ def _model(cls: Any) -> type[BaseModel]:
 
 def _kind(hint: Any, about: Entry | None = None) -> Any:
     """The type that a schema wants for the type of a field."""
-    if about is not None and about.dims and not _is_tuple(hint):
+    if about is not None and about.dims and get_origin(_without_none(hint)) is not tuple:
         return Any
     if hint is float:
         return _Float
@@ -170,7 +168,6 @@ def _member(hint: Any) -> Any:
 
 
 def _built(cls: type[Made], checked: BaseModel) -> Made:
-    """The record that the values of a schema make."""
     values = {}
     for name in entries(cls):
         if f"x_{name}" in checked.model_fields_set:
@@ -194,10 +191,6 @@ def _without_none(hint: Any) -> Any:
         return hint
     kept = [x for x in get_args(hint) if x is not NoneType]
     return kept[0] if len(kept) == 1 else hint
-
-
-def _is_tuple(hint: Any) -> bool:
-    return get_origin(_without_none(hint)) is tuple
 
 
 def _is_mapping(origin: Any) -> bool:

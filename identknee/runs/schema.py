@@ -173,7 +173,22 @@ def validated(model: type[Model], values: object, refuse: Callable[[Fault], Inpu
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise refuse(_fault(error)) from None
+        faults = error.errors(include_url=False)
+    # A key that is unknown is often the one that is missing, spelled wrongly.
+    first = min(faults, key=lambda x: x["type"] != "extra_forbidden")
+    kind = first["type"]
+    place = tuple(x if isinstance(x, int) else x[:LONGEST_SHOWN] for x in first["loc"])
+    if kind in ("extra_forbidden", "missing"):
+        key, is_unknown = str(place[-1]), kind == "extra_forbidden"
+        why = f"there is no key {shown(key)} here" if is_unknown else f"the key {key!r} is missing"
+        fault = Fault(place=place[:-1], key=key, is_unknown=is_unknown, why=why, remedy="")
+    elif kind == "said":
+        fault = Fault(place=place, key="", **first["ctx"])
+    else:
+        value, wanted = shown(first["input"]), _WANTED.get(kind)
+        why = f"{value} is not {wanted}" if wanted else f"{value}: {first['msg']}"
+        fault = Fault(place=place, key="", why=why, remedy="")
+    raise refuse(fault)
 
 
 def known_keys(model: type[BaseModel], place: Place) -> tuple[str, ...]:
@@ -226,25 +241,6 @@ def shown(value: object) -> str:
     except (ValueError, RecursionError):
         return f"a value too long to show ({type(value).__name__})"
     return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
-
-
-def _fault(error: ValidationError) -> Fault:
-    faults = error.errors(include_url=False)
-    # A key that is unknown is often the one that is missing, spelled wrongly.
-    first = min(faults, key=lambda x: x["type"] != "extra_forbidden")
-    kind = first["type"]
-    place = tuple(x if isinstance(x, int) else x[:LONGEST_SHOWN] for x in first["loc"])
-    if kind in ("extra_forbidden", "missing"):
-        key, is_unknown = str(place[-1]), kind == "extra_forbidden"
-        why = f"there is no key {shown(key)} here" if is_unknown else f"the key {key!r} is missing"
-        return Fault(place=place[:-1], key=key, is_unknown=is_unknown, why=why, remedy="")
-    if kind == "said":
-        said = first["ctx"]
-        return Fault(place=place, key="", why=said["why"], remedy=said["remedy"])
-    value = shown(first["input"])
-    wanted = _WANTED.get(kind)
-    why = f"{value} is not {wanted}" if wanted else f"{value}: {first['msg']}"
-    return Fault(place=place, key="", why=why, remedy="")
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:

@@ -18,6 +18,29 @@ from identknee.runs.record import versions
 
 WAIT_S = 10.0
 _ANEW = "Remove the file and start again, or choose another folder with --out."
+_IN_USE = (
+    "another run is writing to this file",
+    "Wait for it to end, or choose another folder with --out.",
+)
+_DAMAGED = ("this is not a store of finished work, or it is damaged ({})", _ANEW)
+_FORBIDDEN = (
+    "it may not be written to ({})",
+    "Choose another folder with --out, or change the permissions.",
+)
+# What went wrong, and the remedy, by SQLite's code.
+_EXPLANATIONS = {
+    sqlite3.SQLITE_FULL: (
+        "the disk is full",
+        "Free some space and give the same command again to resume.",
+    ),
+    sqlite3.SQLITE_BUSY: _IN_USE,
+    sqlite3.SQLITE_LOCKED: _IN_USE,
+    sqlite3.SQLITE_NOTADB: _DAMAGED,
+    sqlite3.SQLITE_CORRUPT: _DAMAGED,
+    sqlite3.SQLITE_READONLY: _FORBIDDEN,
+    sqlite3.SQLITE_CANTOPEN: _FORBIDDEN,
+    sqlite3.SQLITE_PERM: _FORBIDDEN,
+}
 
 
 class Store:
@@ -135,36 +158,17 @@ class Store:
         except UnicodeDecodeError as error:
             raise InputError(self.path, "", "its text is damaged", _ANEW) from error
         except sqlite3.Error as error:
-            why, remedy = _explanation(error)
-            raise InputError(self.path, "", why, remedy) from error
+            code = getattr(error, "sqlite_errorcode", None)
+            why, remedy = _EXPLANATIONS.get(
+                -1 if code is None else code & 0xFF,
+                ("it cannot be used ({})", "Remove the file and start again."),
+            )
+            raise InputError(self.path, "", why.format(error), remedy) from error
 
 
 def _checksum(key: str, text: str) -> str:
     # A damaged text may hold half of a surrogate pair.
     return digest(f"{key} {text}".encode("utf-8", "surrogatepass"))
-
-
-def _explanation(error: sqlite3.Error) -> tuple[str, str]:
-    code = getattr(error, "sqlite_errorcode", None)
-    primary = None if code is None else code & 0xFF
-    if primary == sqlite3.SQLITE_FULL:
-        return "the disk is full", "Free some space and give the same command again to resume."
-    if primary in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
-        return (
-            "another run is writing to this file",
-            "Wait for it to end, or choose another folder with --out.",
-        )
-    if primary in {sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT}:
-        return (
-            f"this is not a store of finished work, or it is damaged ({error})",
-            _ANEW,
-        )
-    if primary in {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM}:
-        return (
-            f"it may not be written to ({error})",
-            "Choose another folder with --out, or change the permissions.",
-        )
-    return f"it cannot be used ({error})", "Remove the file and start again."
 
 
 STORE_FORMAT = 1
@@ -279,7 +283,9 @@ def resumable_map(
     done = set() if store is None else store.keys()
     results = {key: store.get(key) for key in keys if store is not None and key in done}
     missing = [index for index, key in enumerate(keys) if key not in results]
-    fresh = _computed(function, [items[index] for index in missing], executor)
+    waiting, task = [items[index] for index in missing], partial(_plain_result, function)
+    waves = (waiting[first : first + WAVE] for first in range(0, len(waiting), WAVE))
+    fresh = (result for wave in waves for result in executor.map(task, wave))
     bar = progress_bar(description, len(items), before=len(results))
     with bar as advance, _Commits(store) as commits:
         for index, result in zip(missing, _explained(fresh, store), strict=True):
@@ -329,13 +335,6 @@ class _Commits:
             self._store.put_many({**self._waiting, SPENT: self._store.seconds})
         self._waiting = {}
         self._last = time.monotonic()
-
-
-def _computed(
-    function: Callable[[Any], Any], items: Sequence[Any], executor: Executor
-) -> Iterator[Any]:
-    for first in range(0, len(items), WAVE):
-        yield from executor.map(partial(_plain_result, function), items[first : first + WAVE])
 
 
 def _plain_result(function: Callable[[Any], Any], item: Any) -> Any:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from identknee.runs.arrays import Array
+from identknee.runs.errors import ValueRefused
 from identknee.subject.ligament import Ligament
 
 Points = tuple[Array, Array]
@@ -54,7 +55,7 @@ class EffectChoice:
                 raise ValueError(f"{self.name}.{name} must be finite, got {value:g}")
         for name in self.fixed:
             if name not in values:
-                raise ValueError(f"{self.name}.{name} is fixed but has no value; give it one")
+                raise ValueRefused(f"{self.name}.{name} is fixed but has no value", "give it one")
         if self.stiffness_sd_kN is not None and not 0.0 < self.stiffness_sd_kN < np.inf:
             raise ValueError(f"stiffness_sd_kN of {self.name} must be greater than 0")
         if self.site_sd_mm is not None and not 0.0 <= self.site_sd_mm < np.inf:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates
+from identknee.runs.errors import ValueRefused
 
 # Axes written with three decimals are off by less; a sheared or scaled frame by more.
 ROUNDING = 2e-3
@@ -39,21 +40,20 @@ class Frame:
         if not (np.isfinite(origin).all() and np.isfinite(axes).all()):
             raise ValueError("the origin and axes of a frame must be finite numbers")
         if far := implausible_coordinates(origin):
-            raise ValueError(f"the origin of a frame lies {far}; {CHECK_UNITS}")
+            raise ValueRefused(f"the origin of a frame lies {far}", CHECK_UNITS)
         # Products of larger numbers may overflow.
         error = (
             np.inf if np.abs(axes).max() > 2.0 else float(np.abs(axes @ axes.T - np.eye(3)).max())
         )
         if error > ROUNDING:
-            raise ValueError(
+            raise ValueRefused(
                 "the axes of a frame must be unit vectors at right angles, one a row, but their "
-                f"products are off by {error:.2g}; normalise them"
+                f"products are off by {error:.2g}",
+                "normalise them",
             )
         if np.linalg.det(axes) < 0.0:
-            raise ValueError(
-                "the axes of a frame must be right-handed: x anterior, y superior, z to the right; "
-                "turn one of them round"
-            )
+            why = "the axes of a frame must be right-handed: x anterior, y superior, z to the right"
+            raise ValueRefused(why, "turn one of them round")
         if error > 1e-12:
             left, _, right = np.linalg.svd(axes)
             axes = frozen(left @ right, 3, 3, name="the axes of a frame")
@@ -62,13 +62,11 @@ class Frame:
 
     def to_local(self, points: ArrayLike) -> Array:
         """Points ``(..., 3)`` of the common frame in this frame [mm]."""
-        local: Array = (np.asarray(points, float) - self.origin) @ self.axes.T
-        return local
+        return np.asarray((np.asarray(points, float) - self.origin) @ self.axes.T)
 
     def to_common(self, points: ArrayLike) -> Array:
         """Points ``(..., 3)`` of this frame in the common frame [mm]."""
-        common: Array = np.asarray(points, float) @ self.axes + self.origin
-        return common
+        return np.asarray(np.asarray(points, float) @ self.axes + self.origin)
 
     def mirrored(self) -> "Frame":
         """The frame seen in the mirror z = 0, its third axis turned round to be lateral again."""
@@ -113,10 +111,10 @@ def frames_from_landmarks(
     centre, ankle = joint_centre(landmarks), ankle_centre(landmarks)
     hip = landmarks.get("hip_centre")
     if centre is None or ankle is None or hip is None:
-        raise ValueError(
-            f"the landmarks given ({', '.join(landmarks) or 'none'}) define no frames; give "
-            "hip_centre, medial_epicondyle, lateral_epicondyle and either ankle_centre or both "
-            "malleoli, or the frames themselves"
+        raise ValueRefused(
+            f"the landmarks given ({', '.join(landmarks) or 'none'}) define no frames",
+            "give hip_centre, medial_epicondyle, lateral_epicondyle and either ankle_centre or "
+            "both malleoli, or the frames themselves",
         )
     across = landmarks["lateral_epicondyle"] - landmarks["medial_epicondyle"]
     right = -across if is_left else across
@@ -136,17 +134,17 @@ def angle_between(one: Array, other: Array) -> float:
 
 def _midpoint(landmarks: Mapping[str, Array], one: str, other: str) -> Array | None:
     if one in landmarks and other in landmarks:
-        middle: Array = (landmarks[one] + landmarks[other]) / 2.0
-        return middle
+        return np.asarray((landmarks[one] + landmarks[other]) / 2.0)
     return None
 
 
 def _frame(origin: Array, up: Array, right: Array) -> Frame:
     length = np.linalg.norm(up)
     if length == 0.0 or np.linalg.norm(np.cross(up, right)) <= 0.1 * length * np.linalg.norm(right):
-        raise ValueError(
+        raise ValueRefused(
             "the landmarks define no frame: the epicondyles coincide or lie on the long axis of "
-            "the bone; check their coordinates"
+            "the bone",
+            "check their coordinates",
         )
     superior = up / length
     lateral = right - (right @ superior) * superior

@@ -8,6 +8,7 @@ import numpy as np
 
 from identknee.runs.arrays import Array, frozen, short_repr
 from identknee.runs.declare import declared, entry
+from identknee.runs.errors import ValueRefused
 from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.frames import Frame
 from identknee.subject.ligament import Ligament, LigamentGroup, check_groups
@@ -162,20 +163,17 @@ class Knee:
         for name in names:
             if names.count(name) > 1:
                 kind = "ligaments" if ligaments.count(name) > 1 else "ligaments or effects"
-                raise ValueError(f"two {kind} are called {name}; rename one of them")
+                raise ValueRefused(f"two {kind} are called {name}", "rename one of them")
         if not 0.0 <= self.contact_rounding_mm <= MOST_CONTACT_ROUNDING:
-            raise ValueError(
+            raise ValueRefused(
                 f"contact_rounding_mm must be 0 to {MOST_CONTACT_ROUNDING:g} mm, got "
-                f"{self.contact_rounding_mm:g}; leave it out for the law without rounding"
+                f"{self.contact_rounding_mm:g}",
+                "leave it out for the law without rounding",
             )
         self.uncertainty.check_ligaments(ligaments)
         check_groups(self.groups, self.ligaments)
-        object.__setattr__(self, "tibia", tuple(self.tibia))
-        object.__setattr__(self, "ligaments", tuple(self.ligaments))
-        object.__setattr__(self, "landmarks", tuple(self.landmarks))
-        object.__setattr__(self, "effects", tuple(self.effects))
-        object.__setattr__(self, "groups", tuple(self.groups))
-        object.__setattr__(self, "poses", tuple(self.poses))
+        for kept in ("tibia", "ligaments", "landmarks", "effects", "groups", "poses"):
+            object.__setattr__(self, kept, tuple(getattr(self, kept)))
 
     @property
     def reference_lengths(self) -> Array:

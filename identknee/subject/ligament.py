@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates
-from identknee.runs.errors import suggestion
+from identknee.runs.errors import ValueRefused, suggestion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,9 +39,8 @@ class Ligament:
 
     def __post_init__(self) -> None:
         if not self.name or self.name != self.name.strip() or set(self.name) & set(".,=\"'\n\r\t"):
-            raise ValueError(
-                f"a ligament needs a name without . , = or quotes, got {self.name!r}; rename it"
-            )
+            why = f"a ligament needs a name without . , = or quotes, got {self.name!r}"
+            raise ValueRefused(why, "rename it")
         for bone in ("femur", "tibia"):
             place = frozen(getattr(self, bone), 3, name=f"the {bone} insertion of {self.name}")
             if not np.isfinite(place).all():
@@ -50,13 +49,11 @@ class Ligament:
                     f"got {place.tolist()}"
                 )
             if far := implausible_coordinates(place):
-                raise ValueError(f"the {bone} insertion of {self.name} lies {far}; {CHECK_UNITS}")
+                raise ValueRefused(f"the {bone} insertion of {self.name} lies {far}", CHECK_UNITS)
             object.__setattr__(self, bone, place)
         if self.length == 0.0:
-            raise ValueError(
-                f"{self.name} has length zero: both insertions lie at {self.femur.tolist()} mm; "
-                "give two different points"
-            )
+            why = f"{self.name} has length zero: both insertions lie at {self.femur.tolist()} mm"
+            raise ValueRefused(why, "give two different points")
         if not 0.0 <= self.stiffness_kN < np.inf:
             raise ValueError(
                 f"the stiffness of {self.name} must be finite and >= 0 kN, "
@@ -113,9 +110,9 @@ class LigamentGroup:
     def __post_init__(self) -> None:
         object.__setattr__(self, "members", tuple(self.members))
         if len(self.members) < LEAST or len(set(self.members)) < len(self.members):
-            raise ValueError(
-                f"the group {self.name} must name two or more ligaments, each once; got "
-                f"{', '.join(self.members) or 'none'}"
+            raise ValueRefused(
+                f"the group {self.name} must name two or more ligaments, each once",
+                f"got {', '.join(self.members) or 'none'}",
             )
 
 
@@ -158,9 +155,8 @@ def check_groups(groups: Sequence[LigamentGroup], ligaments: Sequence[Ligament])
     taken = set(stiffness)
     for group in groups:
         if group.name in taken:
-            raise ValueError(
-                f"the group {group.name} is called as a ligament or another group is; rename it"
-            )
+            why = f"the group {group.name} is called as a ligament or another group is"
+            raise ValueRefused(why, "rename it")
         taken.add(group.name)
         for member in group.members:
             if member not in stiffness:
@@ -169,10 +165,11 @@ def check_groups(groups: Sequence[LigamentGroup], ligaments: Sequence[Ligament])
                     f"not have. {suggestion(member, list(stiffness))}"
                 )
             if member in seen:
-                raise ValueError(f"the ligament {member} is in two groups; leave it in one of them")
+                why = f"the ligament {member} is in two groups"
+                raise ValueRefused(why, "leave it in one of them")
             seen.add(member)
         if not sum(stiffness[x] for x in group.members) > 0.0:
-            raise ValueError(
-                f"no ligament of the group {group.name} has a stiffness above 0; give one to its "
-                "members, whose shares are kept"
+            raise ValueRefused(
+                f"no ligament of the group {group.name} has a stiffness above 0",
+                "give one to its members, whose shares are kept",
             )

@@ -84,7 +84,6 @@ def bones_of(model: OsimModel) -> Bones:
 
 
 def _side(model: OsimModel, *names: str) -> Side:
-    """The side that the names of bodies and joint end with."""
     for name in names:
         found = re.search(r"(?:^|[_\-. ])(r|right|l|left)(?:[_\-. ]|$)", name.lower())
         if found:
@@ -137,13 +136,21 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[str]]:
     lines: list[OsimLine] = []
     bent, stiffening = [], []
     for element in model.all_of(LIGAMENT_CLASS):
-        ends = _ends(bones, element)
-        if ends is None:
+        points = element.findall("GeometryPath/PathPointSet/objects/*")
+        ends: dict[str, OsimEnd] = {}
+        for point in (points[0], points[-1]) if len(points) > 1 else ():
+            body, frame = model.placed(point.findtext("socket_parent_frame", ""))
+            for bone, bodies in (("femur", bones.femur), ("tibia", bones.tibia)):
+                if body in bodies:
+                    ends[bone] = OsimEnd(element=point, frame=bodies[body] @ frame)
+        if len(ends) < 2:
             continue
         name = element.get("name", "")
-        ligament = _ligament(model, element, {x: _place(model, end) for x, end in ends.items()})
+        places = {x: end.frame(model.vector(end.element, "location")) for x, end in ends.items()}
+        ligament = _ligament(model, element, places)
         lines.append(OsimLine(ligament=ligament, element=element, ends=ends))
-        if _is_bent(element):
+        wrap = element.find("GeometryPath/PathWrapSet/objects/PathWrap")
+        if len(points) > 2 or wrap is not None:
             bent.append(name)
         if model.numbers(element, "transition_strain", "0.06")[0] != TRANSITION_STRAIN:
             stiffening.append(name)
@@ -216,33 +223,6 @@ def slack_length(ligament: Ligament) -> float:
     0.03
     """
     return ligament.length / MM_PER_M / (1.0 + ligament.reference_strain_pct / 100.0)
-
-
-def _ends(bones: Bones, element: Element) -> dict[str, OsimEnd] | None:
-    """Femoral and tibial end of a ligament; None if it has none there."""
-    points = element.findall("GeometryPath/PathPointSet/objects/*")
-    if len(points) < 2:
-        return None
-    ends: dict[str, OsimEnd] = {}
-    for point in (points[0], points[-1]):
-        body, frame = bones.model.placed(point.findtext("socket_parent_frame", ""))
-        for bone, bodies in (("femur", bones.femur), ("tibia", bones.tibia)):
-            if body in bodies:
-                ends[bone] = OsimEnd(element=point, frame=bodies[body] @ frame)
-    return ends if len(ends) == 2 else None
-
-
-def _place(model: OsimModel, end: OsimEnd) -> Array:
-    """Where an end is in the common frame [m]."""
-    return end.frame(model.vector(end.element, "location"))
-
-
-def _is_bent(element: Element) -> bool:
-    path = "GeometryPath"
-    return (
-        len(element.findall(f"{path}/PathPointSet/objects/*")) > 2
-        or element.find(f"{path}/PathWrapSet/objects/PathWrap") is not None
-    )
 
 
 def _ligament(model: OsimModel, element: Element, ends: Mapping[str, Array]) -> Ligament:
@@ -376,7 +356,17 @@ def mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
 
 def _plateaus(bones: Bones, tibia: Surface) -> tuple[Surface, Surface]:
     """The medial and the lateral part of a tibial surface of two unconnected parts."""
-    parts = sorted(_components(tibia), key=lambda x: x.areas.sum(), reverse=True)
+    n, ends = len(tibia.vertices), tibia.edges
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
+    number, label = connected_components(graph, directed=False)
+    parts = []
+    for part in range(number):
+        chosen = label == part
+        faces = tibia.faces[chosen[tibia.faces[:, 0]]]
+        if len(faces):
+            renumbered = (np.cumsum(chosen) - 1)[faces]
+            parts.append(Surface(vertices=tibia.vertices[chosen], faces=renumbered))
+    parts = sorted(parts, key=lambda x: x.areas.sum(), reverse=True)
     parts = [x for x in parts if x.areas.sum() > CRUMB_SHARE * tibia.areas.sum()]
     if len(parts) != 2:
         raise bones.model.refusal(
@@ -387,21 +377,6 @@ def _plateaus(bones: Bones, tibia: Surface) -> tuple[Surface, Surface]:
     to_right = bones.tibia_frame.rotation[:, 2]
     left, right = sorted(parts, key=lambda x: float(x.centroid @ to_right))
     return (left, right) if bones.side == "right" else (right, left)
-
-
-def _components(surface: Surface) -> list[Surface]:
-    n = len(surface.vertices)
-    ends = surface.edges
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    number, label = connected_components(graph, directed=False)
-    parts = []
-    for part in range(number):
-        chosen = label == part
-        faces = surface.faces[chosen[surface.faces[:, 0]]]
-        if len(faces):
-            renumbered = (np.cumsum(chosen) - 1)[faces]
-            parts.append(Surface(vertices=surface.vertices[chosen], faces=renumbered))
-    return parts
 
 
 def _landmarks(bones: Bones) -> tuple[Landmark, ...]:

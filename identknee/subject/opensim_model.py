@@ -45,8 +45,7 @@ class Transform:
 
     def __call__(self, points: Array) -> Array:
         """Points ``(..., 3)`` of this frame [m] in the outer one."""
-        moved: Array = points @ self.rotation.T + self.translation
-        return moved
+        return np.asarray(points @ self.rotation.T + self.translation)
 
     def moved(self, surface: Surface) -> Surface:
         """The surface of this frame [m] in the outer one."""
@@ -297,5 +296,4 @@ def _turned(axis: Array, angle: float) -> Array:
     """Rotation by `angle` [rad] about `axis` (3,), by Rodrigues' formula."""
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: Array = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-    return rotation
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

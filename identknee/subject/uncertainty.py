@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from identknee.runs.arrays import Array
-from identknee.runs.errors import suggestion
+from identknee.runs.errors import ValueRefused, suggestion
 
 BONES = ("femur", "tibia")
 # A standard deviation in mm of every axis, or a covariance in mm^2 along the axes of the bone.
@@ -22,7 +22,6 @@ _SIZE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg|%|)\s*")
 
 
 def _stated(meaning: str) -> float:
-    """A standard deviation that may be stated: 0 stands for exact."""
     return field(default=0.0, metadata={"meaning": meaning})
 
 
@@ -99,7 +98,17 @@ class Uncertainty:
     @property
     def words(self) -> dict[str, str]:
         """What each part was taken for, such as ``2 mm`` or ``exact``, by the name of the part."""
-        return {name: _word(name, value) for name, value in self._values()}
+        told: dict[str, str] = {}
+        for name, value in self._values():
+            if isinstance(value, Mapping):
+                stated = sum(len(bones) for bones in value.values())
+                told[name] = f"{stated} stated by ligament and bone, the others exact"
+            elif value == 0.0:
+                told[name] = "exact"
+            else:
+                sized = f"{value:g} {_unit(name)}".strip()
+                told[name] = f"{100.0 * value:g} %" if name == "load_gain" else sized
+        return told
 
     @property
     def sentence(self) -> str:
@@ -244,10 +253,8 @@ def _checked_spreads(value: Spreads) -> dict[str, dict[str, Spread]]:
     checked: dict[str, dict[str, Spread]] = {}
     for ligament, bones in value.items():
         if not set(bones) <= set(BONES):
-            raise ValueError(
-                f"the uncertainty of the insertions of {ligament} must be given by bone; write for "
-                "example { femur = 2.0, tibia = 3.0 }"
-            )
+            why = f"the uncertainty of the insertions of {ligament} must be given by bone"
+            raise ValueRefused(why, "write for example { femur = 2.0, tibia = 3.0 }")
         checked[ligament] = {
             bone: _checked_spread(f"insertions_mm of {ligament} on the {bone}", x)
             for bone, x in bones.items()
@@ -264,16 +271,6 @@ def _checked_spread(where: str, value: object) -> Spread:
     if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < 0.0:
         raise ValueError(f"{where}: the covariance must be symmetric with no negative eigenvalue")
     return tuple(tuple(row) for row in matrix.tolist())
-
-
-def _word(name: str, value: float | Spreads) -> str:
-    if isinstance(value, Mapping):
-        stated = sum(len(bones) for bones in value.values())
-        return f"{stated} stated by ligament and bone, the others exact"
-    if value == 0.0:
-        return "exact"
-    unit = _unit(name)
-    return f"{100.0 * value:g} %" if name == "load_gain" else f"{value:g} {unit}".strip()
 
 
 EXACTLY = Uncertainty()
@@ -304,7 +301,7 @@ class StatedPrior:
 
     def __post_init__(self) -> None:
         if (self.sd is None) == (self.log_sd is None):
-            raise ValueError("a prior has either sd or log_sd; give one of the two")
+            raise ValueRefused("a prior has either sd or log_sd", "give one of the two")
         if not 0.0 < self.spread < float("inf"):
             raise ValueError(f"the spread of a prior must be greater than 0, got {self.spread:g}")
         if self.is_log and self.center is not None and not self.center > 0.0:

@@ -547,8 +547,8 @@ NUISANCES = (
     ),
     fault(
         "identknee/model/shared_errors.py",
-        "_flexions",
-        "slopes = sd_deg * jacobian[:, :, -1]",
+        "shared_errors",
+        "slopes = stated.trial_flexion_deg * jacobian[:, :, -1]",
         "slopes = jacobian[:, :, -1]",
         "flexion of a trial errs by one degree whatever is stated",
         _SHARED,

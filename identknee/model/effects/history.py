@@ -92,8 +92,7 @@ def _with_creep(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
 def _with_drift(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
     order = _order("drift", tests)
     share = (order - order.min()) / max(int(np.ptp(order)), 1)
-    drifted: Array = coordinates + (share[:, None] - 0.5) * values
-    return drifted
+    return np.asarray(coordinates + (share[:, None] - 0.5) * values)
 
 
 def _order(cause: str, tests: TrialRecord) -> IntArray:

@@ -85,7 +85,11 @@ def choice_of(
 
 
 def _effect(knee: Knee, choice: EffectChoice) -> Effect:
-    effect = _of_its_kind(knee, choice)
+    if choice.lines:
+        sds = {"stiffness_sd": choice.stiffness_sd_kN, "site_sd": choice.site_sd_mm}
+        effect: Effect = structure(knee, choice.name, choice.lines, **sds)
+    else:
+        effect = effect_named(knee, choice.name)
     parameters = effect.parameters
     for name, value in choice.values.items():
         whole = f"{choice.name}.{name}"
@@ -103,15 +107,3 @@ def _effect(knee: Knee, choice: EffectChoice) -> Effect:
             )
     fixed = {f"{choice.name}.{name}": choice.values[name] for name in choice.fixed}
     return with_fixed_amplitudes(effect, fixed) if fixed else effect
-
-
-def _of_its_kind(knee: Knee, choice: EffectChoice) -> Effect:
-    if not choice.lines:
-        return effect_named(knee, choice.name)
-    return structure(
-        knee,
-        choice.name,
-        choice.lines,
-        stiffness_sd=choice.stiffness_sd_kN,
-        site_sd=choice.site_sd_mm,
-    )

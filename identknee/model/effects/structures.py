@@ -204,7 +204,6 @@ class PosteriorCapsule:
         )
 
     def _of_sides(self, values: Array) -> tuple[Array, Array]:
-        """The amplitudes of each structure."""
         medial, lateral = np.split(values[self.first_shift :], 2)
         return np.r_[values[0], values[2], medial], np.r_[values[1], values[2], lateral]
 
