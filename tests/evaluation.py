@@ -9,8 +9,7 @@ from oracle import OracleKnee, State
 from scipy.ndimage import map_coordinates
 
 from identknee.mechanics.contact_elements import contact_element
-from identknee.mechanics.contact_law import PRESSURE_MODULUS
-from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.distance_field import PRESSURE_MODULUS, DistanceField
 from identknee.mechanics.energy import evaluate
 from identknee.mechanics.equilibria import workspace
 from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, POINT, record

@@ -13,9 +13,16 @@ from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
-from identknee.laxity.dominant_load import SAME_FLEXION_DEG, STRAY, TYPICAL
-from identknee.laxity.protocol import DIRECTIONS, WAYS, Protocol
-from identknee.laxity.zero_conventions import ZEROS, zero_fault
+from identknee.laxity.protocol import (
+    DIRECTIONS,
+    SAME_FLEXION_DEG,
+    STRAY,
+    TYPICAL,
+    WAYS,
+    ZEROS,
+    Protocol,
+    zero_fault,
+)
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.files import PathLike, check_readable

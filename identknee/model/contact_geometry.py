@@ -11,14 +11,13 @@ from zipfile import BadZipFile
 import numpy as np
 
 from identknee.mechanics.closest_point import mesh_distance
-from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.contact_points import (
     DEFAULT_NUMBER,
     RimDistance,
     contact_points,
     rim_distance,
 )
-from identknee.mechanics.distance_field import SPACING, DistanceField, build_field
+from identknee.mechanics.distance_field import SPACING, ContactLaw, DistanceField, build_field
 from identknee.mechanics.equilibria import ContactPoints, LineLigaments
 from identknee.mechanics.pose import start_pose
 from identknee.model.nuisances import contact_rounding

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from identknee.mechanics.contact_law import MOST_ROUNDING
+from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.effects.effect import (
     Changed,
@@ -17,10 +17,10 @@ from identknee.model.effects.effect import (
     amplitudes,
     with_fixed_amplitudes,
 )
-from identknee.model.effects.frames import flexion_offset
 from identknee.model.effects.insertion import AXES, insertion
+from identknee.model.effects.library import effects_of
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
-from identknee.model.effects.stored import effects_of
+from identknee.model.effects.readings import flexion_offset
 from identknee.model.mechanics_inputs import MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
@@ -265,7 +265,7 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
     """The stated nuisance parameters of a knee, in the order in which they act; may be empty.
 
     Errors that are the same for every parameter are no part of it: see
-    `identknee.model.shared_errors`.
+    `identknee.model.residuals`.
 
     Examples
     --------

@@ -1,19 +1,399 @@
-"""The knee: surfaces, ligaments and frames of one subject."""
+"""The knee: surfaces, frames, ligaments and stored effects of one subject."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, frozen, short_repr
+from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates, short_repr
 from identknee.runs.declare import declared, entry
-from identknee.runs.errors import ValueRefused
-from identknee.subject.effect_choice import EffectChoice
-from identknee.subject.frames import Frame
-from identknee.subject.ligament import Ligament, LigamentGroup, check_groups
+from identknee.runs.errors import ValueRefused, suggestion
 from identknee.subject.surface import Surface
 from identknee.subject.uncertainty import EXACTLY, StatedPrior, Uncertainty
+
+# Axes written with three decimals are off by less; a sheared or scaled frame by more.
+ROUNDING = 2e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """A right-handed frame of a bone in the common frame of the scanned pose.
+
+    Attributes
+    ----------
+    origin
+        Position [mm], shape ``(3,)``.
+    axes
+        Unit vectors as rows: anterior, superior, lateral; shape ``(3, 3)``. Rows rounded in a file
+        are squared up to the nearest rotation.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, or the axes are not orthonormal or not right-handed.
+    """
+
+    origin: Array
+    axes: Array
+
+    def __post_init__(self) -> None:
+        origin = frozen(self.origin, 3, name="the origin of a frame")
+        axes = frozen(self.axes, 3, 3, name="the axes of a frame")
+        if not (np.isfinite(origin).all() and np.isfinite(axes).all()):
+            raise ValueError("the origin and axes of a frame must be finite numbers")
+        if far := implausible_coordinates(origin):
+            raise ValueRefused(f"the origin of a frame lies {far}", CHECK_UNITS)
+        # Products of larger numbers may overflow.
+        error = (
+            np.inf if np.abs(axes).max() > 2.0 else float(np.abs(axes @ axes.T - np.eye(3)).max())
+        )
+        if error > ROUNDING:
+            raise ValueRefused(
+                "the axes of a frame must be unit vectors at right angles, one a row, but their "
+                f"products are off by {error:.2g}",
+                "normalise them",
+            )
+        if np.linalg.det(axes) < 0.0:
+            why = "the axes of a frame must be right-handed: x anterior, y superior, z to the right"
+            raise ValueRefused(why, "turn one of them round")
+        if error > 1e-12:
+            left, _, right = np.linalg.svd(axes)
+            axes = frozen(left @ right, 3, 3, name="the axes of a frame")
+        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, "axes", axes)
+
+    def to_local(self, points: ArrayLike) -> Array:
+        """Points ``(..., 3)`` of the common frame in this frame [mm]."""
+        return np.asarray((np.asarray(points, float) - self.origin) @ self.axes.T)
+
+    def to_common(self, points: ArrayLike) -> Array:
+        """Points ``(..., 3)`` of this frame in the common frame [mm]."""
+        return np.asarray(np.asarray(points, float) @ self.axes + self.origin)
+
+    def mirrored(self) -> "Frame":
+        """The frame seen in the mirror z = 0, its third axis turned round to be lateral again."""
+        mirror = np.array([1.0, 1.0, -1.0])
+        return Frame(origin=self.origin * mirror, axes=mirror[:, None] * self.axes * mirror)
+
+
+def joint_centre(landmarks: Mapping[str, Array]) -> Array | None:
+    """Midpoint of the epicondyles [mm], shape ``(3,)``; None where they are not given."""
+    return _midpoint(landmarks, "medial_epicondyle", "lateral_epicondyle")
+
+
+def ankle_centre(landmarks: Mapping[str, Array]) -> Array | None:
+    """The ankle centre, or the midpoint of the malleoli [mm], ``(3,)``; None without either."""
+    if "ankle_centre" in landmarks:
+        return landmarks["ankle_centre"]
+    return _midpoint(landmarks, "medial_malleolus", "lateral_malleolus")
+
+
+def frames_from_landmarks(
+    landmarks: Mapping[str, Array], *, is_left: bool = False
+) -> tuple[Frame, Frame]:
+    """The frames of femur and tibia that landmarks define.
+
+    Both origins are the midpoint of the epicondyles. The femur's y axis points from there to the
+    hip centre, the tibia's from the ankle centre to there; both z axes lie in the plane that y
+    spans with the line through the epicondyles and point to the subject's right.
+
+    Parameters
+    ----------
+    landmarks
+        Positions in the common frame [mm], shape ``(3,)``, by their names in a subject's file; the
+        ankle is given by its centre or by both malleoli.
+    is_left
+        Whether this is a left knee, whose lateral side is on the left.
+
+    Raises
+    ------
+    ValueError
+        If a landmark is missing or two of them nearly coincide.
+    """
+    centre, ankle = joint_centre(landmarks), ankle_centre(landmarks)
+    hip = landmarks.get("hip_centre")
+    if centre is None or ankle is None or hip is None:
+        raise ValueRefused(
+            f"the landmarks given ({', '.join(landmarks) or 'none'}) define no frames",
+            "give hip_centre, medial_epicondyle, lateral_epicondyle and either ankle_centre or "
+            "both malleoli, or the frames themselves",
+        )
+    across = landmarks["lateral_epicondyle"] - landmarks["medial_epicondyle"]
+    right = -across if is_left else across
+    return _frame(centre, hip - centre, right), _frame(centre, centre - ankle, right)
+
+
+def angle_between(one: Array, other: Array) -> float:
+    """Angle between two vectors [deg].
+
+    Examples
+    --------
+    >>> round(angle_between(np.array([1.0, 0.0, 0.0]), np.array([0.0, 2.0, 0.0])), 6)
+    90.0
+    """
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)))
+
+
+def _midpoint(landmarks: Mapping[str, Array], one: str, other: str) -> Array | None:
+    if one in landmarks and other in landmarks:
+        return np.asarray((landmarks[one] + landmarks[other]) / 2.0)
+    return None
+
+
+def _frame(origin: Array, up: Array, right: Array) -> Frame:
+    length = np.linalg.norm(up)
+    if length == 0.0 or np.linalg.norm(np.cross(up, right)) <= 0.1 * length * np.linalg.norm(right):
+        raise ValueRefused(
+            "the landmarks define no frame: the epicondyles coincide or lie on the long axis of "
+            "the bone",
+            "check their coordinates",
+        )
+    superior = up / length
+    lateral = right - (right @ superior) * superior
+    lateral = lateral / np.linalg.norm(lateral)
+    return Frame(origin=origin, axes=np.array([np.cross(superior, lateral), superior, lateral]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ligament:
+    """A line ligament.
+
+    Attributes
+    ----------
+    name
+        What the user calls it; parameters are named ``NAME.stiffness_kN``.
+    femur, tibia
+        Its insertions in the common frame of the scanned pose [mm], shape ``(3,)``.
+    stiffness_kN
+        Force per unit strain of its linear region [kN], >= 0.
+    reference_strain_pct
+        Strain in the scanned pose [%], > -100; negative for a slack ligament.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range, not finite, or both insertions coincide.
+    """
+
+    name: str
+    femur: Array
+    tibia: Array
+    stiffness_kN: float  # noqa: N815 - the key in files
+    reference_strain_pct: float
+
+    def __post_init__(self) -> None:
+        if not self.name or self.name != self.name.strip() or set(self.name) & set(".,=\"'\n\r\t"):
+            why = f"a ligament needs a name without . , = or quotes, got {self.name!r}"
+            raise ValueRefused(why, "rename it")
+        for bone in ("femur", "tibia"):
+            place = frozen(getattr(self, bone), 3, name=f"the {bone} insertion of {self.name}")
+            if not np.isfinite(place).all():
+                raise ValueError(
+                    f"the {bone} insertion of {self.name} must be finite numbers in mm, "
+                    f"got {place.tolist()}"
+                )
+            if far := implausible_coordinates(place):
+                raise ValueRefused(f"the {bone} insertion of {self.name} lies {far}", CHECK_UNITS)
+            object.__setattr__(self, bone, place)
+        if self.length == 0.0:
+            why = f"{self.name} has length zero: both insertions lie at {self.femur.tolist()} mm"
+            raise ValueRefused(why, "give two different points")
+        if not 0.0 <= self.stiffness_kN < np.inf:
+            raise ValueError(
+                f"the stiffness of {self.name} must be finite and >= 0 kN, "
+                f"got {self.stiffness_kN:g}"
+            )
+        if not -100.0 < self.reference_strain_pct < np.inf:
+            raise ValueError(
+                f"the reference strain of {self.name} must be finite and > -100 %, "
+                f"got {self.reference_strain_pct:g}"
+            )
+
+    @property
+    def length(self) -> float:
+        """Distance of its insertions in the scanned pose [mm]."""
+        return float(np.linalg.norm(self.tibia - self.femur))
+
+    def mirrored(self) -> "Ligament":
+        """A copy seen in the mirror z = 0."""
+        return Ligament(
+            name=self.name,
+            femur=self.femur * [1.0, 1.0, -1.0],
+            tibia=self.tibia * [1.0, 1.0, -1.0],
+            stiffness_kN=self.stiffness_kN,
+            reference_strain_pct=self.reference_strain_pct,
+        )
+
+
+LEAST = 2
+# A name, a number, perhaps a side.
+_NUMBERED = re.compile(r"(.*[^\W\d_])[-_ ]?\d+(?:[-_ ][rl])?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LigamentGroup:
+    """Bundles with one stiffness scale and one shift of their strains; their pattern is kept.
+
+    Attributes
+    ----------
+    name
+        What the ligament is called; its parameters are named ``NAME.stiffness_kN``, the sum of its
+        members', and ``NAME.reference_strain_pct``, their mean weighted by stiffness.
+    members
+        Names of the bundles.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two members, or one is named twice.
+    """
+
+    name: str
+    members: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "members", tuple(self.members))
+        if len(self.members) < LEAST or len(set(self.members)) < len(self.members):
+            raise ValueRefused(
+                f"the group {self.name} must name two or more ligaments, each once",
+                f"got {', '.join(self.members) or 'none'}",
+            )
+
+
+def groups_by_name(ligaments: Sequence[Ligament]) -> tuple[LigamentGroup, ...]:
+    """Groups of the ligaments that are called alike but for a number at the end, such as ``ACL2``.
+
+    Examples
+    --------
+    >>> places = {"femur": [0, 9, 0], "tibia": [0, 0, 0]}
+    >>> numbers = {"stiffness_kN": 1.0, "reference_strain_pct": 0.0}
+    >>> names = ["ACL1", "ACL2", "LCL1_r", "LCL2_r", "PFL"]
+    >>> made = groups_by_name([Ligament(name=x, **places, **numbers) for x in names])
+    >>> [(x.name, x.members) for x in made]
+    [('ACL', ('ACL1', 'ACL2')), ('LCL', ('LCL1_r', 'LCL2_r'))]
+    """
+    taken = {x.name for x in ligaments}
+    members: dict[str, list[str]] = {}
+    for ligament in ligaments:
+        numbered = _NUMBERED.fullmatch(ligament.name)
+        if numbered and numbered[1] not in taken and ligament.stiffness_kN > 0.0:
+            members.setdefault(numbered[1], []).append(ligament.name)
+    return tuple(
+        LigamentGroup(name=name, members=tuple(own))
+        for name, own in members.items()
+        if len(own) >= LEAST
+    )
+
+
+def check_groups(groups: Sequence[LigamentGroup], ligaments: Sequence[Ligament]) -> None:
+    """Refuse groups that the ligaments do not allow.
+
+    Raises
+    ------
+    ValueError
+        If a member is no ligament or in two groups, no member of a group has a stiffness, or a
+        group is called as a ligament or another group is.
+    """
+    stiffness = {x.name: x.stiffness_kN for x in ligaments}
+    seen: set[str] = set()
+    taken = set(stiffness)
+    for group in groups:
+        if group.name in taken:
+            why = f"the group {group.name} is called as a ligament or another group is"
+            raise ValueRefused(why, "rename it")
+        taken.add(group.name)
+        for member in group.members:
+            if member not in stiffness:
+                raise ValueError(
+                    f"the group {group.name} names the ligament {member!r}, which the knee does "
+                    f"not have. {suggestion(member, list(stiffness))}"
+                )
+            if member in seen:
+                why = f"the ligament {member} is in two groups"
+                raise ValueRefused(why, "leave it in one of them")
+            seen.add(member)
+        if not sum(stiffness[x] for x in group.members) > 0.0:
+            raise ValueRefused(
+                f"no ligament of the group {group.name} has a stiffness above 0",
+                "give one to its members, whose shares are kept",
+            )
+
+
+Points = tuple[Array, Array]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EffectChoice:
+    """An effect by name, with the amplitudes found for the subject.
+
+    Attributes
+    ----------
+    name
+        Name of the effect.
+    values
+        Amplitudes of a right knee, whose z is lateral, by name and in the unit it ends in; those
+        left out have the middle of their prior.
+    fixed
+        Names of amplitudes that are not calibrated.
+    lines
+        Femoral and tibial point [mm], ``(3,)`` each, of every line of a structure, in the common
+        frame of the scanned pose; empty where anatomy places the effect or it has no place.
+    stiffness_sd_kN
+        Prior standard deviation of a structure's stiffness; its own usual one where None.
+    site_sd_mm
+        Prior standard deviation of shifts of a structure's points, 0 where they are not shifted;
+        the usual one where None.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, a line has no length, a standard deviation is out of range, or an
+        amplitude is fixed without a value.
+    """
+
+    name: str
+    values: Mapping[str, float] = field(default_factory=dict)
+    fixed: tuple[str, ...] = ()
+    lines: tuple[Points, ...] = ()
+    stiffness_sd_kN: float | None = None  # noqa: N815 - the key in files
+    site_sd_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        values = {name: float(value) for name, value in self.values.items()}
+        for name, value in values.items():
+            if not np.isfinite(value):
+                raise ValueError(f"{self.name}.{name} must be finite, got {value:g}")
+        for name in self.fixed:
+            if name not in values:
+                raise ValueRefused(f"{self.name}.{name} is fixed but has no value", "give it one")
+        if self.stiffness_sd_kN is not None and not 0.0 < self.stiffness_sd_kN < np.inf:
+            raise ValueError(f"stiffness_sd_kN of {self.name} must be greater than 0")
+        if self.site_sd_mm is not None and not 0.0 <= self.site_sd_mm < np.inf:
+            raise ValueError(f"site_sd_mm of {self.name} must be 0 or greater")
+        # A copy rather than a view that cannot be changed: that could not go to other processes.
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "fixed", tuple(self.fixed))
+        object.__setattr__(self, "lines", tuple(self._checked(line) for line in self.lines))
+
+    def mirrored(self) -> "EffectChoice":
+        """A copy seen in the mirror z = 0; amplitudes are those of a right knee on either side."""
+        mirror = np.array([1.0, 1.0, -1.0])
+        return replace(self, lines=tuple((x * mirror, y * mirror) for x, y in self.lines))
+
+    def _checked(self, line: Points) -> Points:
+        # A line of a structure obeys the rules of a ligament's.
+        like = Ligament(
+            name=f"a line of {self.name}",
+            femur=line[0],
+            tibia=line[1],
+            stiffness_kN=0.0,
+            reference_strain_pct=0.0,
+        )
+        return like.femur, like.tibia
+
 
 # Coordinates of a laxity table: lateral shift, anterior drawer, distraction, varus, internal.
 N_COORDINATES = 5
@@ -118,7 +498,7 @@ class Knee:
         Parameters by name at which the knee was fitted: a search starts there.
     contact_rounding_mm
         Rounding of the contact law with which it was fitted, 0 to 0.15: where geometry is
-        uncertain, contact begins gradually. See `identknee.mechanics.contact_law.ContactLaw`.
+        uncertain, contact begins gradually. See `identknee.mechanics.distance_field.ContactLaw`.
     femur_distance
         Signed distance [mm] of points ``(n, 3)`` to the femur, negative inside, where a closed form
         of it is known.

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactPoints, LineLigaments, solve
-from identknee.mechanics.load_paths import load_paths
+from identknee.mechanics.equilibria import ContactPoints, LineLigaments, load_paths, solve
 from identknee.mechanics.memory import CONVERGED, Equilibria
 from identknee.model.contact_geometry import ContactGeometry
 from identknee.model.laxity_model import LaxityModel

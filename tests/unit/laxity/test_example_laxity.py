@@ -5,9 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identknee.laxity.named_tables import FOLDER, TABLES, laxity_file
-from identknee.laxity.named_trials import example_laxity
-from identknee.laxity.table import COORDINATES, Laxity, read_laxity, write_laxity
+from identknee.laxity.table import (
+    COORDINATES,
+    FOLDER,
+    TABLES,
+    Laxity,
+    example_laxity,
+    laxity_file,
+    read_laxity,
+    write_laxity,
+)
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest
 

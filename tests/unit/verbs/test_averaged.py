@@ -8,8 +8,7 @@ import pytest
 from tolerances import CLOSED_FORM
 
 import identknee as ik
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.executors import serial
 from identknee.subject.knee import Knee
